@@ -39,22 +39,31 @@ TEMPLATES = (
 )
 CALLS = (
     *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig", "inspect/cli/demo"),
-    *("inspect/kinds",),
+    *("inspect/cli/history", "inspect/kinds"),
 )
 """Folders whose calls of `message` are messages."""
 ERRORS = {"MeasurementError", "CalibrationError", "RegistrationError"}
 SENTENCES = {
     "inspect/base/notation.py": ("quantity_name",),
     "inspect/report/conclusion.py": ("_of_verdict", "surface_finding", "_contrast_finding", "_finding"),
+    "inspect/decision/reference_parts.py": ("lacking",),
+    "inspect/decision/design_vs_map.py": ("compare",),
     "inspect/decision/decision.py": ("_combine", "_blind", "_of_tolerance", "_limit_of"),
-    "inspect/diagnosis/part_diagnosis.py": ("_summary",),
+    "inspect/diagnosis/part_diagnosis.py": ("explain", "_summary"),
     "inspect/imaging/pose_radiance.py": ERRORS,
     "inspect/imaging/quality_gates.py": ERRORS,
     "inspect/imaging/views.py": ERRORS,
     "inspect/imaging/registration/placement.py": ERRORS,
     "inspect/imaging/deviation_map.py": ERRORS,
     "inspect/imaging/predicted_cells.py": ("predicted_cells",),
-    "inspect/kinds/surface.py": ("predicted_cells", "comparable_means", "summary"),
+    "inspect/imaging/height_map_place.py": {"match_map", "_matched", "words", "RegistrationError"},
+    "inspect/diagnosis/discriminating_poses.py": ("advice_for", "further_pose", "_nothing"),
+    "inspect/commissioning/findings.py": (
+        *("tilt_findings", "light_finding", "azimuth_finding", "_sense", "_zero", "_fixture_zero"),
+        *("_lean_zero", "_seat", "_steps", "_centre", "_pixel"),
+    ),
+    "inspect/commissioning/commissioning.py": ("_notes",),
+    "inspect/kinds/surface.py": ("predicted_cells", "comparable_means", "summary", "unlike_text"),
     "inspect/kinds/wafers/kind.py": ("predicted_cells", "comparable_means"),
     "inspect/cli/inspect/batch_operator.py": ("place", "serial_of", "trouble", "_part"),
     "inspect/cli/rig/motion.py": {"confirm"},
@@ -88,6 +97,16 @@ FURTHER = (
         "tilt",
         "rig",
     ),
+    *("id", "time", "serial", "why", "disposition", "software", "folder", "inspection", "recipe", "product"),
+    *("accept", "reject", "rework", "remeasure", "hold", "white reference", "convention", "model"),
+    *(
+        "its record is the one in the history",
+        "gone",
+        "as the inspection wrote it",
+        "made again from the frames",
+    ),
+    *("found", "not identifiable", "not measured", "{count} more things differ", "file {name}"),
+    "recipe, rig and calibrations in detail are not compared: {error}",
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
 )
 """Names that reach the page or the console from data."""
@@ -120,7 +139,7 @@ def _texts(path: Path, names: set[str]) -> Iterator[str]:
     """Texts of the definitions of these names, and first arguments of calls of functions of these names."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.FunctionDef) and node.name in names:
-            for statement in node.body[1:]:
+            for statement in node.body[1 if ast.get_docstring(node) else 0 :]:
                 yield from _sentences(statement)
         elif isinstance(node, ast.Call) and _name(node.func) in names and node.args:
             yield from filter(None, [_text(node.args[0])])
@@ -179,7 +198,8 @@ def _tables() -> Iterator[str]:
         yield from (words for _, words in names)
     yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
     for name in ("ridges", "wafers", "prints"):
-        for words in kind_named(name).cause_words.values():
+        for key, words in kind_named(name).cause_words.items():
+            yield key.replace("-", " ")
             yield from filter(None, (words.more, words.less, words.either, words.action, words.region))
     for cause in (*all_causes(10.0), *wafer_causes()):
         yield from dict.fromkeys((cause.title, bare_title(cause.title)))

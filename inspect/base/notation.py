@@ -9,6 +9,8 @@ LEAST_P = 1e-9
 """Probabilities below are not stated: no model of a part is that exact."""
 _MINUS = re.compile(r"(?<![\w)\]°])-(?=[\d.])")
 _OLD_CONTRAST = re.compile(r"(-?[\d.]+)°/(-?[\d.]+)° at tilt (-?[\d.]+)°(, (?=-?[\d.]+°/))?")
+_NUMBER = re.compile(r"(ln|Michelson|difference) (-?[\d.]+)-(-?[\d.]+)(?: @(-?[\d.]+))?$")
+_NUMBER_KINDS = {"ln": "ln ratio", "Michelson": "Michelson contrast", "difference": "difference [1/sr]"}
 _EXACT_P = re.compile(r"\bp (?:= (\d(?:\.\d+)?e-\d+)|< 1e-300)")
 
 
@@ -21,6 +23,15 @@ def quantity_name(kind: str, from_deg: float, to_deg: float, tilt_deg: float) ->
     """A contrast with its quantity, such as ``ln ratio 0° / 90°, tilt 0°``."""
     names = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
     return " ".join((names.get(kind, kind), contrast_name(from_deg, to_deg, tilt_deg)))
+
+
+def number_name(label: str) -> str:
+    """A number of the history for people: ``ln 0-90 @10`` becomes ``ln ratio 0° / 90°, tilt 10°``."""
+    found = _NUMBER.match(label)
+    if found is None:
+        return label
+    name = contrast_name(float(found[2]), float(found[3]), float(found[4] or 0.0))
+    return f"{_NUMBER_KINDS[found[1]]} {name}"
 
 
 def p_value_text(p_value: float) -> str:

@@ -68,7 +68,7 @@ COMMANDS = {
         ),
         "watch": (
             "inspect.watch:watch",
-            "Inspect every folder of frames that another program writes; Ctrl-C ends after the present one.",
+            "Inspect every folder of frames that another program writes; Ctrl-C stops after the current one.",
         ),
         "resume": (
             "inspect.inspection:resume",
@@ -163,13 +163,13 @@ COMMANDS = {
         "doctor": (
             "setup.doctor:doctor",
             (
-                "Say what is installed, compiled, reachable and calibrated on this machine; nothing moves, no "
+                "List what is installed, compiled, reachable and calibrated on this machine; nothing moves, no "
                 "device is opened."
             ),
         ),
         "warm": (
             "cache.warm:warm",
-            "Compile the kernels of all models for this machine, once: later commands start without that delay.",
+            "Compile the kernels of all models for this machine, once; later commands then start without this delay.",
         ),
         "cache": ("cache.cache:app", "Show or clear the cache of results that can be computed again."),
         "completion": (

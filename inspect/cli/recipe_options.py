@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 RecipeOption = Annotated[
     Path | None,
-    Parameter(help="Recipe file: plastic and surface are its; an option given as well comes first."),
+    Parameter(help="Recipe file with plastic and surface; options have precedence."),
 ]
 COMMANDS = (
     ("optimise",),

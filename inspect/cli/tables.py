@@ -1,5 +1,6 @@
 """Tables of the commands, and the console that they are printed on."""
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from anisoscope.kinds.command_output import CommandOutput
+
+
+_NUMBER = re.compile(r"[<>≤≥±+−-]?\s*\d|–$")
+"""How a cell with a number begins; columns without any are aligned to the left."""
 
 
 def console(*, stderr: bool = False) -> "Console":
@@ -30,7 +35,8 @@ def print_table(
         title=title, title_justify="left", caption=caption and escape(caption), caption_justify="left"
     )
     for number, column in enumerate(columns):
-        table.add_column(escape(column), justify="left" if number == 0 else "right")
+        words = number == 0 or not any(_NUMBER.match(row[number]) for row in rows)
+        table.add_column(escape(column), justify="left" if words else "right")
     for row in rows:
         table.add_row(*(escape(cell) for cell in row))
     console().print(table)

@@ -42,7 +42,9 @@ def tilt_findings(angles: Angles, file: RigFile) -> tuple[Finding, ...]:
         else "from the radiances"
     )
     if axis is not None and axis.axis_deg is not None:
-        remark += f"; in the picture the axis stands {axis.axis_deg:+.2f}° from the horizontal"
+        remark = "; ".join(
+            (remark, f"in the picture the axis stands {axis.axis_deg:+.2f}° from the horizontal")
+        )
     return (
         Finding(
             key=sign[0],
@@ -73,17 +75,16 @@ def light_finding(angles: Angles, file: RigFile) -> Finding:
     if found.u_alone <= MAX_U_LIGHT_DEG:
         remark = f"from the pictures alone: u = {found.u_alone:.2g}°"
     else:
-        remark = (
-            "the pictures alone do not say it: it rests on what is known of the part (ridge angle, roughness)"
-        )
+        remark = "the pictures alone do not determine it: it rests on what is known of the part (ridge angle, roughness)"
     names = [one.name for one in angles.light.parameters]
     row = np.abs(angles.light.correlation[names.index("light_deg")])
     row[names.index("light_deg")] = 0.0
     partner = angles.light.parameters[int(np.argmax(row))]
-    remark += f"; goes most with {partner.words.split(' [')[0]} (correlation {float(np.max(row)):.2f})"
+    strongest = float(np.max(row))
+    remarks = [remark, f"most correlated with {partner.words.split(' [')[0]} (correlation {strongest:.2f})"]
     if not good:
-        remark += (
-            f"; u is above {MAX_U_LIGHT_DEG:g}°: give what is known of the part more exactly, or tilt the arm"
+        remarks.append(
+            f"u is above {MAX_U_LIGHT_DEG:g}°: state what is known of the part more exactly, or tilt the arm"
         )
     return Finding(
         key="light.angle_deg",
@@ -93,7 +94,7 @@ def light_finding(angles: Angles, file: RigFile) -> Finding:
         value=found.value,
         u=found.u,
         status=status_of(good),
-        remark=remark,
+        remark="; ".join(remarks),
         goes_to_rig_file=True,
     )
 
@@ -102,12 +103,12 @@ def azimuth_finding(angles: Angles) -> Finding:
     """Azimuth of the light out of the plane of the model."""
     found = angles.light["azimuth_deg"]
     zero = angles.light["tilt_zero_deg"]
-    remark = (
-        "from the picture's +x axis, counter-clockwise; a tilt of the arm shows alike, its zero is known to "
-    )
-    remark += f"{zero.u:.2g}°"
+    remarks = [
+        "from the picture's +x axis, counter-clockwise",
+        f"a tilt of the arm has the same effect, its zero is known to {zero.u:.2g}°",
+    ]
     if found.u <= MAX_U_AZIMUTH_DEG and abs(found.value) > 3.0 * found.u:
-        remark += ": light and camera do not share the plane of the model; turn the camera about its axis"
+        remarks.append("light and camera do not share the plane of the model: turn the camera about its axis")
     return Finding(
         key="light.azimuth_deg",
         words="azimuth of the light",
@@ -116,7 +117,7 @@ def azimuth_finding(angles: Angles) -> Finding:
         value=found.value,
         u=found.u,
         status=status_of(found.u <= MAX_U_AZIMUTH_DEG),
-        remark=remark,
+        remark="; ".join(remarks),
     )
 
 
@@ -152,13 +153,17 @@ def findings_of(
 
 
 def _sense(angles: Angles, file: RigFile) -> Finding:
-    by = "markers" if angles.markers is not None else "ridges; it holds as long as a step is less than 90°"
+    remark = (
+        "by the markers"
+        if angles.markers is not None
+        else "by the ridges: right as long as a step is less than 90°"
+    )
     return Finding(
         key="stage.turns",
         words="sense in which a growing reading turns the sample, seen from the camera",
         old=file.stage.turns,
         value=SENSES[angles.sense],
-        remark=f"by the {by}",
+        remark=remark,
         goes_to_rig_file=True,
     )
 
@@ -172,14 +177,16 @@ def _zero(angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_
         zero, u = angles.lean_zero_deg + angles.sense * facet_azimuth_deg, angles.u_lean_zero_deg
         known, remark = angles.side_known, "where the part stands at 0°: no markers are seen"
         if not known:
-            remark += f"; brightness does not tell it from {zero + 180.0:.2f}°"
+            remark = "; ".join((remark, f"the brightness cannot distinguish it from {zero + 180.0:.2f}°"))
     zero = _reachable_zero(zero, angles.sense, file.stage, picture_set.limits_deg)
     beyond = [
         a for a in USUAL_ANGLES if not _reached(zero + angles.sense * a, file.stage, picture_set.limits_deg)
     ]
     if beyond:
         listed = ", ".join(f"{a:g}°" for a in beyond)
-        remark += f"; the stage does not reach {listed} of the sample: turn the fixture on it"
+        remark = "; ".join(
+            (remark, f"the stage does not reach {listed} of the sample: turn the fixture on it")
+        )
     return Finding(
         key="stage.zero_deg",
         words="stage reading at 0°",
@@ -231,9 +238,12 @@ def _lean_zero(angles: Angles) -> Finding:
     side = "the side is decided by brightness"
     if not angles.side_known:
         other = float(np.mod(angles.lean_zero_deg + 180.0, 360.0))
-        side = f"or {other:.2f}°: brightness does not tell the two sides apart"
+        side = f"or {other:.2f}°: the brightness cannot distinguish the two sides"
+    sides = [f"{side} (χ² {angles.light.side_chi2:.0f} for the other)"]
     if angles.ridges is None:
-        side += "; the camera does not resolve the ridges: seen by brightness alone, with the light's azimuth"
+        sides.append(
+            "the camera does not resolve the ridges: seen by brightness alone, with the light's azimuth"
+        )
     return Finding(
         key="ridges.zero_deg",
         words=words,
@@ -241,7 +251,7 @@ def _lean_zero(angles: Angles) -> Finding:
         value=float(np.mod(angles.lean_zero_deg, 360.0)),
         u=angles.u_lean_zero_deg,
         status=status_of(angles.side_known),
-        remark=f"{side} (χ² {angles.light.side_chi2:.0f} for the other)",
+        remark="; ".join(sides),
     )
 
 
@@ -250,14 +260,14 @@ def _seat(angles: Angles, facet_azimuth_deg: float) -> Finding:
     if angles.seat_deg is None:
         return missing("part.facet_azimuth_deg", words, "°", "no markers are seen")
     off = float(wrapped(angles.seat_deg - facet_azimuth_deg))
-    remark = f"{off:+.2f}° from what was said"
+    remarks = [f"{off:+.2f}° from the stated azimuth"]
     if abs(off) > 90.0:
-        remark += (
-            ": the part lies the other way round, or the light stands on the other side; the pictures cannot tell "
-            "which. Turn the part, or give poses.facet_azimuth_deg in its recipe"
+        remarks.append(
+            "the part is turned by half a turn, or the light is on the other side, which the pictures cannot "
+            "distinguish: turn the part, or give poses.facet_azimuth_deg in its recipe"
         )
     elif abs(off) > MAX_SEAT_DEG:
-        remark += ": seat the part straight in its fixture, or give poses.facet_azimuth_deg in its recipe"
+        remarks.append("seat the part straight in its fixture, or give poses.facet_azimuth_deg in its recipe")
     return Finding(
         key="part.facet_azimuth_deg",
         words=words,
@@ -266,7 +276,7 @@ def _seat(angles: Angles, facet_azimuth_deg: float) -> Finding:
         value=float(wrapped(angles.seat_deg)),
         u=angles.u_seat_deg,
         status=status_of(angles.side_known),
-        remark=remark,
+        remark="; ".join(remarks),
     )
 
 
@@ -282,7 +292,7 @@ def _steps(angles: Angles) -> Finding:
         old=1.0,
         value=slope,
         u=u,
-        remark="the stage does not count true: check its steps per degree" if wrong else "",
+        remark="the stage turns by another angle than it reads: check its steps per degree" if wrong else "",
     )
 
 

@@ -282,7 +282,7 @@ def _search(grid: Grid, projection: _Projection, base: FloatArray, start: float)
     cost, step, curvature = _cost(grid, projection, base, alpha)
     if curvature <= 1e-6 * float(projection.weight.sum()):
         raise UsageError(
-            "the readings do not say how wide the lobe is: measure beside the mirror direction as well as in it"
+            "the readings do not say how wide the lobe is: measure away from the mirror direction as well as in it"
         )
     for _ in range(_STEPS):
         step = float(np.clip(step, -0.5, 0.5))
@@ -366,7 +366,7 @@ def _lobe_widths(grid: Grid) -> FloatArray:
         widths.append(float(np.exp(minimize_scalar(misfit, bounds=bounds, method="bounded").x)))
     if not widths:
         raise UsageError(
-            "no angle of the light has three readings: the published fit needs some beside the mirror direction"
+            "no angle of the light has three readings: the published fit needs some away from the mirror direction"
         )
     return np.array(widths)
 

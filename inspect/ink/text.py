@@ -75,7 +75,7 @@ def show_notes(appearance: Show) -> list[str]:
     """Notes on how the colours are computed."""
     where = "in the mirror direction"
     if appearance.inks[0].off_mirror_deg:
-        where = f"{appearance.inks[0].off_mirror_deg:+g}° beside the mirror direction".replace("-", "−")
+        where = f"{appearance.inks[0].off_mirror_deg:+g}° from the mirror direction".replace("-", "−")
     adapted = "white adapted to that of sRGB (Bradford)" if appearance.adapted else "no chromatic adaptation"
     clipped = sum(one.clipped for one in appearance.inks)
     total = sum(len(one.theta_deg) for one in appearance.inks)

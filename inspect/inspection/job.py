@@ -15,6 +15,7 @@ from anisoscope.imaging.views import Viewing
 from anisoscope.kinds.kind import AnyKind, Reference
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase, check_region
+from anisoscope.recipe.logo import LOGO
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.acquisition.plan import Plan, Pose
@@ -158,6 +159,7 @@ def sources_of(
     check_region(recipe, rig.fixture, recipe_path)
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
     files += [*kind.sources(recipe, rig).items(), *_golden_file(recipe_path)]
+    files += [] if recipe.report.logo is None else [(LOGO, recipe.report.logo)]
     return tuple(Source(role, path, sha256_of(path)) for role, path in files)
 
 

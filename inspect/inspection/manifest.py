@@ -17,6 +17,7 @@ from anisoscope.calibration.white_reference import read_reference
 from anisoscope.inspection.folder import INPUTS, JOB
 from anisoscope.inspection.job import Job, Role, Source, fixture_of
 from anisoscope.kinds.registry import kind_of
+from anisoscope.recipe.logo import LOGO, with_logo
 from anisoscope.record.schema import InputFile, Particulars, sha256_of
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.writer import FRAMES
@@ -175,6 +176,7 @@ def reopen(folder: Path) -> tuple[Manifest, Job]:
     rig = read_rig(paths["rig"], here=here) if manifest.origin == "rig" else read_replay_rig(paths["rig"])
     rig = rig.model_copy(update={"calibration": CalibrationPart(flat=paths["white reference"])})
     recipe, rig = kind.from_copies(recipe, rig, paths)
+    recipe = with_logo(recipe, paths.get(LOGO))
     white = read_reference(paths["white reference"])
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in manifest.inputs)
     known = paths.get("golden parts")

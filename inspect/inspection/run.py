@@ -20,6 +20,7 @@ from anisoscope.inspection.manifest import Manifest, begin, one_round_more, reop
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.recipe.logo import logo_uri
 from anisoscope.record.display import record_html, record_line
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, write_record
 from anisoscope.record.verdict import Verdict
@@ -376,7 +377,8 @@ def conclude(
     advance("report", 0, 1)
     view = ready.renderer.result() if ready.renderer is not None else None
     lot = lot_of(record, ready.lot_mates)
-    pictures = replace(pictures, calibrations=job.calibrations.records, lot=lot)
+    logo = logo_uri(job.recipe)
+    pictures = replace(pictures, calibrations=job.calibrations.records, lot=lot, logo=logo)
     sections = ready.methods.sections(job.kind, record, pictures)
     report = ready.methods.write_report(record, pictures, folder, view, sections)
     record = record.model_copy(update={"files": listed_files(folder)})
@@ -407,5 +409,5 @@ def report_again(folder: Path, record: Record, path: Path, advance: Advance = si
         frames = read_frames(folder, manifest)
         _, pictures = judge(manifest, job, ready.expected, frames, advance, diagnose=lambda *_: Explanation())
         view = ready.renderer.result() if ready.renderer is not None else None
-    pictures = replace(pictures, calibrations=job.calibrations.records)
+    pictures = replace(pictures, calibrations=job.calibrations.records, logo=logo_uri(job.recipe))
     write_report(record, pictures, folder, view, job.kind.sections(record, pictures), path)

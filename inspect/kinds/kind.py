@@ -30,6 +30,7 @@ from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.base import RecipeBase, check_region
+from anisoscope.recipe.logo import check_logo
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
@@ -253,6 +254,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         """
         del rig_path
         self.check_actions(recipe, recipe_path)
+        check_logo(recipe, recipe_path)
         check_poses(recipe.poses, rig.light.angle_deg, recipe_path)
 
     def check_valid(self, recipe: RecipeT, at: datetime) -> None:
@@ -493,6 +495,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         recipe = self.read_recipe(path)
         if rig_path is None:
             self.check_actions(recipe, path)
+            check_logo(recipe, path)
             check_poses(recipe.poses, light_angle_deg, path)
             return self.capability(recipe, None, light_angle_deg, tries, advance)
         rig = read_replay_rig(rig_path)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.base.toml_file import NotNegative, Part, Positive, Share
+from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.rig.acquisition.plan import LEAST_STEP
 from anisoscope.rig.fixture import Fixture
@@ -94,11 +94,12 @@ class CommonUncertainty(Part):
 
 
 class ReportPart(Part):
-    """Lines of the report in the shop's own words; ``reviewer`` adds a line to be signed."""
+    """Lines of the report in the shop's own words; ``reviewer`` adds a line to be signed, ``logo`` is a PNG or SVG."""
 
     company: Annotated[str, Field(max_length=80)] = ""
     drawing: Annotated[str, Field(max_length=80)] = ""
     reviewer: Annotated[str, Field(max_length=80)] = ""
+    logo: LocalPath | None = None
 
 
 class RecipeBase(Part):

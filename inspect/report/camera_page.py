@@ -101,7 +101,7 @@ def pictures(sheet: CameraSheet) -> tuple[Picture, ...]:
             _snr(sheet, electrons, ratio),
             f"Signal-to-noise ratio over signal, up to {number(float(ratio.max()), 3)} at "
             f"{number(float(electrons.max()), 3)} e",
-            "Signal-to-noise ratio of single pixels over time, beside the shot noise that no camera beats.",
+            "Signal-to-noise ratio of single pixels over time, and the limit by shot noise.",
         ),
     )
 

@@ -54,6 +54,7 @@ class Pictures:
         deviation: (cell rows, cell cols) ln ratio by which a cell is off.
         surface: the height map of the prediction, levelled.
         raw: pictures as photographed, where they could not be judged.
+        logo: of the shop, as a data URI, or None.
         calibrations: records of the rig's calibrations, by kind.
         lot: parts of the same lot that were inspected before, or None.
         of_kind: what the kind of part shows besides, or None.
@@ -70,6 +71,7 @@ class Pictures:
     surface: HeightMap | None = None
     deviation: FloatArray | None = None
     raw: tuple[tuple[str, Image], ...] = field(default=())
+    logo: str | None = None
     calibrations: Mapping[Kind, CalibrationRecord] = field(default_factory=dict)
     lot: Lot | None = None
     of_kind: object = None
@@ -151,6 +153,7 @@ def _content(
     causes = _causes(record)
     return {
         "record": record,
+        "logo": pictures.logo,
         "meaning": MEANING[record.verdict],
         "rule_text": sections.rule or (message(INVALID_RULE) if record.verdict == "INVALID" else ""),
         "reasons": sections.reasons,

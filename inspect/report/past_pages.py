@@ -3,22 +3,18 @@
 import base64
 import hashlib
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from anisoscope.base.notation import contrast_name, true_minus
+from anisoscope.base.notation import number_name, true_minus
 from anisoscope.history.comparing import Compared, Comparison
 from anisoscope.history.rows import Row
 from anisoscope.record.schema import ConclusionRecord
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.page import template_text, write_page
 from anisoscope.report.provenance import when
-
-_CONTRAST = re.compile(r"(ln|Michelson|difference) (-?[\d.]+)-(-?[\d.]+)(?: @(-?[\d.]+))?$")
-_KINDS = {"ln": "ln ratio", "Michelson": "Michelson contrast", "difference": "difference [1/sr]"}
 
 
 @dataclass(frozen=True)
@@ -135,19 +131,10 @@ def write_compared_page(
         "found": found,
         "sides": [(one, report_link(one.row.folder, path) if one.has_report else None) for one in sides],
         "pairs": pairs,
-        "contrasts": [(number_name(one.label), _cells(one)) for one in found.contrasts],
-        "numbers": [(number_name(one.label), _cells(one)) for one in found.numbers],
+        "contrasts": [(true_minus(number_name(one.label)), _cells(one)) for one in found.contrasts],
+        "numbers": [(true_minus(number_name(one.label)), _cells(one)) for one in found.numbers],
     }
     write_page(path, "compared.html", content, {"typeset": true_minus})
-
-
-def number_name(label: str) -> str:
-    """A number of the history for people: ``ln 0-90 @10`` becomes ``ln ratio 0° / 90°, tilt 10°``."""
-    found = _CONTRAST.match(label)
-    if found is None:
-        return label
-    name = contrast_name(float(found[2]), float(found[3]), float(found[4] or 0.0))
-    return true_minus(f"{_KINDS[found[1]]} {name}")
 
 
 def _cells(one: Compared) -> tuple[str, ...]:

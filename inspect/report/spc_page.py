@@ -375,7 +375,11 @@ def _spread(study: ControlStudy) -> Picture:
         f"Histogram of {study.name}: {len(measured)} values from {number(float(measured.min()))} to "
         f"{number(float(measured.max()))}, mean {number(float(measured.mean()))}"
     )
-    return Picture(spread_picture(study), alt, "How often which value occurs, beside a normal distribution.")
+    return Picture(
+        spread_picture(study),
+        alt,
+        "Distribution of the values; line: normal distribution with the same mean and spread.",
+    )
 
 
 def _limits(study: ControlStudy) -> Grid:

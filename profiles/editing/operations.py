@@ -426,7 +426,7 @@ OPERATIONS: dict[str, Operation] = {
     for one in (
         Operation(
             "level",
-            "Take tilt and mean height off.",
+            "Remove tilt and mean height.",
             (
                 Parameter("method", "text", "", "auto: points whole pitches apart where there are ridges, else a "
                           "least-squares plane; plane: always that plane", "auto", choices=("auto", "plane")),
@@ -435,7 +435,7 @@ OPERATIONS: dict[str, Operation] = {
         ),
         Operation(
             "form",
-            "Take off a fitted form.",
+            "Remove a fitted form.",
             (Parameter("form", "text", "", "none, plane, poly1 … poly10, sphere or cylinder", required=True),),
             _form,
         ),
@@ -449,7 +449,7 @@ OPERATIONS: dict[str, Operation] = {
                           choices=("gaussian", "robust", "spline", "closing", "opening")),
                 Parameter("cutoff", "number", "µm", "nesting index; radius of the ball or disk of closing and opening",
                           required=True),
-                Parameter("keep", "text", "", "waves that stay: those longer or those shorter than the cutoff", "long",
+                Parameter("keep", "text", "", "waves to keep: longer or shorter than the cutoff", "long",
                           choices=("long", "short")),
                 Parameter("direction", "text", "", "direction of the profiles, x or y; xy: areal", "xy",
                           choices=("xy", "x", "y")),
@@ -488,7 +488,7 @@ OPERATIONS: dict[str, Operation] = {
             (
                 Parameter("picture", "text", "", "PNG of the size of the map, bright inside, first row at the top"),
                 Parameter("polygon", "text", "µm", "corners x y; x y; x y, counted from the first point"),
-                Parameter("keep", "text", "", "points that stay", "inside", choices=("inside", "outside")),
+                Parameter("keep", "text", "", "points to keep", "inside", choices=("inside", "outside")),
             ),
             _mask,
         ),
@@ -505,7 +505,7 @@ OPERATIONS: dict[str, Operation] = {
         ),
         Operation(
             "outliers",
-            "Make single points that stand out missing.",
+            "Remove single outliers: they become missing points.",
             (
                 Parameter("limit", "number", "σ", "deviation from the local median in robust standard deviations", 5.0),
                 Parameter("window", "count", "points", "side of the surroundings, odd, 3 to 31", 5),
@@ -533,7 +533,7 @@ OPERATIONS: dict[str, Operation] = {
         ),
         Operation(
             "stitch",
-            "Join an overlapping map, its plane brought to that of the first.",
+            "Join an overlapping map, levelled to the first.",
             (
                 Parameter("map", "map", "", "the other map", required=True),
                 Parameter("x", "number", "µm", "where its first point lies along x in the first map, about", 0.0),

@@ -44,7 +44,7 @@ def info(*, json_: Json = False) -> int:
 
 @app.command
 def clear(*, json_: Json = False) -> int:
-    """Remove all results of the cache; whatever needs them computes them again.
+    """Remove all results in the cache; they are computed again when needed.
 
     Examples:
         anisoscope cache clear

@@ -27,7 +27,7 @@ def warm(
     demo: Annotated[bool, Parameter(negative="", help="Only the kernels of `anisoscope demo`.")] = False,
     json_: Json = False,
 ) -> int:
-    """Compile the kernels of all models for this machine, once: later commands start without that delay.
+    """Compile the kernels of all models for this machine, once; later commands then start without this delay.
 
     About a minute on two cores after an installation or an update, a few seconds where all are compiled. `make` does it
     at set-up.

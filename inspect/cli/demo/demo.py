@@ -45,7 +45,7 @@ def demo(
     kind: Annotated[
         Kind,
         Parameter(
-            help="What is inspected, by the name of its kind: plastic with ridges, etched wafers (also: wafer), or "
+            help="Kind of part: plastic with ridges, etched wafers (also: wafer), or "
             "prints with a structural-colour ink (also: print)."
         ),
     ] = "ridges",

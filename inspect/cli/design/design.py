@@ -103,7 +103,7 @@ def lobe(
     sigma_y: Annotated[float | None, Parameter(help="σ along y; as along x if not given.")] = None,
     max_width: Annotated[float, Parameter(help="Widest step, µm.")] = 20.0,
     nearest: Annotated[
-        bool, Parameter(negative="", help="Take the nearest lobe where the wanted one is out of reach.")
+        bool, Parameter(negative="", help="Take the nearest lobe if the wanted one is out of reach.")
     ] = False,
     fabrication: Annotated[Fabrication, Parameter(group="Light and fabrication")] = FABRICATION,
     name: NameOption = None,
@@ -113,8 +113,8 @@ def lobe(
 ) -> int:
     """Find the mixture of step widths whose reflectance comes closest to a Gaussian lobe.
 
-    The part of the target that no mixture reaches is printed. A lobe that the smallest feature or the source keep
-    out of reach is refused, with what would help.
+    Prints the part of the target that no mixture reaches. A lobe that is out of reach of the smallest feature or the
+    source is refused, with what would help.
 
     Examples:
         anisoscope design lobe --sigma 0.04 --sigma-y 0.01 --name "wide x" --out wide.toml
@@ -174,7 +174,7 @@ def antimirror(
     html: HtmlOption = None,
     json_: Json = False,
 ) -> int:
-    """Design a surface that reflects everywhere but in the mirror direction.
+    """Design a surface that reflects everywhere except in the mirror direction.
 
     Examples:
         anisoscope design antimirror --arrangement 2,2 --width 2 --name hole --out hole.toml

@@ -141,17 +141,17 @@ def pattern(
         str | None, Parameter(help="Size W,H in mm; a dot for every pixel of the picture if not given.")
     ] = None,
     dot: DotOption = 112.0,
-    tiles: Annotated[int, Parameter(help="Different tiles of every reflectance.")] = 4,
+    tiles: Annotated[int, Parameter(help="Number of different tiles per reflectance.")] = 4,
     refine: Annotated[float, Parameter(help="Seconds to refine every tile of a lobe.")] = 0.0,
     dither: Annotated[
         bool, Parameter(negative="", help="Mix designs where the picture has values between theirs.")
     ] = False,
     seed: SeedOption = 0,
-    png: Annotated[Path | None, Parameter(help="Write a picture of the classes, a pixel a dot.")] = None,
+    png: Annotated[Path | None, Parameter(help="Write a picture of the classes, one pixel per dot.")] = None,
     html: HtmlOption = None,
     json_: Json = False,
 ) -> int:
-    """Lay out a picture as dots of a reflectance each.
+    """Lay out a picture as dots, each with one reflectance.
 
     Args:
         image: Grey picture: labels, or shades with --dither.

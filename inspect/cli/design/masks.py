@@ -25,10 +25,10 @@ def mask(
     /,
     *,
     out: Annotated[Path, Parameter(help="Masks to write, *.gds.")],
-    png: Annotated[Path | None, Parameter(help="Write a picture of the classes, a pixel a dot.")] = None,
+    png: Annotated[Path | None, Parameter(help="Write a picture of the classes, one pixel per dot.")] = None,
     json_: Json = False,
 ) -> int:
-    """Write etch masks as GDSII: a cell for every tile, a layer for every pass, units µm.
+    """Write etch masks as GDSII: one cell per tile, one layer per pass, units µm.
 
     Args:
         layout: Layout *.npz of ``design pattern`` or ``design refine``.

@@ -319,7 +319,7 @@ def findings(
     *,
     recipe: RecipeOption = None,
     model: ModelOption = "printed",
-    grid_points: Annotated[int, Parameter(help="Roughnesses a side of the grid, 2 to 100.")] = 24,
+    grid_points: Annotated[int, Parameter(help="Roughnesses per side of the grid, 2 to 100.")] = 24,
     alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
     alpha_to: Annotated[float, Parameter(help="Largest roughness of the grid.")] = 0.3,
     albedo: AlbedoOption = 0.2,

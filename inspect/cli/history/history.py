@@ -23,12 +23,16 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import decimal, message, translated
+from anisoscope.base.notation import number_name
 from anisoscope.cli.history.options import ALL, Place, Which, opened
 from anisoscope.cli.inspect.inspection import conclusion_lines
 from anisoscope.cli.progress import progress
 
 COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
 _MAX_CELL = 24
+_VERDICT = 3
+"""Column of the verdict in the table of inspections."""
 _SIDES = ("u ", "deviation ", "tolerance ")
 
 
@@ -63,41 +67,46 @@ def print_history(
         print_json({"total": total, "inspections": listed})
         return
     if not rows:
-        write_line("no inspections")
+        write_line(message("no inspections"))
         return
     from rich.cells import cell_len
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title="Inspections", title_justify="left", caption_justify="left")
+    table = Table(title=message("Inspections"), title_justify="left", caption_justify="left")
     optional = [
         name for name in ("lot", "cavity", "station", "operator") if any(getattr(r, name) for r in rows)
     ]
     if decided:
         optional.append("disposition")
     lines = [_cells(row, optional, decided.get(row.id, ())) for row in rows]
-    for number, column in enumerate(("id", "time", "serial", "verdict", *optional, "product", "why")):
+    for number, name in enumerate(("id", "time", "serial", "verdict", *optional, "product", "why")):
+        column = translated(name)
         longest = max(len(column), *(cell_len(line[number]) for line in lines))
-        wordy = column in {"product", "why"}
+        wordy = name in {"product", "why"}
         table.add_column(
             column, no_wrap=not wordy, overflow="fold", min_width=16 if wordy else min(longest, _MAX_CELL)
         )
-    for line in lines:
-        table.add_row(*(Text(cell, style=COLORS.get(cell, "")) for cell in line))
+    for row, line in zip(rows, lines, strict=True):
+        color = COLORS.get(row.verdict, "")
+        table.add_row(
+            *(Text(cell, style=color if number == _VERDICT else "") for number, cell in enumerate(line))
+        )
     console().print(table)
     write_line(
-        f"{total} inspections"
+        message("{count} inspections", count=total)
         if total == len(rows)
-        else f"the last {len(rows)} of {total}; --limit 0 for all"
+        else message("the last {count} of {total}; --limit 0 for all", count=len(rows), total=total)
     )
 
 
 def _cells(row: "Row", optional: Sequence[str], decided: "Sequence[Disposition]") -> list[str]:
     details = {name: getattr(row, name, None) for name in optional}
     if "disposition" in details and decided:
-        details["disposition"] = decided[-1].decision
-    head = [str(row.id), _local(row.created_at), row.serial, row.verdict]
-    return [plain(cell) for cell in (*head, *details.values(), row.product, *(row.reasons[:1] or ("",)))]
+        details["disposition"] = translated(decided[-1].decision)
+    head = [str(row.id), _local(row.created_at), row.serial, translated(row.verdict)]
+    why = translated(row.reasons[0]) if row.reasons else ""
+    return [plain(cell) for cell in (*head, *details.values(), row.product, why)]
 
 
 def print_added(added: "Added", where: str, *, json_: bool) -> None:
@@ -116,7 +125,14 @@ def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> No
         print_json({**asdict(disposition), "created_at": disposition.created_at.isoformat()})
     else:
         write_line(
-            f"inspection {row.id} of {row.serial}, {row.verdict}: {disposition.decision} by {disposition.reviewer}"
+            message(
+                "inspection {number} of {serial}, {verdict}: {decision} by {name}",
+                number=row.id,
+                serial=row.serial,
+                verdict=row.verdict,
+                decision=disposition.decision,
+                name=disposition.reviewer,
+            )
         )
 
 
@@ -141,11 +157,11 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
         words = {} if conclusion is None else {"finding": conclusion.finding, "action": conclusion.action}
         print_json({**with_dispositions(row, decided), **words, "folder_state": folder})
         return
-    console().print(f"[bold {COLORS.get(row.verdict, '')}]{plain(row.verdict)}[/]")
+    console().print(f"[bold {COLORS.get(row.verdict, '')}]{plain(translated(row.verdict))}[/]")
     for line in () if conclusion is None else conclusion_lines(conclusion):
         write_line(line)
     for reason in row.reasons:
-        write_line(f"  {reason}")
+        write_line(f"  {translated(reason)}")
     details = {
         name: getattr(row, name) for name in ("lot", "cavity", "station", "operator") if getattr(row, name)
     }
@@ -155,14 +171,16 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
         "time": _local(row.created_at),
         "recipe": row.recipe,
     }
-    facts |= {**details, "software": row.software, "folder": f"{row.folder} ({folder})"}
+    facts |= {**details, "software": row.software, "folder": f"{row.folder} ({translated(folder)})"}
     for name, value in facts.items():
-        write_line(f"{name}: {value}")
+        write_line(f"{translated(name)}: {value}")
     if row.numbers:
-        print_table("Numbers", ["", "value", "u", "deviation", "tolerance"], _number_rows(row.numbers))
+        columns = ["", message("value"), "u", message("deviation"), message("tolerance")]
+        print_table(message("Numbers"), columns, _number_rows(row.numbers))
     for one in decided:
         comment = f": {one.comment}" if one.comment else ""
-        write_line(f"{_local(one.created_at)} {one.decision} by {one.reviewer}{comment}")
+        decision = message("{decision} by {name}", decision=one.decision, name=one.reviewer)
+        write_line(f"{_local(one.created_at)} {decision}{comment}")
 
 
 def _folder_state(row: "Row") -> "tuple[str, ConclusionRecord | None]":
@@ -185,12 +203,12 @@ def _folder_state(row: "Row") -> "tuple[str, ConclusionRecord | None]":
 
 def _number_rows(numbers: Mapping[str, float]) -> list[list[str]]:
     def cell(label: str, form: str) -> str:
-        return form.format(numbers[label]) if label in numbers else ""
+        return decimal(form.format(numbers[label])) if label in numbers else ""
 
     return [
         [
-            plain(label),
-            f"{value:.4g}",
+            plain(translated(number_name(label))),
+            decimal(f"{value:.4g}"),
             cell(f"u {label}", "{:.2g}"),
             cell(f"deviation {label}", "{:+.4g}"),
             cell(f"tolerance {label}", "±{:g}"),
@@ -206,20 +224,22 @@ def print_comparison(found: "Comparison", *, json_: bool) -> None:
         print_json(_comparison_json(found))
         return
     names = [f"{row.serial} ({row.id})" for row in (found.first, found.second)]
-    table = [["verdict", found.first.verdict, found.second.verdict, "", "", ""]]
+    table = [
+        [message("verdict"), translated(found.first.verdict), translated(found.second.verdict), "", "", ""]
+    ]
     table += [_compared_row(one) for one in (*found.contrasts, *found.numbers)]
-    columns = ["", *map(plain, names), "difference", "u", "difference/u"]
-    print_table("Compared", columns, [[plain(cell) for cell in row] for row in table])
+    columns = ["", *map(plain, names), message("difference"), "u", f"{message('difference')}/u"]
+    print_table(message("Compared"), columns, [[plain(cell) for cell in row] for row in table])
     for change in found.changes:
-        write_line(f"{change.what}: {_text_of(change.first)} -> {_text_of(change.second)}")
+        write_line(f"{translated(change.what)}: {_text_of(change.first)} -> {_text_of(change.second)}")
     if not found.changes:
         write_line(
-            "recipe, rig, calibrations and software are the same"
+            message("Recipe, rig, calibrations and software are the same.")
             if not found.notes
-            else "nothing else differs"
+            else message("Nothing else differs.")
         )
     for note in found.notes:
-        write_line(f"note: {note}")
+        write_line(message("note: {note}", note=note))
 
 
 def _comparison_json(found: "Comparison") -> dict[str, Any]:
@@ -237,11 +257,14 @@ def _compared_row(one: "Compared") -> list[str]:
         (one.u, ".2g"),
         (one.ratio, "+.1f"),
     ]
-    return [one.label, *("" if value is None else format(value, form) for value, form in forms)]
+    return [
+        translated(number_name(one.label)),
+        *("" if value is None else decimal(format(value, form)) for value, form in forms),
+    ]
 
 
 def _text_of(text: str | None) -> str:
-    return "nothing" if text is None else text
+    return message("nothing") if text is None else text
 
 
 app = App(name="history", help="List past inspections; add and check them, record reviewers' decisions.")
@@ -274,7 +297,7 @@ def history(
         rows = found.rows(filters)
         decided = found.dispositions_of([row.id for row in rows])
         total = found.count(filters) if len(rows) == limit else len(rows)
-        source = f"history {found.address}"
+        source = message("history {path}", path=found.address)
     if html is not None:
         from anisoscope.inspection.past_pages import history_page
 
@@ -290,7 +313,7 @@ def add(
     place: Place = None,
     json_: Json = False,
 ) -> int:
-    """Add finished inspections that are not in the history yet; those that are, are passed over.
+    """Add finished inspections to the history; those that it has already are skipped.
 
     Exit codes: 0 all of them are in the history now, 1 a record is damaged, 64 and above nothing could be added.
 
@@ -319,7 +342,7 @@ def dispose(
     place: Place = None,
     json_: Json = False,
 ) -> int:
-    """Write down what a reviewer decides about an inspection. Its verdict, and earlier decisions, stay as they are.
+    """Record a reviewer's decision about an inspection. Its verdict and earlier decisions do not change.
 
     Examples:
         anisoscope history dispose A-0002 accept --reviewer "R. R." --comment "burrs are allowed here"
@@ -345,7 +368,7 @@ def verify(
 ) -> int:
     """Compute the hash of every row again, and name the rows that were changed, exchanged or removed.
 
-    Exit codes: 0 everything is as it was written, 1 not, 64 and above there is no history to be read.
+    Exit codes: 0 unchanged, 1 changed, 64 and above no readable history.
 
     Examples:
         anisoscope history verify
@@ -379,8 +402,8 @@ def show(
 ) -> int:
     """Show one inspection: verdict, numbers, reviewers' decisions, and whether its folder is unchanged.
 
-    Of a part that was inspected several times, the latest. `id:7` and `serial:7` tell ids and serial numbers apart.
-    --html writes its report; where that is missing or was changed, it is made again from the frames.
+    The latest inspection of a part that was inspected several times. `id:7` and `serial:7` distinguish ids from serial
+    numbers. --html writes its report, made again from the frames if it is missing or was changed.
 
     Examples:
         anisoscope show A-0001
@@ -402,7 +425,7 @@ def show(
             origin = inspection_page(html, row, refresh=refresh, advance=advance)
     print_inspection(row, decided, json_=json_)
     if origin is not None and not json_:
-        write_line(f"report, {origin}: {html}")
+        write_line(message("report, {origin}: {path}", origin=origin, path=html))
     return 0
 
 

@@ -35,7 +35,9 @@ def halftone(
     image: Path,
     /,
     *,
-    out: Annotated[Path, Parameter(help="PNG of all dots; the films stand beside it as NAME-INK.png.")],
+    out: Annotated[
+        Path, Parameter(help="PNG of all dots; the films are written next to it as NAME-INK.png.")
+    ],
     inks: InksOption = None,
     method: Annotated[
         Literal["mask", "diffusion"],

@@ -121,7 +121,7 @@ def show(
     light_angles: Annotated[
         str | None, Parameter(help="Angles of the light to the normal in degrees, comma-separated.")
     ] = None,
-    off_mirror: Annotated[float, Parameter(help="Eye beside the mirror direction, in degrees.")] = 0.0,
+    off_mirror: Annotated[float, Parameter(help="Angle between eye and mirror direction, in degrees.")] = 0.0,
     ink_model: Annotated[
         Literal["goniochromatic", "schlick", "tio2"], Parameter(help="The ink model, or a standard one.")
     ] = "goniochromatic",

@@ -51,7 +51,7 @@ class View:
     """How the page begins, and what ``--png`` shows."""
 
     shape: Annotated[
-        Literal["sphere", "cylinder", "plane", "mesh"] | None, Parameter(help="What is printed on.")
+        Literal["sphere", "cylinder", "plane", "mesh"] | None, Parameter(help="Shape that is printed on.")
     ] = None
     yaw: Annotated[float, Parameter(help="Turn about the upright axis, degrees.")] = 0.0
     pitch: Annotated[
@@ -67,7 +67,7 @@ class View:
     ] = "goniochromatic"
     process: Annotated[
         Literal["brushed", "binder-mixed"] | None,
-        Parameter(help="Roughness by the way of printing: brushed 0.19, binder-mixed 0.30 (assumed)."),
+        Parameter(help="Roughness by the printing process: brushed 0.19, binder-mixed 0.30 (assumed)."),
     ] = None
     match: Annotated[
         bool,
@@ -89,7 +89,7 @@ def proof(
     png: Annotated[Path | None, Parameter(help="Write a picture *.png, without a browser.")] = None,
     inks: InksOption = None,
     mesh: Annotated[Path | None, Parameter(help="Mesh *.obj to print on.")] = None,
-    photo: Annotated[Path | None, Parameter(help="Photograph to show beside the proof.")] = None,
+    photo: Annotated[Path | None, Parameter(help="Photograph to show next to the proof.")] = None,
     illuminant: Annotated[
         tuple[str, ...],
         Parameter(

@@ -33,14 +33,14 @@ def batch(
         Path, Parameter(help="Folder that receives the folder of the batch, batch-NAME after the list.")
     ] = Path("inspections"),
     resume: Annotated[
-        bool, Parameter(negative="", help="Go on with a batch that was interrupted; what is done stays.")
+        bool, Parameter(negative="", help="Continue an interrupted batch; finished parts are kept.")
     ] = False,
     yes: Annotated[
         bool,
         Parameter(
             name=["--yes", "-y"],
             negative="",
-            help="Without asking: the tray fills itself, or the rig is virtual.",
+            help="Do not ask before each part: the tray fills itself, or the rig is virtual.",
         ),
     ] = False,
     read_code: Annotated[
@@ -51,18 +51,18 @@ def batch(
         float | None,
         Parameter(help="Exposure in seconds for the picture of the code; by default the recipe's."),
     ] = None,
-    operator: Annotated[str | None, Parameter(help="Operator who inspects; goes into the records.")] = None,
+    operator: Annotated[str | None, Parameter(help="Operator, for the records.")] = None,
     station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
     history: HistoryOption = None,
     json_: Json = False,
 ) -> int:
     """Inspect the parts of a tray list; a fault at one part does not stop the others.
 
-    Before each part: Enter goes on, s skips it, q stops; a code that is scanned is compared with the list. Writes
-    batch.json and batch.html, and an inspection folder a part.
+    Before each part: Enter inspects it, s skips it, q stops; a scanned code is compared with the list. Writes
+    batch.json, batch.html, and one inspection folder per part.
 
     Exit codes: that of the first hardware fault (64 and above); else of the worst verdict: 3 INVALID, 1 FAIL,
-    2 INCONCLUSIVE; 75 slots were left out; 0 all PASS.
+    2 INCONCLUSIVE; 75 skipped slots; 0 all PASS.
 
     Examples:
         anisoscope batch tray.csv --recipe recipe.toml --rig rig.toml

@@ -20,7 +20,7 @@ def read_code(
     *,
     rig: Annotated[
         Path | None,
-        Parameter(name=["--rig", "-g"], help="Instead of a picture: rig file; its camera takes one."),
+        Parameter(name=["--rig", "-g"], help="Rig file; its camera takes the picture."),
     ] = None,
     recipe: Annotated[
         Path | None,
@@ -32,7 +32,7 @@ def read_code(
 ) -> int:
     """Read the Data Matrix, Code 128 or QR code on a part; GS1 codes give lot and serial number.
 
-    Exit codes: 0 one code, 3 none that can be read or several, 64 and above usage or hardware.
+    Exit codes: 0 one code, 3 no readable code or several, 64 and above usage or hardware.
 
     Examples:
         anisoscope read-code picture.png

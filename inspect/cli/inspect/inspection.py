@@ -40,7 +40,7 @@ def inspect(
         float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
     ] = 0.99,
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
-    operator: Annotated[str | None, Parameter(help="Operator who inspects; goes into the record.")] = None,
+    operator: Annotated[str | None, Parameter(help="Operator, for the record.")] = None,
     lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
     cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
     station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
@@ -146,7 +146,7 @@ def explained(record: "Record") -> list[str]:
         lines.append(message("cause: {cause}", cause=diagnosis.says))
         lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
         lines += (
-            [message("what would tell them apart: {what}", what=diagnosis.tells)] if diagnosis.tells else []
+            [message("what would distinguish them: {what}", what=diagnosis.tells)] if diagnosis.tells else []
         )
     return [*lines, *map(translated, kind_named(record.kind).summary(record).lines)]
 
@@ -205,7 +205,7 @@ def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = Fa
 def recompute(folder: Folder, /, *, json_: Json = False) -> int:
     """Judge an inspection again from its raw frames and compare with its record; nothing is written.
 
-    Exit codes: 0 the same verdict and numbers, 1 not, 64 and above the folder cannot be used.
+    Exit codes: 0 the same verdict and numbers, 1 different ones, 64 and above an unusable folder.
 
     Examples:
         anisoscope recompute inspections/A-0001-20260115T101500Z
@@ -234,7 +234,7 @@ def recompute(folder: Folder, /, *, json_: Json = False) -> int:
 def verify(folder: Folder, /, *, json_: Json = False) -> int:
     """Check the hashes of an inspection folder: name files that were changed, removed or added.
 
-    Exit codes: 0 everything is as it was, 1 not, 64 and above this is no inspection folder.
+    Exit codes: 0 unchanged, 1 changed, 64 and above no inspection folder.
 
     Examples:
         anisoscope verify inspections/A-0001-20260115T101500Z

@@ -33,33 +33,35 @@ def watch(
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
     rig: Annotated[
         Path | None,
-        Parameter(name=["--rig", "-g"], help="Rig file (TOML); by default rig.toml beside the frames."),
+        Parameter(name=["--rig", "-g"], help="Rig file (TOML); by default rig.toml in the folder of frames."),
     ] = None,
     out: Annotated[Path, Parameter(help="Folder that receives the inspections.")] = Path("inspections"),
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
     stable_for: Annotated[
         float, Parameter(help="Seconds without a change after which a folder is complete.")
     ] = 2.0,
-    poll: Annotated[float, Parameter(help="Seconds between looks.")] = 1.0,
+    poll: Annotated[float, Parameter(help="Seconds between checks of the folder.")] = 1.0,
     read_code: Annotated[
         bool,
         Parameter(
-            negative="", help="Read the code on every part from its first frame; it says who the part is."
+            negative="", help="Read the code on every part from its first frame; it identifies the part."
         ),
     ] = False,
     code_kind: CodeKind = "any",
-    once: Annotated[bool, Parameter(negative="", help="Inspect what is there and at rest, and end.")] = False,
+    once: Annotated[
+        bool, Parameter(negative="", help="Inspect the complete folders that exist, then exit.")
+    ] = False,
     history: HistoryOption = None,
     json_: Annotated[
         bool, Parameter(name="--json", negative="", help="Print JSON, one line an event.")
     ] = False,
 ) -> int:
-    """Inspect every folder of frames that another program writes; Ctrl-C ends after the present one.
+    """Inspect every folder of frames that another program writes; Ctrl-C stops after the current one.
 
-    Serial number and lot stand in part.toml beside the frames, or in columns of frames.csv, or with --read-code in the
-    code on the part; else the folder's name is the serial number.
+    Serial number and lot come from part.toml next to the frames, from columns of frames.csv, or with --read-code from
+    the code on the part; otherwise the folder's name is the serial number.
 
-    Exit codes: 0 when it was told to end; with --once that of the worst verdict (3, 1, 2, 0), 74 if folders were bad.
+    Exit codes: 0 stopped by Ctrl-C; with --once that of the worst verdict (3, 1, 2, 0), 74 for damaged folders.
 
     Examples:
         anisoscope watch incoming --recipe recipe.toml

@@ -77,7 +77,7 @@ class UncertaintyOptions:
         float, Parameter("--u-height-loss", help="Design: of the height loss, a share.")
     ] = 0.0
     u_height_map: Annotated[
-        float, Parameter("--u-height-map", help="Map: whatever else is wrong with it, relative, each pose.")
+        float, Parameter("--u-height-map", help="Map: all other errors, relative, in each pose.")
     ] = 0.01
     u_height_noise: Annotated[
         float, Parameter("--u-height-noise", help="Map: noise of a height, standard deviation in µm.")
@@ -93,7 +93,7 @@ class UncertaintyOptions:
     ] = 0.1
     ridges_seen: Annotated[
         int | None,
-        Parameter("--ridges-seen", help="Map: ridges in the camera's field, whose scatter then counts too."),
+        Parameter("--ridges-seen", help="Map: number of ridges in the camera's field; adds their scatter."),
     ] = None
     light_field: Annotated[
         float,
@@ -103,13 +103,13 @@ class UncertaintyOptions:
     ] = 0.0
     uncertainty: Annotated[
         bool,
-        Parameter("--uncertainty", negative="--no-uncertainty", help="State uncertainties; costs some time."),
+        Parameter(
+            "--uncertainty", negative="--no-uncertainty", help="Compute uncertainties; takes some time."
+        ),
     ] = True
     monte_carlo: Annotated[
         int | None,
-        Parameter(
-            "--monte-carlo", help="Draw all inputs this often; their scatter is then the u that is stated."
-        ),
+        Parameter("--monte-carlo", help="Number of draws of all inputs; u is then their standard deviation."),
     ] = None
     seed: Annotated[int, Parameter("--seed", help="Seed of the Monte Carlo.")] = 0
     covariance: Annotated[
@@ -223,7 +223,7 @@ class WaveOptions:
     interpolate: Annotated[
         int,
         Parameter(
-            "--interpolate", help="Points put in the place of one along each axis, for waves on smooth maps."
+            "--interpolate", help="Points per original point along each axis, for waves on smooth maps."
         ),
     ] = 1
 
@@ -326,7 +326,7 @@ class OpticsOptions:
     """The options; meaning as in `anisoscope.sim.light.optics.Optics`."""
 
     lamp_half_angle: Annotated[
-        float, Parameter("--lamp-half-angle", help="Half of the angle that the lamp subtends, degrees.")
+        float, Parameter("--lamp-half-angle", help="Half of the angle subtended by the lamp, degrees.")
     ] = 0.0
     aperture: Annotated[float, Parameter("--aperture", help="Numerical aperture of the lens.")] = 0.0
     lamp_distance: Annotated[
@@ -383,13 +383,12 @@ def predict(
     *,
     recipe: Annotated[
         Path | None,
-        Parameter(
-            help="Recipe file: predict what an inspection expects; surface, plastic and poses are its."
-        ),
+        Parameter(help="Recipe file with surface, plastic and poses: predict what an inspection expects."),
     ] = None,
     ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of an ideal design in degrees.")] = None,
     pitch: Annotated[
-        float | None, Parameter(help="Pitch in µm; of a height map it is found where four ridges lie in it.")
+        float | None,
+        Parameter(help="Pitch in µm; found automatically in height maps with at least four ridges."),
     ] = None,
     alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06,
     alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,

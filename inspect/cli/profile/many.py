@@ -35,7 +35,7 @@ class TableOptions:
     table: Annotated[
         Path | None, Parameter(help="File for one table of all maps: *.csv, *.json or *.html.")
     ] = None
-    jobs: Annotated[int, Parameter(help="Processes: maps that are worked on at a time.")] = 2
+    jobs: Annotated[int, Parameter(help="Number of processes.")] = 2
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False
 
     def read_limits(self) -> "dict[str, Limit] | None":

@@ -121,7 +121,7 @@ def texture(
     ] = None,
     features: Annotated[
         bool,
-        Parameter(negative="", help="Hills and dales too: Spd, Spc, S5p, S5v, S10z, Sha, Sda, Shv, Sdv."),
+        Parameter(negative="", help="Also hills and dales: Spd, Spc, S5p, S5v, S10z, Sha, Sda, Shv, Sdv."),
     ] = False,
     pruning: Annotated[float, Parameter(help="Wolf pruning of hills and dales in % of Sz.")] = 5.0,
     ratios: Annotated[

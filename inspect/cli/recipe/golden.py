@@ -77,7 +77,7 @@ def add(
 
 @app.command
 def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
-    """Take parts out of the set, by serial number; an empty set is deleted.
+    """Remove parts from the set by serial number; an empty set is deleted.
 
     Examples:
         anisoscope golden remove --recipe recipe.toml GOOD-1
@@ -112,7 +112,7 @@ def show(
     light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
     json_: Json = False,
 ) -> int:
-    """List the golden parts, how much they vary, and which defects they can show.
+    """List the golden parts, their scatter, and the defects that can be found with them.
 
     Examples:
         anisoscope golden show --recipe recipe.toml

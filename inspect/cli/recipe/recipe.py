@@ -22,7 +22,7 @@ File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
 FramesOption = Annotated[
     Path | None,
     Parameter(
-        help="Frames of a part in this folder (frames.csv) instead of devices; rig.toml beside them by default."
+        help="Frames of a part in this folder (frames.csv) instead of devices; by default with rig.toml in it."
     ),
 ]
 ReflectanceOption = Annotated[
@@ -57,8 +57,8 @@ def new(
 ) -> int:
     """Write a recipe with comments, valid as written; then adapt it.
 
-    With --ridge-angle and --height-map the height map decides, and the design is compared with as well; with
-    --u-ridge-angle besides the design decides. With --ink it is the recipe of a print.
+    With --ridge-angle and --height-map the height map decides, and the design is compared as well; with
+    --u-ridge-angle the design decides. With --ink it is the recipe of a print.
 
     Examples:
         anisoscope recipe new --ridge-angle 10 --pitch 100 --product "plate 7" --out plate.toml
@@ -94,12 +94,12 @@ def check(
     frames: FramesOption = None,
     reflectance: ReflectanceOption = 0.99,
     light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
-    try_tilts: Annotated[str, Parameter(help="Tilts that might be added, degrees; none: ''.")] = "10,20",
+    try_tilts: Annotated[str, Parameter(help="Tilts to try as additions, degrees; none: ''.")] = "10,20",
     json_: Json = False,
 ) -> int:
-    """Predict the poses of a recipe, their uncertainties, and which causes it can separate; nothing moves.
+    """Predict the poses of a recipe, their uncertainties, and which causes it can distinguish; nothing moves.
 
-    With --frames also whether a part can be measured by these frames. One line says what is not checked then.
+    With --frames it also checks whether a part can be measured by these frames, and names what is not checked.
 
     Examples:
         anisoscope recipe check recipe.toml
@@ -133,7 +133,7 @@ def suggest(
     tilts: Annotated[str, Parameter(help="Allowed tilts: from:to:step, or a list; degrees.")] = "-20:20:5",
     ignore: Annotated[
         tuple[str, ...],
-        Parameter(help="First words of a defect that need not be found; repeat the option for several."),
+        Parameter(help="First words of a defect to ignore; repeat the option for several."),
     ] = ("roughness along",),
     u_pose: Annotated[
         float,
@@ -250,10 +250,10 @@ def teach(
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
     json_: Json = False,
 ) -> int:
-    """Photograph a good part; set exposure, region and tolerances of a recipe by it.
+    """Photograph a good part, and set exposure, region and tolerances of a recipe by it.
 
-    With --frames by frames that exist already; the exposure is theirs then. With --golden the tolerances of a print
-    alone, by its golden prints. The recipe becomes a new version; the old one is saved as NAME.v1.toml and so on.
+    --frames uses existing frames and their exposure. --golden sets only the tolerances of a print, by its golden
+    prints. The recipe becomes a new version; the old one is saved as NAME.v1.toml and so on.
 
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1

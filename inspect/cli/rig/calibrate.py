@@ -26,16 +26,18 @@ _Out = Annotated[Path, Parameter(help="File to write; picture (.tif) and record 
 _Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
 _Gain = Annotated[float, Parameter(help="Gain of the camera, as a factor.")]
 _Frames = Annotated[int, Parameter(name="--count", help="Frames to average.")]
-_Days = Annotated[float | None, Parameter(help="Days for which it holds; else what is usual for its kind.")]
-_Operator = Annotated[str | None, Parameter(help="Operator who takes it; goes into the record.")]
-_Temperature = Annotated[float | None, Parameter(help="Temperature of the day in °C; goes into the record.")]
+_Days = Annotated[float | None, Parameter(help="Days of validity; else the usual number for its kind.")]
+_Operator = Annotated[str | None, Parameter(help="Operator, for the record.")]
+_Temperature = Annotated[float | None, Parameter(help="Temperature in °C, for the record.")]
 
 
 @app.command
 def flat(
     *,
     rig: _Rig,
-    out: Annotated[Path, Parameter(help="File to write, such as flat.tif; its record goes beside it.")],
+    out: Annotated[
+        Path, Parameter(help="File to write, such as flat.tif; its record is written next to it.")
+    ],
     exposure: _Exposure,
     gain: _Gain = 1.0,
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile, 0 to 1.")] = 0.99,
@@ -45,10 +47,9 @@ def flat(
     temperature: _Temperature = None,
     json_: Json = False,
 ) -> int:
-    """Photograph a white tile: the picture's shading and the scale of radiance.
+    """Photograph a white tile: shading of the picture and scale of the radiances.
 
-    Lay the tile on the stage so that it fills the picture, then run this; name the file in the rig file under
-    [calibration] flat.
+    Place the tile on the stage so that it fills the picture. Name the file in the rig file under [calibration] flat.
 
     Examples:
         anisoscope calibrate flat --rig rig.toml --exposure 0.006 --reflectance 0.99 --out flat.tif
@@ -152,7 +153,7 @@ def linearity(
 ) -> int:
     """Photograph a white tile with many exposures: gain, read noise, linearity and saturation after EMVA 1288.
 
-    The exposures run from 2 % of full scale to clipping. Exit code 0: fit; 3: too bent to be corrected.
+    The exposures run from 2 % of full scale to clipping. Exit code 0: fit; 3: too non-linear to be corrected.
 
     Examples:
         anisoscope calibrate linearity --rig rig.toml --exposure 0.002 --out linearity.json
@@ -221,9 +222,9 @@ def rotation(
     temperature: _Temperature = None,
     json_: Json = False,
 ) -> int:
-    """Turn the fixture all round: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
+    """Turn the fixture by a full turn: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
 
-    The stage homes and turns: nothing may stand in its way. Exit code 0: fit; 3: out of limits.
+    The stage homes and turns: keep its path free. Exit code 0: fit; 3: out of limits.
 
     Examples:
         anisoscope calibrate rotation --rig rig.toml --exposure 0.004 --out rotation.json
@@ -244,7 +245,7 @@ def check(
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe of the check standard.")],
     out: Annotated[Path, Parameter(help="Record of the check standard, such as check.json.")],
     teach: Annotated[
-        bool, Parameter(negative="", help="Keep the contrasts of now as those it must have.")
+        bool, Parameter(negative="", help="Store the measured contrasts as its reference.")
     ] = False,
     serial: Annotated[
         str | None,
@@ -257,7 +258,7 @@ def check(
 ) -> int:
     """Measure a check standard, and compare it with its first measurement.
 
-    Exit code 0: in limits; 3: out of limits, so that inspections are INVALID until the rig is put right.
+    Exit code 0: within limits; 3: out of limits; inspections are then INVALID until the rig is repaired.
 
     Examples:
         anisoscope calibrate check --rig rig.toml --recipe standard.toml --out check.json --teach --serial CHECK-1
@@ -309,8 +310,8 @@ def material(
     *,
     rig: _Rig,
     out: Annotated[Path | None, Parameter(help="Material file to write, such as abs.toml.")] = None,
-    coupon: Annotated[bool, Parameter(negative="", help="A flat piece of the plastic is scanned.")] = False,
-    part: Annotated[bool, Parameter(negative="", help="The ridged part of the recipe is scanned.")] = False,
+    coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
+    part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
     recipe: Annotated[
         Path | None,
         Parameter(
@@ -325,7 +326,8 @@ def material(
         float | None, Parameter(help="Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.")
     ] = None,
     lobe: Annotated[
-        Literal["auto", "tail", "second-lobe"], Parameter(help="Family of lobes; auto: what fits better.")
+        Literal["auto", "tail", "second-lobe"],
+        Parameter(help="Family of lobes; auto: the one that fits better."),
     ] = "auto",
     name: Annotated[str | None, Parameter(help="Name of the plastic; else that of the file.")] = None,
     dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
@@ -335,8 +337,8 @@ def material(
 ) -> int:
     """Scan a coupon or a part over stage and tilt: lobe and albedo of the plastic, with their covariance.
 
-    Prints how long it takes and what uncertainty follows, then scans. The stage homes and turns: nothing may stand in
-    its way. Exit code 0: the lobe fits; 3: it does not, or the specimen cannot be used.
+    Prints duration and expected uncertainty, then scans. The stage homes and turns: keep its path
+    free. Exit code 0: the lobe fits; 3: it does not, or the specimen cannot be used.
 
     Examples:
         anisoscope calibrate material --coupon --rig rig.toml --recipe recipe.toml --out abs.toml
@@ -465,7 +467,7 @@ def _show_material(file: "MaterialFile", out: Path) -> None:
 def list_(*, rig: _Rig, json_: Json = False) -> int:
     """List the calibrations of a rig: which exist, until when they are valid, and which are missing.
 
-    Exit code 0: inspections can use them; 3: one that the rig file names does not hold, or the flat is missing.
+    Exit code 0: inspections can use them; 3: one of the rig file is invalid or expired, or the flat is missing.
 
     Examples:
         anisoscope calibrate list --rig rig.toml

@@ -64,25 +64,25 @@ def commission(
     tilts: Annotated[
         str, Parameter(help="Tilts from the present zero of the tilt axis, degrees.")
     ] = "-20,-10,10,20",
-    frames: Annotated[int, Parameter(name="--count", help="Frames a pose.")] = 2,
+    frames: Annotated[int, Parameter(name="--count", help="Frames per pose.")] = 2,
     settle: Annotated[float, Parameter(help="Seconds to wait after every move.")] = 0.1,
     bounces: Annotated[
         int | Literal["all"],
         Parameter(help="Reflections that the model counts: 1 is direct light, or 'all'."),
     ] = "all",
     all_reflections: Annotated[bool, Parameter(negative="", show=False)] = False,
-    keep_frames: Annotated[Path | None, Parameter(help="Empty folder that keeps the frames.")] = None,
+    keep_frames: Annotated[Path | None, Parameter(help="Empty folder for the frames.")] = None,
     out: Annotated[
-        Path | None, Parameter(help="Record to write; else RIG.commissioning.json beside the rig file.")
+        Path | None, Parameter(help="Record to write; else RIG.commissioning.json next to the rig file.")
     ] = None,
     html: Annotated[Path | None, Parameter(help="Page to write.")] = None,
-    write: Annotated[bool, Parameter(negative="", help="Put what was found into the rig file.")] = False,
+    write: Annotated[bool, Parameter(negative="", help="Write the findings into the rig file.")] = False,
     json_: Json = False,
 ) -> int:
     """Find rotation sense, zero, centre, pixel size, tilt and light angle of a rig, from a known ridged part.
 
-    Lay the part on the stage, then run this. It turns the part all round, and under tilts where an axis tilts the arm;
-    it needs neither sense nor zero of the rig file to be right. Exit code 0: done; what could not be told says so.
+    Place the part on the stage first. The command turns it by a full turn, also at tilts if an axis tilts the arm. Sense
+    and zero in the rig file need not be right. Exit code 0: done; undetermined quantities are named.
 
     Examples:
         anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html
@@ -123,20 +123,18 @@ def commission(
         from anisoscope.report.commission_page import write_commission_page
 
         write_commission_page(done, html)
-    lines = [f"record: {target}"]
+    lines = [message("record: {path}", path=target)]
     if write:
         written = write_to_rig_file(rig, done.record)
         lines.append(
-            "the rig file says all this already" if written is None else _written(rig, written.backup)
+            message("the rig file states all this already")
+            if written is None
+            else message("{path} was updated; the old file is {file}", path=rig, file=written.backup.name)
         )
         if written is not None and not written.comments_preserved:
-            lines.append("the comments of the rig file could not be kept; they stand in the old file")
+            lines.append(message("the comments of the rig file are lost; the old file has them"))
     _show(done.record, lines, json_)
     return 0
-
-
-def _written(rig: Path, backup: Path) -> str:
-    return f"{rig} was updated; the old file is {backup.name}"
 
 
 def _part(
@@ -182,24 +180,26 @@ def _show(record: "Commissioning", lines: list[str], as_json: bool) -> None:
         sys.stdout.write(record.model_dump_json(by_alias=True, indent=2) + "\n")
         return
     rows = [finding_row(finding) for finding in record.findings]
-    cells = [[words, unit, old, value, u] for words, _, unit, old, value, u, _ in rows]
-    print_table(f"Commissioning of {record.rig}", ["what", "unit", "rig file", "found", "u"], cells)
-    remarks = [f"{row[1]}: {row[6]}" for row in rows if row[6]]
-    for line in (*remarks, *record.notes, *lines):
+    cells = [
+        [translated(words), unit, decimal(old), decimal(translated(value)), decimal(u)]
+        for words, _, unit, old, value, u, _ in rows
+    ]
+    columns = [message("quantity"), message("unit"), message("rig file"), message("found"), "u"]
+    print_table(message("Commissioning of {name}", name=record.rig), columns, cells)
+    remarks = [f"{row[1]}: {translated(row[6])}" for row in rows if row[6]]
+    for line in (*remarks, *map(translated, record.notes), *lines):
         console().print(line, markup=False, highlight=False)
 
 
 def check(
     *,
     rig: _RigOption,
-    exposure: Annotated[
-        float, Parameter(help="Exposure in seconds, with the part or tile that lies on the stage.")
-    ],
+    exposure: Annotated[float, Parameter(help="Exposure in seconds for the part or tile on the stage.")],
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
     commissioned: Annotated[
-        Path | None, Parameter(help="Record of the commissioning; else that beside the rig file.")
+        Path | None, Parameter(help="Record of the commissioning; else the one next to the rig file.")
     ] = None,
-    frames: Annotated[int, Parameter(name="--count", help="Frames to watch the lamp over.")] = 20,
+    frames: Annotated[int, Parameter(name="--count", help="Frames over which the lamp is observed.")] = 20,
     tile: Annotated[
         bool, Parameter(negative="", help="The white tile lies on the stage: compare its shading.")
     ] = False,
@@ -208,7 +208,7 @@ def check(
 ) -> int:
     """Test a rig at the start of a shift: stage, camera, light, markers, focus. Exit code 0: fit; 3: not fit.
 
-    The stage homes and turns: nothing may stand in its way.
+    The stage homes and turns: keep its path free.
 
     Examples:
         anisoscope rig check --rig rig.toml --exposure 0.006 --out selftests

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, write_line
@@ -44,8 +45,8 @@ def live(
 ) -> int:
     """Show focus (of the best seen), saturation, mean, histogram and ridge direction, until Ctrl-C or q and Enter.
 
-    The stage's port stays closed: turn it from another terminal meanwhile. The light goes off at the end. With --web
-    the first line is the address to open; it works on this machine only, and only for whoever knows it.
+    The port of the stage stays free: move it from another terminal. The light goes off at the end. With --web
+    the first line is the address to open; it works on this machine only and holds a secret key.
 
     Examples:
         anisoscope rig live --rig rig.toml --exposure 0.003
@@ -121,8 +122,8 @@ def _sinks(web: bool, port: int, title: str, *, json_: bool) -> "Iterator[list[S
             from anisoscope.live_view.page import LivePage
 
             page = stack.enter_context(LivePage(port, f"{title} – live"))
-            print(f"live picture at {page.address}", flush=True)  # noqa: T201
-            write_line("Ctrl-C ends it")
+            print(message("live picture at {path}", path=page.address), flush=True)  # noqa: T201
+            write_line(message("Ctrl-C ends it"))
             yield [_to_page(page)]
         elif json_:
             yield [_json_line]
@@ -176,12 +177,17 @@ def numbers(reading: "Reading") -> dict[str, Any]:
 def plain(reading: "Reading") -> str:
     """A reading as one line."""
     view = reading.view
-    ridges = "undefined" if view.ridge_deg is None else f"{view.ridge_deg:+.1f}°"
-    return (
-        f"frame {reading.frame}  focus {_percent(reading.relative_focus)} of best  mean {view.mean:.1%}  "
-        f"saturated {view.saturated_share:.2%}  ridges {ridges}  {blocks(view.histogram)}  "
-        f"{_speed(reading.frames_per_s)}"
-    )
+    ridges = message("undefined") if view.ridge_deg is None else decimal(f"{view.ridge_deg:+.1f}°")
+    words = [
+        message("frame {number}", number=reading.frame),
+        message("focus {share} of best", share=_focus(reading.relative_focus)),
+        message("mean {share}", share=f"{view.mean:.1%}"),
+        message("saturated {share}", share=f"{view.saturated_share:.2%}"),
+        message("ridges {angle}", angle=ridges),
+        blocks(view.histogram),
+        _speed(reading.frames_per_s),
+    ]
+    return "  ".join(words)
 
 
 def panel(reading: "Reading") -> str:
@@ -189,19 +195,26 @@ def panel(reading: "Reading") -> str:
     view = reading.view
     known = 0.0 if math.isnan(reading.relative_focus) else reading.relative_focus
     filled = round(BAR * known)
+    bar = f"{'█' * filled}{'·' * (BAR - filled)}"
     ridges = (
-        "undefined" if view.ridge_deg is None else f"{view.ridge_deg:+.1f}° counter-clockwise from upright"
+        message("undefined")
+        if view.ridge_deg is None
+        else message("{angle}° counter-clockwise from upright", angle=f"{view.ridge_deg:+.1f}")
     )
-    return "\n".join(
-        [
-            f"focus      {'█' * filled}{'·' * (BAR - filled)} {_percent(reading.relative_focus)} of the best seen",
-            f"saturated  {view.saturated_share:.2%} of the pixels",
-            f"mean       {view.mean:.1%} of full scale",
-            f"histogram  {blocks(view.histogram)} (black to full scale)",
-            f"ridges     {ridges}",
-            f"frame      {reading.frame}, {_speed(reading.frames_per_s)}; q and Enter, or Ctrl-C, ends it",
-        ]
+    ends = message("q and Enter, or Ctrl-C, ends it")
+    rows = (
+        (
+            message("focus"),
+            f"{bar} {message('{share} of the best seen', share=_focus(reading.relative_focus))}",
+        ),
+        (message("saturated"), message("{share} of the pixels", share=f"{view.saturated_share:.2%}")),
+        (message("mean"), message("{share} of full scale", share=f"{view.mean:.1%}")),
+        (message("histogram"), f"{blocks(view.histogram)} ({message('black to full scale')})"),
+        (message("ridges"), ridges),
+        (message("frame"), f"{reading.frame}, {_speed(reading.frames_per_s)}; {ends}"),
     )
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
 
 
 def blocks(histogram: tuple[float, ...]) -> str:
@@ -212,9 +225,9 @@ def blocks(histogram: tuple[float, ...]) -> str:
     return "".join(BLOCKS[math.ceil((len(BLOCKS) - 1) * math.sqrt(share / top))] for share in histogram)
 
 
-def _percent(share: float) -> str:
-    return "too dark" if math.isnan(share) else f"{share:.0%}"
+def _focus(share: float) -> str:
+    return message("too dark") if math.isnan(share) else f"{share:.0%}"
 
 
 def _speed(frames_per_s: float) -> str:
-    return "" if math.isnan(frames_per_s) else f"{frames_per_s:.1f} frames/s"
+    return "" if math.isnan(frames_per_s) else message("{rate} frames/s", rate=f"{frames_per_s:.1f}")

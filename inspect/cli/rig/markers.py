@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.base.language import message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import write_line
@@ -22,17 +23,15 @@ def markers(
     ] = None,
     field_mm: Annotated[
         float | None,
-        Parameter(
-            help="Without a rig file: shorter side of what the camera sees, in mm; lays four markers out."
-        ),
+        Parameter(help="Without a rig file: shorter side of the camera's field, in mm, for four markers."),
     ] = None,
     dpi: Annotated[float, Parameter(help="Dots of the printer per inch.")] = 1200.0,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace a file that exists.")] = False,
     json_: Json = False,
 ) -> int:
-    """Write the markers that lie around the part as a page to print at true scale; nothing moves.
+    """Write a page with the markers around the part, to print at true scale; nothing moves.
 
-    Without --rig it prints the table [fixture] for the rig file, too. It warns where a module of a marker is smaller
+    Without --rig it also prints the table [fixture] for the rig file. It warns if a module of a marker is smaller
     than three dots of the printer.
 
     Examples:
@@ -53,8 +52,13 @@ def markers(
     _print(pdf, fixture, dots, table=rig is None, json_=json_)
     if dots < FEWEST_DOTS:
         write_line(
-            f"a module is {dots:.1f} dots of {dpi:g} dpi wide, fewer than {FEWEST_DOTS}: its edges will be rough; use "
-            "a printer with more dots per inch, or have the page plotted on film"
+            message(
+                "a module is {dots} dots of {dpi} dpi wide, fewer than {least}: its edges will be rough; use a printer "
+                "with more dots per inch, or have the page plotted on film",
+                dots=f"{dots:.1f}",
+                dpi=f"{dpi:g}",
+                least=FEWEST_DOTS,
+            )
         )
     return 0
 
@@ -83,6 +87,13 @@ def _print(pdf: Path, fixture: "Fixture", dots: float, *, table: bool, json_: bo
         found: dict[str, Any] = {"file": str(pdf), "fixture": fixture.model_dump(), "dots_per_module": dots}
         print_json(found)
         return
-    print(f"{pdf}: {len(fixture.markers)} markers, side {fixture.marker_mm:g} mm, {dots:.1f} dots a module")  # noqa: T201
+    line = message(
+        "{path}: {count} markers, side {side} mm, {dots} dots a module",
+        path=pdf,
+        count=len(fixture.markers),
+        side=f"{fixture.marker_mm:g}",
+        dots=f"{dots:.1f}",
+    )
+    print(line)  # noqa: T201
     if table:
         print("\n" + fixture_table(fixture), end="")  # noqa: T201

@@ -39,7 +39,7 @@ class _Moved:
 def home(
     *, which: Devices = NOTHING_NAMED, axis: Axis = "stage", yes: Yes = False, json_: Json = False
 ) -> int:
-    """Search the reference of an axis. It may turn a full turn: confirm, or give --yes.
+    """Find the reference position of an axis. It may turn by a full turn: confirm, or give --yes.
 
     Examples:
         anisoscope rig home --rig rig.toml --yes
@@ -125,8 +125,8 @@ def jog(
 def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     """Stop all axes at once, also those that another anisoscope process is moving.
 
-    A port is open once. Where another anisoscope process has it, that process is interrupted as by Ctrl-C: it stops
-    its axes, switches the light off, and ends.
+    Only one process can have a port open. If another anisoscope process has it, that process is interrupted as by
+    Ctrl-C: it stops its axes, switches the light off, and exits.
 
     Examples:
         anisoscope rig stop --rig rig.toml

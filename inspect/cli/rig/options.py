@@ -111,4 +111,4 @@ def confirm(what: str, *, yes: bool) -> None:
         raise UsageError(f"{what}; there is no terminal to ask in whether it may: say so with --yes")
     print(f"{translated(what)}. {message('Go on? [y/N]')} ", end="", file=sys.stderr, flush=True)  # noqa: T201
     if sys.stdin.readline().strip().lower() not in {"y", "yes", message("yes"), message("yes")[0]}:
-        raise UsageError("nothing was moved: nobody said yes")
+        raise UsageError("nothing was moved: the motion was not confirmed")

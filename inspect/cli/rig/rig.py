@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 
@@ -66,12 +67,10 @@ def ports(
             negative="", help="Open each port and identify the device; opening resets some boards (Arduino)."
         ),
     ] = False,
-    port: Annotated[
-        tuple[str, ...], Parameter(help="Only this port, also one that is not listed; may be repeated.")
-    ] = (),
+    port: Annotated[tuple[str, ...], Parameter(help="Only this port, listed or not; may be repeated.")] = (),
     json: Json = False,
 ) -> None:
-    """List the serial ports of this machine and what may hang on them, without opening any.
+    """List the serial ports of this machine and the devices that may be connected, without opening any.
 
     Examples:
         anisoscope rig ports
@@ -100,15 +99,19 @@ def ports(
     for one, answer in zip(found, answers, strict=True):
         print(_line(one, answer))  # noqa: T201
     if not found:
-        print("no serial ports")  # noqa: T201
+        print(message("no serial ports"))  # noqa: T201
 
 
 def _line(found: "FoundPort", answer: "Answer | None") -> str:
     words = [found.port, found.usb, found.maker, found.product or found.description]
     if found.serial:
-        words.append(f"serial {found.serial}")
+        words.append(message("serial {serial}", serial=found.serial))
     if answer is not None:
-        words.append(f"{answer.driver}: {answer.device} answered" if answer.driver else answer.problem)
+        words.append(
+            message("{name}: {text} answered", name=answer.driver, text=answer.device)
+            if answer.driver
+            else answer.problem
+        )
     elif found.may_be:
-        words.append(f"may be {' or '.join(found.may_be)}")
+        words.append(message("may be {name}", name=f" {message('or')} ".join(found.may_be)))
     return "  ".join(word for word in words if word)

@@ -86,7 +86,7 @@ def bench(
     ] = False,
     write_rig: Annotated[Path | None, Parameter(help="Write a rig file that uses them.")] = None,
 ) -> int:
-    """Serve a whole virtual rig until Ctrl-C: its camera shows every motion of its stage, to all clients.
+    """Serve a whole virtual rig until Ctrl-C: its camera shows every motion of its stage to all clients.
 
     The first line says where: serving bench on stage 127.0.0.1:4001, light 127.0.0.1:4002, camera 127.0.0.1:4003.
     A tilt axis is on the line of the stage. Only programs of this machine can connect.

@@ -28,13 +28,13 @@ def snap(
     gain: Gain = 1.0,
     frames: Annotated[int, Parameter(name="--count", help="Frames to average, rounded to counts.")] = 1,
     light: LightState = "on",
-    preview: Annotated[bool, Parameter(negative="", help="Also write a PNG to look at, beside it.")] = False,
+    preview: Annotated[bool, Parameter(negative="", help="Also write a PNG preview next to it.")] = False,
     stage: Annotated[
         bool,
         Parameter(
             name="--read-axes",
             negative="--no-read-axes",
-            help="Read the axes, so that the file says at which angle it was taken.",
+            help="Read the axes and write their angles into the file.",
         ),
     ] = True,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
@@ -42,8 +42,8 @@ def snap(
 ) -> int:
     """Take a picture and write it to a file; nothing moves.
 
-    Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object). Of a colour camera
-    the file holds the mosaic, unchanged; the preview is in colour.
+    Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object). The file of a colour
+    camera holds the unchanged mosaic; the preview is in colour.
 
     Examples:
         anisoscope rig snap --rig rig.toml --exposure 0.005 --out picture.tif

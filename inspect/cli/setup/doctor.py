@@ -50,9 +50,9 @@ def doctor(
     ] = None,
     json_: Json = False,
 ) -> int:
-    """Say what is installed, compiled, reachable and calibrated on this machine; nothing moves, no device is opened.
+    """List what is installed, compiled, reachable and calibrated on this machine; nothing moves, no device is opened.
 
-    Exit codes: 0 nothing is missing, 69 something is.
+    Exit codes: 0 complete, 69 something is missing.
 
     Examples:
         anisoscope doctor

@@ -58,8 +58,8 @@ def init(
 ) -> int:
     """Write a job folder: recipe, rig file and anisoscope.toml, which names them for all commands.
 
-    Commands in this folder, and in the folders in it, then need no --recipe, --rig, --out, --operator and --station.
-    No file that exists is replaced.
+    Commands in this folder and below it then need no --recipe, --rig, --out, --operator and --station.
+    Existing files are not replaced.
 
     Examples:
         anisoscope init job --ridge-angle 10 --pitch 100

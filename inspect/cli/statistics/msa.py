@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 app = App(name="msa", help="Measurement system analysis: gauge R&R, bias, linearity, stability.")
 
 REFERENCE = "reference"
-Reference = Annotated[float | None, Parameter(help="The value that the part is known to have.")]
+Reference = Annotated[float | None, Parameter(help="Known value of the part.")]
 
 
 @app.command
@@ -54,10 +54,10 @@ def gauge(
 ) -> int:
     """Crossed gauge R&R: every part measured equally often by every appraiser.
 
-    Columns of the CSV file: part, appraiser, and a number. Of the history, serial numbers are the parts and operators
-    the appraisers.
+    Columns of the CSV file: part, appraiser, and a number. In the history, the serial number is the part and the
+    operator the appraiser.
 
-    Exit codes: 0 the gauge is good or usable, 1 it is not good enough, 64 and above nothing could be analysed.
+    Exit codes: 0 the gauge is good or usable, 1 it is not good enough, 64 and above no analysis is possible.
 
     Examples:
         anisoscope msa gauge --csv gauge.csv --tolerance 0.4
@@ -87,11 +87,11 @@ def bias(
     html: Html = None,
     json_: Json = False,
 ) -> int:
-    """Bias: one part of known value, measured again and again.
+    """Bias: one part of known value, measured repeatedly.
 
     The known value is --reference, or the column `reference` of the CSV file.
 
-    Exit codes: 0 no bias is seen, 1 there is one, 64 and above nothing could be analysed.
+    Exit codes: 0 no significant bias, 1 bias, 64 and above no analysis is possible.
 
     Examples:
         anisoscope msa bias --csv bias.csv --reference 6
@@ -121,7 +121,7 @@ def linearity(
 ) -> int:
     """Linearity: bias over parts of several known values.
 
-    Exit codes: 0 no bias is seen over the whole range, 1 there is one, 64 and above nothing could be analysed.
+    Exit codes: 0 no significant bias over the whole range, 1 bias, 64 and above no analysis is possible.
 
     Examples:
         anisoscope msa linearity --csv linearity.csv
@@ -159,7 +159,7 @@ def stability(
 
     Of the history, choose the standard with --serial.
 
-    Exit codes: 0 stable, 1 not stable or biased, 64 and above nothing could be analysed.
+    Exit codes: 0 stable, 1 not stable or biased, 64 and above no analysis is possible.
 
     Examples:
         anisoscope msa stability --serial CHECK-1 --number "ln 0-90"
@@ -187,7 +187,7 @@ def _number(
     if number is None:
         number = next((name for name in readings.numbers if name != REFERENCE), None)
         if number is None:
-            raise UsageError(f"{readings.source}: there is no number beside the reference")
+            raise UsageError(f"{readings.source}: there is no number besides the reference")
     return readings, *readings.number(number)
 
 

@@ -125,11 +125,11 @@ def spc(
 ) -> int:
     """Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk.
 
-    Without --number an overview of all numbers; the page of --html then shows the charts of the first one. --recipe
-    takes a recipe file too: its tolerances are then the limits of good parts, and nothing is left out for it. Without
-    it, and without --lower and --upper, the tolerances that the history remembers are used.
+    Without --number it prints an overview of all numbers, and the page of --html shows the charts of the first one.
+    --recipe also takes a recipe file: its tolerances are then the limits of good parts, and no inspection is left out.
+    Without it, and without --lower and --upper, the tolerances in the history are used.
 
-    Exit codes: 0 stable, 1 not stable, 64 and above nothing could be charted.
+    Exit codes: 0 stable, 1 not stable, 64 and above no chart is possible.
 
     Examples:
         anisoscope spc --number "ln 0-90" --recipe plate.toml --html spc.html

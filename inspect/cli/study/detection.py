@@ -68,7 +68,7 @@ def detection_command(
         ),
     ] = "all",
     diagnose: Annotated[
-        bool, Parameter(help="Look for the causes of bad parts, too; takes half a minute a world longer.")
+        bool, Parameter(help="Also diagnose bad parts; takes half a minute more per world.")
     ] = False,
     archive: Annotated[
         Path | None,
@@ -80,18 +80,20 @@ def detection_command(
     scheduler: SchedulerOption = None,
     seed: Annotated[int, Parameter(help="Seed of parts, rigs and cameras.")] = 1,
     folder: Annotated[
-        Path | None, Parameter(help="Where surfaces and parts are kept, so that a study can go on.")
+        Path | None, Parameter(help="Folder for surfaces and parts, so that a study can continue.")
     ] = None,
     json_: Json = False,
     html: HtmlOption = None,
     markdown: Annotated[
         Path | None,
-        Parameter(help="Markdown page with marks for the results; the numbers go beside it as JSON."),
+        Parameter(
+            help="Markdown page with marks for the results; the numbers are written next to it as JSON."
+        ),
     ] = None,
 ) -> int:
     """Inspect thousands of good and bad parts on virtual rigs: false alarms, power, diagnosis, coverage.
 
-    Rigs that are kept already are not simulated again: the same call goes on where it was stopped.
+    Stored rigs are not simulated again: the same call continues where it stopped.
 
     Examples:
         anisoscope research detection --world same --rigs 2

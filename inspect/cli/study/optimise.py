@@ -227,10 +227,10 @@ def optimise(
     vary: Annotated[
         str, Parameter(help="NAME=FROM:TO,…; names: ridge_angle, pitch, alpha_along, alpha_across.")
     ] = "ridge_angle=3:20",
-    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees, where it is not varied.")] = 10.0,
-    pitch: Annotated[float, Parameter(help="Pitch in µm, where it is not varied.")] = 100.0,
-    alpha_along: Annotated[float, Parameter(help="Roughness along the ridges, where not varied.")] = 0.06,
-    alpha_across: Annotated[float, Parameter(help="Roughness across the ridges, where not varied.")] = 0.10,
+    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees, if not varied.")] = 10.0,
+    pitch: Annotated[float, Parameter(help="Pitch in µm, if not varied.")] = 100.0,
+    alpha_along: Annotated[float, Parameter(help="Roughness along the ridges, if not varied.")] = 0.06,
+    alpha_across: Annotated[float, Parameter(help="Roughness across the ridges, if not varied.")] = 0.10,
     edge_radius: Annotated[float, Parameter(help="Radius of the crests in µm; 0 is sharp.")] = 0.0,
     height_loss: Annotated[float, Parameter(help="Share of the ridge height missing at the crests.")] = 0.0,
     albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2,
@@ -277,7 +277,7 @@ def optimise(
     ] = "perpendicular",
     facet_azimuth: Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°.")] = 0.0,
     jobs: Annotated[
-        int, Parameter(help="Processes on this machine; more than one help with many poses or samples.")
+        int, Parameter(help="Processes on this machine; several help with many poses or samples.")
     ] = 1,
     scheduler: SchedulerOption = None,
     json_: Json = False,
@@ -286,8 +286,8 @@ def optimise(
 ) -> int:
     """Find the ridge design with the most contrast, nominal or under tolerances, in direct light.
 
-    The whole box of --vary is searched on a grid, and the highest hills are climbed. The pitch takes part only
-    where something has an absolute size (--edge-radius, or a tolerance of it).
+    The box of --vary is searched on a grid, then refined at the highest maxima. The pitch matters only if something
+    has an absolute size (--edge-radius, or a tolerance of it).
 
     Examples:
         anisoscope optimise --vary ridge_angle=3:20

@@ -258,7 +258,7 @@ def convergence_command(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Follow how contrasts approach the ideal prediction as defects vanish, and at which order.
+    """Show how contrasts approach the ideal prediction as defects vanish, and at which order.
 
     Examples:
         anisoscope research convergence --plot convergence.png

@@ -4,6 +4,7 @@ import pytest
 
 from anisoscope.base.notation import (
     contrast_name,
+    number_name,
     p_value_text,
     percent_text,
     present_notation,
@@ -14,6 +15,12 @@ from anisoscope.base.notation import (
 def test_a_contrast_always_names_its_tilt():
     assert contrast_name(0.0, 90.0, 0.0) == "0° / 90°, tilt 0°"
     assert contrast_name(90.0, 180.0, -10.0) == "90° / 180°, tilt -10°"
+
+
+def test_numbers_of_the_history_are_called_as_in_the_report():
+    assert number_name("ln 0-90") == "ln ratio 0° / 90°, tilt 0°"
+    assert number_name("difference 90-180 @-10") == "difference [1/sr] 90° / 180°, tilt -10°"
+    assert number_name("print alpha x") == "print alpha x"
 
 
 def test_probabilities_are_never_more_exact_than_their_model():

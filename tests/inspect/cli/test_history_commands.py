@@ -170,9 +170,9 @@ def test_a_decision_shows_in_the_list_and_leaves_the_verdict(place, said):
 def test_two_inspections(place, said):
     code, out, _ = said("compare", "A1", "A4")
     assert code == 0
-    line = next(line for line in out.splitlines() if "ln 0-90" in line)
+    line = next(line for line in out.splitlines() if "ln ratio 0° / 90°, tilt 0°" in line)
     assert [cell.strip() for cell in line.split("│")[1:-1]] == [
-        "ln 0-90",
+        "ln ratio 0° / 90°, tilt 0°",
         "2.01",
         "2.04",
         "+0.03",

@@ -9,7 +9,6 @@ import pytest
 from anisoscope import cli
 from anisoscope.inspection import past_pages
 from anisoscope.record.schema import read_record
-from anisoscope.report.past_pages import number_name
 
 DATA = Path(__file__).parents[2] / "data" / "inspections"
 
@@ -57,7 +56,7 @@ def test_two_inspections_stand_side_by_side(archive, tmp_path, parsed, capsys):
         for pose in read_record(folder / kind).poses
     }
     assert [found.get("class") for tag, found in page.found if tag == "div"].count("pair") == len(poses)
-    assert number_name("ln 0-90 @10") in page.text
+    assert "ln ratio 0° / 90°, tilt 10°" in page.text
 
 
 def test_a_missing_report_is_made_again(archive, tmp_path, monkeypatch, capsys):
@@ -76,12 +75,6 @@ def test_a_missing_report_is_made_again(archive, tmp_path, monkeypatch, capsys):
     assert [(one[0], one[2]) for one in again] == [(folder / "ridges", html)]
     assert again[0][1].conclusion is not None
     assert cli.run(["show", str(folder / "ridges"), "--history", history, "--refresh"]) == 64
-
-
-def test_numbers_are_called_as_in_the_report():
-    assert number_name("ln 0-90") == "ln ratio 0° / 90°, tilt 0°"
-    assert number_name("difference 90-180 @-10") == "difference [1/sr] 90° / 180°, tilt −10°"
-    assert number_name("print alpha x") == "print alpha x"
 
 
 def test_filters_work_without_a_server_and_no_verdict_is_hidden(archive, page, capsys):

@@ -17,6 +17,9 @@ from anisoscope.report.tilt_sections import MOST, listed_tilt_contrasts, tilt_pa
 from anisoscope.report.wording import cause_range, cause_text, filters
 
 
+LOGO = "data:image/png;base64,AAAA"
+
+
 def judged(*verdicts):
     base = {"tolerance": 0.25, "guard": 0.08, "u": 0.05, "kind": "log_ratio", "tilt_deg": 0.0}
     base |= {
@@ -58,10 +61,14 @@ def test_the_rule_that_decided_is_said(make_report_record, changes, words, not_w
 def test_page_1_is_in_the_language_of_the_operator(make_report_record, tmp_path, parsed, language, verdict):
     record = make_report_record(verdict="FAIL", contrasts=judged("FAIL", "PASS"))
     with speaking(language):
-        page = parsed(write_report(record, Pictures(), tmp_path))
+        path = write_report(record, Pictures(logo=LOGO), tmp_path)
+    page = parsed(path)
+    number = {"de": '"Seite " counter(page) " von "', "da": '"side " counter(page) " af "'}
+    assert number[language] in path.read_text(encoding="utf-8")
     marks = {attributes.get("id"): attributes for _, attributes in page.found}
     assert [attributes["lang"] for tag, attributes in page.found if tag == "html"] == [language]
     assert marks["verdict"]["data-verdict"] == "FAIL"
+    assert (marks["logo"]["src"], marks["logo"]["alt"]) == (LOGO, "logo")
     assert verdict in page.text
     assert "What to do next" not in page.text
     assert [
