@@ -75,7 +75,7 @@ def light_finding(angles: Angles, file: RigFile) -> Finding:
     if found.u_alone <= MAX_U_LIGHT_DEG:
         remark = f"from the pictures alone: u = {found.u_alone:.2g}°"
     else:
-        remark = "the pictures alone do not determine it: it rests on what is known of the part (ridge angle, roughness)"
+        remark = "not determined by the pictures alone: rests on what is known of the part (ridge angle, roughness)"
     names = [one.name for one in angles.light.parameters]
     row = np.abs(angles.light.correlation[names.index("light_deg")])
     row[names.index("light_deg")] = 0.0

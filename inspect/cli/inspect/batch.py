@@ -40,7 +40,7 @@ def batch(
         Parameter(
             name=["--yes", "-y"],
             negative="",
-            help="Do not ask before each part: the tray fills itself, or the rig is virtual.",
+            help="Begin each part without asking: the tray fills itself, or the rig is virtual.",
         ),
     ] = False,
     read_code: Annotated[

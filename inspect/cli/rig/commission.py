@@ -81,8 +81,8 @@ def commission(
 ) -> int:
     """Find rotation sense, zero, centre, pixel size, tilt and light angle of a rig, from a known ridged part.
 
-    Place the part on the stage first. The command turns it by a full turn, also at tilts if an axis tilts the arm. Sense
-    and zero in the rig file need not be right. Exit code 0: done; undetermined quantities are named.
+    Place the part on the stage first. The command turns it by a full turn, also at tilts if an axis tilts the arm.
+    Sense and zero in the rig file need not be right. Exit code 0: done; undetermined quantities are named.
 
     Examples:
         anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html

@@ -164,7 +164,6 @@ SAME_QUANTITY = {
     "--html": "page",
     "--index": "refractive index",
     "--jobs": "processes",
-    "--keep": "that stay",  # waves or points of a map
     "--kind": "kind",
     "--l-filter": "l-filter",
     "--layer": "layer of the map",

@@ -16,7 +16,6 @@ from anisoscope.report.rule import rule_of
 from anisoscope.report.tilt_sections import MOST, listed_tilt_contrasts, tilt_parts, tilt_row
 from anisoscope.report.wording import cause_range, cause_text, filters
 
-
 LOGO = "data:image/png;base64,AAAA"
 
 
