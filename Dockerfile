@@ -1,3 +1,4 @@
+# Not built yet.
 # docker build -t anisoscope .
 # docker run --rm -v "$PWD:/work" anisoscope demo
 # A rig: add --device /dev/ttyUSB0 --device /dev/video0
