@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -148,35 +148,43 @@ class CalibrationPart(Part):
     check: LocalPath | None = None
 
 
-class RigFile(Part):
-    """A rig, as its file describes it; without `tilt` the camera arm is fixed."""
+class RigAxes(Part):
+    """A rig of which the axes matter; camera and light may be missing. Without `tilt` the camera arm is fixed."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
-    name: str
+    name: str = "rig"
     stage: StagePart
     tilt: TiltPart | None = None
-    camera: CameraPart
-    light: LightPart
+    camera: CameraPart | None = None
+    light: LightPart | None = None
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
     calibration: CalibrationPart | None = None
-
-    @property
-    def without_devices(self) -> bool:
-        """Whether it describes geometry and calibrations alone, so that nothing can be photographed with it."""
-        return NO_DEVICE in {self.stage.driver, self.camera.driver}
 
     def uncalibrated(self, info: CameraInfo) -> bool:
         """Whether contrasts of its camera are: it is not linear, and no calibration knows how it is bent."""
         return not info.linear and (self.calibration is None or self.calibration.linearity is None)
 
     @model_validator(mode="after")
-    def _one_tilt(self) -> "RigFile":
+    def _one_tilt(self) -> Self:
         if self.tilt is not None and self.geometry.tilt_deg != 0.0:
             raise ValueError(
                 "geometry.tilt_deg is for an arm that stands fixed; with [tilt], set tilt.zero_deg"
             )
         return self
+
+
+class RigFile(RigAxes):
+    """A rig that takes pictures, as its file describes it."""
+
+    name: str
+    camera: CameraPart
+    light: LightPart
+
+    @property
+    def without_devices(self) -> bool:
+        """Whether it describes geometry and calibrations alone, so that nothing can be photographed with it."""
+        return NO_DEVICE in {self.stage.driver, self.camera.driver}
 
 
 TILT_TOLERANCE_DEG = 0.01
@@ -228,11 +236,19 @@ def read_rig(path: Path, *, here: Path | None = None) -> RigFile:
     return _read(path, RigFile, here)
 
 
+def read_axes(path: Path) -> RigAxes:
+    """Read a rig file for its axes; camera and light may be missing. Errors as for `read_rig`."""
+    return _read(path, RigAxes, None)
+
+
 def read_replay_rig(path: Path) -> RigFile:
     """Read a rig file for its geometry; the tables of the devices may be missing. Errors as for `read_rig`."""
     return _read(path, ReplayRigFile, None)
 
 
-def _read(path: Path, model: type[RigFile], here: Path | None) -> RigFile:
+AxesT = TypeVar("AxesT", bound=RigAxes)
+
+
+def _read(path: Path, model: type[AxesT], here: Path | None) -> AxesT:
     folder = str(here or path.resolve().parent)
     return read_toml_model(path, model, error=RigFileError, substitutions={"here": folder})

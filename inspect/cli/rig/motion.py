@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from anisoscope.rig.portholder import Holder
-    from anisoscope.rig.rigfile import AxisPart, RigFile
+    from anisoscope.rig.rigfile import AxisPart, RigAxes
     from anisoscope.rig.stage import RotationStage
 
     Go = Callable[[RotationStage, AxisPart], None]
@@ -206,7 +206,7 @@ def _interrupt(holder: "Holder") -> int:
     return holder.pid
 
 
-def _show(moved: _Moved, file: "RigFile | None", part: "AxisPart", *, json_: bool) -> int:
+def _show(moved: _Moved, file: "RigAxes | None", part: "AxisPart", *, json_: bool) -> int:
     def angle(reading: float | None) -> float | None:
         return None if file is None or reading is None else part.angle_deg(reading)
 

@@ -11,7 +11,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 
 if TYPE_CHECKING:
-    from anisoscope.rig.rigfile import AxisPart, RigFile
+    from anisoscope.rig.rigfile import AxisPart, RigAxes
 
 AxisName = Literal["stage", "tilt"]
 Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
@@ -39,14 +39,14 @@ class Which:
         ),
     ] = ()
 
-    def read(self) -> "tuple[RigFile | None, dict[str, AxisPart]]":
+    def read(self) -> "tuple[RigAxes | None, dict[str, AxisPart]]":
         """The rig file, if one is named; and its axes by table, the stage first.
 
         Raises:
             UsageError: neither a rig file nor a driver is named, or both.
             RigFileError: the rig file.
         """
-        from anisoscope.rig.rigfile import StagePart, read_rig
+        from anisoscope.rig.rigfile import StagePart, read_axes
 
         if (self.rig is None) == (self.driver is None):
             raise UsageError("name the devices: --rig FILE, or --driver NAME --port PORT for a stage alone")
@@ -56,13 +56,13 @@ class Which:
             return None, {"stage": StagePart(driver=self.driver, port=self.port, options=options)}
         if self.port is not None or self.option:
             raise UsageError("--port and --option go with --driver; with --rig they stand in the rig file")
-        file = read_rig(self.rig)
+        file = read_axes(self.rig)
         axes: dict[str, AxisPart] = {"stage": file.stage}
         if file.tilt is not None:
             axes["tilt"] = file.tilt
         return file, axes
 
-    def axis(self, name: AxisName) -> "tuple[RigFile | None, AxisPart]":
+    def axis(self, name: AxisName) -> "tuple[RigAxes | None, AxisPart]":
         """The rig file, if one is named; and one of its axes. Errors as for `read`.
 
         Raises:

@@ -14,7 +14,7 @@ from anisoscope.cli.rig.options import NOTHING_NAMED, Which
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from anisoscope.rig.rigfile import AxisPart, CameraPart, LightPart, RigFile
+    from anisoscope.rig.rigfile import AxisPart, CameraPart, LightPart, RigAxes
 
 
 def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json_: Json = False) -> int:
@@ -35,8 +35,9 @@ def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json
             found[table] = _of(_axis, part, table, stack)
             if file is None:  # nobody said where the sample stands at 0°
                 found[table].pop("angle_deg", None)
-        if file is not None:
+        if file is not None and file.camera is not None:
             found["camera"] = _of(_camera, file.camera, file, stack)
+        if file is not None and file.light is not None:
             found["light"] = _of(_light, file.light, stack)
     if json_:
         print_json(found)
@@ -73,7 +74,7 @@ def _axis(part: "AxisPart", table: str, stack: contextlib.ExitStack) -> dict[str
     }
 
 
-def _camera(part: "CameraPart", file: "RigFile", stack: contextlib.ExitStack) -> dict[str, Any]:
+def _camera(part: "CameraPart", file: "RigAxes", stack: contextlib.ExitStack) -> dict[str, Any]:
     from anisoscope.rig.drivers import open_camera
 
     camera = open_camera(part.driver, **part.options)

@@ -251,3 +251,19 @@ def test_a_stage_that_loses_its_reference_after_the_move_is_no_success(command, 
     assert (code, out) == (69, "")
     assert err.endswith("home it again\n")
     assert len(err.splitlines()) == 2  # the announcement of homing is the other
+
+
+def test_a_rig_file_of_axes_alone_serves_their_commands(command, line, tmp_path):
+    url, _ = line()
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        tomli_w.dumps({"schema": 1, "name": "axes", "stage": {"driver": "elliptec", "port": url}})
+    )
+    code, out, _ = command("rig", "move", 10, "--rig", path, "--yes", "--json")
+    assert (code, json.loads(out)["angle_after_deg"]) == (0, pytest.approx(10.0, abs=0.01))
+    code, out, _ = command("rig", "status", "--rig", path)
+    assert code == 0
+    assert [row.split()[0] for row in out.splitlines()] == ["rig", "stage"]
+    code, _, err = command("rig", "snap", "--rig", path, "--exposure", 0.01, "--out", tmp_path / "a.tif")
+    assert (code, len(err.splitlines())) == (78, 1)
+    assert "camera: missing" in err
