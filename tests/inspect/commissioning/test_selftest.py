@@ -2,11 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.commissioning.record import Commissioning, Finding, default_record_path, write_commissioning
-from anisoscope.commissioning.selftest import STEPS, self_test
+from anisoscope.commissioning.selftest import STEPS, lamp_checks, self_test
 from anisoscope.commissioning.selftest_record import Settings, write_self_test
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.rigfile import read_rig
@@ -176,5 +177,17 @@ def test_drift_is_that_of_the_warm_up_fit(virtual_rig):
     drift = result["lamp.drift"]
     assert drift.outcome == "FAIL"
     assert drift.value == pytest.approx(0.05, abs=0.01)
-    assert "per minute" in drift.remark
+    assert drift.limit == pytest.approx(0.005, abs=0.002)
+    assert "over 24 frames" in drift.remark
+    assert "per minute" not in drift.remark  # a few seconds say nothing about a minute
     assert result["lamp.flicker"].outcome == "PASS"  # warming up is no flicker
+
+
+def test_noise_of_the_lamp_is_no_drift():
+    rng, settings = np.random.default_rng(5), Settings(0.0015)
+    times_s = np.arange(20) * 0.1
+    outcomes = [
+        lamp_checks(times_s.tolist(), 1000.0 * (1.0 + 0.008 * rng.standard_normal(20)), settings)[0].outcome
+        for _ in range(40)
+    ]
+    assert outcomes.count("FAIL") <= 4  # two standard uncertainties
