@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from anisoscope.inspection.integrity import Verified
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.run import Inspected
-    from anisoscope.prediction.predict import Predicted
+    from anisoscope.prediction.predicted import Predicted
     from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.comparison import Comparison, compare_maps
     from anisoscope.profiles.editing.steps import edit_map

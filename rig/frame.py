@@ -4,10 +4,12 @@ The file is a 16-bit TIFF, with the metadata as JSON in its ImageDescription.
 """
 
 import contextlib
+import io
 import json
 import logging
 import os
 import tempfile
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -97,16 +99,33 @@ _HEADER = TypeAdapter(Header)
 _NAMES = tuple(field.name for field in fields(Frame) if field.name != "counts")
 
 
+class _Quiet:
+    """Holds the log of tifffile back while any thread is in it, and restores its level after the last one."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._level = threading.Lock(), 0, logging.NOTSET
+
+    def change(self, step: int) -> None:
+        """One thread more, or less."""
+        log = logging.getLogger("tifffile")
+        with self._lock:
+            if self._inside == 0:
+                self._level = log.level
+            self._inside += step
+            log.setLevel(logging.CRITICAL + 1 if self._inside else self._level)
+
+
+_quiet = _Quiet()
+
+
 @contextlib.contextmanager
 def quiet_tifffile() -> Iterator[None]:
     """Keep tifffile from logging what it finds strange in metadata that is no business of ours."""
-    log = logging.getLogger("tifffile")
-    level = log.level
-    log.setLevel(logging.CRITICAL + 1)
+    _quiet.change(1)
     try:
         yield
     finally:
-        log.setLevel(level)
+        _quiet.change(-1)
 
 
 def write_frame(frame: Frame, path: Path) -> None:
@@ -139,7 +158,30 @@ def read_frame(path: Path) -> Frame:
     Raises:
         RecordError: there is no such file, or it is not a frame that `write_frame` wrote.
     """
-    counts, description = _picture_and_words(path)
+    return frame_of(file_content(path), path)
+
+
+def file_content(path: Path) -> bytes:
+    """The bytes of the file of a picture.
+
+    Raises:
+        RecordError: there is no such file, or it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise RecordError(f"{path}: there is no such file") from None
+    except OSError as problem:
+        raise RecordError(f"{path}: cannot be read: {problem.strerror or problem}") from problem
+
+
+def frame_of(content: bytes, path: Path) -> Frame:
+    """The frame in the bytes of a file; ``path`` names it in errors.
+
+    Raises:
+        RecordError: it is not a frame that `write_frame` wrote.
+    """
+    counts, description = _picture_and_words(content, path)
     try:
         header = _HEADER.validate_json(description)
     except ValidationError as problem:
@@ -153,10 +195,15 @@ def read_frame(path: Path) -> Frame:
     return Frame(counts=counts, **{name: getattr(header, name) for name in _NAMES})
 
 
-def header_of(path: Path) -> Header | None:
-    """What a frame of ours says of itself in its metadata, without its picture; None where it is no frame of ours."""
+def header_of(file: Path | bytes) -> Header | None:
+    """What a frame of ours says of itself in its metadata, without its picture; None where it is no frame of ours.
+
+    Args:
+        file: the file, or its bytes.
+    """
     try:
-        with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
+        source = io.BytesIO(file) if isinstance(file, bytes) else file
+        with quiet_tifffile(), tifffile.TiffFile(source) as tiff:
             page = tiff.pages[0]
             if page.dtype != np.uint16:
                 return None
@@ -165,19 +212,17 @@ def header_of(path: Path) -> Header | None:
         return None
 
 
-def filters_in_header(path: Path) -> str | None:
-    """The colour filters that a frame of ours names in its metadata; None where it is no frame of ours."""
-    header = header_of(path)
+def filters_in_header(file: Path | bytes) -> str | None:
+    """The colour filters that a frame of ours names in its metadata; arguments and None as for `header_of`."""
+    header = header_of(file)
     return None if header is None else header.filters
 
 
-def _picture_and_words(path: Path) -> tuple[npt.NDArray[np.uint16], str]:
+def _picture_and_words(content: bytes, path: Path) -> tuple[npt.NDArray[np.uint16], str]:
     try:
-        with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
+        with quiet_tifffile(), tifffile.TiffFile(io.BytesIO(content)) as tiff:
             page = tiff.pages[0]
             return page.asarray(), str(getattr(page, "description", ""))
-    except FileNotFoundError:
-        raise RecordError(f"{path}: there is no such file") from None
     except Exception as problem:  # a damaged TIFF fails in many ways
         reason = str(problem).split("\n", maxsplit=1)[0]
         raise RecordError(f"{path}: not a readable TIFF file: {reason}") from problem

@@ -16,11 +16,14 @@ invert, rotate and gamma-correct; the reader does none of this. A format that wo
 packed bits) is refused.
 """
 
+import contextlib
 import csv
+import hashlib
 import io
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypeGuard, get_args
 
@@ -30,7 +33,16 @@ import tifffile
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.rig.frame import Frame, FrameKind, filters_in_header, header_of, quiet_tifffile, write_frame
+from anisoscope.base.parallel import for_each
+from anisoscope.rig.frame import (
+    Frame,
+    FrameKind,
+    file_content,
+    filters_in_header,
+    header_of,
+    quiet_tifffile,
+    write_frame,
+)
 from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL, Line, find_inside, read_lines
 
 Counts = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
@@ -53,12 +65,11 @@ def read_counts(path: Path) -> Counts:
     Raises:
         RecordError: there is no such file, it is damaged, or it is not such a picture.
     """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise RecordError(f"{path}: there is no such file") from None
-    except OSError as problem:
-        raise RecordError(f"{path}: cannot be read: {problem.strerror or problem}") from problem
+    return counts_of(file_content(path), path)
+
+
+def counts_of(data: bytes, path: Path) -> Counts:
+    """The counts in the bytes of such a file; ``path`` names it in errors, which are those of `read_counts`."""
     if data.startswith(_PNG):
         counts = _png(path, data)
     elif data.startswith(_TIFF):
@@ -91,7 +102,7 @@ def as_frame_counts(counts: Counts, bit_depth: int, path: Path) -> npt.NDArray[n
         else:
             why = "they are left-justified, or the bit depth is wrong"
         raise RecordError(f"{path}: counts reach {peak}, above the {full_scale} of {bit_depth} bits: {why}")
-    return counts.astype(np.uint16)
+    return counts.astype(np.uint16, copy=False)
 
 
 def _is_counts(array: npt.NDArray[np.generic]) -> TypeGuard[Counts]:
@@ -161,6 +172,34 @@ POSE_TOLERANCE_DEG = 0.5
 """Poses that differ by less are the same: a stage reads back the reached position, not the requested one."""
 
 
+class HeldFile:
+    """A file that is read once: its hash and its bytes, which are held until they are released.
+
+    Args:
+        path: the file.
+
+    Raises:
+        RecordError: it cannot be read; of `content` as well.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._content: bytes | None = file_content(path)
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the bytes that were read, hexadecimal."""
+        return hashlib.sha256(self.content()).hexdigest()
+
+    def content(self) -> bytes:
+        """The bytes; once released, they are read from the disk again."""
+        return file_content(self.path) if self._content is None else self._content
+
+    def release(self) -> None:
+        """Hold the bytes no longer."""
+        self._content = None
+
+
 @dataclass(frozen=True)
 class FrameEntry:
     """A line of ``frames.csv``.
@@ -176,6 +215,7 @@ class FrameEntry:
         black_level: counts of a pixel without light.
         again: whether it was taken after the return to the first pose.
         filters: the colour filters on the camera's pixels.
+        held: the file with its content, where that is held.
     """
 
     path: Path
@@ -188,16 +228,22 @@ class FrameEntry:
     black_level: float
     again: bool = False
     filters: str = "mono"
+    held: HeldFile | None = field(default=None, repr=False, compare=False)
 
-    def load(self) -> Frame:
+    def load(self, content: bytes | None = None) -> Frame:
         """The frame, with the settings of the table; time and camera from the picture if it is one of ours.
+
+        Args:
+            content: bytes of the picture; what is held or on disk where they are not given.
 
         Raises:
             RecordError: the picture is missing, is damaged, is no grey picture, or its counts do not fit.
         """
-        counts = as_frame_counts(read_counts(self.path), self.bit_depth, self.path)
+        if content is None:
+            content = file_content(self.path) if self.held is None else self.held.content()
+        counts = as_frame_counts(counts_of(content, self.path), self.bit_depth, self.path)
         commanded_deg, captured_at, camera = self.stage_deg, "", "unknown"
-        if (ours := header_of(self.path)) is not None:
+        if (ours := header_of(content)) is not None:
             captured_at, camera = ours.captured_at, ours.camera
             commanded_deg = ours.commanded_deg if ours.stage_deg == self.stage_deg else self.stage_deg
         return Frame(
@@ -224,6 +270,7 @@ class FrameFolder:
         folder: where it is.
         entries: its frames in the order of the table.
         rows, cols: shape of every frame.
+        table_sha256: SHA-256 of the table, hexadecimal.
         notes: what was passed over in reading, one line each.
     """
 
@@ -231,6 +278,7 @@ class FrameFolder:
     entries: tuple[FrameEntry, ...]
     rows: int
     cols: int
+    table_sha256: str
     notes: tuple[str, ...] = ()
 
     @property
@@ -243,24 +291,29 @@ class FrameFolder:
         return tuple(e for e in self.entries if e.kind == kind and again in {None, e.again})
 
 
-def read_frame_folder(folder: Path) -> FrameFolder:
+def read_frame_folder(folder: Path, *, hold: bool = False) -> FrameFolder:
     """Read the table of a folder and check every picture in it.
+
+    Args:
+        folder: where it is.
+        hold: hold the content of all pictures, so that each is read from the disk and hashed once.
 
     Raises:
         RecordError: the table or a picture cannot be used; the line of the table and the file are named.
     """
     table = folder / TABLE
     lines, columns = read_lines(table)
+    table_sha256 = HeldFile(table).sha256
     notes = []
     known = (*COLUMNS, *OPTIONAL)
     if extra := [name for name in columns if name not in known]:
         notes.append(f"{table}: columns passed over: {', '.join(extra)}")
-    entries, shape = _checked_entries(lines, folder, table)
+    entries, shape = _checked_entries(lines, folder, table, hold=hold)
     if "again" not in columns:
         entries = _mark_return(entries)
     else:
         _check_marks(entries, lines, table)
-    return FrameFolder(folder, tuple(entries), *shape, notes=tuple(notes))
+    return FrameFolder(folder, tuple(entries), *shape, table_sha256, notes=tuple(notes))
 
 
 def write_frame_folder(
@@ -322,13 +375,27 @@ def frame_entries(folder: Path) -> tuple[FrameEntry, ...]:
     """
     table = folder / TABLE
     lines, _ = read_lines(table)
-    return tuple(entry for _, entry in _entries(lines, folder, table))
+    return tuple(entry for _, entry in _entries(lines, folder, table, {}))
 
 
-def _entries(lines: list[Line], folder: Path, table: Path) -> Iterator[tuple[Line, FrameEntry]]:
+def _held(lines: list[Line], folder: Path, table: Path) -> dict[Path, HeldFile]:
+    """The pictures of a table with their hashes, read in threads; those that cannot be read are named later."""
+
+    def read(line: Line) -> HeldFile | None:
+        with contextlib.suppress(RecordError):
+            held = HeldFile(find_inside(folder, line.file, f"{table}, line {line.number}"))
+            return held if held.sha256 else None
+        return None
+
+    return {held.path: held for held in for_each(read, lines) if held is not None}
+
+
+def _entries(
+    lines: list[Line], folder: Path, table: Path, known: dict[Path, HeldFile]
+) -> Iterator[tuple[Line, FrameEntry]]:
     seen: dict[Path, int] = {}
     for line in lines:
-        entry = _entry(line, folder, table)
+        entry = _entry(line, folder, table, known)
         if (first := seen.setdefault(entry.path, line.number)) != line.number:
             place = f"{table}, line {line.number}"
             raise RecordError(f"{place}: {line.file} stands already in line {first}; each frame has one line")
@@ -336,11 +403,12 @@ def _entries(lines: list[Line], folder: Path, table: Path) -> Iterator[tuple[Lin
 
 
 def _checked_entries(
-    lines: list[Line], folder: Path, table: Path
+    lines: list[Line], folder: Path, table: Path, *, hold: bool
 ) -> tuple[list[FrameEntry], tuple[int, int]]:
     entries: list[FrameEntry] = []
     shape: tuple[int, int] | None = None
-    for line, entry in _entries(lines, folder, table):
+    known = _held(lines, folder, table) if hold else {}
+    for line, entry in _entries(lines, folder, table, known):
         place = f"{table}, line {line.number}"
         found = _checked_shape(entry, place)
         if shape is not None and found != shape:
@@ -360,7 +428,7 @@ def _checked_entries(
     return entries, shape
 
 
-def _entry(line: Line, folder: Path, table: Path) -> FrameEntry:
+def _entry(line: Line, folder: Path, table: Path, known: dict[Path, HeldFile]) -> FrameEntry:
     place = f"{table}, line {line.number}"
     path = find_inside(folder, line.file, place)
     kind = next((known for known in get_args(FrameKind) if known == line.kind), None)
@@ -368,15 +436,16 @@ def _entry(line: Line, folder: Path, table: Path) -> FrameEntry:
         raise RecordError(
             f"{place}: unknown kind {line.kind!r}; it is one of {', '.join(get_args(FrameKind))}"
         )
-    filters = line.filters or filters_in_header(path) or "mono"
-    return FrameEntry(
-        path, kind, **{name: getattr(line, name) for name in (*COLUMNS[2:], "again")}, filters=filters
-    )
+    held = known.get(path)
+    filters = line.filters or filters_in_header(path if held is None else held.content()) or "mono"
+    settings = {name: getattr(line, name) for name in (*COLUMNS[2:], "again")}
+    return FrameEntry(path, kind, **settings, filters=filters, held=held)
 
 
 def _checked_shape(entry: FrameEntry, place: str) -> tuple[int, int]:
     try:
-        counts = as_frame_counts(read_counts(entry.path), entry.bit_depth, entry.path)
+        content = file_content(entry.path) if entry.held is None else entry.held.content()
+        counts = as_frame_counts(counts_of(content, entry.path), entry.bit_depth, entry.path)
     except RecordError as problem:
         raise RecordError(f"{place}: {problem}") from problem
     rows, cols = counts.shape

@@ -105,6 +105,10 @@ COMMANDS = {
             "inspect.inspection:verify",
             "Check the hashes of an inspection folder: name files that were changed, removed or added.",
         ),
+        "report": (
+            "inspect.inspection:report",
+            "Write the report of a finished inspection into its folder, where it is missing: the program was killed.",
+        ),
         "recompute": (
             "inspect.inspection:recompute",
             "Judge an inspection again from its raw frames and compare with its record; nothing is written.",

@@ -4,12 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.parallel import for_each
 from anisoscope.imaging.frames import AcquiredFrames, Shot
-from anisoscope.inspection.manifest import Manifest, checked
+from anisoscope.inspection.manifest import Manifest, checked, checked_content
 from anisoscope.record.schema import InputFile
 from anisoscope.rig.acquisition.journal import FrameLine, Journal, read_journal
 from anisoscope.rig.acquisition.writer import FRAMES
-from anisoscope.rig.frame import Frame, read_frame
+from anisoscope.rig.frame import Frame, frame_of
 from anisoscope.rig.framefolder import frame_entries
 
 NOT_USED = "not used"
@@ -46,7 +47,7 @@ def read_frames(folder: Path, manifest: Manifest) -> AcquiredFrames:
         raise RecordError(f"{folder}: {missing_frames(manifest, journal)} frames are still to be taken")
     lines = [*journal.by_step.values(), *journal.checks(manifest.plan.shots_per_pose if manifest.plan else 1)]
     load = _loader(folder, manifest)
-    shots = tuple(_shot(line, folder, load) for line in lines)
+    shots = tuple(for_each(lambda line: _shot(line, folder, load), lines))
     first = shots[0].frame
     for shot in shots:
         if (shot.frame.counts.shape, shot.frame.bit_depth) != (first.counts.shape, first.bit_depth):
@@ -56,23 +57,22 @@ def read_frames(folder: Path, manifest: Manifest) -> AcquiredFrames:
     return AcquiredFrames(shots, run.camera, stage, all(one.linear for one in journal.runs))
 
 
-def _shot(line: FrameLine, folder: Path, load: Callable[[str], Frame]) -> Shot:
-    checked(InputFile(name=line.name, sha256=line.sha256), folder)
-    return Shot(
-        line.name, line.sha256, load(line.name), line.pose, line.again, line.run, check=line.step is None
-    )
+def _shot(line: FrameLine, folder: Path, load: Callable[[bytes, str], Frame]) -> Shot:
+    """A frame from one read of its file, which is hashed and decoded."""
+    frame = load(checked_content(InputFile(name=line.name, sha256=line.sha256), folder), line.name)
+    return Shot(line.name, line.sha256, frame, line.pose, line.again, line.run, check=line.step is None)
 
 
-def _loader(folder: Path, manifest: Manifest) -> Callable[[str], Frame]:
-    """What reads a frame by its name; frames of a replay are described by their table."""
+def _loader(folder: Path, manifest: Manifest) -> Callable[[bytes, str], Frame]:
+    """What decodes the bytes of a frame of a name; frames of a replay are described by their table."""
     if manifest.origin == "rig":
-        return lambda name: read_frame(folder / name)
+        return lambda content, name: frame_of(content, folder / name)
     entries = {entry.path: entry for entry in frame_entries(folder / FRAMES)}
 
-    def load(name: str) -> Frame:
+    def load(content: bytes, name: str) -> Frame:
         entry = entries.get((folder / name).resolve())
         if entry is None:
             raise RecordError(f"{folder / name}: is in the journal, but not in the table of the frames")
-        return entry.load()
+        return entry.load(content)
 
     return load

@@ -1,11 +1,13 @@
 """Is a folder what it was? Hash everything again, and name what is not."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
 from anisoscope.inspection.folder import JOB, files_in
 from anisoscope.inspection.manifest import read_job_file
+from anisoscope.inspection.report_seal import OWN, SEAL_NAME, ReportState, report_state
 from anisoscope.record.schema import RECORD_NAME, InputFile, recorded_files, sha256_of
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
@@ -21,6 +23,8 @@ class Verified:
         changed: those whose content is not what it was.
         missing: those that are gone.
         additional: those that the inspection did not make.
+        report_written: whether the report is there; a finished inspection without one is intact, unless its record
+            lists it, as those of earlier versions do.
     """
 
     finished: bool
@@ -28,6 +32,7 @@ class Verified:
     changed: tuple[str, ...]
     missing: tuple[str, ...]
     additional: tuple[str, ...]
+    report_written: bool = True
 
     @property
     def intact(self) -> bool:
@@ -38,8 +43,8 @@ class Verified:
 def verify(folder: Path) -> Verified:
     """Hash every file of an inspection folder again.
 
-    A finished inspection is compared with its record, which carries a seal over itself; an unfinished one with
-    ``job.json`` and the journal of its frames.
+    A finished inspection is compared with its record, which carries a seal over itself, and its report with
+    ``report.sha256``, which is written after both; an unfinished one with ``job.json`` and the journal of its frames.
 
     Raises:
         RecordError: this is no inspection folder.
@@ -59,14 +64,24 @@ def verify(folder: Path) -> Verified:
     expected = {file.name: file.sha256 for file in known}
     changed += damaged
     changed += [name for name in expected.keys() & present if _hash(folder / name) != expected[name]]
-    own = {RECORD_NAME} if listed is not None else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME}
+    own = {RECORD_NAME} if listed is not None else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME, SEAL_NAME}
+    report = None if listed is None else report_state(folder, listed)
+    if report is not None and not report.by_record:
+        changed += report.changed
+        own |= OWN
     return Verified(
         RECORD_NAME in present,
-        len(expected) + 1,
+        len(expected) + 1 + _count(report, present),
         tuple(sorted(set(changed))),
         tuple(sorted(expected.keys() - present)),
         tuple(sorted(present - expected.keys() - own)),
+        REPORT_NAME in present,
     )
+
+
+def _count(report: ReportState | None, present: set[str]) -> int:
+    """How many files of the report were compared besides those that the record lists."""
+    return 0 if report is None or report.by_record else len({REPORT_NAME, SEAL_NAME} & present)
 
 
 def _begun(folder: Path) -> tuple[list[InputFile], list[str]]:
@@ -84,15 +99,21 @@ def _begun(folder: Path) -> tuple[list[InputFile], list[str]]:
     return found, changed
 
 
-def listed_files(folder: Path) -> tuple[InputFile, ...]:
-    """All files of a folder with their hashes, without its record.
+def listed_files(folder: Path, known: Mapping[str, str]) -> tuple[InputFile, ...]:
+    """All files of a folder with their hashes, without its record and what belongs to its report.
+
+    Args:
+        folder: the inspection folder.
+        known: hashes by name of files that were hashed when they were written or read.
 
     Raises:
         RecordError: a file cannot be read.
     """
-    names = sorted(files_in(folder) - {RECORD_NAME})
+    names = sorted(files_in(folder) - {RECORD_NAME} - OWN)
     try:
-        return tuple(InputFile(name=name, sha256=sha256_of(folder / name)) for name in names)
+        return tuple(
+            InputFile(name=name, sha256=known.get(name) or sha256_of(folder / name)) for name in names
+        )
     except OSError as error:
         raise RecordError(f"{folder}: cannot be read: {error.strerror}") from error
 

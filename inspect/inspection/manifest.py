@@ -1,7 +1,7 @@
 """``job.json`` and ``inputs/``: what an inspection was started with, so that its folder explains itself."""
 
+import hashlib
 import json
-import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -128,11 +128,12 @@ def _copy(source: Source, folder: Path) -> InputCopy:
         target = target.with_name(f"{source.role.replace(' ', '-')}-{source.path.name}")
     try:
         target.parent.mkdir(exist_ok=True)
+        content = source.path.read_bytes()
         if not in_place:
-            shutil.copyfile(source.path, target)
+            target.write_bytes(content)
     except OSError as error:
         raise RecordError(f"cannot copy {source.path} to {target}: {error.strerror}") from error
-    if sha256_of(target) != source.sha256:
+    if hashlib.sha256(content).hexdigest() != source.sha256:
         raise UsageError(f"{source.path} was changed while the inspection began: start it again")
     return InputCopy(
         role=source.role,
@@ -196,11 +197,29 @@ def checked(file: InputFile, folder: Path) -> Path:
     try:
         found = sha256_of(path)
     except OSError as error:
-        raise RecordError(
-            f"{path}: cannot be read: {error.strerror}; it belongs to this inspection"
-        ) from error
+        raise _unreadable(path, error) from error
     if found != file.sha256:
-        raise RecordError(
-            f"{path}: was changed since the inspection (its SHA-256 differs): inspect the part anew"
-        )
+        raise _changed(path)
     return path
+
+
+def checked_content(file: InputFile, folder: Path) -> bytes:
+    """The bytes of a file of an inspection folder, read once; errors as of `checked`."""
+    path = folder / file.name
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if hashlib.sha256(content).hexdigest() != file.sha256:
+        raise _changed(path)
+    return content
+
+
+def _unreadable(path: Path, error: OSError) -> RecordError:
+    return RecordError(f"{path}: cannot be read: {error.strerror}; it belongs to this inspection")
+
+
+def _changed(path: Path) -> RecordError:
+    return RecordError(
+        f"{path}: was changed since the inspection (its SHA-256 differs): inspect the part anew"
+    )

@@ -9,15 +9,17 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import AnisoscopeError, RecordError
 from anisoscope.base.notation import true_minus
 from anisoscope.base.progress import Advance, silent
 from anisoscope.history.comparing import Comparison, record_of
 from anisoscope.history.dispositions import Disposition
 from anisoscope.history.rows import Row
+from anisoscope.inspection.report_seal import report_state
 from anisoscope.inspection.run import report_again
 from anisoscope.kinds.registry import kind_named
-from anisoscope.record.schema import ConclusionRecord, FrameRecord, Record, recorded_files, sha256_of
+from anisoscope.record.schema import ConclusionRecord, FrameRecord, Record
 from anisoscope.report.figures import photograph
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.past_pages import Past, PosePair, write_compared_page, write_history_page
@@ -146,18 +148,18 @@ def inspection_page(path: Path, row: Row, *, refresh: bool, advance: Advance = s
     """
     folder, record = Path(row.folder), record_of(row)
     report = folder / REPORT_NAME
-    known = {one.name: one.sha256 for one in recorded_files(folder)}.get(REPORT_NAME)
-    if not refresh and report.is_file() and known in (None, sha256_of(report)):
+    found = report_state(folder).state
+    if not refresh and found == "written":
         if path.resolve() != report.resolve():
             try:
                 shutil.copyfile(report, path)
             except OSError as error:
                 raise RecordError(f"cannot write {path}: {error.strerror}") from error
         return "as the inspection wrote it"
-    report_again(folder, _concluded(record), path, advance)
+    write_text(path, report_again(folder, _concluded(record), advance))
     if refresh:
         return "made again from the frames"
-    return f"made again from the frames, because {report} is {'changed' if report.is_file() else 'missing'}"
+    return f"made again from the frames, because {report} is {found}"
 
 
 def _concluded(record: Record) -> Record:

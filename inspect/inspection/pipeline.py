@@ -21,7 +21,8 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures
 from anisoscope.rig.camera import UNCALIBRATED
 
-Judged = tuple[Record, Pictures]
+Judged = tuple[Record, Callable[[], Pictures]]
+"""A record, and what makes the pictures of its report, which the verdict does not wait for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,18 +85,18 @@ def judge(
         now: the time of the record.
 
     Returns:
-        The record, without the list of the folder's files, and the pictures of the report.
+        The record, without the list of the folder's files, and what makes the pictures of the report.
     """
     kind, recipe, reference = job.kind, job.recipe, job.reference
     if manifest.refused is not None:
         record = make_record(manifest, job, expected, frames, now(), (manifest.refused,))
-        return record, Pictures(surface=expected.surface)
+        return record, lambda: Pictures(surface=expected.surface)
     try:
         sitting, measured, change = measure_frames(manifest.began, job, expected, frames)
         decided = kind.decide(sitting, recipe, expected, measured, reference)
     except (MeasurementError, CameraError) as error:
         record = make_record(manifest, job, expected, frames, now(), (str(error),))
-        return record, Pictures(raw=as_photographed(frames), surface=expected.surface)
+        return record, lambda: Pictures(raw=as_photographed(frames), surface=expected.surface)
     invalid_reason = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
     explanation = Explanation()
     if not invalid_reason and (final or decided.verdict is not Verdict.INCONCLUSIVE):
@@ -114,7 +115,7 @@ def judge(
         explanation=explanation,
         drift=measured.drift,
     )
-    return record, kind.pictures(recipe, expected, measured, decided)
+    return record, lambda: kind.pictures(recipe, expected, measured, decided)
 
 
 def measure_frames(

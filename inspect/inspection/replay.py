@@ -1,7 +1,6 @@
 """Inspect a folder of frames that exist already, or check a recipe with it, without any device."""
 
 import contextlib
-import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,17 +27,18 @@ from anisoscope.inspection.job import (
 )
 from anisoscope.inspection.manifest import begin
 from anisoscope.inspection.pipeline import measure_frames
-from anisoscope.inspection.run import Inspected, Methods, conclude, expecting
+from anisoscope.inspection.reports import Reports
+from anisoscope.inspection.run import Inspected, Methods, conclude, expecting, judged_by, reported
 from anisoscope.kinds.kind import AnyKind, Reference
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.record.schema import Particulars, sha256_of
+from anisoscope.record.schema import Particulars
 from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.fixture import Fixture
-from anisoscope.rig.framefolder import TABLE, read_frame_folder
+from anisoscope.rig.framefolder import TABLE, FrameFolder, HeldFile, read_frame_folder
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
 RIG_NAME = "rig.toml"
@@ -46,7 +46,7 @@ WHITE_NAME = "white-reference.tif"
 
 
 def inspect_frames(
-    frames: Path,
+    frames: Path | FrameFolder,
     recipe_path: Path,
     serial: str,
     out: Path,
@@ -57,11 +57,14 @@ def inspect_frames(
     particulars: Particulars | None = None,
     lot_mates: Sequence[LotMate] = (),
     methods: Methods | None = None,
+    reports: Reports | None = None,
 ) -> Inspected:
     """Judge a part by the frames of a folder; they are copied, so that the inspection folder explains itself.
 
+    Every frame is read from the disk once: what was read is checked, hashed, copied and judged.
+
     Args:
-        frames: folder with ``frames.csv``.
+        frames: folder with ``frames.csv``, or one that was read (held); its content is released.
         recipe_path: recipe file.
         serial: serial number of the part.
         out: folder that receives the inspection folder.
@@ -71,6 +74,7 @@ def inspect_frames(
         particulars: operator, lot, cavity, station.
         lot_mates: inspections of the same lot, for the report.
         methods: what varies, for tests.
+        reports: as for `anisoscope.inspection.run.inspect_part`.
 
     Raises:
         UsageError: no rig file, or a wrong reflectance.
@@ -91,9 +95,12 @@ def inspect_frames(
             frames=len(given.replay.entries),
             rig_folder=given.rig_path.resolve().parent,
         )
-        _copy(given.replay, frames, folder, on_progress)
-        inspected = conclude(folder, manifest, job, ready, on_progress)
-    return Inspected(inspected.record, folder, inspected.report, (*given.replay.notes, *inspected.notes))
+        acquired = _copy(given.replay, given.frames, folder, on_progress)
+        on_progress("measurement", 0, 1)
+        judged = judged_by(manifest, job, ready, acquired, on_progress)
+        inspected, report = conclude(folder, manifest, job, ready, on_progress, judged)
+    inspected = replace(inspected, notes=(*given.replay.notes, *inspected.notes))
+    return reported(inspected, report, reports, on_progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +116,7 @@ class Given:
         fixture: its markers, or None.
         reference: parts that are known to be good, or None.
         replay: the frames by the poses of the recipe.
+        frames: the folder that they are in.
     """
 
     serial: str
@@ -119,6 +127,7 @@ class Given:
     fixture: Fixture | None
     reference: Reference | None
     replay: Replay
+    frames: Path
     _white_of_frames: dict[str, Any] | None
     _white_of_rig: WhiteReference | None
     _sources: tuple[Source, ...]
@@ -138,10 +147,11 @@ class Given:
 
 
 def read_given(
-    frames: Path, recipe_path: Path, serial: str, rig_path: Path | None, reflectance: float
+    given: Path | FrameFolder, recipe_path: Path, serial: str, rig_path: Path | None, reflectance: float
 ) -> Given:
     """Read everything that the inspection of a folder of frames needs; arguments and errors as of `inspect_frames`."""
     check_serial(serial)
+    frames = given.folder if isinstance(given, FrameFolder) else given
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
     rig_path = rig_path or _rig_in(frames)
@@ -149,15 +159,27 @@ def read_given(
     recipe, rig = kind.read_recipe(recipe_path), read_replay_rig(rig_path)
     fixture = fixture_of(rig, rig_path)
     reference = kind.read_reference(golden_path(recipe_path), recipe, rig)
-    replay = arrange(read_frame_folder(frames), recipe)
+    read = given if isinstance(given, FrameFolder) else read_frame_folder(frames, hold=True)
+    replay = arrange(read, recipe)
     white_of_frames = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if white_of_frames is not None else _white_of_rig(rig, rig_path, replay)
     sources = (
         *sources_of(recipe_path, rig_path, kind, recipe, rig),
-        Source("frame table", frames / TABLE, sha256_of(frames / TABLE)),
+        Source("frame table", frames / TABLE, read.table_sha256),
     )
     return Given(
-        serial, kind, recipe, rig, rig_path, fixture, reference, replay, white_of_frames, white, sources
+        serial,
+        kind,
+        recipe,
+        rig,
+        rig_path,
+        fixture,
+        reference,
+        replay,
+        frames,
+        white_of_frames,
+        white,
+        sources,
     )
 
 
@@ -242,34 +264,48 @@ def _white_of_rig(rig: RigFile, rig_path: Path, replay: Replay) -> WhiteReferenc
     return white
 
 
-def _copy(replay: Replay, frames: Path, folder: Path, advance: Advance) -> None:
-    """Copy the frames as they are, and enter each in the journal."""
+def _copy(replay: Replay, frames: Path, folder: Path, advance: Advance) -> AcquiredFrames:
+    """Copy the frames as they are, and enter each in the journal; what is held of them is released."""
     now = datetime.now(UTC).isoformat(timespec="milliseconds")
-    run = RunLine(run=0, stage=REPLAYED, tilt=None, camera=camera_of(replay) or "unknown", started_at=now)
-    inside = frames.resolve()
+    run = RunLine(run=0, stage=REPLAYED, tilt=None, camera=camera_of(replay) or UNKNOWN, started_at=now)
+    lines: list[RunLine | FrameLine] = [run]
+    shots, inside = [], frames.resolve()
     with JournalFile(folder) as journal:
-        journal.append([run])
-        for step, (entry, pose) in enumerate(replay.entries):
-            advance("copying frames", step, len(replay.entries))
-            name = Path(FRAMES) / entry.path.relative_to(inside)
-            try:
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(entry.path, folder / name)
-                sha256 = sha256_of(folder / name)
-            except OSError as error:
-                raise RecordError(f"cannot copy {entry.path} to {folder / name}: {error.strerror}") from error
-            line = FrameLine(
-                run=0,
-                step=step,
-                name=name.as_posix(),
-                sha256=sha256,
-                kind=entry.kind,
-                again=entry.again,
-                pose_deg=(pose.stage_deg, pose.tilt_deg),
-                stage_deg=entry.stage_deg,
-                tilt_deg=entry.tilt_deg,
-                exposure_s=entry.exposure_s,
-                gain=entry.gain,
-                captured_at="",
-            )
-            journal.append([line])
+        try:
+            for step, (entry, pose) in enumerate(replay.entries):
+                advance("copying frames", step, len(replay.entries))
+                name = Path(FRAMES) / entry.path.relative_to(inside)
+                held = entry.held or HeldFile(entry.path)
+                try:
+                    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                    (folder / name).write_bytes(held.content())
+                except OSError as error:
+                    raise RecordError(
+                        f"cannot copy {entry.path} to {folder / name}: {error.strerror}"
+                    ) from error
+                frame = entry.load(held.content())
+                shots.append(Shot(name.as_posix(), held.sha256, frame, pose, entry.again, run=0, check=False))
+                lines.append(_line(shots[-1], step))
+                held.release()
+        finally:
+            journal.append(lines)
+    return AcquiredFrames(tuple(shots), run.camera, REPLAYED)
+
+
+def _line(shot: Shot, step: int) -> FrameLine:
+    """The line of a copied frame in the journal."""
+    frame = shot.frame
+    return FrameLine(
+        run=0,
+        step=step,
+        name=shot.name,
+        sha256=shot.sha256,
+        kind=frame.kind,
+        again=shot.again,
+        pose_deg=(shot.pose.stage_deg, shot.pose.tilt_deg),
+        stage_deg=frame.stage_deg,
+        tilt_deg=frame.tilt_deg,
+        exposure_s=frame.exposure_s,
+        gain=frame.gain,
+        captured_at="",
+    )

@@ -1,4 +1,7 @@
-"""One inspection from recipe to report: expect, photograph, judge, record; and going on after an interruption."""
+"""One inspection from recipe to record: expect, photograph, judge, record; and going on after an interruption.
+
+The report follows the record, at once or in the background (`anisoscope.inspection.reports`).
+"""
 
 import contextlib
 import threading
@@ -18,13 +21,21 @@ from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import Manifest, begin, one_round_more, reopen
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
+from anisoscope.inspection.report_seal import report_state, write_report_sealed
+from anisoscope.inspection.reports import PendingReport, Reports
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.logo import logo_uri
 from anisoscope.record.display import record_html, record_line
-from anisoscope.record.schema import RECORD_NAME, Particulars, Record, write_record
+from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record, write_record
 from anisoscope.record.verdict import Verdict
-from anisoscope.report.inspection_page import Pictures, Sections, start_renderer, write_report
+from anisoscope.report.inspection_page import (
+    REPORT_NAME,
+    Pictures,
+    Sections,
+    report_page,
+    start_renderer,
+)
 from anisoscope.report.peers import LotMate, LotMates, lot_of, no_lot_mates
 from anisoscope.report.surface_view import Picture3D, SurfaceView
 from anisoscope.rig.acquisition.journal import read_journal
@@ -60,7 +71,7 @@ class Methods:
         diagnose: explains a verdict.
         start_renderer: begins to draw a height map for the report.
         sections: what the kind of part shows of it in the report.
-        write_report: writes the report; arguments as of `anisoscope.report.inspection_page.write_report`.
+        page: makes the report; arguments as of `anisoscope.report.inspection_page.report_page`.
         now: the time.
     """
 
@@ -68,7 +79,7 @@ class Methods:
     diagnose: Diagnose = diagnose_cached
     start_renderer: Callable[[HeightMap | None], SurfaceView | None] = start_renderer
     sections: Callable[[AnyKind, Record, Pictures], Sections] = sections_by_kind
-    write_report: Callable[[Record, Pictures, Path, Picture3D | None, Sections], Path] = write_report
+    page: Callable[[Record, Pictures, Path, Picture3D | None, Sections], str] = report_page
     now: Callable[[], datetime] = utc_now
 
 
@@ -77,7 +88,7 @@ USUAL = Methods()
 
 @dataclass(frozen=True, eq=False)
 class Inspected:
-    """A finished inspection: its record, folder and report, and notes for the user."""
+    """A finished inspection: its record and folder, where its report is or will be, and notes for the user."""
 
     record: Record
     folder: Path
@@ -119,6 +130,7 @@ def inspect_part(
     lot_mates: Sequence[LotMate] = (),
     cancel: threading.Event | None = None,
     methods: Methods | None = None,
+    reports: Reports | None = None,
 ) -> Inspected:
     """Photograph a part on a rig and judge it.
 
@@ -132,9 +144,10 @@ def inspect_part(
         lot_mates: inspections of the same lot, for the report.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
         methods: what varies, for tests.
+        reports: where the report is written in the background; without it, before this returns.
 
     Returns:
-        The record, INVALID included.
+        The record, INVALID included. It is on disk whatever becomes of the report: a note says so where there is none.
 
     Raises:
         UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: before anything moves.
@@ -148,7 +161,8 @@ def inspect_part(
         job.calibrations.check_valid(now)
         job.kind.check_valid(job.recipe, now)
     except CalibrationError:
-        return _refused(job, rig_path, out, particulars or Particulars(), on_progress, methods)
+        refused = _refused(job, rig_path, out, particulars or Particulars(), on_progress, methods)
+        return reported(*refused, reports, on_progress)
     plan = job.plan()
     with contextlib.ExitStack() as cleanup:
         # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
@@ -167,12 +181,26 @@ def inspect_part(
             )
             _photograph(plan, rig, folder, on_progress, cancel)
             manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel)
-        return conclude(folder, manifest, job, ready, on_progress, judged)
+        concluded = conclude(folder, manifest, job, ready, on_progress, judged)
+    return reported(*concluded, reports, on_progress)
+
+
+def reported(
+    inspected: Inspected, report: PendingReport, reports: Reports | None, advance: Advance
+) -> Inspected:
+    """A concluded inspection whose report is handed over, or written at once; then its notes are added."""
+    if reports is not None:
+        reports.add(report)
+        return inspected
+    advance("report", 0, 1)
+    notes = report.write()
+    advance("report", 1, 1)
+    return replace(inspected, notes=(*inspected.notes, *notes))
 
 
 def _refused(
     job: Job, rig_path: Path, out: Path, particulars: Particulars, advance: Advance, methods: Methods | None
-) -> Inspected:
+) -> tuple[Inspected, PendingReport]:
     """An INVALID inspection without photographs, because a calibration does not hold any more."""
     with expecting(job, advance, methods=methods) as ready, new_folder(out, job.serial) as folder:
         here = rig_path.resolve().parent
@@ -187,6 +215,7 @@ def resume_part(
     lot_mates: LotMates = no_lot_mates,
     cancel: threading.Event | None = None,
     methods: Methods | None = None,
+    reports: Reports | None = None,
 ) -> Inspected:
     """Take up an inspection that was interrupted, and finish it.
 
@@ -200,6 +229,7 @@ def resume_part(
         lot_mates: who was inspected before of the lot that the folder names, for the report; must not raise.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
         methods: what varies, for tests.
+        reports: as for `inspect_part`.
 
     Raises:
         RecordError: there is nothing to resume, or a file of the folder is missing, damaged or was changed.
@@ -208,7 +238,25 @@ def resume_part(
     """
     folder = folder.resolve()
     if (folder / RECORD_NAME).exists():
-        raise RecordError(f"{folder}: this inspection is finished; there is nothing to resume")
+        raise RecordError(
+            f"{folder}: this inspection is finished; there is nothing to resume{_report_hint(folder)}"
+        )
+    return reported(*_resumed(folder, on_progress, lot_mates, cancel, methods), reports, on_progress)
+
+
+def _report_hint(folder: Path) -> str:
+    if (folder / REPORT_NAME).exists():
+        return ""
+    return f"; its report is missing: `anisoscope report {folder}` writes it"
+
+
+def _resumed(
+    folder: Path,
+    on_progress: Advance,
+    lot_mates: LotMates,
+    cancel: threading.Event | None,
+    methods: Methods | None,
+) -> tuple[Inspected, PendingReport]:
     with working_in(folder):
         manifest, job = reopen(folder)
         mates = lot_mates(manifest.particulars.lot)
@@ -289,10 +337,10 @@ def _decide(
 def _judge(manifest: Manifest, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
     advance("measurement", 0, 1)
     frames, final = read_frames(folder, manifest), _is_last_round(manifest, job)
-    return _judged(manifest, job, ready, frames, advance, final=final)
+    return judged_by(manifest, job, ready, frames, advance, final=final)
 
 
-def _judged(
+def judged_by(
     manifest: Manifest,
     job: Job,
     ready: "Ready",
@@ -301,6 +349,7 @@ def _judged(
     *,
     final: bool = True,
 ) -> Judged:
+    """Judge frames by the prediction and the methods of a preparation; see `anisoscope.inspection.pipeline.judge`."""
     methods = ready.methods
     return judge(
         manifest,
@@ -332,12 +381,19 @@ class Ready:
     lot_mates: Sequence[LotMate] = ()
     methods: Methods = field(default_factory=Methods)
 
+    def discard(self) -> None:
+        """End the drawing of the height map, if it still goes on."""
+        if self.renderer is not None:
+            self.renderer.discard()
+
 
 @contextlib.contextmanager
 def expecting(
     job: Job, advance: Advance, lot_mates: Sequence[LotMate] = (), methods: Methods | None = None
 ) -> Iterator[Ready]:
-    """Predict the poses of a job, and let the height map be drawn meanwhile; leaving ends the drawing.
+    """Predict the poses of a job, and let the height map be drawn meanwhile; an error ends the drawing.
+
+    Without an error the drawing belongs to the report (`conclude`, `report_again`).
 
     Raises:
         HeightMapError, RecipeError, InkFileError: nothing can be predicted.
@@ -348,15 +404,16 @@ def expecting(
     renderer = methods.start_renderer(expected.surface)
     try:
         yield Ready(expected, renderer, lot_mates, methods)
-    finally:
+    except BaseException:
         if renderer is not None:
             renderer.discard()
+        raise
 
 
 def conclude(
     folder: Path, manifest: Manifest, job: Job, ready: Ready, advance: Advance, judged: Judged | None = None
-) -> Inspected:
-    """Judge the frames of a folder, and write report and record; the record comes last and closes the folder.
+) -> tuple[Inspected, PendingReport]:
+    """Judge the frames of a folder and write its record, which closes the folder; the report is still to be written.
 
     Args:
         folder: the inspection folder.
@@ -366,30 +423,43 @@ def conclude(
         advance: progress.
         judged: record and pictures, where the frames were judged already.
 
+    Returns:
+        The inspection, and its report, which is to be handed over once nothing else works in the folder: `reported`.
+
     Raises:
         RecordError: the folder cannot be read or written.
     """
     if judged is None:
         advance("measurement", 0, 1)
         frames = read_frames(folder, manifest)
-        judged = _judged(manifest, job, ready, frames, advance)
+        judged = judged_by(manifest, job, ready, frames, advance)
     record, pictures = judged
-    advance("report", 0, 1)
-    view = ready.renderer.result() if ready.renderer is not None else None
-    lot = lot_of(record, ready.lot_mates)
-    logo = logo_uri(job.recipe)
-    pictures = replace(pictures, calibrations=job.calibrations.records, lot=lot, logo=logo)
-    sections = ready.methods.sections(job.kind, record, pictures)
-    report = ready.methods.write_report(record, pictures, folder, view, sections)
-    record = record.model_copy(update={"files": listed_files(folder)})
+    known = {file.name: file.sha256 for file in (*record.inputs, *record.frames)}
+    record = record.model_copy(update={"files": listed_files(folder, known)})
     write_record(record, folder)
     advance(record.verdict, 1, 1)
+    report = PendingReport(folder, lambda: _page(record, pictures, folder, job, ready), ready.discard)
+    return Inspected(record, folder, folder / REPORT_NAME, record.notes), report
+
+
+def _page(
+    record: Record, pictures: Callable[[], Pictures], folder: Path, job: Job, ready: Ready
+) -> tuple[str, tuple[str, ...]]:
+    """The report of an inspection, and notes for the user."""
+    shown = replace(
+        pictures(),
+        calibrations=job.calibrations.records,
+        lot=lot_of(record, ready.lot_mates),
+        logo=logo_uri(job.recipe),
+    )
+    sections = ready.methods.sections(job.kind, record, shown)
+    view = ready.renderer.result() if ready.renderer is not None else None
     lost = (f"no 3-D view in the report: {view.note}",) if view is not None and view.png is None else ()
-    return Inspected(record, folder, report, (*record.notes, *lost))
+    return ready.methods.page(record, shown, folder, view, sections), lost
 
 
-def report_again(folder: Path, record: Record, path: Path, advance: Advance = silent) -> None:
-    """Make the report of a finished inspection again; its numbers are those of the record.
+def report_again(folder: Path, record: Record, advance: Advance = silent) -> str:
+    """The report of a finished inspection, made again; its numbers are those of the record.
 
     Pictures and prediction are computed from the frames and from the copies of the inputs. The comparison with the lot
     is left out: it was that of its time.
@@ -397,17 +467,62 @@ def report_again(folder: Path, record: Record, path: Path, advance: Advance = si
     Args:
         folder: the inspection folder, which is not changed.
         record: its record.
-        path: file to write.
         advance: progress.
 
+    Returns:
+        The page.
+
     Raises:
-        RecordError: a file of the folder is missing, or the page cannot be written.
+        RecordError: a file of the folder is missing.
     """
     manifest, job = reopen(folder.resolve())
     job = replace(job, recipe=job.kind.as_recorded(job.recipe, record.recipe))
     with expecting(job, advance) as ready:
         frames = read_frames(folder, manifest)
         _, pictures = judge(manifest, job, ready.expected, frames, advance, diagnose=lambda *_: Explanation())
-        view = ready.renderer.result() if ready.renderer is not None else None
-    pictures = replace(pictures, calibrations=job.calibrations.records, logo=logo_uri(job.recipe))
-    write_report(record, pictures, folder, view, job.kind.sections(record, pictures), path)
+        return _page(record, pictures, folder, job, ready)[0]
+
+
+def missing_report(folder: Path) -> PendingReport | None:
+    """The report of a finished inspection that is still to be written, as after its program was killed; or None.
+
+    Raises:
+        RecordError: the record is damaged.
+    """
+    if (folder / REPORT_NAME).exists() or report_state(folder).by_record:
+        return None
+    record = read_record(folder)
+    return PendingReport(folder, lambda: (report_again(folder, record), ()))
+
+
+def write_report_again(folder: Path, advance: Advance = silent) -> str:
+    """Write the report of a finished inspection into its folder, unless it is there as it was written.
+
+    Args:
+        folder: the inspection folder.
+        advance: progress.
+
+    Returns:
+        What was done, in words.
+
+    Raises:
+        RecordError: the inspection is not finished, a file of it is missing or was changed, or its record, of an
+            earlier version, lists the report that was written then.
+    """
+    folder = folder.resolve()
+    record = read_record(folder)
+    with working_in(folder):
+        found = report_state(folder)
+        if found.state == "written":
+            return "as the inspection wrote it"
+        if found.by_record:
+            raise RecordError(
+                f"{folder}: its record lists the report that was written then, which is {found.state}: put it back, or "
+                "write one elsewhere with `anisoscope show --html FILE`"
+            )
+        write_report_sealed(folder, report_again(folder, record, advance))
+    return (
+        "made again from the frames"
+        if found.state == "missing"
+        else (f"made again from the frames, because {found.changed[0]} was changed")
+    )

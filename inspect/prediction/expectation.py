@@ -11,7 +11,7 @@ from anisoscope.base.errors import RecipeError
 from anisoscope.prediction.crest_edges import crest_edges
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_error
 from anisoscope.prediction.lobe_doubt import LobeDoubt, lobe_doubt
-from anisoscope.prediction.predict import Predicted
+from anisoscope.prediction.predicted import Predicted
 from anisoscope.prediction.profile_likelihood import States
 from anisoscope.prediction.propagation import (
     PLASTIC_AND_SEAT,

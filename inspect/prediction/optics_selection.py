@@ -11,7 +11,8 @@ from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.prediction.height_map_uncertainty import relief_model
 from anisoscope.prediction.monte_carlo import MonteCarlo
-from anisoscope.prediction.predict import Predicted, with_indirect, with_uncertainty
+from anisoscope.prediction.predict import with_indirect, with_uncertainty
+from anisoscope.prediction.predicted import Predicted
 from anisoscope.prediction.reflections import (
     Followed,
     Groove,

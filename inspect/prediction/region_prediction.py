@@ -18,7 +18,8 @@ from anisoscope.base.json_fields import as_json
 from anisoscope.base.progress import Advance, silent
 from anisoscope.prediction.height_map_uncertainty import pixel_bias
 from anisoscope.prediction.monte_carlo import MonteCarlo
-from anisoscope.prediction.predict import Predicted, Reflect, Roughness, predict_design, predict_height_map
+from anisoscope.prediction.predict import Reflect, Roughness, predict_design, predict_height_map
+from anisoscope.prediction.predicted import Predicted
 from anisoscope.prediction.reflections import groove_of_design
 from anisoscope.prediction.relief_preparation import Levelling, turned_clockwise
 from anisoscope.prediction.ridge_edges import LARGEST_ANGLE_DEG, LEAST_ANGLE_DEG, SeveralDirectionsError

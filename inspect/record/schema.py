@@ -376,8 +376,9 @@ class Record(_Part):
     ``details`` holds what is of its ``kind`` of part alone; None where that could not be judged. The schema only grows:
     fields that came later have defaults, which stand for "not recorded" (`json_schema`).
 
-    ``files`` lists everything else in the folder. ``record.json`` is written last, so that where it is, all of
-    them are.
+    ``files`` lists everything else in the folder but the report. ``record.json`` is written after all of them, so that
+    where it is, they are. The report follows, with a seal of its own (``report.sha256``); records of earlier versions
+    list it.
     """
 
     schema_version: Annotated[Literal[2], Field(alias="schema")] = 2

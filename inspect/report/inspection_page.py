@@ -14,7 +14,7 @@ from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import CauseRecord, PoseRecord, Record
 from anisoscope.report import figures
-from anisoscope.report.page import ready_template, write_page
+from anisoscope.report.page import page_text, ready_template
 from anisoscope.report.peers import Lot, Peers
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of
 from anisoscope.report.rule import PRECEDENCE
@@ -115,15 +115,14 @@ def start_renderer(surface: HeightMap | None) -> SurfaceView | None:
     return SurfaceView(surface, lambda: ready_template(TEMPLATE, filters()))
 
 
-def write_report(
+def report_page(
     record: Record,
     pictures: Pictures,
     folder: Path,
     view: Picture3D | None = None,
     sections: Sections | None = None,
-    path: Path | None = None,
-) -> Path:
-    """Write the report of an inspection, all or nothing.
+) -> str:
+    """The report of an inspection, as the text of a page.
 
     Args:
         record: the inspection.
@@ -131,20 +130,15 @@ def write_report(
         folder: the inspection folder.
         view: the height map in 3-D, or None.
         sections: what the kind of part shows of it.
-        path: file to write; ``report.html`` in the folder where it is not given.
-
-    Raises:
-        RecordError: the file cannot be written.
     """
-    path, sections = path or folder / REPORT_NAME, sections or Sections()
+    sections = sections or Sections()
     parts = {
         "first": sections.first,
         "before": sections.before,
         "after": sections.after,
         "budget": sections.budget,
     }
-    write_page(path, TEMPLATE, _content(record, pictures, folder, view, sections), filters(), parts)
-    return path
+    return page_text(TEMPLATE, _content(record, pictures, folder, view, sections), filters(), parts)
 
 
 def _content(

@@ -26,17 +26,34 @@ def write_page(
 
     Args:
         path: file to write.
-        template: name of a template of this package.
-        content: what the template shows; a name that it misses is an error.
-        filters: functions that the template calls by name.
-        parts: sources of templates that the template includes by these names.
+        template: as the others, as for `page_text`.
+        content: what the template shows.
+        filters: functions that it calls.
+        parts: sources of templates that it includes.
 
     Raises:
         RecordError: the file cannot be written.
     """
+    write_text(path, page_text(template, content, filters, parts))
+
+
+def page_text(
+    template: str,
+    content: Mapping[str, Any],
+    filters: Filters | None = None,
+    parts: Mapping[str, str] | None = None,
+) -> str:
+    """A self-contained page.
+
+    Args:
+        template: name of a template of this package.
+        content: what the template shows; a name that it misses is an error.
+        filters: functions that the template calls by name.
+        parts: sources of templates that the template includes by these names.
+    """
     ready = ready_template(template, filters)
     included = {name: _part(template, source) for name, source in (parts or {}).items()}
-    write_text(path, ready.render(**content, **included))
+    return ready.render(**content, **included)
 
 
 def template_text(template: str) -> str:

@@ -15,7 +15,7 @@ from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.ridges import lay_out
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import Methods, inspect_part
-from anisoscope.report.inspection_page import REPORT_NAME, Sections
+from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder
 
@@ -24,12 +24,11 @@ SENSOR = {"rows": 2048, "cols": 2448}
 PIXEL_UM = 2.0
 
 
-def one_line(record, _pictures, folder, *_):
-    (folder / REPORT_NAME).write_text(record.verdict)
-    return folder / REPORT_NAME
+def one_line(record, *_):
+    return record.verdict
 
 
-NO_REPORT = Methods(start_renderer=lambda _: None, sections=lambda *_: Sections(), write_report=one_line)
+NO_REPORT = Methods(start_renderer=lambda _: None, sections=lambda *_: Sections(), page=one_line)
 
 
 def changed(path, change):

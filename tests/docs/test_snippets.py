@@ -51,7 +51,7 @@ def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied):
         diagnose=lambda *_: Explanation(),
         start_renderer=lambda _: None,
         sections=lambda *_: Sections(),
-        write_report=lambda _record, _pictures, folder, *_: folder / "report.html",
+        page=lambda record, *_: record.verdict,
     )
 
     def inspect(serial):

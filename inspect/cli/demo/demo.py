@@ -15,6 +15,7 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
+    from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import Inspected
 
 
@@ -65,6 +66,7 @@ def demo(
         anisoscope demo --kind prints --out print-demo --seed 7
     """
     from anisoscope.history.address import HISTORY_NAME
+    from anisoscope.inspection.reports import Reports
 
     scene = cast("_Scene", import_module(f"anisoscope.cli.demo.{SCENES[kind]}"))
     if not json_:
@@ -74,9 +76,12 @@ def demo(
             "take less than half a minute.",
             highlight=False,
         )
-    with progress("demo", quiet=json_) as advance:
+    with progress("demo", quiet=json_) as advance, Reports() as reports:
         folder = scene.lay_out(out, seed, advance)
-        found = [(name, expected, _inspect(folder, name, advance)) for name, expected in scene.PARTS.items()]
+        found = [
+            (name, expected, _inspect(folder, name, advance, reports))
+            for name, expected in scene.PARTS.items()
+        ]
     for _, _, inspected in found:
         remember(inspected, folder / "inspections" / HISTORY_NAME)
     parts = [
@@ -97,7 +102,7 @@ def demo(
     return 0 if right else 1
 
 
-def _inspect(folder: Path, name: str, advance: Advance) -> "Inspected":
+def _inspect(folder: Path, name: str, advance: Advance, reports: "Reports") -> "Inspected":
     from anisoscope.inspection.run import inspect_part
 
     return inspect_part(
@@ -106,6 +111,7 @@ def _inspect(folder: Path, name: str, advance: Advance) -> "Inspected":
         f"DEMO-{name}",
         folder / "inspections",
         on_progress=lambda doing, done, total: advance(f"{name}: {doing}", done, total),
+        reports=reports,
     )
 
 

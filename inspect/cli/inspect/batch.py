@@ -74,6 +74,7 @@ def batch(
     from anisoscope.inspection.batch.run import run_batch, write_summary
     from anisoscope.inspection.batch.start import Order
     from anisoscope.inspection.batch.tray import read_tray
+    from anisoscope.inspection.reports import Reports
 
     listed = read_tray(tray)
     folder = (out / f"batch-{tray.stem}").resolve()
@@ -85,12 +86,16 @@ def batch(
     for note in listed.notes:
         who.say(f"note: {note}")
     try:
-        found = run_batch(
-            order,
-            Unattended() if yes and json_ else who,
-            lambda inspected: remember(inspected, place),
-            resume=resume,
-        )
+        with Reports() as reports:
+            found = run_batch(
+                order,
+                Unattended() if yes and json_ else who,
+                lambda inspected: remember(inspected, place),
+                resume=resume,
+                reports=reports,
+            )
+            for note in reports.finish():
+                who.say(f"note: {note}")
     except KeyboardInterrupt:
         if not begun_before and (folder / BATCH_NAME).exists():
             write_summary(read_batch(folder), folder)

@@ -16,6 +16,7 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
+    from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import Inspected
     from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
 
@@ -56,6 +57,7 @@ def inspect(
         anisoscope inspect --recipe recipe.toml --frames photographed --serial A-0002 --lot L42 --json
     """
     from anisoscope.inspection.replay import inspect_frames
+    from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import inspect_part
     from anisoscope.record.schema import Particulars
 
@@ -64,41 +66,52 @@ def inspect(
     who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station)
     place = history_place(history, out)
     mates = lot_mates(place, lot)
-    with progress(serial, quiet=json_) as advance:
-        if frames is not None:
-            inspected = inspect_frames(
-                frames,
-                recipe,
-                serial,
-                out,
-                advance,
-                rig_path=rig,
-                reflectance=reflectance,
-                particulars=who,
-                lot_mates=mates,
-            )
-        elif rig is None:
-            raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
-        else:
-            inspected = inspect_part(recipe, rig, serial, out, advance, particulars=who, lot_mates=mates)
+    with Reports() as reports:
+        with progress(serial, quiet=json_) as advance:
+            if frames is not None:
+                inspected = inspect_frames(
+                    frames,
+                    recipe,
+                    serial,
+                    out,
+                    advance,
+                    rig_path=rig,
+                    reflectance=reflectance,
+                    particulars=who,
+                    lot_mates=mates,
+                    reports=reports,
+                )
+            elif rig is None:
+                raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
+            else:
+                inspected = inspect_part(
+                    recipe, rig, serial, out, advance, particulars=who, lot_mates=mates, reports=reports
+                )
+        return _concluded(inspected, reports, place, json_=json_)
+
+
+def _concluded(inspected: "Inspected", reports: "Reports", place: str | Path | None, *, json_: bool) -> int:
+    """Print the verdict and enter it into the history, then wait for the report; JSON waits for all of it."""
     try:
-        return show(inspected, json_=json_)
+        if not json_:
+            _print(inspected)
     finally:
         remember(inspected, place)
+    notes = reports.finish()
+    if json_:
+        print_json(_as_json(inspected, notes))
+    else:
+        _print_notes(inspected, notes)
+    return _exit_code(inspected)
 
 
-def show(inspected: "Inspected", *, json_: bool) -> int:
-    """Print a finished inspection and return its exit code."""
+def _exit_code(inspected: "Inspected") -> int:
     from anisoscope.record.verdict import Verdict
 
-    if json_:
-        print_json(_as_json(inspected))
-    else:
-        _print(inspected)
     return Verdict(inspected.record.verdict).exit_code
 
 
-def _as_json(inspected: "Inspected") -> dict[str, Any]:
+def _as_json(inspected: "Inspected", notes: tuple[str, ...] = ()) -> dict[str, Any]:
     from anisoscope.kinds.registry import kind_named
 
     record = inspected.record
@@ -125,7 +138,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "calibrations": [one.model_dump() for one in record.calibrations],
         "folder": str(inspected.folder),
         "report": str(inspected.report),
-        "notes": list(inspected.notes),
+        "notes": [*inspected.notes, *notes],
     }
     own = kind_named(record.kind).summary(record).content
     return common | own | common | last  # a kind adds keys, and overwrites none
@@ -175,7 +188,12 @@ def _print(inspected: "Inspected") -> None:
         out.print(f"  {translated(reason)}", markup=False, highlight=False, soft_wrap=True)
     for line in explained(record):
         out.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
-    for note in inspected.notes:
+
+
+def _print_notes(inspected: "Inspected", notes: tuple[str, ...] = ()) -> None:
+    """Notes, those on the report included, and where the report is."""
+    out = console()
+    for note in (*inspected.notes, *notes):
         out.print(message("note: {note}", note=note), markup=False, highlight=False, soft_wrap=True)
     out.print(f"{message('report')}: {inspected.report}", markup=False, highlight=False, soft_wrap=True)
 
@@ -191,15 +209,35 @@ def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = Fa
     Examples:
         anisoscope resume inspections/A-0001-20260115T101500Z
     """
+    from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import resume_part
 
     place = history_place(history, folder.resolve().parent)
+    with Reports() as reports:
+        with progress(folder.name, quiet=json_) as advance:
+            inspected = resume_part(
+                folder, advance, lot_mates=lambda lot: lot_mates(place, lot), reports=reports
+            )
+        return _concluded(inspected, reports, place, json_=json_)
+
+
+def report(folder: Folder, /, *, json_: Json = False) -> int:
+    """Write the report of a finished inspection into its folder, where it is missing: the program was killed.
+
+    It is made from the frames, with the numbers of the record; without the comparison with the lot. A report that is
+    there, as it was written, stays. `show --html FILE --refresh` makes one elsewhere.
+
+    Examples:
+        anisoscope report inspections/A-0001-20260115T101500Z
+    """
+    from anisoscope.inspection.run import write_report_again
+    from anisoscope.report.inspection_page import REPORT_NAME
+
     with progress(folder.name, quiet=json_) as advance:
-        inspected = resume_part(folder, advance, lot_mates=lambda lot: lot_mates(place, lot))
-    try:
-        return show(inspected, json_=json_)
-    finally:
-        remember(inspected, place)
+        done = write_report_again(folder, advance)
+    path = folder / REPORT_NAME
+    _print_lines({"report": str(path), "origin": done}, [f"report, {done}: {path}"], json_=json_)
+    return 0
 
 
 def recompute(folder: Folder, /, *, json_: Json = False) -> int:
@@ -248,11 +286,14 @@ def verify(folder: Folder, /, *, json_: Json = False) -> int:
         "intact": found.intact,
         "finished": found.finished,
         "files": found.files,
+        "report_written": found.report_written,
     }
     content |= {what: list(files) for what, files in names.items()}
     lines = [f"{what}: {name}" for what, files in names.items() for name in files]
     if found.intact:
         lines.append(f"{found.files} files are as they were")
+    if found.finished and not found.report_written and "report.html" not in found.missing:
+        lines.append(f"note: the report is not written yet: `anisoscope report {folder}` writes it")
     if not found.finished:
         lines.append("note: the inspection is not finished")
     _print_lines(content, lines, json_=json_)

@@ -68,6 +68,7 @@ def watch(
         anisoscope watch incoming --recipe recipe.toml --once --json
     """
     from anisoscope.inspection.batch.watch import Watch, Watched
+    from anisoscope.inspection.reports import Reports
 
     if not (stable_for >= 0.0 and poll > 0.0):
         raise UsageError(
@@ -86,10 +87,12 @@ def watch(
         lambda lot: lot_mates(place, lot),
     )
     teller = Teller(json_=json_)
-    watching = Watch(what, teller, lambda inspected: remember(inspected, place))
-    with _until_signalled() as stop, watching.open():
-        teller.say({"event": "watching", "folder": str(what.root)}, f"watching {what.root}; Ctrl-C ends")
-        (watching.run_once if once else watching.run)(stop)
+    with _until_signalled() as stop, Reports(teller.note) as reports:
+        watching = Watch(what, teller, lambda inspected: remember(inspected, place), reports=reports)
+        with watching.open():
+            teller.say({"event": "watching", "folder": str(what.root)}, f"watching {what.root}; Ctrl-C ends")
+            (watching.run_once if once else watching.run)(stop)
+            reports.finish()
     teller.end(watching)
     return _exit_code(watching) if once else 0
 
@@ -131,6 +134,10 @@ class Teller:
             },
             f"{name}: {record.verdict}{why}",
         )
+
+    def note(self, text: str) -> None:
+        """What a report lacks, or why there is none."""
+        self.say({"event": "note", "text": text}, f"note: {text}")
 
     def same(self, name: str, other: str) -> None:
         """The same frames again."""

@@ -1,14 +1,7 @@
 """Output of ``anisoscope predict --json``."""
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from anisoscope.base.arrays import FloatArray
-    from anisoscope.prediction.predict import Predicted
-    from anisoscope.prediction.sensitivity import Budget
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.notation import contrast_name
 from anisoscope.cli.json_output import fields_of
@@ -17,9 +10,8 @@ from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
-    from anisoscope.prediction.predict import Predicted
+    from anisoscope.prediction.predicted import Predicted
     from anisoscope.prediction.sensitivity import Budget
-
 
 KINDS = ("difference", "michelson", "log_ratio")
 _DISAGREES = 0.2

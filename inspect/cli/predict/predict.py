@@ -1,43 +1,31 @@
 """``anisoscope predict``: radiance and contrasts of a design or of a height map."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
-
-if TYPE_CHECKING:
-    from anisoscope.prediction.monte_carlo import MonteCarlo
-    from anisoscope.prediction.sensitivity import InputUncertainty
-from typing import TYPE_CHECKING, Any, Literal
-
-from anisoscope.cli.options import parse_numbers
-from anisoscope.cli.tables import print_table
-
-if TYPE_CHECKING:
-    from anisoscope.prediction.optics_selection import OpticsModel, OpticsRequest
-    from anisoscope.prediction.predict import Predicted
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from anisoscope.sim.light.optics import Optics
-from dataclasses import replace
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
-
+from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from anisoscope.base.progress import Advance
-    from anisoscope.prediction.predict import Predicted
+    from anisoscope.prediction.monte_carlo import MonteCarlo
+    from anisoscope.prediction.optics_selection import OpticsModel, OpticsRequest
+    from anisoscope.prediction.predicted import Predicted
+    from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.sim.light.material import Material
+    from anisoscope.sim.light.optics import Optics
+
+    PredictOne = Callable[[Material, Advance, float | None], tuple[Predicted, ...]]
 
 
 GROUP = Group(
@@ -466,83 +454,90 @@ def predict(
         anisoscope predict part.x3p --pitch 100
         anisoscope predict --recipe recipe.toml
     """
+    given = locals()
+    given = {name: given[name] for name in _defaults()}
     if recipe is not None:
-        given = locals()
-        _check_recipe_alone({name: given[name] for name in _defaults()})
+        _check_recipe_alone(given)
         return _predict_recipe(recipe, light_angle, as_json=json_, covariance=uncertainties.covariance)
-    from anisoscope.prediction.optics_selection import Rig, predict_with_optics
-    from anisoscope.prediction.predict import predict_design
-    from anisoscope.prediction.region_prediction import predict_map
-    from anisoscope.profiles.heightmap import HeightMap
-    from anisoscope.profiles.ideal import RidgeDesign
-    from anisoscope.sim.light.geometry import Convention, pose_grid
-    from anisoscope.sim.light.material import Material
-    from anisoscope.sim.light.wave.reflectance import LightSpectrum
-
     _check_choice(height_map, ridge_angle, model)
-    if spectrum is not None and waves.wavelengths is not None:
-        raise UsageError("--spectrum names the wavelengths itself: leave --wavelengths out")
     _check_bounces(bounces, model)
     _check_surface(height_map, model, height_loss, role, max_missing)
     _check_map_options(height_map, facets, roughness, reflect)
-    if spectrum is not None:
-        _check_spectrum(model, albedo, index)
+    _check_spectrum(spectrum, waves, model, albedo, index)
     check_options(
         uncertainties, height_map=height_map is not None, as_json=json_, spectrum=spectrum is not None
     )
-    poses = pose_grid(parse_numbers(angles, "--angles"), parse_numbers(tilts, "--tilts"))
-    convention = Convention(light_angle, tilt_plane, facet_azimuth)
-    material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
-    optics, count = optics_of(sizes), None if bounces == "all" else bounces
-    request = optics_request(waves, model, bounces, roughness)
-    inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
-    subject: HeightMap | RidgeDesign
-    if height_map is not None:
-        from anisoscope.cli.profile.profile import parse_pixel
-        from anisoscope.profiles.files.load import read_height_map
 
-        surface = subject = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
+    def prepared() -> "tuple[PredictOne, Material]":
+        from anisoscope.prediction.optics_selection import Rig, predict_with_optics
+        from anisoscope.prediction.predict import predict_design
+        from anisoscope.prediction.region_prediction import predict_map
+        from anisoscope.profiles.heightmap import HeightMap
+        from anisoscope.profiles.ideal import RidgeDesign
+        from anisoscope.sim.light.geometry import Convention, pose_grid
+        from anisoscope.sim.light.material import Material
+        from anisoscope.sim.light.wave.reflectance import LightSpectrum
 
-        def of(plastic: Material, advance: "Advance") -> "Predicted":
-            return predict_map(
-                surface,
-                plastic,
-                poses,
-                convention,
-                pitch,
-                levelling=level,
-                max_missing_share=max_missing,
-                inputs=inputs,
-                monte_carlo=draws,
-                on_progress=advance,
-                bounces=count,
-                optics=optics,
-                facets=facets,
-                roughness=roughness,
-                reflect=reflect,
+        poses = pose_grid(parse_numbers(angles, "--angles"), parse_numbers(tilts, "--tilts"))
+        convention = Convention(light_angle, tilt_plane, facet_azimuth)
+        material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
+        optics, count = optics_of(sizes), None if bounces == "all" else bounces
+        request = optics_request(waves, model, bounces, roughness)
+        inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
+        subject: HeightMap | RidgeDesign
+        if height_map is not None:
+            from anisoscope.cli.profile.profile import parse_pixel
+            from anisoscope.profiles.files.load import read_height_map
+
+            surface = subject = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
+
+            def of(plastic: Material, advance: "Advance") -> "Predicted":
+                return predict_map(
+                    surface,
+                    plastic,
+                    poses,
+                    convention,
+                    pitch,
+                    levelling=level,
+                    max_missing_share=max_missing,
+                    inputs=inputs,
+                    monte_carlo=draws,
+                    on_progress=advance,
+                    bounces=count,
+                    optics=optics,
+                    facets=facets,
+                    roughness=roughness,
+                    reflect=reflect,
+                )
+        else:
+            assert ridge_angle is not None
+            design = subject = RidgeDesign(100.0 if pitch is None else pitch, ridge_angle, wall, height_loss)
+            of_design: Literal["printed", "corrected"] = "printed" if model == "printed" else "corrected"
+
+            def of(plastic: Material, advance: "Advance") -> "Predicted":
+                return predict_design(
+                    design, plastic, poses, convention, of_design, count, inputs, draws, advance, optics
+                )
+
+        def under(
+            plastic: Material, advance: "Advance", wavelength_nm: float | None
+        ) -> "tuple[Predicted, ...]":
+            if request is None:
+                return (of(plastic, advance),)
+            requested = (
+                request
+                if wavelength_nm is None
+                else replace(request, light=LightSpectrum((1e-3 * wavelength_nm,)))
             )
+            rig = Rig(plastic, poses, convention, optics, inputs, draws)
+            return predict_with_optics(subject, partial(of, plastic), rig, requested, pitch, level, advance)
+
+        return under, material
+
+    if spectrum is None:
+        _print_cached(given, prepared, as_json=json_, covariance=uncertainties.covariance)
     else:
-        assert ridge_angle is not None
-        design = subject = RidgeDesign(100.0 if pitch is None else pitch, ridge_angle, wall, height_loss)
-        of_design: Literal["printed", "corrected"] = "printed" if model == "printed" else "corrected"
-
-        def of(plastic: Material, advance: "Advance") -> "Predicted":
-            return predict_design(
-                design, plastic, poses, convention, of_design, count, inputs, draws, advance, optics
-            )
-
-    def under(plastic: Material, advance: "Advance", wavelength_nm: float | None) -> "tuple[Predicted, ...]":
-        if request is None:
-            return (of(plastic, advance),)
-        requested = (
-            request
-            if wavelength_nm is None
-            else replace(request, light=LightSpectrum((1e-3 * wavelength_nm,)))
-        )
-        rig = Rig(plastic, poses, convention, optics, inputs, draws)
-        return predict_with_optics(subject, partial(of, plastic), rig, requested, pitch, level, advance)
-
-    _predict_and_print(under, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
+        _print_spectrum(*prepared(), spectrum, as_json=json_, covariance=uncertainties.covariance)
     return 0
 
 
@@ -575,14 +570,15 @@ def _predict_recipe(path: Path, light_angle: float, *, as_json: bool, covariance
     from anisoscope.cli.predict import output
     from anisoscope.kinds.registry import kind_of
     from anisoscope.kinds.surface import SurfaceKind
-    from anisoscope.prediction.expectation import expectation, predicted
+    from anisoscope.prediction.cache import cached_expectation
+    from anisoscope.prediction.expectation import predicted
 
     if covariance and not as_json:
         raise UsageError("--covariance is written as JSON only: add --json")
     kind = kind_of(path)
     if not isinstance(kind, SurfaceKind):
         raise UsageError(f"{path}: the recipe of {kind.one}; --recipe takes those of surfaces")
-    result = predicted(expectation(kind.read_recipe(path), light_angle, kind.optics))
+    result = predicted(cached_expectation(kind.read_recipe(path), light_angle, kind.optics))
     if as_json:
         print_json(output.as_json(result, covariance=covariance))
     else:
@@ -590,45 +586,80 @@ def _predict_recipe(path: Path, light_angle: float, *, as_json: bool, covariance
     return 0
 
 
-def _predict_and_print(
-    predict_one: "Callable[[Material, Advance, float | None], tuple[Predicted, ...]]",
-    material: "Material",
-    spectrum: Path | None,
+def _key(given: "Mapping[str, object]") -> dict[str, object]:
+    """All that a prediction is computed from, as JSON; a height map by its content and its name.
+
+    Raises:
+        HeightMapError: it cannot be read.
+    """
+    import hashlib
+
+    from anisoscope.base.errors import HeightMapError
+
+    path = given["height_map"]
+    content = None
+    if isinstance(path, Path):
+        try:
+            content = [path.name, hashlib.sha256(path.read_bytes()).hexdigest()]
+        except OSError as problem:
+            raise HeightMapError(f"{path}: cannot be read: {problem.strerror or problem}") from problem
+    grouped = {name: vars(value) for name, value in given.items() if hasattr(value, "__dict__")}
+    key = {name: value for name, value in (dict(given) | grouped).items() if name not in _NOT_PREDICTED}
+    uncertainties = {name: value for name, value in grouped["uncertainties"].items() if name != "covariance"}
+    return key | {"height_map": content, "uncertainties": uncertainties}
+
+
+_NOT_PREDICTED = ("recipe", "spectrum", "json_")
+"""Options that change nothing in the numbers of a prediction from the cache."""
+
+
+def _print_cached(
+    given: "Mapping[str, object]",
+    prepared: "Callable[[], tuple[PredictOne, Material]]",
     *,
     as_json: bool,
     covariance: bool,
 ) -> None:
+    """Print a prediction; one that was made before comes from the cache."""
     from anisoscope.cli.predict import output
-    from anisoscope.cli.predict import output as tables
+    from anisoscope.prediction.predicted_cache import cached_predictions
 
-    found: dict[str, object]
-    if spectrum is None:
+    def compute() -> "tuple[Predicted, ...]":
+        predict_one, material = prepared()
         with progress("predict") as advance:
-            results = predict_one(material, advance, None)
-        if not as_json:
-            for result in results:
-                tables.print_prediction(result)
-            if len(results) > 1:
-                print_differences(*results)
-            return
-        found = output.as_json(results[0], covariance=covariance)
-        if len(results) > 1:
-            geometric, wave = (output.as_json(result, covariance=covariance) for result in results)
-            found = {"geometric": geometric, "wave": wave, "difference": differences(*results)}
-            found["optics"] = geometric["optics"]
-    else:
-        from anisoscope.sim.materials.spectra import read_plastic_spectrum
+            return predict_one(material, advance, None)
 
-        colours = read_plastic_spectrum(spectrum)
-        lines: list[Predicted] = []
-        for wavelength, plastic in zip(colours.wavelengths_nm, colours.materials(material), strict=True):
-            with progress(f"{wavelength:g} nm") as advance:
-                lines += predict_one(plastic, advance, wavelength)
-        if not as_json:
-            tables.print_spectrum(lines, colours.wavelengths_nm)
-            return
-        found = output.spectrum_as_json(lines, colours.wavelengths_nm, covariance=covariance)
+    results = cached_predictions(_key(given), __name__, compute)
+    if not as_json:
+        for result in results:
+            output.print_prediction(result)
+        if len(results) > 1:
+            print_differences(*results)
+        return
+    found: dict[str, object] = output.as_json(results[0], covariance=covariance)
+    if len(results) > 1:
+        geometric, wave = (output.as_json(result, covariance=covariance) for result in results)
+        found = {"geometric": geometric, "wave": wave, "difference": differences(*results)}
+        found["optics"] = geometric["optics"]
     print_json(found)
+
+
+def _print_spectrum(
+    predict_one: "PredictOne", material: "Material", spectrum: Path, *, as_json: bool, covariance: bool
+) -> None:
+    """Print the predictions at the wavelengths of a spectrum."""
+    from anisoscope.cli.predict import output
+    from anisoscope.sim.materials.spectra import read_plastic_spectrum
+
+    colours = read_plastic_spectrum(spectrum)
+    lines: list[Predicted] = []
+    for wavelength, plastic in zip(colours.wavelengths_nm, colours.materials(material), strict=True):
+        with progress(f"{wavelength:g} nm") as advance:
+            lines += predict_one(plastic, advance, wavelength)
+    if not as_json:
+        output.print_spectrum(lines, colours.wavelengths_nm)
+        return
+    print_json(output.spectrum_as_json(lines, colours.wavelengths_nm, covariance=covariance))
 
 
 def _check_surface(
@@ -643,7 +674,13 @@ def _check_surface(
         raise UsageError(f"--max-missing must be a share of 0 to 1, not {max_missing:g}")
 
 
-def _check_spectrum(model: Model | None, albedo: float, index: float) -> None:
+def _check_spectrum(
+    spectrum: Path | None, waves: WaveOptions, model: Model | None, albedo: float, index: float
+) -> None:
+    if spectrum is None:
+        return
+    if waves.wavelengths is not None:
+        raise UsageError("--spectrum names the wavelengths itself: leave --wavelengths out")
     if model == "both":
         raise UsageError(
             "--spectrum takes one model: --model wave and --model geometric, one after the other"

@@ -30,11 +30,20 @@ from anisoscope.inspection.batch.tray import Slot
 from anisoscope.inspection.folder import new_folder, working_in
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.manifest import begin
-from anisoscope.inspection.run import Inspected, Methods, conclude, expecting, inspect_part, resume_part
+from anisoscope.inspection.reports import Reports
+from anisoscope.inspection.run import (
+    Inspected,
+    Methods,
+    conclude,
+    expecting,
+    inspect_part,
+    missing_report,
+    reported,
+    resume_part,
+)
 from anisoscope.record.schema import Particulars
 from anisoscope.report.batch_page import PAGE_NAME, SlotView, thumbnail, write_batch_page
 from anisoscope.report.inspection_page import REPORT_NAME
-from anisoscope.report.peers import LotMates
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.frame import Frame, read_frame, write_frame
 
@@ -52,6 +61,7 @@ def refuse_part(
     particulars: Particulars | None = None,
     picture: Frame | None = None,
     methods: Methods | None = None,
+    reports: Reports | None = None,
 ) -> Inspected:
     """Record an inspection as INVALID for a reason; nothing moves.
 
@@ -65,6 +75,7 @@ def refuse_part(
         particulars: operator, lot, cavity, station.
         picture: the picture of the code; stored next to the record.
         methods: what varies in an inspection, for tests.
+        reports: as for `anisoscope.inspection.run.inspect_part`.
 
     Raises:
         UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: one of the files.
@@ -84,7 +95,8 @@ def refuse_part(
         )
         if picture is not None:
             write_frame(picture, folder / CODE_PICTURE)
-        return conclude(folder, started, job, ready, on_progress)
+        concluded = conclude(folder, started, job, ready, on_progress)
+    return reported(*concluded, reports, on_progress)
 
 
 FAULTS_IN_A_ROW = 2
@@ -97,6 +109,7 @@ def run_batch(
     *,
     resume: bool = False,
     methods: Methods | None = None,
+    reports: Reports | None = None,
 ) -> BatchFile:
     """Inspect the parts of a tray, one after the other.
 
@@ -104,8 +117,10 @@ def run_batch(
         order: what is to be done.
         operator: who places the parts.
         remember: enters a finished inspection into the history; must not raise.
-        resume: go on with a batch that was interrupted: what is done stays, what was begun is finished.
+        resume: go on with a batch that was interrupted: what is done stays, what was begun is finished, and reports
+            that are missing are written.
         methods: what varies in an inspection, for tests.
+        reports: where reports are written while the next part is inspected; without it each is waited for.
 
     Returns:
         What has become of every slot, as ``batch.json`` says it.
@@ -119,13 +134,27 @@ def run_batch(
     make_folder(order.out, resume=resume)
     with working_in(order.out):
         batch = begin_batch(order, remember, resume=resume)
-        run = _Run(order, operator, remember, batch, methods)
+        if resume:
+            _write_missing_reports(batch, order.out, reports)
+        run = _Run(order, operator, remember, batch, methods, reports)
         try:
             run.all_slots()
         except KeyboardInterrupt as interruption:
             interruption.add_note(f"the same command with --resume goes on with {order.out}")
             raise
         return run.batch
+
+
+def _write_missing_reports(batch: BatchFile, out: Path, reports: Reports | None) -> None:
+    """Reports of parts that are done, which an earlier run did not come to write."""
+    for slot in batch.slots:
+        if slot.state == "done" and slot.folder is not None:
+            with contextlib.suppress(RecordError):  # a damaged record is no reason to stop the other parts
+                report = missing_report(out / slot.folder)
+                if report is not None and reports is not None:
+                    reports.add(report)
+                elif report is not None:
+                    report.write()
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +176,10 @@ class _Run:
         remember: Remember,
         batch: BatchFile,
         methods: Methods | None,
+        reports: Reports | None,
     ) -> None:
         self.order, self.operator, self.remember, self.batch = order, operator, remember, batch
-        self.methods = methods
+        self.methods, self.reports = methods, reports
         self.faults = 0
 
     def all_slots(self) -> None:
@@ -227,9 +257,10 @@ class _Run:
                 particulars=who,
                 picture=part.picture,
                 methods=self.methods,
+                reports=self.reports,
             )
         else:
-            inspected = _resumed(unfinished, order.lot_mates, advance, self.methods) or inspect_part(
+            inspected = self._resumed(unfinished, advance) or inspect_part(
                 recipe,
                 rig,
                 part.serial,
@@ -238,10 +269,21 @@ class _Run:
                 particulars=who,
                 lot_mates=order.lot_mates(part.lot),
                 methods=self.methods,
+                reports=self.reports,
             )
         self._note(number, **done_with(inspected, order.out))
         self.remember(inspected)
         return part.code
+
+    def _resumed(self, unfinished: Path | None, advance: Advance) -> Inspected | None:
+        """Resume an inspection; None without one, or if its folder is damaged and the part is inspected again."""
+        if unfinished is None:
+            return None
+        mates, methods, reports = self.order.lot_mates, self.methods, self.reports
+        try:
+            return resume_part(unfinished, advance, lot_mates=mates, methods=methods, reports=reports)
+        except RecordError:
+            return None
 
     def _identify(self, number: int, slot: Slot, scan: Scan | None, advance: Advance) -> _Identity:
         """Identify the part by the list, by the scanned text, and by its code."""
@@ -276,18 +318,6 @@ class _Run:
         if not others:
             return None
         return f"slot {self.batch.slots[number].slot}: its code reads {serial}, which slot {others[0].slot} holds"
-
-
-def _resumed(
-    unfinished: Path | None, lot_mates: LotMates, advance: Advance, methods: Methods | None
-) -> Inspected | None:
-    """Resume an inspection; None without one, or if its folder is damaged and the part is inspected again."""
-    if unfinished is None:
-        return None
-    try:
-        return resume_part(unfinished, advance, lot_mates=lot_mates, methods=methods)
-    except RecordError:
-        return None
 
 
 def write_summary(batch: BatchFile, folder: Path) -> Path:

@@ -12,7 +12,7 @@ import json
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
@@ -31,13 +31,14 @@ from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.frame_table import arrange
 from anisoscope.inspection.job import check_serial
 from anisoscope.inspection.replay import inspect_frames
-from anisoscope.inspection.run import Inspected, Methods
+from anisoscope.inspection.reports import WAITING, Reports
+from anisoscope.inspection.run import Inspected, Methods, missing_report
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of
 from anisoscope.report.peers import LotMates, no_lot_mates
 from anisoscope.rig.acquisition.writer import FRAMES
-from anisoscope.rig.framefolder import TABLE, read_frame_folder
+from anisoscope.rig.framefolder import TABLE, FrameFolder, read_frame_folder
 from anisoscope.rig.framefolderline import read_lines
 from anisoscope.rig.rigfile import read_replay_rig
 
@@ -163,8 +164,12 @@ def missing_file(signature: Signature) -> str | None:
     return next((name for name, mark in signature if mark is None and name not in optional), None)
 
 
-def frames_key(folder: Path) -> str:
+def frames_key(folder: Path, known: Mapping[Path, str] | None = None) -> str:
     """SHA-256 over the table and its pictures: identical frames have the same key in any folder.
+
+    Args:
+        folder: with the table.
+        known: hashes of pictures that were read already, by their resolved paths.
 
     Raises:
         RecordError: one of them cannot be read.
@@ -172,8 +177,10 @@ def frames_key(folder: Path) -> str:
     digest = hashlib.sha256()
     names = dict.fromkeys([TABLE, *(line.file for line in read_lines(folder / TABLE)[0])])
     for name in names:
+        path = folder / name.replace(chr(92), "/")
         try:
-            digest.update(f"{name}\0{sha256_of(folder / name.replace(chr(92), '/'))}\n".encode())
+            sha256 = (known or {}).get(path.resolve()) or sha256_of(path)
+            digest.update(f"{name}\0{sha256}\n".encode())
         except OSError as error:
             raise RecordError(f"{folder / name}: cannot be read: {error.strerror}") from error
     return digest.hexdigest()
@@ -186,6 +193,19 @@ def whole_key(folder: Path, frames: str) -> str:
         with contextlib.suppress(OSError):
             digest.update(f"{name}\0{sha256_of(folder / name)}\n".encode())
     return digest.hexdigest()
+
+
+def _hashes(read: FrameFolder) -> dict[Path, str]:
+    """Hashes of held pictures by their paths."""
+    return {entry.path: entry.held.sha256 for entry in read.entries if entry.held is not None}
+
+
+def _copied_key(inspected: Inspected) -> str:
+    """Key of the frames that an inspection copied, with the hashes of its record."""
+    folder = inspected.folder
+    return frames_key(
+        folder / FRAMES, {(folder / one.name).resolve(): one.sha256 for one in inspected.record.frames}
+    )
 
 
 def _mark(path: str) -> Mark | None:
@@ -299,7 +319,7 @@ class WatchJournal:
         self.path = out / WATCH_NAME
         self.marks: dict[str, Mark | None] = {}
         self.by_key: dict[str, Line] = {}
-        self.inspections: set[str] = set()
+        self.inspections: dict[str, None] = {}
         self.open: Line | None = None
         for line in self._read():
             self._take(line)
@@ -338,7 +358,7 @@ class WatchJournal:
         self.by_key.setdefault(line.key, line)
         if line.line == "done" and line.inspection is not None:
             self.by_key[line.key] = line
-            self.inspections.add(line.inspection)
+            self.inspections[line.inspection] = None
 
     def add(self, line: Line) -> None:
         """Add a line; it is safe on disk when this returns.
@@ -375,6 +395,7 @@ class Watch:
         bad: folders that cannot be inspected as they are, by name.
         arriving: folders that were still changing when they were looked at last, by name.
         methods: what varies in an inspection, for tests.
+        reports: where reports are written while the next folder is inspected; without it each is waited for.
     """
 
     watched: Watched
@@ -384,6 +405,7 @@ class Watch:
     bad: dict[str, Bad] = field(default_factory=dict)
     arriving: dict[str, tuple[Signature, float]] = field(default_factory=dict)
     methods: Methods | None = None
+    reports: Reports | None = None
     _reported: dict[str, str] = field(default_factory=dict)
     _recipe: RecipeBase = field(init=False)
     _journal: WatchJournal = field(init=False)
@@ -409,6 +431,7 @@ class Watch:
         with working_in(watched.out):
             self._journal = WatchJournal(watched.out)
             self._recover()
+            self._write_missing_reports()
             yield
 
     def run(self, stop: threading.Event) -> None:
@@ -477,8 +500,8 @@ class Watch:
         try:
             if name is not None:
                 raise RecordError(f"the table names {name}, which is not there yet")
-            who = self._whose(arrival.path)
-            frames = frames_key(arrival.path)
+            who, read = self._whose(arrival.path)
+            frames = frames_key(arrival.path, _hashes(read))
         except AnisoscopeError as error:
             self._complain(arrival.name, signature, str(error), incomplete=name is not None)
             return
@@ -490,7 +513,7 @@ class Watch:
                 self.listener.same(arrival.name, Path(known.folder).name)
             return
         try:
-            self._inspect(arrival, who, key, frames)
+            self._inspect(arrival, who, key, frames, read)
         except AnisoscopeError as error:
             retry = time.monotonic() + RETRY_S if isinstance(error, RecordError) else None
             self._complain(arrival.name, signature, str(error), retry_at=retry)
@@ -512,8 +535,8 @@ class Watch:
             self._reported[name] = what
             self.listener.bad(name, text)
 
-    def _whose(self, folder: Path) -> tuple[str, Particulars]:
-        """Particulars of the frames, by files and, if configured, by the code on the part; frames are checked as well.
+    def _whose(self, folder: Path) -> tuple[tuple[str, Particulars], FrameFolder]:
+        """Particulars of the frames, by files and, if configured, by the code on the part; and the frames, checked.
 
         Raises:
             ConfigError, UsageError, RecordError, MeasurementError: the folder cannot be inspected as it is.
@@ -521,17 +544,20 @@ class Watch:
         kind = self.watched.code_kind
         if kind is None:
             whose(folder)  # quickly said, before pictures are read
-        replay = arrange(read_frame_folder(folder), self._recipe)
-        return whose(folder, None if kind is None else scan_of(replay, self._recipe, kind))
+        read = read_frame_folder(folder, hold=True)
+        replay = arrange(read, self._recipe)
+        return whose(folder, None if kind is None else scan_of(replay, self._recipe, kind)), read
 
-    def _inspect(self, arrival: Arrival, part: tuple[str, Particulars], key: str, frames: str) -> None:
+    def _inspect(
+        self, arrival: Arrival, part: tuple[str, Particulars], key: str, frames: str, read: FrameFolder
+    ) -> None:
         watched, (serial, who) = self.watched, part
         home = watched.out / arrival.name
         clear_copies(home)
         self._journal.add(Line(line="begin", folder=arrival.folder, key=key, frames=frames))
         with self.listener.progress(arrival.name) as advance:
             inspected = inspect_frames(
-                arrival.path,
+                read,
                 watched.recipe,
                 serial,
                 home,
@@ -541,8 +567,9 @@ class Watch:
                 particulars=who,
                 lot_mates=watched.lot_mates(who.lot),
                 methods=self.methods,
+                reports=self.reports,
             )
-        copied = frames_key(inspected.folder / FRAMES)
+        copied = _copied_key(inspected)
         if copied == frames:
             self._done(arrival.path, key, inspected, arrival)
         else:  # it changed before it was copied, and will be looked at again
@@ -564,6 +591,16 @@ class Watch:
             )
         )
         self.verdicts.append(inspected.record.verdict)
+
+    def _write_missing_reports(self) -> None:
+        """Reports of the last inspections, which a killed program did not come to write."""
+        for name in list(self._journal.inspections)[-2 - WAITING :]:
+            with contextlib.suppress(RecordError, FileNotFoundError):  # removed or damaged since
+                report = missing_report(self.watched.out / name)
+                if report is not None and self.reports is not None:
+                    self.reports.add(report)
+                elif report is not None:
+                    report.write()
 
     def _relative(self, folder: Path) -> str:
         return folder.resolve().relative_to(self.watched.out.resolve()).as_posix()

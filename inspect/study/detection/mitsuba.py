@@ -25,7 +25,7 @@ from anisoscope.kinds.registry import kind_of
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import Record
-from anisoscope.report.inspection_page import REPORT_NAME, Sections
+from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.framefolder import read_counts
 from anisoscope.study.detection.evaluation import rate
 
@@ -185,14 +185,12 @@ class Inspector:
         return self
 
 
-def _one_line(record: Record, _pictures: object, folder: Path, *_: object) -> Path:
+def _one_line(record: Record, *_: object) -> str:
     """A report of one line: drawing takes longer than all the rest of an inspection."""
-    path = folder / REPORT_NAME
-    write_text(path, f"{record.verdict}\n")
-    return path
+    return f"{record.verdict}\n"
 
 
-QUIET = replace(USUAL, start_renderer=lambda _: None, sections=lambda *_: Sections(), write_report=_one_line)
+QUIET = replace(USUAL, start_renderer=lambda _: None, sections=lambda *_: Sections(), page=_one_line)
 
 
 def judged(archive: Path, advance: Advance = silent) -> list[dict[str, Any]]:

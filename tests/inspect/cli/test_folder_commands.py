@@ -49,7 +49,7 @@ def test_a_folder_that_was_tampered_with(anisoscope, inspected, tmp_path):
 def test_an_unfinished_folder_is_resumed(anisoscope, inspected, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(inspected, folder)
-    for name in ("record.json", "report.html"):
+    for name in ("record.json", "report.html", "report.sha256"):
         (folder / name).unlink()
     done = anisoscope("verify", folder)
     assert done.code == 0

@@ -46,7 +46,9 @@ def _then_without_origin(name, folder):
 @pytest.mark.parametrize("kind", KINDS)
 def test_verify_says_what_it_said(archive, anisoscope, kind):
     folder, _ = archive
-    assert anisoscope("verify", kind, "--json", cwd=folder).json == _then(f"verify-{kind}.json", folder)
+    found = anisoscope("verify", kind, "--json", cwd=folder).json
+    assert found.pop("report_written")  # a key that came later
+    assert found == _then(f"verify-{kind}.json", folder)
     done = anisoscope("verify", kind, cwd=folder)
     assert f"{done.out}exit {done.code}\n" == _then(f"verify-{kind}.txt", folder)
 

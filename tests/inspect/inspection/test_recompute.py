@@ -10,7 +10,9 @@ import pytest
 from anisoscope.base.errors import RecordError
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import differences, recompute
-from anisoscope.record.schema import RECORD_NAME, UNSEALED, read_record, write_record
+from anisoscope.inspection.report_seal import write_report_sealed
+from anisoscope.inspection.run import write_report_again
+from anisoscope.record.schema import RECORD_NAME, UNSEALED, read_record, sha256_of, write_record
 
 
 @pytest.fixture
@@ -41,6 +43,8 @@ def test_a_record_of_other_numbers_differs_and_they_are_named(finished):
         }
     )
     write_record(forged, finished)  # with a new seal, as a forger would
+    assert verify(finished).changed == ("report.sha256",)  # the report belongs to another record
+    write_report_sealed(finished, (finished / "report.html").read_text(encoding="utf-8"))
     found = recompute(finished)
     assert [line.partition(":")[0] for line in found.differences] == [
         "details.contrasts[1].measured",
@@ -70,10 +74,9 @@ def test_every_single_file_is_guarded(finished):
 
 
 def test_missing_and_additional_files_are_named(finished):
-    (finished / "report.html").unlink()
     (finished / "frames" / "000_dark.tif").rename(finished / "frames" / "dark.tif")
     found = verify(finished)
-    assert found.missing == ("frames/000_dark.tif", "report.html")
+    assert found.missing == ("frames/000_dark.tif",)
     assert found.additional == ("frames/dark.tif",)
     assert found.changed == ()
     assert not found.intact
@@ -132,6 +135,8 @@ def as_written_before(folder):
         del pose["dropped"]
     del content["details"]["area"]["learnt"]
     content["software"] = "anisoscope 0.0.1"
+    content["files"].append({"name": "report.html", "sha256": sha256_of(folder / "report.html")})
+    (folder / "report.sha256").unlink()
     text = json.dumps(content | {"seal": UNSEALED}, indent=2)
     path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
 
@@ -139,6 +144,14 @@ def as_written_before(folder):
 def test_what_an_earlier_version_did_not_tell_is_no_difference(finished):
     as_written_before(finished)
     assert verify(finished).intact
+    report = (finished / "report.html").read_bytes()
+    (finished / "report.html").unlink()
+    assert verify(finished).missing == ("report.html",)
+    with pytest.raises(
+        RecordError, match="its record lists the report that was written then, which is missing"
+    ):
+        write_report_again(finished)
+    (finished / "report.html").write_bytes(report)
     found = recompute(finished)
     assert (found.verdict, found.differences) == ("PASS", ())
     assert "recorded by anisoscope 0.0.1" in found.notes[0]

@@ -2,7 +2,6 @@
 
 import re
 import subprocess
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -74,7 +73,7 @@ def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, referen
     }
     for entry in (*record.inputs, *record.frames, *record.files):
         assert entry.sha256 == sha256_of(inspected.folder / entry.name)
-    own = {"frames", "frames.jsonl", "inputs", "job.json", "record.json", "report.html"}
+    own = {"frames", "frames.jsonl", "inputs", "job.json", "record.json", "report.html", "report.sha256"}
     assert {p.name for p in inspected.folder.iterdir()} == own
 
     frames = [read_frame(inspected.folder / entry.name) for entry in record.frames]
@@ -317,7 +316,10 @@ def test_serials_with_which_a_folder_can_be_named(serial):
 
 
 def test_two_inspections_in_one_second_have_two_folders(virtual_rig, monkeypatch):
-    monkeypatch.setattr(inspection, "conclude", lambda folder, *_: SimpleNamespace(folder=folder))
+    report = SimpleNamespace(write=lambda: ())
+    monkeypatch.setattr(
+        inspection, "conclude", lambda folder, *_: (inspection.Inspected(None, folder, folder), report)
+    )
     rig = virtual_rig()
     assert rig.inspect().folder != rig.inspect().folder
     assert len(rig.folders) == 2
@@ -343,7 +345,7 @@ class Drawing:
         return None
 
 
-@pytest.mark.parametrize("step", ["_photograph", "judge", "write_record", "write_report"])
+@pytest.mark.parametrize("step", ["_photograph", "judge", "write_record"])
 @pytest.mark.parametrize("error", [RecordError("full"), KeyboardInterrupt()])
 def test_the_renderer_is_ended_whatever_fails(virtual_rig, monkeypatch, step, error):
     drawing = Drawing()
@@ -351,13 +353,9 @@ def test_the_renderer_is_ended_whatever_fails(virtual_rig, monkeypatch, step, er
     def fail(*_, **__):
         raise error
 
-    methods = Methods(start_renderer=lambda _: drawing)
-    if step == "write_report":
-        methods = replace(methods, write_report=fail)
-    else:
-        monkeypatch.setattr(inspection, step, fail)
+    monkeypatch.setattr(inspection, step, fail)
     with pytest.raises(type(error)):
-        virtual_rig().inspect(methods=methods)
+        virtual_rig().inspect(methods=Methods(start_renderer=lambda _: drawing))
     assert drawing.discarded
 
 

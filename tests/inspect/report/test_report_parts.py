@@ -8,7 +8,7 @@ import pytest
 from anisoscope.base.language import speaking
 from anisoscope.record.schema import sha256_of
 from anisoscope.report import figures, surface_sections
-from anisoscope.report.inspection_page import Pictures, write_report
+from anisoscope.report.inspection_page import Pictures, report_page
 from anisoscope.report.page import css_string
 from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import NOT_STATED, calibrations_of, files_of, groups_of, when
@@ -60,10 +60,11 @@ def test_the_rule_that_decided_is_said(make_report_record, changes, words, not_w
 def test_page_1_is_in_the_language_of_the_operator(make_report_record, tmp_path, parsed, language, verdict):
     record = make_report_record(verdict="FAIL", contrasts=judged("FAIL", "PASS"))
     with speaking(language):
-        path = write_report(record, Pictures(logo=LOGO), tmp_path)
-    page = parsed(path)
+        text = report_page(record, Pictures(logo=LOGO), tmp_path)
+    (tmp_path / "report.html").write_text(text, encoding="utf-8")
+    page = parsed(tmp_path / "report.html")
     number = {"de": '"Seite " counter(page) " von "', "da": '"side " counter(page) " af "'}
-    assert number[language] in path.read_text(encoding="utf-8")
+    assert number[language] in text
     marks = {attributes.get("id"): attributes for _, attributes in page.found}
     assert [attributes["lang"] for tag, attributes in page.found if tag == "html"] == [language]
     assert marks["verdict"]["data-verdict"] == "FAIL"

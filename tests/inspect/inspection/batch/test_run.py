@@ -15,6 +15,7 @@ from anisoscope.inspection.batch.run import run_batch
 from anisoscope.inspection.batch.scan import read_scan
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.reports import Reports
 from anisoscope.record.schema import read_record
 from anisoscope.sim.bench.camera import SimulatedCamera
 
@@ -212,13 +213,13 @@ def test_a_code_that_cannot_be_read_is_asked_for_or_makes_the_part_invalid(tray_
 
 
 def test_every_part_is_shown_beside_those_of_its_lot(tray_of, undiagnosed, tmp_path):
-    lots, write = [], undiagnosed.write_report
+    lots, write = [], undiagnosed.page
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    methods = replace(undiagnosed, write_report=look)
+    methods = replace(undiagnosed, page=look)
     place = tmp_path / "history.sqlite"
     order = tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L8\n3,A19,L7\n")
     order = replace(order, lot_mates=lambda lot: lot_mates(place, lot))
@@ -227,13 +228,13 @@ def test_every_part_is_shown_beside_those_of_its_lot(tray_of, undiagnosed, tmp_p
 
 
 def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failing, undiagnosed, tmp_path):
-    lots, write = [], undiagnosed.write_report
+    lots, write = [], undiagnosed.page
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    methods = replace(undiagnosed, write_report=look)
+    methods = replace(undiagnosed, page=look)
     failing(2)
     place = tmp_path / "history.sqlite"
     order = replace(
@@ -244,3 +245,16 @@ def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failin
             order, Unattended(), lambda inspected: remember(inspected, place), resume=resume, methods=methods
         )
     assert lots == [("A17", None), ("A18", ["A17"])]
+
+
+def test_reports_follow_in_the_background_and_a_resumed_batch_writes_those_that_are_missing(tray_of, run):
+    order = tray_of("slot,serial\n1,A17\n2,A18\n")
+    with Reports() as reports:
+        found = run(order, reports=reports)
+    folders = [order.out / slot.folder for slot in found.slots]
+    assert all(verify(folder).report_written for folder in folders)
+    for name in ("report.html", "report.sha256"):
+        (folders[0] / name).unlink()
+    run(order, resume=True)
+    assert verify(folders[0]).report_written
+    assert verify(folders[0]).intact

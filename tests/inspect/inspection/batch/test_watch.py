@@ -27,6 +27,7 @@ from anisoscope.inspection.batch.watch import (
     silence,
     whose,
 )
+from anisoscope.inspection.integrity import verify
 from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import write_frame_folder
@@ -292,7 +293,8 @@ def test_a_torn_line_of_the_journal_is_dropped_and_a_damaged_one_named(place, lo
 
 def test_frames_that_change_while_they_are_copied_are_looked_at_again(place, monkeypatch, look):
     folder = write_part(place.root / "A", 1)
-    inspect = watching.inspect_frames
+    inspect, picture = watching.inspect_frames, min(folder.glob("*.tif")).name
+    read = (folder / picture).read_bytes()
 
     def change_first(*arguments, **options):
         monkeypatch.setattr(watching, "inspect_frames", inspect)
@@ -302,7 +304,9 @@ def test_frames_that_change_while_they_are_copied_are_looked_at_again(place, mon
 
     monkeypatch.setattr(watching, "inspect_frames", change_first)
     look(place)
-    assert len(inspections(place)) == 1  # of what was copied, and the folder holds just that
+    (first,) = inspections(place)
+    assert (first / "frames" / picture).read_bytes() == read  # of what was read, and sealed as such
+    assert look(place)[0] == [("A", "INVALID")]  # of what is there now
     assert look(place)[0] == []
 
 
@@ -394,7 +398,7 @@ def test_of_several_exposures_the_one_that_shows_the_code_is_read(place, look):
 
 
 def test_every_part_is_shown_beside_those_of_its_lot(place, undiagnosed, tmp_path, start):
-    lots, write = [], undiagnosed.write_report
+    lots, write = [], undiagnosed.page
 
     def note(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
@@ -407,8 +411,19 @@ def test_every_part_is_shown_beside_those_of_its_lot(place, undiagnosed, tmp_pat
         replace(place, lot_mates=lambda lot: lot_mates(history, lot)),
         Heard(),
         lambda found: remember(found, history),
-        methods=replace(undiagnosed, write_report=note),
+        methods=replace(undiagnosed, page=note),
     )
     with watch.open():
         watch.run_once(threading.Event())
     assert lots == [("P0", None), ("P1", None), ("P2", ["P0"])]
+
+
+def test_a_watch_that_starts_again_writes_the_last_reports(place, look):
+    for number in range(2):
+        write_part(place.root / f"P{number}", number)
+    look(place)
+    for folder in inspections(place):
+        for name in ("report.html", "report.sha256"):
+            (folder / name).unlink()
+    assert look(place)[0] == []
+    assert all(verify(folder).report_written and verify(folder).intact for folder in inspections(place))

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from anisoscope.base.errors import CalibrationError
-from anisoscope.cli.inspect.inspection import _as_json, show
+from anisoscope.cli.inspect.inspection import _as_json, _exit_code, _print
 from anisoscope.history.rows import numbers_of
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
@@ -47,7 +47,8 @@ def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
     assert numbers["p"] == record.p_value
     said = _as_json(done)
     assert said["print"]["quantities"][0]["name"] == "alpha x"
-    assert show(done, json_=False) == 0
+    _print(done)
+    assert _exit_code(done) == 0
     printed = capsys.readouterr().out
     assert "roughness along x" in printed
     assert "PASS" in printed

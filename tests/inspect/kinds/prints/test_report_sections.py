@@ -15,7 +15,7 @@ from anisoscope.kinds.prints.kind import PRINTS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.report import print_rule, quantity_row
 from anisoscope.record.schema import Record
-from anisoscope.report.inspection_page import Pictures, write_report
+from anisoscope.report.inspection_page import Pictures, report_page
 
 RIG = {
     "name": "rig <b>",
@@ -102,9 +102,7 @@ def page(sheet, tmp_path):
             }
         )
         pictures = PRINTS.pictures(recipe, expected, measured, decision)
-        return write_report(record, pictures, tmp_path, None, PRINTS.sections(record, pictures)).read_text(
-            encoding="utf-8"
-        ), record
+        return report_page(record, pictures, tmp_path, None, PRINTS.sections(record, pictures)), record
 
     return write
 
@@ -150,9 +148,7 @@ def test_an_invalid_print_shows_what_the_camera_saw(sheet, tmp_path):
     nothing |= {"poses": (), "budget": (), "kind": "prints"}
     record = recorded(sheet, verdict="INVALID", reasons=("the lamp drifts",), **nothing)
     raw = (("0°", np.ones((20, 30), np.float32)),)
-    text = write_report(
-        record, Pictures(raw=raw), tmp_path, None, PRINTS.sections(record, Pictures())
-    ).read_text(encoding="utf-8")
+    text = report_page(record, Pictures(raw=raw), tmp_path, None, PRINTS.sections(record, Pictures()))
     assert "the lamp drifts" in text
     assert "<h2>What the camera saw</h2>" in text
     assert "What was judged" not in text

@@ -1,0 +1,126 @@
+"""A prediction: radiances and contrasts with their uncertainty, and how notebooks show it.
+
+What predicts is not imported here: a prediction that is cached is shown without it.
+"""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.notebook import axes_or_new, data_frame, html_table
+from anisoscope.prediction.contrast_uncertainty import contrast_covariance
+from anisoscope.prediction.monte_carlo import Drawn
+from anisoscope.prediction.sensitivity import Budget
+from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs
+from anisoscope.sim.light.geometry import Convention, Pose
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A prediction with its model, conventions and uncertainty.
+
+    Attributes:
+        model: "printed", "corrected", "relief" or "wave".
+        convention: how the angles are counted.
+        poses: P poses.
+        radiance: (P,) radiances in 1/sr per unit irradiance perpendicular to the beam.
+        contrasts: contrasts of consecutive stage angles.
+        k: scale between prediction and measurement; 1 unless it was fitted.
+        notes: further findings, such as the pitch of a height map.
+        budget: sources of uncertainty, to first order; None if not requested.
+        drawn: radiances of a Monte Carlo, or None.
+    """
+
+    model: str
+    convention: Convention
+    poses: tuple[Pose, ...]
+    radiance: FloatArray
+    contrasts: tuple[Contrast, ...]
+    k: float = 1.0
+    notes: dict[str, Any] = field(default_factory=dict)
+    budget: Budget | None = None
+    drawn: Drawn | None = None
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """(P, P) covariance of the radiances in 1/sr²: that of the Monte Carlo where there is one."""
+        if self.drawn is not None:
+            return self.drawn.covariance()
+        return None if self.budget is None else self.budget.covariance()
+
+    def contrast_covariance(self, kind: str) -> FloatArray | None:
+        """(C, C) covariance of "difference", "michelson" or "log_ratio"; infinite variance where undefined."""
+        if self.drawn is not None:
+            return self.drawn.contrast_covariance(kind)
+        if self.budget is None:
+            return None
+        return contrast_covariance(self.poses, self.radiance, self.budget.covariance(), kind)
+
+    @property
+    def u_radiance(self) -> FloatArray | None:
+        """(P,) standard uncertainties of the radiances in 1/sr."""
+        covariance = self.covariance
+        return None if covariance is None else np.sqrt(np.diag(covariance))
+
+    def __repr__(self) -> str:
+        """One line: model, how many poses, and the contrasts."""
+        values = ", ".join(
+            f"ln {one.from_deg:g}° / {one.to_deg:g}° {one.log_ratio:+.3f}" for one in self.contrasts[:4]
+        )
+        more = f" and {len(self.contrasts) - 4} more" if len(self.contrasts) > 4 else ""
+        return f"Predicted({self.model}, {len(self.poses)} poses: {values or 'no contrast'}{more})"
+
+    def _repr_html_(self) -> str:
+        columns = self._columns()
+        rows = [
+            ["–" if isinstance(value, float) and np.isnan(value) else f"{value:.5g}" for value in row]
+            for row in zip(*columns.values(), strict=True)
+        ]
+        return html_table(f"prediction, {self.model} model", tuple(columns), rows)
+
+    def _columns(self) -> dict[str, list[float]]:
+        """By pose: its angles, its radiance, and the ln ratio to the next stage angle at the same tilt."""
+        count = len(self.poses)
+        u, covariance = self.u_radiance, self.contrast_covariance("log_ratio")
+        ratio, u_ratio = np.full(count, np.nan), np.full(count, np.nan)
+        pairs = [first for first, _ in consecutive_pairs(self.poses)]
+        ratio[pairs] = [one.log_ratio for one in self.contrasts]
+        if covariance is not None:
+            u_ratio[pairs] = np.sqrt(np.diag(covariance))
+        return {
+            "stage_deg": [pose.stage_deg for pose in self.poses],
+            "tilt_deg": [pose.tilt_deg for pose in self.poses],
+            "radiance": self.radiance.tolist(),
+            "u_radiance": [float("nan")] * count if u is None else u.tolist(),
+            "ln_to_next": ratio.tolist(),
+            "u_ln_to_next": u_ratio.tolist(),
+        }
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw the radiances against the stage angle, a line for every tilt, bars of ±2 u.
+
+        Args:
+            axes: matplotlib axes; a new figure by default.
+        """
+        axes, u = axes_or_new(axes), self.u_radiance
+        for tilt in sorted({pose.tilt_deg for pose in self.poses}):
+            at = [place for place, pose in enumerate(self.poses) if pose.tilt_deg == tilt]
+            angles = [self.poses[place].stage_deg for place in at]
+            bars = None if u is None else 2.0 * u[at]
+            axes.errorbar(angles, self.radiance[at], bars, fmt="o-", capsize=3, label=f"tilt {tilt:g}°")
+        axes.set(xlabel="stage angle [°]", ylabel="radiance [1/sr]", ylim=(0.0, None))
+        axes.legend()
+        return axes
+
+    def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
+        """A pandas data frame, a row for every pose; the ln ratio is that to the next stage angle at the same tilt.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        return data_frame(self._columns())
