@@ -74,7 +74,7 @@ _HOME = {
     "open_history": "anisoscope.history.store",
     "show_inks": "anisoscope.ink.appearance",
     "Inspected": "anisoscope.inspection.run",
-    "Predicted": "anisoscope.prediction.predict",
+    "Predicted": "anisoscope.prediction.predicted",
     "InputUncertainty": "anisoscope.prediction.sensitivity",
     "compare_maps": "anisoscope.profiles.comparison",
     "edit_map": "anisoscope.profiles.editing.steps",

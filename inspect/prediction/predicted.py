@@ -1,9 +1,12 @@
-"""A prediction: radiances and contrasts with their uncertainty, and how notebooks show it.
+"""A prediction: radiances and contrasts with their uncertainty, its views in a notebook, and its bytes in a cache.
 
-What predicts is not imported here: a prediction that is cached is shown without it.
+What predicts is not imported here: a prediction from a cache is shown without it.
 """
 
-from dataclasses import dataclass, field
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +15,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.prediction.contrast_uncertainty import contrast_covariance
 from anisoscope.prediction.monte_carlo import Drawn
-from anisoscope.prediction.sensitivity import Budget
-from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs
+from anisoscope.prediction.sensitivity import Budget, Contribution
+from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Convention, Pose
 
 if TYPE_CHECKING:
@@ -124,3 +127,83 @@ class Predicted:
             UsageError: pandas is not installed.
         """
         return data_frame(self._columns())
+
+
+_OF_A_PART = ("absolute", "matrix", "curvature")
+"""Arrays of a contribution."""
+
+
+def packed(found: Sequence[Predicted]) -> bytes:
+    """Predictions as bytes, without loss."""
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    headers = []
+    for number, one in enumerate(found):
+        arrays[f"{number} radiance"] = one.radiance
+        headers.append(
+            {
+                "model": one.model,
+                "convention": asdict(one.convention),
+                "poses": [(pose.stage_deg, pose.tilt_deg) for pose in one.poses],
+                "k": one.k,
+                "notes": one.notes,
+                "budget": None if one.budget is None else _budget(one.budget, number, arrays),
+                "drawn": one.drawn is not None,
+            }
+        )
+        if one.drawn is not None:
+            arrays[f"{number} drawn"] = one.drawn.radiance
+    arrays["headers"] = np.frombuffer(json.dumps(headers).encode(), dtype=np.uint8)
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _budget(budget: Budget, number: int, arrays: dict[str, "np.ndarray[Any, Any]"]) -> list[dict[str, Any]]:
+    """What is no array of a budget; its arrays are added."""
+    arrays[f"{number} budget"] = budget.radiance
+    arrays[f"{number} per degree"] = budget.per_degree
+    for at, part in enumerate(budget.contributions):
+        known = {name: getattr(part, name) for name in _OF_A_PART}
+        arrays |= {f"{number} {at} {name}": value for name, value in known.items() if value is not None}
+    return [
+        {
+            "source": part.source,
+            "correlation": part.correlation,
+            "rectangular": part.rectangular,
+            "kind": part.kind,
+        }
+        for part in budget.contributions
+    ]
+
+
+def unpacked(content: bytes) -> tuple[Predicted, ...]:
+    """The predictions in bytes of `packed`."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    found = []
+    for number, header in enumerate(json.loads(bytes(arrays["headers"]))):
+        poses = tuple(Pose(*pose) for pose in header["poses"])
+        radiance = arrays[f"{number} radiance"]
+        one = Predicted(
+            header["model"],
+            Convention(**header["convention"]),
+            poses,
+            radiance,
+            contrasts(poses, radiance),
+            header["k"],
+            header["notes"],
+        )
+        if header["budget"] is not None:
+            parts = tuple(
+                Contribution(
+                    **{name: arrays.get(f"{number} {at} {name}") for name in _OF_A_PART},  # type: ignore[arg-type]
+                    **part,
+                )
+                for at, part in enumerate(header["budget"])
+            )
+            budget = Budget(arrays[f"{number} budget"], parts, arrays[f"{number} per degree"])
+            one = replace(one, budget=budget)
+        if header["drawn"]:
+            one = replace(one, drawn=Drawn(poses, arrays[f"{number} drawn"]))
+        found.append(one)
+    return tuple(found)

@@ -609,6 +609,10 @@ def _key(given: "Mapping[str, object]") -> dict[str, object]:
     return key | {"height_map": content, "uncertainties": uncertainties}
 
 
+CACHED = "printed-predictions"
+"""Kind of entry in the cache."""
+READERS = ("SurfaceTopography",)
+"""What reads height maps besides the readers of this package."""
 _NOT_PREDICTED = ("recipe", "spectrum", "json_")
 """Options that change nothing in the numbers of a prediction from the cache."""
 
@@ -621,15 +625,17 @@ def _print_cached(
     covariance: bool,
 ) -> None:
     """Print a prediction; one that was made before comes from the cache."""
+    from anisoscope.base.cache import LIBRARIES, Cache
     from anisoscope.cli.predict import output
-    from anisoscope.prediction.predicted_cache import cached_predictions
+    from anisoscope.prediction.predicted import packed, unpacked
 
     def compute() -> "tuple[Predicted, ...]":
         predict_one, material = prepared()
         with progress("predict") as advance:
             return predict_one(material, advance, None)
 
-    results = cached_predictions(_key(given), __name__, compute)
+    entry = Cache().entry(CACHED, _key(given), __name__, libraries=(*LIBRARIES, *READERS))
+    results = entry.result(compute, packed, unpacked)
     if not as_json:
         for result in results:
             output.print_prediction(result)

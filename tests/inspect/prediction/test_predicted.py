@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from anisoscope import cli
-from anisoscope.prediction import predicted_cache
+from anisoscope.prediction import predicted
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design, predict_height_map
-from anisoscope.prediction.predicted_cache import cached_predictions, packed, unpacked
+from anisoscope.prediction.predicted import packed, unpacked
 from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
@@ -51,22 +51,11 @@ def test_what_is_unpacked_is_what_was_packed(case):
     assert_equal(unpacked(packed([found, found])), (found, found))
 
 
-def test_a_prediction_is_computed_once_for_what_is_given(monkeypatch, tmp_path):
-    monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path))
-    found, asked = predict_design(RIDGES, Material(), POSES, Convention()), []
-
-    def compute():
-        asked.append(1)
-        return (found,)
-
-    for given in ({"a": 1.0}, {"a": 1.0}, {"a": 2.0}):
-        assert_equal(cached_predictions(given, predicted_cache.__name__, compute), (found,))
-    assert len(asked) == 2
-
-
 def test_the_command_answers_a_second_time_with_the_same_output_and_follows_the_file(
     monkeypatch, tmp_path, capsys
 ):
+    packings = []
+    monkeypatch.setattr(predicted, "packed", lambda found: packings.append(found) or packed(found))
     monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path / "cache"))
     path, said = tmp_path / "map.npy", []
     for angle in (10.0, 10.0, 12.0):
@@ -74,4 +63,5 @@ def test_the_command_answers_a_second_time_with_the_same_output_and_follows_the_
         assert cli.run(["predict", str(path), "--pixel", "2", "--pitch", "100", "--json"]) == 0
         said.append(capsys.readouterr().out)
     assert said[0] == said[1] != said[2]
-    assert len(list((tmp_path / "cache" / predicted_cache.KIND).iterdir())) == 2
+    assert len(packings) == 2  # the second one was not computed
+    assert len(list((tmp_path / "cache" / "printed-predictions").iterdir())) == 2
