@@ -17,7 +17,7 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.part_scatter import PartScatter
-from anisoscope.prediction.profile_likelihood import Combined, nearest, nearest_anywhere
+from anisoscope.prediction.profile_likelihood import Combined, nearest, nearest_anywhere, nearest_states
 from anisoscope.prediction.propagation import TAIL
 from anisoscope.prediction.second_order import Response
 
@@ -25,7 +25,8 @@ DRAWS = 10000
 _SEED = 11
 _BLOCK = 1000
 _SINGULAR = 1e-9
-_TAILS = 9  # of the lobe, from which the search begins
+_TAILS = 9  # of the lobe that are looked at together
+_NARROWED = 4  # times that their range becomes that between the neighbours of the best: to a 1/256 of it
 OF_THE_RIG = ("stray light", "linearity of the camera")
 """Sources of the measurement that all inspections on one rig share."""
 
@@ -66,21 +67,20 @@ def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray
         deviation: (m,) from the prediction.
         covariance: (m, m) of the independent errors, of full rank.
     """
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - start-up time
-
-    def distance(tail: float) -> float:
-        shift, response = lobes.at(tail)
-        rest = float(nearest(response, (deviation - shift)[None], covariance[None])[0])
-        return rest + lobes.penalty(tail)
-
-    grid = np.linspace(lobes.tails[0], lobes.tails[-1], _TAILS)
-    found = [distance(float(tail)) for tail in grid]
-    best = int(np.argmin(found))
-    ends = grid[max(best - 1, 0)], grid[min(best + 1, _TAILS - 1)]
-    near = minimize_scalar(
-        distance, bounds=ends, method="bounded", options={"xatol": 1e-4 * (ends[1] - ends[0])}
-    )
-    return min(float(near.fun), found[best])
+    low, high = float(lobes.tails[0]), float(lobes.tails[-1])
+    start = np.zeros((_TAILS, len(lobes.responses[0].sources)))
+    metric = np.broadcast_to(covariance, (_TAILS, *covariance.shape))
+    least = np.inf
+    for _ in range(_NARROWED):
+        tails = np.linspace(low, high, _TAILS)
+        shifts, responses = lobes.along(tails)
+        rest, states = nearest_states(responses, deviation - shifts, metric, start)
+        found = rest + lobes.penalty(tails)
+        best = int(np.argmin(found))
+        least = min(least, float(found[best]))
+        low, high = float(tails[max(best - 1, 0)]), float(tails[min(best + 1, _TAILS - 1)])
+        start = np.repeat(states[best][None], _TAILS, axis=0)
+    return least
 
 
 def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -> tuple[float, int, float]:

@@ -10,11 +10,12 @@ parameters follow their regression on the tail, and what the covariance leaves a
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.prediction.second_order import Response, response_of
+from anisoscope.prediction.second_order import Response, RowResponses, response_of
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.material import LONGEST_TAIL, Material
@@ -46,24 +47,32 @@ class LobeDoubt:
     nominal: float
     u: float
 
+    @cached_property
+    def _arrays(self) -> tuple[FloatArray, FloatArray]:
+        """(T, P, K) slopes and (T, P, K, K) bends of the responses."""
+        return np.array([one.slope for one in self.responses]), np.array([one.bend for one in self.responses])
+
+    def along(self, tails: FloatArray) -> tuple[FloatArray, RowResponses]:
+        """(N, P) change of ln L at N tails between the first and the last, and the responses there."""
+        place, nodes = tails / (1.0 + tails), self.tails / (1.0 + self.tails)
+        others = [np.delete(nodes, k) for k in range(len(nodes))]
+        weights = np.column_stack(
+            [
+                np.prod((place[:, None] - rest) / (node - rest), axis=1)
+                for node, rest in zip(nodes, others, strict=True)
+            ]
+        )
+        slopes, bends = (np.tensordot(weights, one, 1) for one in self._arrays)
+        return np.asarray(weights @ self.shifts), RowResponses(self.responses[0].sources, slopes, bends)
+
     def at(self, tail: float) -> tuple[FloatArray, Response]:
         """(P,) change of ln L at a tail between the first and the last, and the response to the other inputs there."""
-        place, nodes = tail / (1.0 + tail), self.tails / (1.0 + self.tails)
-        others = [np.delete(nodes, k) for k in range(len(nodes))]
-        weights = np.array(
-            [np.prod((place - rest) / (node - rest)) for node, rest in zip(nodes, others, strict=True)]
-        )
-        slopes, bends = ([getattr(one, name) for one in self.responses] for name in ("slope", "bend"))
-        response = Response(
-            self.responses[0].sources,
-            np.tensordot(weights, np.array(slopes), 1),
-            np.tensordot(weights, np.array(bends), 1),
-        )
-        return np.asarray(weights @ self.shifts), response
+        shifts, responses = self.along(np.array([tail]))
+        return shifts[0], responses.row(0)
 
-    def penalty(self, tail: float) -> float:
-        """Squared distance of a tail from the nominal one in standard uncertainties."""
-        return 0.0 if np.isinf(self.u) else ((tail - self.nominal) / self.u) ** 2
+    def penalty(self, tails: FloatArray) -> FloatArray:
+        """(N,) squared distances of tails from the nominal one in standard uncertainties."""
+        return np.asarray(((tails - self.nominal) / self.u) ** 2)
 
     def contribution(self, u: float) -> FloatArray:
         """(P,) change of ln L over ``u`` of the tail: half of that to either side, or that to the only side."""

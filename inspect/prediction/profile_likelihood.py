@@ -104,7 +104,8 @@ def nearest_states(
 ) -> tuple[FloatArray, FloatArray]:
     """The same within ``farthest`` of every input, and the (N, K) states themselves.
 
-    Gauss-Newton steps, halved until the distance decreases; the first one is along the tangent at the start.
+    Gauss-Newton steps, halved until the distance decreases; the first one is along the tangent at the start. A row
+    that is settled waits for no other.
     """
     weight = np.linalg.inv(covariance)
     z = start
@@ -114,6 +115,7 @@ def nearest_states(
         return np.asarray(np.sum(at**2, axis=1) + np.einsum("ni,nij,nj->n", rest, weight, rest))
 
     left = misfit(z)
+    moving = np.ones(len(left), dtype=bool)
     for _ in range(_STEPS):
         tangent, rest = curve.tangent(z), deviation - curve.change(z)
         pull = np.einsum("nia,nij->naj", tangent, weight)
@@ -126,9 +128,10 @@ def nearest_states(
             better = found < left
             z, left = np.where(better[:, None], trial, z), np.where(better, found, left)
             share *= 0.5
-            if better.all():
+            if (better | ~moving).all():
                 break
-        if np.all(before - left <= settled * (1.0 + before)):
+        moving &= before - left > settled * (1.0 + before)
+        if not moving.any():
             break
     return left, z
 

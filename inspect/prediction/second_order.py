@@ -51,12 +51,12 @@ class Response:
 
     def change(self, z: FloatArray) -> FloatArray:
         """(…, P) change at inputs (…, K)."""
-        half = 0.5 * np.einsum("...a,pab,...b->...p", z, self.bend, z, optimize=True)
-        return np.asarray(z @ self.slope.T + half)
+        half = np.tensordot(z, 0.5 * self.bend, axes=(-1, 2))
+        return np.asarray(((half + self.slope) @ z[..., None])[..., 0])
 
     def tangent(self, z: FloatArray) -> FloatArray:
         """(…, P, K) derivative at inputs (…, K)."""
-        return np.asarray(self.slope + np.einsum("pab,...b->...pa", self.bend, z))
+        return np.asarray(self.slope + np.tensordot(z, self.bend, axes=(-1, 2)))
 
     def within(self, basis: FloatArray) -> "Response":
         """The response of combinations (m, P) of the values."""
@@ -72,6 +72,34 @@ class Response:
         values, vectors = np.linalg.eigh(covariance)
         alone = rng.standard_normal((count, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         return np.asarray(alone + self.change(rng.standard_normal((count, len(self.sources)))))
+
+
+@dataclass(frozen=True, eq=False)
+class RowResponses:
+    """N responses to the same inputs, each for one row of them.
+
+    Attributes:
+        sources: K names of the inputs.
+        slope: (N, P, K) G of every row.
+        bend: (N, P, K, K) H of every row, symmetric.
+    """
+
+    sources: tuple[str, ...]
+    slope: FloatArray
+    bend: FloatArray
+
+    def change(self, z: FloatArray) -> FloatArray:
+        """(N, P) change at inputs (N, K)."""
+        half = 0.5 * (self.bend @ z[:, None, :, None])[..., 0]
+        return np.asarray(((half + self.slope) @ z[..., None])[..., 0])
+
+    def tangent(self, z: FloatArray) -> FloatArray:
+        """(N, P, K) derivative at inputs (N, K)."""
+        return np.asarray(self.slope + (self.bend @ z[:, None, :, None])[..., 0])
+
+    def row(self, number: int) -> Response:
+        """The response of one row."""
+        return Response(self.sources, self.slope[number], self.bend[number])
 
 
 def response_of(

@@ -242,7 +242,9 @@ def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatA
     else:
         lobes = expected.lobes.within(basis)
         tails = np.linspace(lobes.tails[0], lobes.tails[-1], TAILS)
-        found = [(lobes.at(float(tail)), lobes.penalty(float(tail))) for tail in tails]
+        found = [
+            (lobes.at(float(tail)), more) for tail, more in zip(tails, lobes.penalty(tails), strict=True)
+        ]
         d2 = least_of(
             np.array([nearest(known, off - shift, within) + more for (shift, known), more in found])
         )

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import calibrated, hotelling, log_basis, mahalanobis
-from anisoscope.decision.consistency_test import from_golden, from_prediction, golden_chances
+from anisoscope.decision.consistency_test import from_golden, from_prediction, golden_chances, nearest_lobe
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Component, Expectation, expectation
+from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.material_file import MaterialFile, material_at
@@ -189,3 +191,27 @@ def test_the_level_holds_whatever_the_calibrated_tail(make_recipe, tail, u):
         one = Measured(seen, (noise,), (), np.ones((9, 1, 1)), np.zeros(9), grid, None)
         flagged += from_prediction(found, one)[2] < 0.01
     assert 0.0015 <= flagged / 600 <= 0.03
+
+
+def test_the_nearest_lobe_is_that_of_a_search_over_the_tail_and_all_inputs(rng):
+    """Scipy's simplex from many tails; the response to the inputs changes with the tail."""
+    tails = np.array([0.0, 0.25, 0.5, 1.0])
+    shifts = 0.1 * np.sin(3.0 * np.outer(tails / (1.0 + tails), rng.normal(size=6)))
+    responses = tuple(Response(("a", "b"), SLOPE * (1.0 + 0.5 * tail), BEND * (1.0 - tail)) for tail in tails)
+    covariance = np.diag(np.full(6, 0.02**2))
+    for u in (np.inf, 0.3):
+        lobes = LobeDoubt(tails, shifts, responses, 0.2, u)
+        for deviation in 0.05 * rng.normal(size=(4, 6)):
+
+            def distance(at, lobes=lobes, deviation=deviation):
+                tail = float(np.clip(at[0], 0.0, 1.0))
+                shift, response = lobes.at(tail)
+                rest = (deviation - shift - response.change(at[1:])) / 0.02
+                return rest @ rest + at[1:] @ at[1:] + ((tail - 0.2) / lobes.u) ** 2
+
+            options = {"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000}
+            least = min(
+                minimize(distance, [start, 0.0, 0.0], method="Nelder-Mead", options=options).fun
+                for start in np.linspace(0.05, 0.95, 7)
+            )
+            assert nearest_lobe(lobes, deviation, covariance) == pytest.approx(least, rel=2e-4, abs=2e-4)
