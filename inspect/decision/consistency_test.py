@@ -7,6 +7,7 @@ distribution.
 """
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -109,21 +110,23 @@ def scatter_of(parts: PartScatter, measured: Measured) -> Scatter:
     Errors of the rig that all its inspections share cancel against golden parts, and are left out.
     """
     single = tuple(one for one in measured.components if one.source not in OF_THE_RIG)
-    return _contrast_scatter(parts, np.asarray(sum(one.covariance() for one in single)))
+    return _contrast_scatter(parts, np.asarray(sum(one.covariance() for one in single)).tobytes())
 
 
 def contrast_scatter(parts: PartScatter, share: float) -> Scatter:
     """The same with errors of camera and lamp alone: ``share`` of every pose, independent."""
-    return _contrast_scatter(parts, share**2 * np.eye(len(parts.response.slope)))
+    return _contrast_scatter(parts, (share**2 * np.eye(len(parts.response.slope))).tobytes())
 
 
-def _contrast_scatter(parts: PartScatter, errors: FloatArray) -> Scatter:
-    basis = log_basis(len(parts.response.slope))
+@lru_cache(maxsize=16)
+def _contrast_scatter(parts: PartScatter, errors: bytes) -> Scatter:
+    """Scatter by the (P, P) covariance of the errors of one inspection: what is drawn of it is drawn once."""
+    basis, own = log_basis(len(parts.response.slope)), np.frombuffer(errors)
     return Scatter(
         parts.response.within(basis),
         parts.common,
         parts.own,
-        basis @ errors @ basis.T,
+        basis @ own.reshape(basis.shape[1], -1) @ basis.T,
         {name: basis @ change for name, change in parts.defects.items()},
         tuple(one.within(basis) for one in parts.lobes),
     )

@@ -65,13 +65,16 @@ class Separability:
 def planned_components(recipe: SurfaceRecipe, expected: Expectation) -> tuple[Component, ...]:
     """Measurement components that an inspection by this recipe will add, as far as the recipe states them.
 
-    Noise of the pictures is negligible and left out; the lamp is assumed to drift by a quarter of its limit.
+    Noise of the pictures is negligible and left out; the lamp is assumed to drift by a quarter of its limit. The names
+    are those of a measurement.
     """
-    rig = recipe.uncertainty
-    own = np.sqrt(rig.flat_share**2 + rig.linearity_share**2 + (0.25 * recipe.limits.drift) ** 2 / 3.0)
+    rig, even = recipe.uncertainty, np.ones(len(expected.poses))
+    drift = 0.25 * recipe.limits.drift / np.sqrt(3.0)
     return (
+        Component("flat field", "measurement", rig.flat_share * even, shared=False),
+        Component("linearity of the camera", "measurement", rig.linearity_share * even, shared=False),
+        Component("drift of the lamp", "measurement", drift * even, shared=False),
         Component("stray light", "measurement", rig.stray_radiance / expected.radiance, shared=True),
-        Component("camera and lamp", "measurement", np.full(len(expected.poses), own), shared=False),
         Component("stage angle", "measurement", rig.stage_deg * expected.per_degree, shared=False),
     )
 

@@ -9,6 +9,7 @@ from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers, parse_range
 from anisoscope.cli.progress import progress
+from anisoscope.cli.study.part_yield import yield_command
 from anisoscope.cli.tables import console, print_output, print_table
 
 if TYPE_CHECKING:
@@ -315,3 +316,6 @@ def _by_golden(file: Path, rig: Path, share: float) -> "Taught":
         return kind_of(file).teach_by_reference(file, rig, share)
     except CalibrationError as error:
         raise UsageError(str(error)) from error
+
+
+app.command(yield_command, name="yield")

@@ -380,7 +380,13 @@ def _pair(text: str) -> tuple[float, float]:
     return numbers[0], numbers[1]
 
 
-def _known(values: dict[str, str], known: list[str], option: str) -> dict[str, float]:
+def named_numbers(text: str, option: str, form: str, kind: type) -> dict[str, float]:
+    """Numbers by name from ``NAME=VALUE,…``; names are fields of a dataclass, every one once.
+
+    Raises:
+        UsageError: another form, an unknown name, or no number.
+    """
+    values, known = _pairs_of(text, option, form), [one.name for one in fields(kind)]
     unknown = [name for name in values if name not in known]
     if unknown:
         raise UsageError(f"{option} does not know {unknown[0]!r}; it knows {', '.join(known)}")
@@ -390,15 +396,12 @@ def _known(values: dict[str, str], known: list[str], option: str) -> dict[str, f
 def _noise(text: str | None) -> "Noise":
     from anisoscope.study.objective import Noise
 
-    if text is None:
-        return Noise()
-    return Noise(
-        **_known(_pairs_of(text, "--noise", "floor=VALUE,share=VALUE"), ["floor", "share"], "--noise")
+    return (
+        Noise() if text is None else Noise(**named_numbers(text, "--noise", "floor=VALUE,share=VALUE", Noise))
     )
 
 
 def _tolerances(text: str) -> "Tolerances":
     from anisoscope.study.objective import Tolerances
 
-    known = [one.name for one in fields(Tolerances)]
-    return Tolerances(**_known(_pairs_of(text, "--scatter", "NAME=SD,…"), known, "--scatter"))
+    return Tolerances(**named_numbers(text, "--scatter", "NAME=SD,…", Tolerances))

@@ -1,4 +1,4 @@
-"""Statistics of a detection study: rates with intervals over rigs, areas under ROC curves, the ideal observer."""
+"""Statistics of a detection study: areas under ROC curves, the ideal observer, uniformity of p values."""
 
 from dataclasses import dataclass
 
@@ -12,60 +12,6 @@ from anisoscope.study.detection.product import RIDGE_ANGLE_DEG, Size
 FOLDS = 5
 PRIOR_PARTS = 30
 """Number of bad parts that the covariance of good ones is worth as theirs."""
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A rate with its 95 % interval.
-
-    Attributes:
-        count: number of hits.
-        of: size of the sample.
-        low: lower limit.
-        high: upper limit.
-    """
-
-    count: int
-    of: int
-    low: float
-    high: float
-
-    @property
-    def value(self) -> float:
-        """Count over number; NaN for an empty sample."""
-        return self.count / self.of if self.of else float("nan")
-
-
-def rate(hits: npt.NDArray[np.bool_], groups: npt.NDArray[np.int_] | None = None) -> Rate:
-    """The rate of True values, with the interval of Clopper and Pearson (1934).
-
-    Parts of one rig share its golden parts, so that they count as fewer than they are: the size of the sample is
-    divided by the ratio of the variance between rigs to that of independent parts (design effect, Kish 1965), where
-    that is above 1.
-
-    Args:
-        hits: (N,) of parts.
-        groups: (N,) rig of every part; None: parts are independent.
-    """
-    from scipy.stats import beta  # noqa: PLC0415 - 1 s
-
-    k, n = int(np.count_nonzero(hits)), int(np.size(hits))
-    share = _effective_share(hits, groups) if 0 < k < n and groups is not None else 1.0
-    few, all_ = k * share, n * share
-    low = 0.0 if k == 0 else float(beta.ppf(0.025, few, all_ - few + 1))
-    high = 1.0 if k == n else float(beta.ppf(0.975, few + 1, all_ - few))
-    return Rate(k, n, low, high)
-
-
-def _effective_share(hits: npt.NDArray[np.bool_], groups: npt.NDArray[np.int_]) -> float:
-    """Effective over true size of a sample in groups; at most 1."""
-    names, number = np.unique(groups, return_inverse=True)
-    if len(names) < 2:
-        return 1.0
-    size, sums = np.bincount(number), np.bincount(number, weights=hits)
-    p, n, g = float(hits.mean()), len(hits), len(names)
-    between = g / (g - 1.0) * float(np.sum((sums - p * size) ** 2)) / n**2
-    return min(1.0, p * (1.0 - p) / n / max(between, 1e-300))
 
 
 @dataclass(frozen=True)

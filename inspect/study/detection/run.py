@@ -54,10 +54,8 @@ from anisoscope.sim.pathtracer.tracer import PathTracer
 from anisoscope.study.detection.chunk import MEASURED_SOURCES, Bounces, ChunkTask, Columns, inspect_chunk
 from anisoscope.study.detection.evaluation import (
     Area,
-    Rate,
     area_under_curve,
     ideal_scores,
-    rate,
     true_extents,
     uniformity,
 )
@@ -90,6 +88,7 @@ from anisoscope.study.detection.product import (
 )
 from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_tasks
 from anisoscope.study.detection.surrogate import SurrogateTask, bases_of, prepare_surrogate
+from anisoscope.study.rates import Rate, rate
 from anisoscope.study.sweep import Workers, sweep
 
 Results = dict[str, Any]

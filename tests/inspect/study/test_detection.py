@@ -36,7 +36,6 @@ from anisoscope.study.detection.chunk import (
 from anisoscope.study.detection.evaluation import (
     area_under_curve,
     ideal_scores,
-    rate,
     true_extents,
     uniformity,
 )
@@ -73,6 +72,7 @@ from anisoscope.study.detection.run import (
 )
 from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
 from anisoscope.study.detection.surrogate import UNITS, SurrogateTask, error_of, state_of, surrogate_of
+from anisoscope.study.rates import rate
 from anisoscope.study.sweep import Workers
 
 SMALL = Size(ridges=7, pitches=5, sheets=1, golden=3, good=4, bad=2, causes=())
