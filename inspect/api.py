@@ -8,7 +8,7 @@ device driver needs of `anisoscope.rig` (docs/own-driver.md) and a kind of part 
 The module behind a name is imported when the name is first used.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from anisoscope.sim.light.optics import Optics
     from anisoscope.sim.materials.inks import find_ink
     from anisoscope.sim.materials.spectra import find_illuminant
+    from anisoscope.study.part_yield import PartYield
 
 DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
@@ -164,6 +165,7 @@ __all__ = [
     "read_recipe",
     "read_record",
     "read_rig",
+    "recipe_yield",
     "recompute",
     "resume",
     "show_inks",
@@ -643,6 +645,52 @@ def control_chart(
     names = tuple(map(str, range(1, series.size + 1))) if labels is None else tuple(labels)
     specification = None if lower is None and upper is None else Specification(lower, upper)
     return control_study(name, series, names, Settings(baseline=baseline), specification)
+
+
+def recipe_yield(
+    recipe: Path | str,
+    *,
+    parts: int = 1000,
+    scatter: Mapping[str, float] | None = None,
+    shift: Mapping[str, float] | None = None,
+    golden_parts: int = 0,
+    rigs: int = 25,
+    u_pose: float = 0.003,
+    light_angle_deg: float = 10.0,
+    seed: int = 1,
+    jobs: int | None = 1,
+) -> "PartYield":
+    """How many parts of a lot pass a recipe, as ``anisoscope recipe yield`` says it.
+
+    Args:
+        recipe: recipe file.
+        parts: number of parts of the lot.
+        scatter: standard deviations between the parts by name: ridge_angle (degrees), alpha, albedo, height_loss
+            (shares), edge_radius (µm), seating (degrees); None: those of good parts in the recipe.
+        shift: how far the mean of the lot is off the nominal part, by the same names but seating.
+        golden_parts: golden parts of every rig; with 0 the prediction is the reference.
+        rigs: number of rigs among which the parts are divided.
+        u_pose: relative standard uncertainty of a pose by camera and lamp.
+        light_angle_deg: angle between light and camera.
+        seed: of parts, rigs and errors.
+        jobs: processes; None is one for every core.
+
+    Raises:
+        UsageError: a name that is none, a number that means nothing, or a kind of part without [scatter].
+        RecipeError: the recipe.
+    """
+    from anisoscope.base.errors import UsageError
+    from anisoscope.study.lot import Shift, Spread, lot_of
+    from anisoscope.study.part_yield import part_yield
+    from anisoscope.study.sweep import Workers
+
+    try:
+        spread = None if scatter is None else Spread(**scatter)
+        off = Shift(**(shift or {}))
+    except TypeError as error:
+        raise UsageError(f"scatter and shift: {str(error).rpartition('() ')[2]}") from None
+    lot = lot_of(Path(recipe), light_angle_deg, spread, off, parts, rigs, golden_parts, u_pose)
+    return part_yield(lot, Workers(jobs), seed)
 
 
 def drivers(group: DriverGroup) -> tuple[str, ...]:

@@ -10,6 +10,8 @@ import json
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +24,7 @@ from anisoscope.decision.reference_parts import GoldenPart, GoldenSet
 from anisoscope.diagnosis.separability import planned_components
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.kinds.registry import kind_of
 from anisoscope.prediction.cache import cached_expectation, prediction_key
 from anisoscope.prediction.crest_edges import crest_edges, edge_radius_model
 from anisoscope.prediction.expectation import (
@@ -164,6 +167,32 @@ class Lot:
         return self.parts // self.rigs + (number < self.parts % self.rigs)
 
 
+def lot_of(
+    path: Path,
+    light_angle_deg: float,
+    spread: Spread | None = None,
+    shift: Shift | None = None,
+    parts: int = 1000,
+    rigs: int = 25,
+    golden: int = 0,
+    u_pose: float = 0.003,
+) -> Lot:
+    """Lot of a recipe file; arguments as for `Lot`, and no spread is that of good parts in the recipe.
+
+    Raises:
+        RecipeError: the file is missing or wrong.
+        UsageError: a kind of part whose recipes state no scatter, and as for `Lot`.
+    """
+    kind = kind_of(path)
+    if not getattr(kind.reference_set, "predictive", False):
+        raise UsageError(
+            f"{path}: a lot is drawn where a recipe states how good parts differ ([scatter]), not for {kind.one}"
+        )
+    recipe = cast("SurfaceRecipe", kind.read_recipe(path))
+    usual = Spread.of(recipe) if spread is None else spread
+    return Lot(recipe, light_angle_deg, usual, shift or Shift(), parts, rigs, golden, u_pose)
+
+
 @dataclass(frozen=True, eq=False)
 class Judged:
     """N judged parts of a rig.
@@ -218,7 +247,7 @@ _settings: OrderedDict[str, Setting] = OrderedDict()
 
 
 def setting_of(lot: Lot) -> Setting:
-    """The predictions of a lot; the last few are kept in memory.
+    """Predictions of a lot; the last few stay in memory.
 
     Raises:
         UsageError: golden parts where good parts have no known scatter.

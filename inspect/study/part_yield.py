@@ -11,7 +11,7 @@ from anisoscope.prediction.expectation import Expectation
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.study.lot import VERDICTS, Judged, Lot, judged_on_rig, setting_of
-from anisoscope.study.rates import Rate, rate
+from anisoscope.study.statistics import Rate, rate
 from anisoscope.study.sweep import Workers, sweep
 
 

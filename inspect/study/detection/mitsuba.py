@@ -27,7 +27,7 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import Record
 from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.framefolder import read_counts
-from anisoscope.study.rates import rate
+from anisoscope.study.statistics import rate
 
 ARCHIVE = Path("tests/data/mitsuba/parts.tar.xz")
 UPRIGHT, TILTED = (0.0,), (0.0, -10.0, 10.0)

@@ -52,13 +52,6 @@ from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.pathtracer.tracer import PathTracer
 from anisoscope.study.detection.chunk import MEASURED_SOURCES, Bounces, ChunkTask, Columns, inspect_chunk
-from anisoscope.study.detection.evaluation import (
-    Area,
-    area_under_curve,
-    ideal_scores,
-    true_extents,
-    uniformity,
-)
 from anisoscope.study.detection.lobes import lobes_of, plastic_of
 from anisoscope.study.detection.mitsuba import judged
 from anisoscope.study.detection.product import (
@@ -76,6 +69,7 @@ from anisoscope.study.detection.product import (
     MARKER_ERROR_PX,
     NONLINEARITY,
     PITCH_UM,
+    RIDGE_ANGLE_DEG,
     RIDGE_ANGLE_SPREAD_DEG,
     WHOLE,
     WORLDS,
@@ -88,7 +82,7 @@ from anisoscope.study.detection.product import (
 )
 from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_tasks
 from anisoscope.study.detection.surrogate import SurrogateTask, bases_of, prepare_surrogate
-from anisoscope.study.rates import Rate, rate
+from anisoscope.study.statistics import Area, Rate, area_under_curve, ideal_scores, rate, uniformity
 from anisoscope.study.sweep import Workers, sweep
 
 Results = dict[str, Any]
@@ -438,6 +432,17 @@ def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | N
     if np.isfinite(share):
         found = replace(found, share=share, u_share=u_share, background=mean, u_background=u)
     return found if golden is None else against(found, off[list(golden)], scale)
+
+
+def true_extents(kind: str, columns: Columns, rows: npt.NDArray[np.int_], size: Size) -> FloatArray:
+    """Extents as they truly are: the scatter of good parts adds to some; ridges may be missing in part."""
+    if kind == "ridge-angle":
+        return np.asarray(columns["ridge_angle_deg"][rows] - RIDGE_ANGLE_DEG)
+    if kind == "roughness":
+        return np.asarray(np.exp(columns["across"][rows]) - 1.0)
+    if kind == "missing-ridges":  # of the area that is cut out, half a pitch wider on both sides
+        return np.asarray(columns["spoiled"][rows] * (size.ridges + 1) / size.ridges)
+    return np.asarray(columns["extent"][rows], dtype=np.float64)
 
 
 def _diagnosis(

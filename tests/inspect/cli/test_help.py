@@ -186,6 +186,7 @@ SAME_QUANTITY = {
     "--role": "map of the part",
     "--s-filter": "s-filter",
     "--s-filter-type": "s-filter",
+    "--scatter": "standard deviations",
     "--separation": "coverages",
     "--step": "step of the",  # angle, in degrees
     "--steps": "number of",

@@ -33,12 +33,6 @@ from anisoscope.study.detection.chunk import (
     photograph,
     radiance_of_part,
 )
-from anisoscope.study.detection.evaluation import (
-    area_under_curve,
-    ideal_scores,
-    true_extents,
-    uniformity,
-)
 from anisoscope.study.detection.lobes import lobes_of, plastic_of, quick_shine
 from anisoscope.study.detection.product import (
     BY_NAME,
@@ -69,10 +63,11 @@ from anisoscope.study.detection.run import (
     from_prediction,
     golden_of,
     study_results,
+    true_extents,
 )
 from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
 from anisoscope.study.detection.surrogate import UNITS, SurrogateTask, error_of, state_of, surrogate_of
-from anisoscope.study.rates import rate
+from anisoscope.study.statistics import area_under_curve, ideal_scores, rate, uniformity
 from anisoscope.study.sweep import Workers
 
 SMALL = Size(ridges=7, pitches=5, sheets=1, golden=3, good=4, bad=2, causes=())

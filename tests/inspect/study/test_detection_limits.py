@@ -11,9 +11,9 @@ from anisoscope.decision.predictive_test import predictive_test
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.study.detection.chunk import FRAME_NOISE, LAMP_NOISE, MEASURED_SOURCES
-from anisoscope.study.detection.evaluation import area_under_curve, ideal_scores, uniformity
 from anisoscope.study.detection.product import LIGHT_DEG, Size, recipe_of
 from anisoscope.study.detection.run import calibration_of, covariance_of_measurement, from_prediction
+from anisoscope.study.statistics import area_under_curve, ideal_scores, uniformity
 
 pytestmark = pytest.mark.statistics
 

@@ -1,4 +1,4 @@
-"""Statistics of a detection study: areas under ROC curves, the ideal observer, uniformity of p values."""
+"""Statistics of studies: rates with intervals over rigs, areas under ROC curves, the ideal observer, uniformity."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,64 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.study.detection.chunk import Columns
-from anisoscope.study.detection.product import RIDGE_ANGLE_DEG, Size
 
 FOLDS = 5
 PRIOR_PARTS = 30
 """Number of bad parts that the covariance of good ones is worth as theirs."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A rate with its 95 % interval.
+
+    Attributes:
+        count: number of hits.
+        of: size of the sample.
+        low: lower limit.
+        high: upper limit.
+    """
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float:
+        """Count over number; NaN for an empty sample."""
+        return self.count / self.of if self.of else float("nan")
+
+
+def rate(hits: npt.NDArray[np.bool_], groups: npt.NDArray[np.int_] | None = None) -> Rate:
+    """The rate of True values, with the interval of Clopper and Pearson (1934).
+
+    Parts of one rig share its state and its golden parts, so that they count as fewer than they are: the size of the
+    sample is divided by the ratio of the variance between rigs to that of independent parts (design effect, Kish 1965),
+    where that is above 1.
+
+    Args:
+        hits: (N,) of parts.
+        groups: (N,) rig of every part; None: parts are independent.
+    """
+    from scipy.special import betaincinv  # noqa: PLC0415 - start-up time
+
+    k, n = int(np.count_nonzero(hits)), int(np.size(hits))
+    share = _effective_share(hits, groups) if 0 < k < n and groups is not None else 1.0
+    few, all_ = k * share, n * share
+    low = 0.0 if k == 0 else float(betaincinv(few, all_ - few + 1, 0.025))
+    high = 1.0 if k == n else float(betaincinv(few + 1, all_ - few, 0.975))
+    return Rate(k, n, low, high)
+
+
+def _effective_share(hits: npt.NDArray[np.bool_], groups: npt.NDArray[np.int_]) -> float:
+    """Effective over true size of a sample in groups; at most 1."""
+    names, number = np.unique(groups, return_inverse=True)
+    if len(names) < 2:
+        return 1.0
+    size, sums = np.bincount(number), np.bincount(number, weights=hits)
+    p, n, g = float(hits.mean()), len(hits), len(names)
+    between = g / (g - 1.0) * float(np.sum((sums - p * size) ** 2)) / n**2
+    return min(1.0, p * (1.0 - p) / n / max(between, 1e-300))
 
 
 @dataclass(frozen=True)
@@ -98,14 +150,3 @@ def uniformity(p_values: FloatArray) -> tuple[float, float]:
 
     found = kstest(p_values, "uniform")
     return float(found.statistic), float(found.pvalue)
-
-
-def true_extents(kind: str, columns: Columns, rows: npt.NDArray[np.int_], size: Size) -> FloatArray:
-    """Extents as they truly are: the scatter of good parts adds to some; ridges may be missing in part."""
-    if kind == "ridge-angle":
-        return np.asarray(columns["ridge_angle_deg"][rows] - RIDGE_ANGLE_DEG)
-    if kind == "roughness":
-        return np.asarray(np.exp(columns["across"][rows]) - 1.0)
-    if kind == "missing-ridges":  # of the area that is cut out, half a pitch wider on both sides
-        return np.asarray(columns["spoiled"][rows] * (size.ridges + 1) / size.ridges)
-    return np.asarray(columns["extent"][rows], dtype=np.float64)
