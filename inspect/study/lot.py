@@ -486,15 +486,15 @@ def judged_on_rig(task: tuple[Lot, int], rng: np.random.Generator) -> Judged:
         decide(expected, measured_as(setting, one), setting.recipe, golden, setting.scatter)
         for one in light.measured
     ]
-    pairs = np.array(consecutive_pairs(expected.poses))
-    kind, predicted = setting.recipe.decision.contrast, expected.radiance
-    true = [pair_values(pairs, np.exp(one), kind) - pair_values(pairs, predicted, kind) for one in light.true]
+    pairs, kind = consecutive_pairs(expected.poses), setting.recipe.decision.contrast
+    true = np.array([pair_values(pairs, np.exp(one), kind) for one in light.true])
+    true = true - pair_values(pairs, expected.radiance, kind)
     rule = setting.recipe.decision
     return Judged(
         np.array([VERDICTS.index(one.verdict) for one in decided]),
         np.array([one.p_value < rule.alpha for one in decided]),
         np.array([[pair.deviation for pair in one.contrasts] for one in decided]),
-        np.array(true),
+        true,
         np.array([[pair.u for pair in one.contrasts] for one in decided]),
     )
 

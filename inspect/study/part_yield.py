@@ -89,7 +89,7 @@ def part_yield(lot: Lot, workers: Workers, seed: int = 1, advance: Advance = sil
 def _summary(lot: Lot, expected: Expectation, judged: Judged, rigs: npt.NDArray[np.int_]) -> PartYield:
     tolerances, pairs = lot.recipe.tolerances(), consecutive_pairs(expected.poses)
     predicted = pair_values(pairs, expected.radiance, lot.recipe.decision.contrast)
-    inside = None if tolerances is None else np.abs(judged.true) <= np.array(tolerances)
+    inside = None if tolerances is None else np.asarray(np.abs(judged.true) <= np.array(tolerances))
     contrasts = []
     for k, (first, second) in enumerate(pairs):
         one = judged.deviation[:, k]
@@ -109,7 +109,7 @@ def _summary(lot: Lot, expected: Expectation, judged: Judged, rigs: npt.NDArray[
     by_verdict = {one.value: rate(judged.verdict == place, rigs) for place, one in enumerate(VERDICTS)}
     conforming = producer = consumer = None
     if inside is not None:
-        good = inside.all(axis=1)
+        good = np.asarray(inside.all(axis=1))
         conforming = rate(good, rigs)
         producer = rate(judged.verdict[good] == VERDICTS.index(Verdict.FAIL), rigs[good])
         consumer = rate(judged.verdict[~good] == VERDICTS.index(Verdict.PASS), rigs[~good])
