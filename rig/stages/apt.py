@@ -54,6 +54,7 @@ from anisoscope.rig.stages.apt_wire import (
     take_message,
     velocity_counts,
 )
+from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.motion import POLL_S
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
@@ -140,11 +141,11 @@ def trouble_of(name: str, status: Status, at_deg: float, *, moved: bool) -> RigE
     """
     for bit, (kind, text) in TROUBLES.items():
         if status.has(bit):
-            return kind(f"{name} reports {text} (status {status.bits:08X})")
+            return device_error(kind, f"{name} reports {text} (status {status.bits:08X})")
     if not status.enabled:
-        return RigError(f"{name} does not switch its motor on (status {status.bits:08X})")
+        return device_error(RigError, f"{name} does not switch its motor on (status {status.bits:08X})")
     if status.at_limit_switch and moved:
-        return LimitExceeded(f"{name} ended at its limit switch, at {at_deg:.4g}°")
+        return device_error(LimitExceeded, f"{name} ended at its limit switch, at {at_deg:.4g}°")
     return None
 
 
@@ -261,7 +262,7 @@ class AptLine:
                 break
             self._stranger = message.source
         if message.id in {HW_RESPONSE, HW_RICH_RESPONSE}:
-            raise RigError(f"{self.name} reports {error_text(message)}")
+            raise device_error(RigError, f"{self.name} reports {error_text(message)}")
         if message.id in ENDS:
             self.ended = message.id
         if message.id == GET_DC_STATUS:

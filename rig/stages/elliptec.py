@@ -23,6 +23,7 @@ from anisoscope.base.errors import (
     Stalled,
 )
 from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
@@ -167,7 +168,7 @@ def error_of_status(name: str, status: int, doing: str) -> RigError:
     """Return the error that a status code other than 0 stands for."""
     text = STATUS_TEXTS.get(status, "a status this driver does not know")
     kind = _STATUS_ERRORS.get(status, RigError)
-    return kind(f"{name}: {doing}: the stage reports {text} (GS{status:02X})")
+    return device_error(kind, f"{name}: {doing}: the stage reports {text} (GS{status:02X})")
 
 
 _log = logging.getLogger(__name__)

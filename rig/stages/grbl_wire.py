@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.rig.stages.device_error import device_error
 
 TERMINATOR = b"\n"
 STATUS, FEED_HOLD, RESET, JOG_CANCEL = b"?", b"!", b"\x18", b"\x85"
@@ -194,12 +195,13 @@ def _answer(match: re.Match[bytes]) -> Message:
 def error_of_refusal(name: str, code: int, doing: str) -> RigError:
     """Return the error that an error number stands for."""
     text = _ERROR_TEXTS.get(code, "a line it does not take")
-    return _ERROR_KINDS.get(code, ProtocolError)(f"{name}: {doing}: the board reports {text} (error:{code})")
+    kind = _ERROR_KINDS.get(code, ProtocolError)
+    return device_error(kind, f"{name}: {doing}: the board reports {text} (error:{code})")
 
 
 def error_of_alarm(name: str, code: int) -> RigError:
     """Return the error that an alarm number stands for."""
     text = _ALARM_TEXTS.get(code, "an alarm this driver does not know")
     return _ALARM_KINDS.get(code, RigError)(
-        f"{name}: {text} (ALARM:{code}); the position is not sure any more: home it again"
+        f"{name}: {text} (ALARM:{code}); its position is uncertain; home it again"
     )

@@ -209,8 +209,8 @@ class StageBase(ABC):
         text = f"{self.name}: the {what} ended at {at_deg:.6g}°, {away_deg:.3g}° from {target_deg:.6g}°"
         if away_deg > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
             self._homed = False
-            text += "; home it again"
-        return MotionTimeout(text)
+            return MotionTimeout(f"{text}; home it again")
+        return MotionTimeout(f"{text}; check load and backlash, or raise tolerance_deg of the driver")
 
     def _move(self, what: str, begin: Callable[[], None], target_deg: float, timeout_s: float) -> float:
         self._left_at_deg = None
@@ -243,7 +243,10 @@ class StageBase(ABC):
             if short_since is not None and now - short_since >= SETTLE_S:
                 raise self._off_target(what, at_deg, target_deg)
             if left_s <= 0.0:
-                raise MotionTimeout(f"{self.name}: the {what} did not end within {timeout_s:.1f} s")
+                raise MotionTimeout(
+                    f"{self.name}: the {what} did not end within {timeout_s:.1f} s, and was stopped; look for an "
+                    "obstacle, or correct velocity_deg_s of the driver"
+                )
 
     def _wait_until_still(self) -> None:
         """After a stop command: read pending messages until the device is at rest."""

@@ -24,6 +24,7 @@ from anisoscope.base.errors import (
     Stalled,
 )
 from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
@@ -128,9 +129,8 @@ class State:
 def error_of_letter(name: str, letter: str, doing: str) -> RigError:
     """Return the error that a letter of TE stands for."""
     text = _ERROR_TEXTS.get(letter, "an error this driver does not know")
-    return _ERROR_KINDS.get(letter, ProtocolError)(
-        f"{name}: {doing}: the controller reports {text} (TE {letter})"
-    )
+    kind = _ERROR_KINDS.get(letter, ProtocolError)
+    return device_error(kind, f"{name}: {doing}: the controller reports {text} (TE {letter})")
 
 
 _log = logging.getLogger(__name__)
@@ -403,7 +403,10 @@ class Smc100(PortStage):
     def _failure(self, state: State) -> RigError:
         """Why a motion ended without the stage being ready."""
         if state.code in DISABLED:
-            return Stalled(f"{self.name}: the motor was disabled; the controller reports {state.faults_text}")
+            return device_error(
+                Stalled,
+                f"{self.name}: the motor was disabled, and the controller reports {state.faults_text}",
+            )
         if not self._searching and not state.faults:
             return self._lost()
         self._homed = False

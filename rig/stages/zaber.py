@@ -29,6 +29,7 @@ from anisoscope.base.errors import (
     Stalled,
 )
 from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
@@ -51,7 +52,7 @@ _FAULTS: dict[str, tuple[type[RigError], str]] = {
     "FC": (RigError, "too high an inrush current, and cut the motor off"),
     "FM": (RigError, "that the motor is too hot; let it cool"),
     "FD": (RigError, "that its driver is disabled (too hot, or a wrong voltage or current); let it cool"),
-    "FQ": (Stalled, "an encoder error; the position is not to be trusted"),
+    "FQ": (Stalled, "an encoder error: its position is unreliable"),
     "FI": (Stalled, "an index error of its encoder; the position is not to be trusted"),
     "FA": (Stalled, "that its analog encoder is out of step; the position is not to be trusted"),
     "FR": (RigError, "that the limit of overdrive was exceeded, and cut the motor off; lower load or speed"),
@@ -67,7 +68,7 @@ _REJECTIONS: dict[str, tuple[type[RigError], str]] = {
     "BADAXIS": (ProtocolError, "it has no axis of this number; correct the option 'axis'"),
     "BADCOMMAND": (
         ProtocolError,
-        "it does not know the command; is its firmware too old, or it no motion stage?",
+        "it does not know the command: its firmware may be too old, or it is no motion stage",
     ),
     "BADDATA": (LimitExceeded, "the value is out of range"),
     "BADMESSAGEID": (ProtocolError, "it does not take the number of the message"),
@@ -164,7 +165,7 @@ def error_of_flag(name: str, flag: str) -> RigError:
             f"{name} has no reference position ({flag}): it was switched off, or lost it; home it again"
         )
     kind, text = _FAULTS.get(flag, (RigError, "a fault that this driver does not know"))
-    return kind(f"{name} reports {text} ({flag})")
+    return device_error(kind, f"{name} reports {text} ({flag})")
 
 
 def error_of_rejection(name: str, words: str, reply: Reply) -> RigError:
@@ -172,7 +173,7 @@ def error_of_rejection(name: str, words: str, reply: Reply) -> RigError:
     if reply.data == "BADDATA" and reply.flag in NO_REFERENCE and words.startswith("move"):
         return error_of_flag(name, reply.flag)
     kind, text = _REJECTIONS.get(reply.data, (ProtocolError, "for a reason that this driver does not know"))
-    return kind(f"{name} rejects '{words}': {text} ({reply.data})")
+    return device_error(kind, f"{name} rejects '{words}': {text} ({reply.data})")
 
 
 _log = logging.getLogger(__name__)

@@ -1,5 +1,6 @@
 """The same cases for every driver: what a user may rely on, whatever stage stands on the rig."""
 
+import re
 import threading
 import time
 
@@ -20,6 +21,8 @@ from anisoscope.rig.stage import RotationStage
 from anisoscope.sim.bench.firmware import catalogue
 from anisoscope.sim.bench.firmware.faults import FaultKind
 
+ACTION = r"; (calibrate|check|correct|find|home|let|look|lower|remove|send|unpark|wait)\b"
+"""What every error ends with: what to do."""
 PATIENT_S = 5.0
 """For an answer that surely comes, from a server's thread that may have to wait for its turn."""
 
@@ -122,6 +125,7 @@ def test_a_fault_ends_in_its_error_within_its_time(served, case, fault, clock):
         stage.move_to(90.0)
         stage.move_to(100.0)
     assert "\n" not in str(caught.value)
+    assert re.search(ACTION, str(caught.value))
     assert clock() - start < limit_s
     if error in {MotionTimeout, Stalled}:
         assert firmware.stops > 0
