@@ -62,7 +62,6 @@ TABLE = 193
 PROFILE_PITCHES = 6
 PROFILE_PIXEL_UM = 0.34  # the largest ball that rolls along edges may have 60 points in its radius
 PROFILE_POINTS = (50, 1500)  # a pitch, at least and at most
-MOST_SHORTENED = 0.9  # share of the height of a groove that wear takes at most
 DOUBT_ON_MAPS = 0.3  # of changes at edges that lie between the points of a map
 DOUBTFUL = 0.2
 """Doubt of a signature from which on it hides how differently the inputs act on the spoiled surface."""
@@ -329,8 +328,7 @@ class _Scene:
         if cause.name == "ridge-angle":
             return groove.turned(float(np.clip(angle_deg + extent, LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG)))
         if cause.name == "wear":
-            side_um = self.pitch_um * np.sin(np.radians(angle_deg))
-            return groove.shortened(float(min(MOST_SHORTENED, extent / side_um)))
+            return groove.worn(extent, self.pitch_um)
         if cause.name == "incomplete-filling":
             return groove.shortened(extent)
         if cause.name == "rough-facets":

@@ -108,8 +108,15 @@ class Groove:
         return replace(self, design=replace(self.design, ridge_angle_deg=ridge_angle_deg))
 
     def shortened(self, height_loss: float) -> "Groove":
-        """The groove whose facet and wall end below a crest that is cut or rounded."""
+        """The groove whose facet and wall end below a crest that is cut."""
         return replace(self, design=replace(self.design, height_loss=height_loss))
+
+    def worn(self, radius_um: float, pitch_um: float) -> "Groove":
+        """The groove whose crests, a pitch apart, are worn to a radius; crests that are rounder stay as they are."""
+        radius_um *= self.design.pitch_um / pitch_um
+        return replace(
+            self, design=replace(self.design, edge_radius_um=max(self.design.edge_radius_um, radius_um))
+        )
 
 
 def groove_of_design(design: RidgeDesign, bounces: int | None) -> Groove | None:

@@ -19,6 +19,12 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.ideal import RidgeDesign
 
 MOST_SHORTENED = 0.9  # share of a groove that a rounded crest may take
+ROUNDED = 0.8
+"""Of the length that a rounded crest takes from the wall, the share by which it shortens the groove.
+
+The arc still throws light into it. On path-traced ridges of 10 and 15° with radii of 5 and 10 µm it is 0.75 to 0.89 at
+90 and 180° for smooth, dark plastic, whose reflections are strong, and 0.54 to 0.63 for rough, bright plastic.
+"""
 CHORDS = 24  # of an arc, where nothing else is said
 _NODES = 6  # Gauss-Legendre, on every chord's part of an arc
 
@@ -119,11 +125,12 @@ def _rounded(design: RidgeDesign, widest_rad: float) -> tuple[FloatArray, FloatA
 def sharp_groove(design: RidgeDesign) -> RidgeDesign:
     """The groove between sharp crests in which light of a rounded one goes to and fro.
 
-    Facet and wall are shortened by what the rounding takes from the wall, or by the lost height where that is more.
+    Facet and wall are shortened by `ROUNDED` of what the rounding takes from the wall, or by the lost height where that
+    is more.
     """
     if design.edge_radius_um == 0.0 or design.full_height_um == 0.0:
         return replace(design, edge_radius_um=0.0)
-    shortened = min(MOST_SHORTENED, design.edge_reach_um / design.wall_length_um)
+    shortened = min(MOST_SHORTENED, ROUNDED * design.edge_reach_um / design.wall_length_um)
     return replace(design, edge_radius_um=0.0, height_loss=max(design.height_loss, shortened))
 
 

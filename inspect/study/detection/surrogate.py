@@ -260,8 +260,7 @@ def indirect_of_groove(
 ) -> FloatArray:
     """(P,) the same by the predictor's groove, that of worn crests shortened; for the predictor's own world."""
     if kind == "wear":
-        full = PITCH_UM * float(np.sin(np.radians(design.ridge_angle_deg)))
-        design = replace(design, height_loss=min(0.9, extent / full))
+        design = replace(design, edge_radius_um=extent)
     return corrected.indirect_radiance(*sides, design, material)
 
 

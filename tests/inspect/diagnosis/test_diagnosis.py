@@ -264,7 +264,7 @@ def test_worn_and_cut_crests_are_those_of_the_exact_profile(recipe, of_the_recip
         direct = np.array([view[:, middle].mean(dtype=float) for view in maps])
         return direct + interreflection(to_light, to_camera, groove, material)
 
-    lost = 5.0 / (100.0 * np.sin(np.radians(10.0)))
+    lost = 0.8 * 5.0 / (100.0 * np.sin(np.radians(10.0)))
     worn = np.log(looked(edge_wear(fine, 5.0), lost) / looked(fine, 0.0))
     np.testing.assert_allclose(by_name["wear"].at(5.0)[0], worn, rtol=0.02, atol=0.004)
 

@@ -170,7 +170,7 @@ def test_a_small_radius_is_a_sharp_crest_and_chords_do_not_matter():
 
 @pytest.mark.parametrize(
     ("radius", "errors"),
-    [pytest.param(0.5, (0.002, 0.01, 0.01), marks=pytest.mark.soak), (10.0, (0.005, 0.025, 0.035))],
+    [pytest.param(0.5, (0.002, 0.01, 0.01), marks=pytest.mark.soak), (10.0, (0.003, 0.01, 0.01))],
 )
 def test_worn_crests_reflect_as_the_shortened_groove(radius, errors):
     """Direct light and paths on a fine map of the worn ridges against the profile's direct light and the groove."""
@@ -204,19 +204,19 @@ def test_a_profile_of_its_own_takes_the_groove_of_a_design():
         radiance(*STANDARD, worn, material, None),
         rtol=1e-3,
     )
-    assert sharp_groove(worn).height_loss == pytest.approx(5.0 / (100.0 * np.sin(np.radians(10.0))))
+    assert sharp_groove(worn).height_loss == pytest.approx(0.8 * 5.0 / (100.0 * np.sin(np.radians(10.0))))
     assert sharp_groove(RidgeDesign(100.0, 5.0, edge_radius_um=30.0)).height_loss == 0.9
 
 
 def test_an_edge_of_half_a_micrometre_counts_where_it_mirrors():
-    """With all reflections, α .08 and ρ .1: .01744 with a sharp crest, .01765 with the arc."""
+    """With all reflections, α .08 and ρ .1: .01744 with a sharp crest, .01769 with the arc."""
     material = Material(0.08, 0.08, 0.1)
     sharp, rounded = (
         radiance(*STANDARD, RidgeDesign(100.0, 10.0, edge_radius_um=radius), material, None)
         for radius in (0.0, 0.5)
     )
     assert sharp[2] == pytest.approx(0.01744, abs=1e-5)
-    assert rounded[2] == pytest.approx(0.01765, abs=2e-5)
+    assert rounded[2] == pytest.approx(0.01769, abs=2e-5)
     for lobe in ({}, {"tail": 0.5}, {"tail": 1.0}, {"second_lobe": (0.15, 2.5)}):
         plastic = Material(**lobe)
         sharp, rounded = (
