@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.deviation_map import cell_deviations
-from anisoscope.recipe.surface import MOST_DEVIATION
 
 STEP = 0.025
 """Ln ratio between two levels; thresholds are rounded to it."""
-HIGHEST = round(MOST_DEVIATION / STEP)
+HIGHEST = 80
+"""A ln ratio of 2: what deviates by more counts as this."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import holm
 from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
-from anisoscope.recipe.surface import MOST_DEVIATION, AreaPart
+from anisoscope.recipe.surface import AreaPart
 from anisoscope.record.schema import AreaRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -51,8 +51,9 @@ def cell_thresholds(
     """(pairs,) ln ratios beyond which a cell deviates.
 
     "auto" is five times what the cells of a pair scatter by about their flanks (from the median of the absolute
-    deviations), at least four times their noise and `LEAST_DEVIATION`, at most `MOST_DEVIATION`: a mark moves a cell
-    by no more than the contrast that it spoils, and stands out in the pair whose good cells are most alike.
+    deviations), at least four times their noise and `LEAST_DEVIATION`. A mark stands out in the pair whose good cells
+    are most alike; where texture scatters them more than any fixed number, as in poses off the mirror direction, they
+    do not deviate.
 
     Args:
         ratios: (pairs, cell rows, cell cols) ln ratios.
@@ -64,7 +65,7 @@ def cell_thresholds(
     off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).reshape(len(ratios), -1)
     scatter = 1.4826 * np.median(off, axis=1)  # of normal values: their standard deviation
     least = max(LEAST_DEVIATION, noise / MAX_CELL_NOISE)
-    return np.asarray(np.minimum(np.maximum(SCATTERS * scatter, least), MOST_DEVIATION))
+    return np.asarray(np.maximum(SCATTERS * scatter, least))
 
 
 def cell_deviations(ratios: FloatArray, thresholds: FloatArray | float) -> FloatArray:

@@ -13,12 +13,13 @@ from anisoscope.diagnosis.discriminating_poses import cached_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
+from anisoscope.diagnosis.signatures import Signatures
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
-from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.recipe.surface import MOST_DEVIATION, SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
-from anisoscope.sim.light.contrasts import contrasts
+from anisoscope.sim.light.contrasts import consecutive_pairs, contrasts
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.unresolved import resolve
 
@@ -78,6 +79,7 @@ class SurfaceCheck(RecipeCheck):
         lamps: second lamps that would add something, the nearest wavelength first, where they are tried.
         never: pairs of causes that neither these poses separate, nor any tilt or lamp that was tried.
         roughness: of the whole plastic, by the height map and the recipe's lobe, in one line; None without a map.
+        thresholds: assumed for the cells where every part sets its own, in one line; None where the recipe states one.
     """
 
     contrast: str
@@ -88,6 +90,7 @@ class SurfaceCheck(RecipeCheck):
     lamps: tuple[LampAdvice, ...] = ()
     never: tuple[tuple[str, str], ...] = ()
     roughness: str | None = None
+    thresholds: str | None = None
 
     def tables(self) -> tuple[Table, ...]:
         """Contrasts, and their budget."""
@@ -123,8 +126,7 @@ class SurfaceCheck(RecipeCheck):
         lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in self.lamps]
         if self.never:
             lines.append(f"nothing that was tried would tell {_apart(self.never)}")
-        if self.roughness is not None:
-            lines.append(self.roughness)
+        lines += [line for line in (self.roughness, self.thresholds) if line is not None]
         return tuple(lines)
 
 
@@ -172,7 +174,7 @@ def check_recipe(
     advance("prediction", 0, 1)
     expected = expectation(recipe, light_angle_deg, optics)
     pairs, budget = _plan(recipe, expected)
-    known = cached_signatures(recipe, light_angle_deg, advance, model)
+    known = _with_texture(cached_signatures(recipe, light_angle_deg, advance, model))
     with_map = recipe.area is not None
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
     causes = separability(
@@ -200,11 +202,26 @@ def check_recipe(
         causes=causes,
         left_out=known.left_out,
         roughness=_roughness(recipe, expected) if optics is PLASTIC else None,
+        thresholds=None if recipe.area is None or recipe.area.cell_deviation != "auto" else _THRESHOLDS,
         advice=advice,
         complaints=_complaints(recipe, pairs),
         lamps=lamps,
         never=never,
     )
+
+
+_THRESHOLDS = (
+    f"area.cell_deviation is auto: every part sets its own thresholds, and {MOST_DEVIATION:g} is assumed here; parts "
+    "whose cells scatter less show smaller burrs, scratches and dust"
+)
+
+
+def _with_texture(known: Signatures) -> Signatures:
+    """Signatures whose cells deviate beyond `MOST_DEVIATION` in every pair where the threshold is that of each part.
+
+    How the cells of good parts scatter is not known before one is photographed, and a design has no texture.
+    """
+    return known.by_thresholds([MOST_DEVIATION] * len(consecutive_pairs(known.poses)))
 
 
 def second_lamps_for(
@@ -316,7 +333,7 @@ def _advice(
         update={"poses": recipe.poses.model_copy(update={"tilts_deg": tilts}), "decision": decision}
     )
     known, expected = (
-        cached_signatures(wide, light_angle_deg, advance, model),
+        _with_texture(cached_signatures(wide, light_angle_deg, advance, model)),
         expectation(wide, light_angle_deg, optics),
     )
     covariance, with_map = planned_covariance(wide, expected), recipe.area is not None

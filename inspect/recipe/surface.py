@@ -266,7 +266,7 @@ class DecisionPart(DecisionBase):
 
 
 MOST_DEVIATION = 0.3
-"""Deviation of a cell (ln ratio) that a recipe has unless it says otherwise, and that "auto" never exceeds."""
+"""Deviation of a cell (ln ratio) that a recipe has unless it says otherwise."""
 
 
 class AreaPart(Part):
@@ -274,7 +274,7 @@ class AreaPart(Part):
 
     A cell deviates if its ln ratio differs by more than ``cell_deviation``; the part fails if more than
     ``max_share`` of the area does. "auto" takes for every pair of angles what its cells scatter by
-    (`anisoscope.imaging.deviation_map.cell_thresholds`), at most `MOST_DEVIATION`.
+    (`anisoscope.imaging.deviation_map.cell_thresholds`).
     """
 
     cell_deviation: Positive | Literal["auto"] = MOST_DEVIATION

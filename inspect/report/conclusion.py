@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.diagnosis.cause_words import CauseWords, words_of
-from anisoscope.diagnosis.ranking import NOTHING, OTHER
+from anisoscope.diagnosis.ranking import NOTHING, OTHER, bare_title
 from anisoscope.record.schema import (
     CauseRecord,
     ComponentRecord,
@@ -28,8 +28,9 @@ OUTCOMES: Mapping[str, str] = {
     "inconclusive": "Inspect it again; if it stays undecided, have a reviewer decide (anisoscope history dispose)",
     "invalid": "Put right what the reason names and inspect the part again; nothing is known about the part",
     "unexplained": "Seat it again once; if it fails again, set it aside for a reviewer: no known cause explains it",
+    "tied": "Seat it again once; if it fails again, set it aside for a reviewer: several causes explain it alike",
 }
-"""What to do next without a known cause; keys of the recipe's ``[actions]`` besides the names of causes."""
+"""What to do next without one known cause; keys of the recipe's ``[actions]`` besides the names of causes."""
 
 
 def concluded(
@@ -51,6 +52,8 @@ def concluded(
     )
 
 
+RIVAL = 0.1
+"""Weight, in that of the best cause, from which on a cause that ties with it is named in the same sentence."""
 LIKELY = 0.05
 """Probability on a good part from which on a region of a single cell is no finding."""
 
@@ -118,8 +121,12 @@ def _of_verdict(
         return "inconclusive", f"Too close to a limit to decide. {measured}"
     named = _named(record, words)
     finding = _finding(named, nominal, _sign_unknown(record, named))
+    rivals = _rivals(record, named)
+    if rivals:
+        others = ", ".join(rivals)
+        finding = f"{finding}; or, not to be told apart: {others}"
     if record.verdict == "FAIL":
-        return (named[0].key, finding) if named else ("unexplained", measured)
+        return ("tied" if rivals else named[0].key, finding) if named else ("unexplained", measured)
     if reason.startswith("warning"):
         return "warning", f"The part is within its limits, but deviates. {finding or measured}"
     return "pass", f"The part is as it should be. {measured}"
@@ -145,6 +152,19 @@ def _named(record: Record, words: Mapping[str, CauseWords]) -> tuple[_Named, ...
     causes = best.components if best.components and words_of(best.cause, words) is None else (best,)
     found = tuple(_Named(one, *known) for one in causes if (known := words_of(one.cause, words)))
     return found if len(found) == len(causes) else ()
+
+
+def _rivals(record: Record, named: tuple[_Named, ...]) -> tuple[str, ...]:
+    """Titles of the causes that explain the part as well as the best one and are nearly as probable."""
+    if not named or record.diagnosis is None:
+        return ()
+    best, *others = record.diagnosis.causes
+    no_finding = {NOTHING, OTHER, named[0].words.opposite}
+    return tuple(
+        bare_title(one.title)
+        for one in others
+        if one.tie and one.cause not in no_finding and one.weight >= RIVAL * best.weight
+    )
 
 
 def _sign_unknown(record: Record, named: tuple[_Named, ...]) -> bool:

@@ -74,7 +74,7 @@ deviation = "warn"  # "fail": a significant deviation within the tolerance fails
 remeasure = 1  # how often an INCONCLUSIVE part is photographed again
 
 [area]
-cell_deviation = 0.3  # a cell of the contrast map deviates beyond this ln ratio; "auto": what good cells scatter by
+cell_deviation = "auto"  # a cell of the contrast map deviates beyond this ln ratio; "auto": 5 × what cells scatter by
 # max_share = 0.03  # share of the area that may deviate; left out it is learnt from golden parts, 0.03 without
 
 [uncertainty]  # standard uncertainties of the rig that one inspection cannot see

@@ -11,12 +11,13 @@ from anisoscope.diagnosis.cell_levels import CellLevels
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.imaging.deviation_map import CellMap, cell_deviations
+from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.defect_injection import inject_defect
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
+from anisoscope.recipe.surface import AreaPart
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
 from anisoscope.study.detection.product import LIGHT_DEG, Size, recipe_of
@@ -54,12 +55,13 @@ def cells_of_part(recipe, coverage):
     """(P, rows, cols) cells of a rough part; the texture is no part of its lobe."""
     rng = np.random.default_rng(1)
     shape = CELL_ROWS * CELL_POINTS + 1, CELL_COLS * CELL_POINTS + 1
-    surface = ridges(RidgeDesign(PITCH_UM, ANGLE_DEG), shape, (PIXEL_UM, PIXEL_UM))
+    surface = ridges(recipe.surface.ridge_design(), shape, (PIXEL_UM, PIXEL_UM))
     surface = add_facet_roughness(surface, TEXTURE, TEXTURE, 8.0, rng)
     if coverage:
         surface = inject_defect(surface, "burrs", rng, values={"coverage": coverage})
-    alone = float(np.sqrt(ALPHA**2 - TEXTURE**2))
-    lobe = replace(recipe.material.material(), alpha_along=alone, alpha_across=alone)
+    whole = recipe.material.material()
+    along, across = (float(np.sqrt(one**2 - TEXTURE**2)) for one in (whole.alpha_along, whole.alpha_across))
+    lobe = replace(whole, alpha_along=along, alpha_across=across)
     sides = directions(recipe.poses.poses(), Convention(LIGHT_DEG))
     maps = np.array(list(radiance_maps(Relief(surface, PITCH_UM, max_missing_share=1.0), *sides, lobe)))
     blocks = maps.reshape(len(maps), CELL_ROWS, CELL_POINTS, CELL_COLS, CELL_POINTS)
@@ -90,6 +92,22 @@ def test_burrs_are_named_with_the_thresholds_of_the_part(recipe, few):
     first = found.causes[0]
     assert first.cause == "burrs"
     assert abs(first.severity - COVERAGE) < 2.0 * first.u
+
+
+def test_texture_seen_off_the_mirror_direction_is_no_defect():
+    """At tilts good cells scatter by more than any fixed threshold that marks exceed."""
+    tilted = recipe_of("tilted", Size())
+    poses, rules = tilted.poses.poses(), {one: AreaPart(cell_deviation=one) for one in (0.3, "auto")}
+    shares = {}
+    for coverage in (0.0, 0.02):
+        cells = cells_of_part(tilted, coverage)
+        seen = measured(cells, cells.mean(axis=(1, 2)))
+        shares[coverage] = {
+            one: cell_map(seen, poses, rule).deviating().mean() for one, rule in rules.items()
+        }
+    assert shares[0.0][0.3] > 0.05
+    assert shares[0.0]["auto"] < 0.015
+    assert shares[0.02]["auto"] > 0.03
 
 
 def test_levels_give_the_share_of_every_threshold(rng):

@@ -121,5 +121,5 @@ def test_cells_of_every_pair_are_judged_by_their_own_scatter(rng):
     scatter = np.array([0.004, 0.02, 0.3])
     ratios = scatter[:, None, None] * rng.standard_normal((3, 80, 40))
     assert cell_thresholds(ratios, 0.25).tolist() == [0.25, 0.25, 0.25]
-    assert cell_thresholds(ratios, "auto") == pytest.approx([0.05, 0.1, 0.3], rel=0.05)
-    assert cell_thresholds(ratios, "auto", noise=0.05) == pytest.approx([0.2, 0.2, 0.3])
+    assert cell_thresholds(ratios, "auto") == pytest.approx([0.05, 0.1, 1.5], rel=0.05)
+    assert cell_thresholds(ratios, "auto", noise=0.05) == pytest.approx([0.2, 0.2, 1.5], rel=0.05)

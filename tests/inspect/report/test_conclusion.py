@@ -32,12 +32,27 @@ def conclude(make_report_record):
 
 
 def test_the_finding_names_its_size_and_how_well_it_is_known(conclude):
-    found = conclude(row("ridge-angle", -1.83, 0.47), row("seating-y", -1.8, 0.4))
+    found = conclude(row("ridge-angle", -1.83, 0.47), row("seating-y", -1.8, 0.4, weight=0.01))
     assert found.finding == "Ridges are about 1.8° flatter than designed (8.2° ± 0.5°)."
     assert found.follows_from == "ridge-angle"
     assert found.action == f"{PLASTIC_WORDS['ridge-angle'].action}."
     shares = conclude(row("burrs", 0.069, 0.02, ""))
     assert "7 % of the area (± 2 %)" in shares.finding
+
+
+def test_causes_that_tie_are_named_together_and_none_of_them_acted_on(conclude):
+    tied = (
+        row("ridge-angle", -1.83, 0.47),
+        row("wear", 5.0, 2.0, "µm", title="worn edges, radius", weight=0.2),
+    )
+    found = conclude(*tied)
+    assert found.finding == (
+        "Ridges are about 1.8° flatter than designed (8.2° ± 0.5°); or, not to be told apart: worn edges, radius."
+    )
+    assert (found.follows_from, found.action) == ("tied", f"{OUTCOMES['tied']}.")
+    assert conclude(*tied, actions={"wear": "Hone it", "tied": "Ask Maria"}).action == "Ask Maria."
+    for other in ({"weight": 0.04}, {"tie": False}, {"cause": "nothing"}):
+        assert conclude(tied[0], tied[1] | other).follows_from == "ridge-angle"
 
 
 def test_an_unknown_sign_is_one_finding_and_not_two_causes(conclude):
