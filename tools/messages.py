@@ -21,6 +21,8 @@ from babel.messages.pofile import read_po, write_po
 from anisoscope.commissioning.selftest import STEPS
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.ranking import bare_title
+from anisoscope.kinds.prints.decision import NOT_JUDGED
+from anisoscope.kinds.prints.missing_ink import MISSING_TITLE
 from anisoscope.kinds.registry import kind_named
 from anisoscope.kinds.wafers.causes import wafer_causes
 from anisoscope.report import rule
@@ -65,6 +67,11 @@ SENTENCES = {
     "inspect/commissioning/commissioning.py": ("_notes",),
     "inspect/kinds/surface.py": ("predicted_cells", "comparable_means", "summary", "unlike_text"),
     "inspect/kinds/wafers/kind.py": ("predicted_cells", "comparable_means"),
+    "inspect/kinds/prints/kind.py": ("finding", "diagnose"),
+    "inspect/kinds/prints/decision.py": ("_together", "_combine", "_of_area"),
+    "inspect/kinds/prints/quantities.py": ("sentence", "colour"),
+    "inspect/kinds/prints/missing_ink.py": ("reason",),
+    "inspect/kinds/prints/report.py": ("print_rule",),
     "inspect/cli/inspect/batch_operator.py": ("place", "serial_of", "trouble", "_part"),
     "inspect/cli/rig/motion.py": {"confirm"},
     "inspect/inspection/run.py": {"advance"},
@@ -107,6 +114,16 @@ FURTHER = (
     ),
     *("found", "not identifiable", "not measured", "{count} more things differ", "file {name}"),
     "recipe, rig and calibrations in detail are not compared: {error}",
+    *("roughness along x", "roughness along y", "ln of roughness at 90° over 0°", "level of the ink"),
+    *("ln of roughness at 135° over 45°", "shift of u′v′", "tilt of the flakes", "lobe and level"),
+    *("change of tilt across the region", "the deviating area", "all channels together", "nominal", "off by"),
+    "level too high (ink brighter or denser, or lamp and flat not as they were), relative excess",
+    *("dots too large: more ink than there should be, relative", "roughness of the lobe, relative change"),
+    "brushed print: roughness at {across}° over {along}°, relative excess",
+    "flakes shingled, or sheet not flat in its seat: leans toward {toward}° by",
+    *("film of the flakes: spectra shifted by", "share of {name} in the ink", "spots, share of the area"),
+    *("form of the lobe, 0 as in the recipe, 1 the other distribution", MISSING_TITLE),
+    *("curled sheet, change of tilt across the region", "like the {count} golden prints", NOT_JUDGED),
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
 )
 """Names that reach the page or the console from data."""

@@ -35,6 +35,8 @@ class _Pattern(NamedTuple):
 
     expression: re.Pattern[str]
     translation: str
+    lists: bool
+    """Whether it holds the mark between the entries of a list."""
 
 
 def language() -> str:
@@ -117,19 +119,25 @@ def _looked_up(text: str) -> str | None:
     exact = _catalogue(_present).get(text)
     if exact is not None:
         return exact
-    listed = _list(text)
-    if listed is not None:
-        return listed
-    for pattern in _patterns(_present):
-        match = pattern.expression.fullmatch(text)
-        if match is not None:
-            places = {name: _in_place(name, value) for name, value in match.groupdict().items()}
-            filled = pattern.translation.format(**places)
-            return filled if AS_WRITTEN & places.keys() else decimal(filled)
+    # a message with the mark of a list is no list
+    found = _by_pattern(text, lists=True) or _list(text) or _by_pattern(text, lists=False)
+    if found is not None:
+        return found
     if text.endswith("."):
         found = _looked_up(text[:-1])
         return None if found is None else f"{found}."
     return _with_extent(text) or _by_parts(text)
+
+
+def _by_pattern(text: str, *, lists: bool) -> str | None:
+    """The translation of the first message whose pattern this is, of those with or without the mark of a list."""
+    for pattern in _patterns(_present):
+        match = pattern.expression.fullmatch(text) if pattern.lists is lists else None
+        if match is not None:
+            places = {name: _in_place(name, value) for name, value in match.groupdict().items()}
+            filled = pattern.translation.format(**places)
+            return filled if AS_WRITTEN & places.keys() else decimal(filled)
+    return None
 
 
 def _list(text: str) -> str | None:
@@ -183,7 +191,7 @@ def _patterns(name: str) -> tuple[_Pattern, ...]:
         (text, new) for text, new in _catalogue(name).items() if _PLACE.search(text) and _own(text) >= LEAST
     ]
     found.sort(key=lambda one: -_own(one[0]))
-    return tuple(_Pattern(_expression(text), new) for text, new in found)
+    return tuple(_Pattern(_expression(text), new, _PARTS[0] in _PLACE.sub("", text)) for text, new in found)
 
 
 def _own(text: str) -> int:

@@ -113,5 +113,5 @@ def _line(found: "FoundPort", answer: "Answer | None") -> str:
             else answer.problem
         )
     elif found.may_be:
-        words.append(message("may be {name}", name=f" {message('or')} ".join(found.may_be)))
+        words.append(message("may be {name}", name=message(" or ").join(found.may_be)))
     return "  ".join(word for word in words if word)

@@ -165,8 +165,12 @@ def _together(p_value: float, comparison: GoldenComparison | None, recipe: Print
     alpha = recipe.decision.alpha
     significant = p_value < alpha
     alike = "as predicted" if comparison is None else f"like the {comparison.count} golden prints"
-    shared = "" if comparison is None or comparison.area is None else ", shared with the area"
-    line = f"all channels together: p {p_value_text(p_value)} for a print {alike} (level {alpha:g}{shared})"
+    text = p_value_text(p_value)
+    line = (
+        f"all channels together: p {text} for a print {alike} (level {alpha:g})"
+        if comparison is None or comparison.area is None
+        else f"all channels together: p {text} for a print {alike} (level {alpha:g}, shared with the area)"
+    )
     if not significant:
         return False, line
     where = ""
@@ -209,11 +213,15 @@ def _combine(
 
 def _of_area(found: PrintMapRecord, rule: PrintArea, comparison: GoldenComparison | None) -> str:
     """The deviating area with its limit, and where that comes from."""
-    line = f" of the area is off by more than ΔE {rule.cell_delta_e:g} from the rest (limit "
+    cell = rule.cell_delta_e
     if comparison is None or comparison.area is None:
-        return f"{found.share:.1%}{line}{found.max_share:.1%})"
+        return (
+            f"{found.share:.1%} of the area is off by more than ΔE {cell:g} from the rest (limit "
+            f"{found.max_share:.1%})"
+        )
     return (
-        f"{found.share:.2%}{line}{found.max_share:.2%}, learnt from {comparison.area.prints} golden prints)"
+        f"{found.share:.2%} of the area is off by more than ΔE {cell:g} from the rest (limit {found.max_share:.2%}, "
+        f"learnt from {comparison.area.prints} golden prints)"
     )
 
 

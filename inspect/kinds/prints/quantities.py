@@ -217,6 +217,10 @@ def sentence(one: Quantity) -> str:
             f"{one.title} is off by {one.deviation:+.3f} (limit ±{one.limit:g}, guard band {one.guard:.3f})"
         )
     digits = 4 if one.name == "chromaticity" else 2
+    if not one.unit:
+        return (
+            f"{one.title} is {one.value:.{digits}f} (limit {one.limit:g}, guard band {one.guard:.{digits}f})"
+        )
     return (
         f"{one.title} is {one.value:.{digits}f}{one.unit} (limit {one.limit:g}{one.unit}, guard band "
         f"{one.guard:.{digits}f}{one.unit})"

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.language import translated
 from anisoscope.base.notation import percent_text, ratio_text
 from anisoscope.kinds.prints.decision import PrintDecision
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -144,7 +145,9 @@ def print_sections(record: Record, pictures: Pictures) -> Sections:
         (files("anisoscope.kinds.prints") / "templates" / name).read_text(encoding="utf-8")
         for name in ("inspection_print_colours.html", "inspection_print.html")
     )
-    return Sections(rule=print_rule(record), first=first, before=before, content=print_parts(record, found))
+    return Sections(
+        rule=translated(print_rule(record)), first=first, before=before, content=print_parts(record, found)
+    )
 
 
 def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, Any]:

@@ -74,6 +74,14 @@ DARK = (
             "ridge angle, off; or, not to be told apart: pitch, off and 2 more",
             ("Rippenwinkel", "Teilung und 2 weitere"),
         ),
+        (
+            "ridge angle, off; or, not to be told apart: the part lies tilted about y",
+            ("Rippenwinkel; oder, davon nicht zu unterscheiden: das Teil liegt um y geneigt",),
+        ),
+        (
+            "ΔE2000 at 90°, tilt -10° is 2.31 (limit 2, guard band 0.96)",
+            ("ΔE2000 bei 90°, Neigung -10° ist 2,31 (Grenzwert 2, Schutzband 0,96)",),
+        ),
     ],
 )
 def test_a_recorded_sentence_is_translated_with_its_numbers(text, wanted):
