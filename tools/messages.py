@@ -18,6 +18,7 @@ from babel.messages.catalog import Catalog
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po, write_po
 
+from anisoscope.base.notation import NUMBER_WORDS
 from anisoscope.commissioning.selftest import STEPS
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.ranking import bare_title
@@ -213,6 +214,7 @@ def _tables() -> Iterator[str]:
     yield from (*OUTCOMES.values(), *MEANING.values(), INVALID_RULE, *rule.CONTRASTS.values())
     for names, _ in STEPS:
         yield from (words for _, words in names)
+    yield from NUMBER_WORDS.values()
     yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
     for name in ("ridges", "wafers", "prints"):
         for key, words in kind_named(name).cause_words.items():

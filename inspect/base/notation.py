@@ -11,6 +11,14 @@ _MINUS = re.compile(r"(?<![\w)\]°])-(?=[\d.])")
 _OLD_CONTRAST = re.compile(r"(-?[\d.]+)°/(-?[\d.]+)° at tilt (-?[\d.]+)°(, (?=-?[\d.]+°/))?")
 _NUMBER = re.compile(r"(ln|Michelson|difference) (-?[\d.]+)-(-?[\d.]+)(?: @(-?[\d.]+))?$")
 _NUMBER_KINDS = {"ln": "ln ratio", "Michelson": "Michelson contrast", "difference": "difference [1/sr]"}
+NUMBER_WORDS = {
+    "d2": "squared distance D²",
+    "p": "p of the squared distance",
+    "area share": "share of the area that deviates",
+    "conformance probability": "probability of conformance",
+    "drift": "drift of the lamp",
+}
+"""Numbers of the history that are no contrasts -> what they are called for people."""
 _EXACT_P = re.compile(r"\bp (?:= (\d(?:\.\d+)?e-\d+)|< 1e-300)")
 
 
@@ -29,9 +37,14 @@ def number_name(label: str) -> str:
     """A number of the history for people: ``ln 0-90 @10`` becomes ``ln ratio 0° / 90°, tilt 10°``."""
     found = _NUMBER.match(label)
     if found is None:
-        return label
+        return NUMBER_WORDS.get(label, label)
     name = contrast_name(float(found[2]), float(found[3]), float(found[4] or 0.0))
     return f"{_NUMBER_KINDS[found[1]]} {name}"
+
+
+def number_text(label: str, value: float) -> str:
+    """A number of the history in four digits; of a probability no more than is meant."""
+    return f"< {LEAST_P:g}".replace("e-09", "e-9") if label == "p" and value < LEAST_P else f"{value:.4g}"
 
 
 def p_value_text(p_value: float) -> str:

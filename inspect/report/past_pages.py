@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from anisoscope.base.notation import number_name, true_minus
+from anisoscope.base.notation import number_name, number_text, true_minus
 from anisoscope.history.comparing import Compared, Comparison
 from anisoscope.history.rows import Row
 from anisoscope.record.schema import ConclusionRecord
@@ -138,11 +138,7 @@ def write_compared_page(
 
 
 def _cells(one: Compared) -> tuple[str, ...]:
-    forms = (
-        (one.first, ".4g"),
-        (one.second, ".4g"),
-        (one.difference, "+.3g"),
-        (one.u, ".2g"),
-        (one.ratio, "+.1f"),
-    )
-    return tuple("–" if value is None else true_minus(format(value, form)) for value, form in forms)
+    values = ["–" if value is None else number_text(one.label, value) for value in (one.first, one.second)]
+    forms = ((one.difference, "+.3g"), (one.u, ".2g"), (one.ratio, "+.1f"))
+    values += ["–" if value is None else format(value, form) for value, form in forms]
+    return tuple(map(true_minus, values))

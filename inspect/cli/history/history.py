@@ -24,7 +24,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
-from anisoscope.base.notation import number_name
+from anisoscope.base.notation import number_name, number_text
 from anisoscope.cli.history.options import ALL, Place, Which, opened
 from anisoscope.cli.inspect.inspection import conclusion_lines
 from anisoscope.cli.progress import progress
@@ -208,7 +208,7 @@ def _number_rows(numbers: Mapping[str, float]) -> list[list[str]]:
     return [
         [
             plain(translated(number_name(label))),
-            decimal(f"{value:.4g}"),
+            decimal(number_text(label, value)),
             cell(f"u {label}", "{:.2g}"),
             cell(f"deviation {label}", "{:+.4g}"),
             cell(f"tolerance {label}", "±{:g}"),
@@ -250,17 +250,10 @@ def _comparison_json(found: "Comparison") -> dict[str, Any]:
 
 
 def _compared_row(one: "Compared") -> list[str]:
-    forms = [
-        (one.first, ".4g"),
-        (one.second, ".4g"),
-        (one.difference, "+.4g"),
-        (one.u, ".2g"),
-        (one.ratio, "+.1f"),
-    ]
-    return [
-        translated(number_name(one.label)),
-        *("" if value is None else decimal(format(value, form)) for value, form in forms),
-    ]
+    values = ["" if value is None else number_text(one.label, value) for value in (one.first, one.second)]
+    forms = [(one.difference, "+.4g"), (one.u, ".2g"), (one.ratio, "+.1f")]
+    values += ["" if value is None else format(value, form) for value, form in forms]
+    return [translated(number_name(one.label)), *map(decimal, values)]
 
 
 def _text_of(text: str | None) -> str:

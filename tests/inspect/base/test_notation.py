@@ -5,6 +5,7 @@ import pytest
 from anisoscope.base.notation import (
     contrast_name,
     number_name,
+    number_text,
     p_value_text,
     percent_text,
     present_notation,
@@ -20,7 +21,11 @@ def test_a_contrast_always_names_its_tilt():
 def test_numbers_of_the_history_are_called_as_in_the_report():
     assert number_name("ln 0-90") == "ln ratio 0° / 90°, tilt 0°"
     assert number_name("difference 90-180 @-10") == "difference [1/sr] 90° / 180°, tilt -10°"
-    assert number_name("print alpha x") == "print alpha x"
+    assert [number_name(one) for one in ("p", "print alpha x")] == [
+        "p of the squared distance",
+        "print alpha x",
+    ]
+    assert [number_text("p", 3.9e-11), number_text("d2", 3.9e-11)] == ["< 1e-9", "3.9e-11"]
 
 
 def test_probabilities_are_never_more_exact_than_their_model():
