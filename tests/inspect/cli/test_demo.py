@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 from typing import get_args
 
@@ -44,6 +45,29 @@ def test_demo_writes_what_it_promises(anisoscope, demo_folder):
         "DEMO-angle",
     }
     assert all((Path(path).parent / "report.html").is_file() for path in records)
+
+
+def test_page_1_of_its_reports_has_finding_action_and_pictures(demo_folder):
+    findings = {
+        "good": "The part is as it should be",
+        "burrs": "Burrs cover about",
+        "angle": "Ridges are about",
+    }
+    for name, finding in findings.items():
+        (path,) = sorted((demo_folder / "inspections").glob(f"DEMO-{name}-*/report.html"))[:1]
+        page_1 = path.read_text(encoding="utf-8").partition('<div lang="en">')[0]
+        assert re.search(rf'<p id="finding"><bdi>{finding}[^<]+\.</bdi>', page_1)
+        assert re.search(r'<p id="action"><strong>What to do next:</strong> <bdi>[^<]+\.</bdi>', page_1)
+        pictures = re.search(r'<section class="poses" id="pictures">.*?</section>', page_1, re.DOTALL)[0]
+        assert (
+            re.findall(r'alt="(Measured|Predicted|Difference)', pictures)
+            == [
+                "Measured",
+                "Predicted",
+                "Difference",
+            ]
+            * 3
+        )
 
 
 @pytest.mark.soak
