@@ -66,8 +66,10 @@ def severity_text(cause: CauseRecord | ComponentRecord) -> str:
 
 
 def weight_text(weight: float) -> str:
-    """A share of the belief; it is never all of it."""
-    return message("over 99 %") if weight > MOST_WEIGHT else f"{100.0 * weight:.0f} %"
+    """A share of the belief; it is never all of it, nor nothing."""
+    if weight > MOST_WEIGHT:
+        return message("over 99 %")
+    return message("below 1 %") if weight < 0.01 else f"{100.0 * weight:.0f} %"
 
 
 def cause_range(cause: CauseRecord | ComponentRecord) -> str:
