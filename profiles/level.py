@@ -133,59 +133,61 @@ def _powers(order: int) -> list[tuple[int, int]]:
 
 
 class _Folded:
-    """A sample of points of a ridged map: height = profile of the place on the ridge + form."""
+    """A sample of points of a ridged map: height = profile of the place on the ridge + form.
+
+    The points are in the order of their bins, so that sums over a bin are sums over neighbours.
+    """
 
     def __init__(self, surface: HeightMap, period: Period) -> None:
         rows, cols = surface.shape
         known = sampled(np.isfinite(surface.height_um), FORM_SAMPLES)
         i, j = np.divmod(known, cols)
-        x, y = j * surface.pixel_x_um, i * surface.pixel_y_um
         (ex, ey), (ux, uy) = period.across(), period.along()
-        phase = (ex * x + ey * y) / period.pitch_um
-        ridge = np.floor(phase)
-        self.bin = ((phase - ridge) * FORM_BINS).astype(np.intp) % FORM_BINS
-        along = ux * x + uy * y
+        phase = (ex * surface.pixel_x_um * j + ey * surface.pixel_y_um * i) / period.pitch_um
+        place = ((phase - np.floor(phase)) * FORM_BINS).astype(np.intp) % FORM_BINS
+        order = np.argsort(place, kind="stable")
+        known, i, j, phase, self.bin = (one[order] for one in (known, i, j, phase, place))
+        _, self.starts, self.sizes = np.unique(self.bin, return_index=True, return_counts=True)
+        along = ux * surface.pixel_x_um * j + uy * surface.pixel_y_um * i
         tile = np.floor((along - along.min()) / max(float(np.ptp(along)), 1e-9) * TILES)
-        self.half = (ridge + tile) % 2 == 0
+        self.half = (np.floor(phase) + tile) % 2 == 0
         self.z = surface.height_um.ravel()[known]
         at = np.linspace(-1.0, 1.0, cols)[j], np.linspace(-1.0, 1.0, rows)[i]
-        up, right = ([_legendre(one, n) for n in range(FORM_ORDERS[-1] + 1)] for one in at)
-        self.terms = np.stack([up[a] * right[b] for a, b in _powers(FORM_ORDERS[-1])], axis=1)
+        right, up = (np.polynomial.legendre.legvander(one, FORM_ORDERS[-1]) for one in at)
+        powers = np.array(_powers(FORM_ORDERS[-1]))
+        self.terms = right[:, powers[:, 0]] * up[:, powers[:, 1]]
         self.weight = np.ones(self.z.size)
 
     def normal(self, order: int, use: FloatArray) -> "_Normal":
         """Normal equations up to an order, of the points that ``use`` weighs."""
-        count = len(_powers(order))
-        chosen = use > 0.0
-        part = np.column_stack([self.terms[chosen, :count], self.z[chosen]])
-        weight, bins = use[chosen], self.bin[chosen]
-        total = np.maximum(np.bincount(bins, weight, minlength=FORM_BINS), 1e-300)
-        sums = np.stack(
-            [np.bincount(bins, weight * column, minlength=FORM_BINS) for column in part.T], axis=1
-        )
-        gram = (part * weight[:, None]).T @ part - sums.T @ (sums / total[:, None])
-        return _Normal(gram, float(weight.sum()))
+        chosen = np.flatnonzero(use)
+        part = np.column_stack([self.terms[chosen, : len(_powers(order))], self.z[chosen]])
+        part *= np.sqrt(use[chosen])[:, None]
+        starts = np.flatnonzero(np.diff(self.bin[chosen], prepend=-1))
+        weight, sums = use[chosen], np.add.reduceat(part * np.sqrt(use[chosen])[:, None], starts)
+        sums /= np.sqrt(np.add.reduceat(weight, starts))[:, None]
+        return _Normal(part.T @ part - sums.T @ sums, float(weight.sum()))
 
     def residual(self, factors: FloatArray) -> FloatArray:
         """Heights of all points over the form and the weighted mean of their bin."""
         left = self.z - self.terms[:, : factors.size] @ factors
-        total = np.maximum(np.bincount(self.bin, self.weight, minlength=FORM_BINS), 1e-300)
-        mean = np.bincount(self.bin, self.weight * left, minlength=FORM_BINS) / total
-        return np.asarray(left - mean[self.bin])
+        total, sums = (np.add.reduceat(one, self.starts) for one in (self.weight, self.weight * left))
+        return np.asarray(left - np.repeat(sums / np.maximum(total, 1e-300), self.sizes))
 
     def reweigh(self, residual: FloatArray) -> None:
         """Points of bins that scatter (walls) weigh little, those that stand out (burrs) nothing."""
-        order = np.argsort(self.bin, kind="stable")
-        starts = np.searchsorted(self.bin[order], np.arange(FORM_BINS + 1))
         size = np.abs(residual)
-        spread = np.full(FORM_BINS, np.inf)
-        for k in range(FORM_BINS):
-            inside = order[starts[k] : starts[k + 1]]
-            if inside.size:
-                spread[k] = 1.4826 * float(np.median(size[inside]))
-        floor = 0.1 * float(np.median(spread[np.isfinite(spread)])) + 1e-9
-        spread = np.maximum(spread, floor)
-        self.weight = np.where(size <= FORM_CLIP * spread[self.bin], 1.0 / spread[self.bin] ** 2, 0.0)
+        spread = 1.4826 * self._medians(size)
+        spread = np.maximum(spread, 0.1 * float(np.median(spread)) + 1e-9)
+        everywhere = np.repeat(spread, self.sizes)
+        self.weight = np.where(size <= FORM_CLIP * everywhere, everywhere**-2.0, 0.0)
+
+    def _medians(self, size: FloatArray) -> FloatArray:
+        """Median of values from 0 on in every bin, by one sort of bin and share of the largest value."""
+        largest = max(float(size.max()), 1e-300) * 1.001
+        ordered = np.sort(self.bin + size / largest)
+        low, high = (ordered[self.starts + half] for half in ((self.sizes - 1) // 2, self.sizes // 2))
+        return np.asarray(largest * (0.5 * (low + high) - self.bin[self.starts]))
 
 
 @dataclass(frozen=True, eq=False)

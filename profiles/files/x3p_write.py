@@ -29,6 +29,7 @@ SAMPLE_BYTES = 2**18
 SAMPLED = (0.1, 0.3, 0.5, 0.7, 0.9)
 WORTH = 0.7
 UNKNOWN = "not available"
+Buffer = bytes | memoryview
 INSTRUMENT = ("manufacturer", "model", "serial", "version")
 MAX_DOCUMENT_BYTES = 2**24
 ENTRY_DATE = (1980, 1, 1, 0, 0, 0)
@@ -132,31 +133,33 @@ def _record3(surface: HeightMap, data: str) -> str:
     return _element("Record3", size, data)
 
 
-def _md5(content: bytes) -> str:
+def _md5(content: Buffer) -> str:
     return hashlib.md5(content, usedforsecurity=False).hexdigest()
 
 
-def _linked(metres: FloatArray) -> tuple[str, dict[str, bytes]]:
-    """Reference to binary data, and the entries that it points to."""
+def _linked(metres: FloatArray) -> tuple[str, dict[str, Buffer], bytes]:
+    """Reference to binary data, the entries that it points to, and the checksum of the data."""
     valid = np.isfinite(metres)
-    points = metres.astype("<f8").tobytes()
+    points = memoryview(metres.astype("<f8", copy=False)).cast("B")
     mask = np.packbits(valid.ravel(), bitorder="little").tobytes()
+    checksum = _md5(points)
     link = _element(
         "DataLink",
         _text("PointDataLink", "bindata/data.bin"),
-        _text("MD5ChecksumPointData", _md5(points).upper()),
+        _text("MD5ChecksumPointData", checksum.upper()),
         *([] if valid.all() else [_text("ValidPointsLink", "bindata/valid.bin")]),
         *([] if valid.all() else [_text("MD5ChecksumValidPoints", _md5(mask).upper())]),
     )
-    return link, {"bindata/data.bin": points} | ({} if valid.all() else {"bindata/valid.bin": mask})
+    entries: dict[str, Buffer] = {"bindata/data.bin": points}
+    return link, entries | ({} if valid.all() else {"bindata/valid.bin": mask}), bytes.fromhex(checksum)
 
 
-def _listed(metres: FloatArray) -> tuple[str, dict[str, bytes]]:
-    """The heights as numbers in the document; a missing point is an empty element."""
+def _listed(metres: FloatArray) -> tuple[str, dict[str, Buffer], bytes]:
+    """The heights as numbers in the document, no entries, and a checksum; a missing point is an empty element."""
     texts = np.where(np.isfinite(metres), metres, 0.0).ravel().tolist()
     known = np.isfinite(metres).ravel().tolist()
     datums = (_text("Datum", repr(z) if valid else "") for z, valid in zip(texts, known, strict=True))
-    return _element("DataList", *datums), {}
+    return _element("DataList", *datums), {}, listed_digest(metres)
 
 
 def write_x3p(surface: HeightMap, path: Path | str, *, text: bool = False) -> None:
@@ -171,8 +174,7 @@ def write_x3p(surface: HeightMap, path: Path | str, *, text: bool = False) -> No
         HeightMapError: the file cannot be written.
     """
     metres = to_metres(surface.height_um)
-    data, entries = (_listed if text else _linked)(metres)
-    digest = listed_digest(metres) if text else bytes.fromhex(_md5(entries["bindata/data.bin"]))
+    data, entries, digest = (_listed if text else _linked)(metres)
     entries |= ulps_entry(surface.height_um, metres, digest)
     document = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -214,7 +216,7 @@ def write_x3p(surface: HeightMap, path: Path | str, *, text: bool = False) -> No
             partial.unlink(missing_ok=True)
 
 
-def _worth_packing(content: bytes) -> bool:
+def _worth_packing(content: Buffer) -> bool:
     """Whether pieces of a long content pack to less than 70 %; the last places of measured heights do not."""
     if len(content) <= len(SAMPLED) * SAMPLE_BYTES:
         return True

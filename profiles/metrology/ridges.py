@@ -7,6 +7,7 @@ and crest (:mod:`.ridgecrest`). A ridge is the unit that is repeated: uncertaint
 map differ.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.parallel import one_blas_thread
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 from anisoscope.profiles.level import periodic_form, periodic_tilt
 from anisoscope.profiles.metrology import ridgekernels as kernels
@@ -66,6 +68,12 @@ def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
     Raises:
         HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch.
     """
+    with one_blas_thread():
+        return _fitted(surface).measured()
+
+
+def _fitted(surface: HeightMap) -> "_Fit":
+    """All steps up to the sums over the ridges."""
     period = _checked(find_period(surface), surface)
     surface, period, form_um = _without_form(surface, period)
     tilt = periodic_tilt(surface, period)
@@ -80,10 +88,12 @@ def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
     above, owner, burrs, out = _outliers(grid, course, facet, folded, planes)
     clean = Grid(grid.z, out, grid.pixel)
     planes = fit_planes(clean, course, facet, folded, planes)
-    positions = refine(clean, course, folded, _resolved_wall(folded, course, grid))
+    wall = _resolved_wall(folded, course, grid)
     above[out] = np.nan
-    second = _second_direction(surface, grid, course, folded)
-    fit = _Fit(
+    with ThreadPoolExecutor(1) as beside:
+        second = beside.submit(_second_direction, surface, grid, course, folded)
+        positions = refine(clean, course, folded, wall)
+    return _Fit(
         surface,
         period,
         tilt,
@@ -97,9 +107,8 @@ def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
         owner,
         burrs,
         form_um,
-        second,
+        second.result(),
     )
-    return fit.measured()
 
 
 def _second_direction(surface: HeightMap, grid: Grid, course: Course, folded: Folded) -> float | None:
