@@ -146,11 +146,12 @@ class _Folded:
         phase = (ex * surface.pixel_x_um * j + ey * surface.pixel_y_um * i) / period.pitch_um
         place = ((phase - np.floor(phase)) * FORM_BINS).astype(np.intp) % FORM_BINS
         order = np.argsort(place, kind="stable")
-        known, i, j, phase, self.bin = (one[order] for one in (known, i, j, phase, place))
+        known, i, j = known[order], i[order], j[order]
+        ridge, self.bin = np.floor(phase[order]), place[order]
         _, self.starts, self.sizes = np.unique(self.bin, return_index=True, return_counts=True)
         along = ux * surface.pixel_x_um * j + uy * surface.pixel_y_um * i
         tile = np.floor((along - along.min()) / max(float(np.ptp(along)), 1e-9) * TILES)
-        self.half = (np.floor(phase) + tile) % 2 == 0
+        self.half = (ridge + tile) % 2 == 0
         self.z = surface.height_um.ravel()[known]
         at = np.linspace(-1.0, 1.0, cols)[j], np.linspace(-1.0, 1.0, rows)[i]
         right, up = (np.polynomial.legendre.legvander(one, FORM_ORDERS[-1]) for one in at)

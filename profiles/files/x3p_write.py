@@ -140,7 +140,7 @@ def _md5(content: Buffer) -> str:
 def _linked(metres: FloatArray) -> tuple[str, dict[str, Buffer], bytes]:
     """Reference to binary data, the entries that it points to, and the checksum of the data."""
     valid = np.isfinite(metres)
-    points = memoryview(metres.astype("<f8", copy=False)).cast("B")
+    points = metres.astype("<f8", copy=False).data.cast("B")
     mask = np.packbits(valid.ravel(), bitorder="little").tobytes()
     checksum = _md5(points)
     link = _element(
