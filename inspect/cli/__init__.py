@@ -152,7 +152,7 @@ COMMANDS = {
         ),
         "design": (
             "design.design:app",
-            "Design diffractive surfaces: step widths, etch depths, dots, patterns, masks.",
+            "Design surfaces: diffractive steps, depths, dots, patterns and masks, and codes made of ridges.",
         ),
         "ink": ("ink.ink:app", "Fit, show, halftone and soft-proof structural-colour inks."),
         "fit": ("fit.fit:app", "Fit the parameters of the reflectance models to measured values."),

@@ -41,6 +41,7 @@ from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import PLATE, image_of_fixture, image_of_surface, pixel_from_mm, vignette
+from anisoscope.sim.bench.plate import PlateSample
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.prints import PrintSample
 from anisoscope.sim.bench.sensor import Mosaic, Sensor
@@ -149,6 +150,9 @@ def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
 
         assert part.wafer is not None  # the bench file's own check
         return build_wafer(part.wafer, part.size_mm, rng)
+    if part.kind == "plate":
+        assert part.plate is not None  # the bench file's own check
+        return PlateSample(part.plate, plastic(part.material), rng, reflections=part.reflections)
     return ReliefSample(build_surface(part, rng), file)
 
 

@@ -19,6 +19,7 @@ from anisoscope.rig.bayer import Filters
 from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.plate import PlatePart
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.prints import check_print
 from anisoscope.sim.bench.waferpart import WaferPart
@@ -59,14 +60,15 @@ class CodePart(Part):
 
 
 class SamplePart(Part):
-    """The sample: synthetic ridges, a height map from a file, a print, a wafer, or a white tile.
+    """The sample: synthetic ridges, a height map from a file, a print, a wafer, a plate, or a white tile.
 
     ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample; ``print``
-    is a sheet as the table ``print`` describes it, ``wafer`` an etched pattern as the table ``wafer`` does. With
-    ``reflections`` light on ridges and height maps is reflected several times, else once.
+    is a sheet as the table ``print`` describes it, ``wafer`` an etched pattern as the table ``wafer`` does, ``plate``
+    fields of ridges in several directions as ``plate`` does. With ``reflections`` light on ridges, height maps and
+    plates is reflected several times, else once.
     """
 
-    kind: Literal["ridges", "height-map", "print", "wafer", "white-tile"] = "ridges"
+    kind: Literal["ridges", "height-map", "print", "wafer", "plate", "white-tile"] = "ridges"
     file: LocalPath | None = None
     size_mm: Positive = 2.4
     pitch_um: Positive = 100.0
@@ -81,6 +83,7 @@ class SamplePart(Part):
     code: CodePart | None = None
     print: PrintPart | None = None
     wafer: WaferPart | None = None
+    plate: PlatePart | None = None
 
     @model_validator(mode="after")
     def _has_its_file(self) -> Self:
@@ -94,6 +97,12 @@ class SamplePart(Part):
             raise ValueError(
                 f"there is a table [sample.wafer], but the kind is '{self.kind}': set kind = \"wafer\""
             )
+        if self.plate is not None and self.kind != "plate":
+            raise ValueError(
+                f"there is a table [sample.plate], but the kind is '{self.kind}': set kind = \"plate\""
+            )
+        if self.kind == "plate" and self.plate is None:
+            raise ValueError("a sample of kind 'plate' needs a table [sample.plate] with its plan")
         if self.kind == "wafer" and self.wafer is None:
             raise ValueError(
                 "a sample of kind 'wafer' needs a table [sample.wafer] with the file of what is etched"

@@ -19,13 +19,15 @@ if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
 
 
-Kind = Literal["ridges", "wafers", "prints", "wafer", "print"]
+Kind = Literal["ridges", "wafers", "prints", "plates", "wafer", "print", "plate"]
 SCENES: dict[Kind, str] = {
     "ridges": "ridges",
     "wafers": "wafers",
     "prints": "prints",
+    "plates": "plates",
     "wafer": "wafers",
     "print": "prints",
+    "plate": "plates",
 }
 
 
@@ -46,8 +48,8 @@ def demo(
     kind: Annotated[
         Kind,
         Parameter(
-            help="Kind of part: plastic with ridges, etched wafers (also: wafer), or "
-            "prints with a structural-colour ink (also: print)."
+            help="Kind of part: plastic with ridges, etched wafers (also: wafer), prints with a structural-colour ink "
+            "(also: print), or plates that carry a code of ridges (also: plate)."
         ),
     ] = "ridges",
     out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path(
@@ -59,7 +61,7 @@ def demo(
     """Inspect good and defective parts on a virtual rig; no hardware is needed.
 
     Takes a flat of a white tile, then photographs every part at 0°, 90° and 180° (prints and wafers at several tilts as
-    well) and judges it. Ends with exit code 0 when every verdict is the expected one.
+    well, plates at 0° and 90°) and judges it. Ends with exit code 0 when every verdict is the expected one.
 
     Examples:
         anisoscope demo

@@ -24,11 +24,16 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 OutOption = Annotated[Path | None, Parameter(help="Write the design *.toml.")]
 NameOption = Annotated[str | None, Parameter(help="Name of the design.")]
 
-app = App(name="design", help="Design diffractive surfaces: step widths, etch depths, dots, patterns, masks.")
+app = App(
+    name="design",
+    help="Design surfaces: diffractive steps, depths, dots, patterns and masks, and codes made of ridges.",
+)
 app.command("anisoscope.cli.design.dots:refine")
 app.command("anisoscope.cli.design.dots:pattern")
 app.command("anisoscope.cli.design.masks:mask")
 app.command("anisoscope.cli.design.masks:height")
+app.command("anisoscope.cli.design.codes:code")
+app.command("anisoscope.cli.design.plates:plate")
 
 
 @Parameter(name="*")

@@ -59,7 +59,7 @@ def test_a_kind_is_picked_by_its_name(anisoscope, tmp_path):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--kind", "cards"), "there is no kind of part 'cards'; installed: prints, ridges, wafers"),
+        (("--kind", "cards"), "there is no kind of part 'cards'; installed: plates, prints, ridges, wafers"),
         (("--kind", "ridges", "--ink", "synthetic-red"), "the other options are for the recipe of a print"),
         (("--kind", "prints"), "needs its ink: give --ink"),
         (("--kind", "wafers"), "there is no recipe of a wafer to begin with"),

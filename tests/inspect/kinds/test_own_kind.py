@@ -107,7 +107,10 @@ def test_a_card_goes_from_recipe_to_report(virtual_rig, run, installed):
     assert "is a recipe of the kind 'ridges'" in line
     without = run("recompute", folder)
     assert without.code >= 64
-    assert "there is no kind of part 'cards'; installed: prints, ridges, wafers" in without.out + without.err
+    assert (
+        "there is no kind of part 'cards'; installed: plates, prints, ridges, wafers"
+        in without.out + without.err
+    )
 
 
 def test_good_cards_are_collected_shown_and_compared(virtual_rig, run, installed):
@@ -152,12 +155,12 @@ def test_good_cards_are_collected_shown_and_compared(virtual_rig, run, installed
 
 
 def test_an_unknown_kind_is_one_line_that_names_the_known_ones(virtual_rig, run):
-    part = virtual_rig(recipe=CARD | {"kind": "plates"})
+    part = virtual_rig(recipe=CARD | {"kind": "discs"})
     done = run("inspect", "-r", part.recipe, "-g", part.rig, "-s", "C-1", "--out", part.out)
     said = done.out + done.err
     assert done.code >= 64
     assert "Traceback" not in said
-    assert "kind: there is no kind of part 'plates'; installed: prints, ridges, wafers" in " ".join(
+    assert "kind: there is no kind of part 'discs'; installed: plates, prints, ridges, wafers" in " ".join(
         said.split()
     )
 

@@ -1,0 +1,152 @@
+"""What a plate should show: radiances of every class of direction in every pose, and of fields with defects.
+
+A class is the ridges of the recipe turned to its azimuth, so that its prediction is that of ridges
+(`anisoscope.prediction.expectation`), and errors of plastic, ridge angle, lamp and seat move all classes together.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.prediction.cache import cached_expectation
+from anisoscope.prediction.expectation import Component, Expectation, expectation
+from anisoscope.prediction.predict import predict_design
+from anisoscope.prediction.region_prediction import SEATING
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.plates import Plan
+from anisoscope.sim.light.geometry import Convention, Pose
+
+FLAT_DEG = 0.2
+"""Ridge angle of a field without ridges."""
+WORN_SHARE, FILLED_LOSS, MERGED_SHARE = 0.2, 0.6, 0.5
+"""Radius of worn crests over the pitch; height loss of filled fields; share of another direction in merged ones."""
+FAINTEST = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedPlate:
+    """Prediction of a plate.
+
+    Attributes:
+        plan: its fields.
+        poses: P poses.
+        convention: how the angles are counted.
+        radiance: (C, P) of the classes, in the order of ``plan.letters``, in 1/sr.
+        components: uncertainties of ln L of all classes and poses, (C·P,) each, classes slowest.
+        per_degree: (C, P) change of ln L per degree of stage angle.
+        turned: (4, C, P) ln of direct light of the classes on the plate turned by so many quarter turns.
+        defects: by name the (C, P) change of ln L of a field with this defect.
+        flat: (P,) radiance of a flat field, estimated from direct light.
+        optics: rays or waves, and why.
+    """
+
+    plan: Plan
+    poses: tuple[Pose, ...]
+    convention: Convention
+    radiance: FloatArray
+    components: tuple[Component, ...]
+    per_degree: FloatArray
+    turned: FloatArray
+    defects: Mapping[str, FloatArray]
+    flat: FloatArray
+    optics: dict[str, Any] | None = None
+    model: str = "corrected"
+    surface: HeightMap | None = field(default=None)
+
+    def covariance(self) -> FloatArray:
+        """(C·P, C·P) covariance of ln L."""
+        return np.asarray(np.sum([one.covariance() for one in self.components], axis=0))
+
+
+def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, cached: bool) -> ExpectedPlate:
+    """Predict the classes of a plate; errors as for `anisoscope.prediction.expectation.expectation`."""
+    predict = cached_expectation if cached else expectation
+    azimuths = [plan.azimuths_deg[letter] for letter in plan.letters]
+    found = [predict(recipe.of_class(one), light_angle_deg) for one in azimuths]
+    convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+    poses = recipe.poses.poses()
+    design = recipe.surface.ridge_design()
+
+    def direct(ridges: RidgeDesign, azimuth_deg: float) -> FloatArray:
+        frame = replace(convention, facet_azimuth_deg=convention.facet_azimuth_deg + azimuth_deg)
+        light = predict_design(ridges, recipe.material.material(), poses, frame, bounces=1).radiance
+        return np.asarray(np.log(np.maximum(light, FAINTEST)))
+
+    turned = np.array([[direct(design, one + 90.0 * k) for one in azimuths] for k in range(4)])
+    flat = direct(replace(design, ridge_angle_deg=FLAT_DEG, edge_radius_um=0.0), 0.0)
+    radiance = np.array([one.radiance for one in found])
+    level = float(np.mean(np.log(radiance) - turned[0]))
+    return ExpectedPlate(
+        plan,
+        poses,
+        convention,
+        radiance,
+        _components(found, azimuths),
+        np.array([one.per_degree for one in found]),
+        turned,
+        _defects(design, azimuths, turned[0], flat, direct),
+        np.exp(flat + level),
+        found[0].optics,
+        found[0].model,
+    )
+
+
+def _components(found: list[Expectation], azimuths: list[float]) -> tuple[Component, ...]:
+    """Sources of all classes; what is shared moves all classes together."""
+    count, poses = len(found), len(found[0].radiance)
+    sources = list(dict.fromkeys(one.source for each in found for one in each.components))
+    by_class = [
+        {one.source: one for one in _about_plate(each.components, turn)}
+        for each, turn in zip(found, azimuths, strict=True)
+    ]
+    components = []
+    for source in sources:
+        relative, shared, kind = np.zeros((count, poses)), True, "prediction"
+        for number, each in enumerate(by_class):
+            if source in each:
+                relative[number] = each[source].relative
+                shared, kind = each[source].shared, each[source].kind
+        components.append(Component(source, kind, relative.ravel(), shared))
+    return tuple(components)
+
+
+def _about_plate(components: tuple[Component, ...], turn_deg: float) -> list[Component]:
+    """The components of ridges that lean toward an azimuth, with the seating about the axes of the plate."""
+    by_name = {one.source: one for one in components}
+    if not all(name in by_name for name in SEATING):
+        return list(components)
+    cos, sin = float(np.cos(np.radians(turn_deg))), float(np.sin(np.radians(turn_deg)))
+    x, y = (by_name[name] for name in SEATING)
+    by_name[x.source] = replace(x, relative=cos * x.relative - sin * y.relative)
+    by_name[y.source] = replace(y, relative=sin * x.relative + cos * y.relative)
+    return list(by_name.values())
+
+
+def _defects(
+    design: RidgeDesign,
+    azimuths: list[float],
+    good: FloatArray,
+    flat: FloatArray,
+    direct: Callable[[RidgeDesign, float], FloatArray],
+) -> dict[str, FloatArray]:
+    """(C, P) changes of ln L of fields with defects, by name."""
+    found = {"missing": np.array([flat - one for one in good])}
+    try:
+        worn = replace(design, edge_radius_um=WORN_SHARE * design.pitch_um)
+        found["worn"] = np.array([direct(worn, one) for one in azimuths]) - good
+    except HeightMapError:  # no facet is left between such crests
+        pass
+    filled = replace(design, height_loss=FILLED_LOSS, edge_radius_um=0.0)
+    found["filled"] = np.array([direct(filled, one) for one in azimuths]) - good
+    if len(azimuths) > 1:
+        other = np.roll(good, -1, axis=0)
+        found["wrong direction"] = other - good
+        both = np.log((1.0 - MERGED_SHARE) * np.exp(good) + MERGED_SHARE * np.exp(other))
+        found["merged"] = both - good
+    return found

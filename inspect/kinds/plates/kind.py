@@ -1,0 +1,289 @@
+"""Plates with fields of several ridge directions as a kind of part."""
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisoscope.base.errors import RecipeError, UsageError
+from anisoscope.base.progress import Advance
+from anisoscope.decision.reference_parts import RadianceSet
+from anisoscope.imaging.pose_radiance import mean_of
+from anisoscope.imaging.registration.placement import resample
+from anisoscope.imaging.views import most_changed
+from anisoscope.kinds.command_output import CommandOutput, Table
+from anisoscope.kinds.kind import Kind, NewRecipe, Reference, Results, Sitting
+from anisoscope.kinds.plates.decision import PlateDecision, decide_plate, fields_text, predicted_fields
+from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
+from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate, plate_grid
+from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.kinds.plates.record import PlateDetails
+from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.record.schema import Record
+from anisoscope.report.inspection_page import Pictures, Sections
+from anisoscope.rig.rigfile import RigFile
+
+PLAN = "plan"
+RULE = (
+    "FAIL where a contrast between classes or poses is out of its tolerance by more than the guard band, where more "
+    "fields deviate from their class than the recipe allows, or where the code is not read"
+)
+
+
+class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
+    """Plates: contrasts between the classes of their fields, single fields, and the code that they make."""
+
+    name = "plates"
+    one = "a plate"
+    reference_set = RadianceSet
+
+    @property
+    def recipe(self) -> type[PlateRecipe]:
+        """The model of its recipe."""
+        return PlateRecipe
+
+    @property
+    def details(self) -> type[PlateDetails]:
+        """Classes, contrasts, fields and code."""
+        return PlateDetails
+
+    def recognises(self, table: Mapping[str, Any]) -> bool:
+        """Its recipe has a table [plan]."""
+        return "plan" in table
+
+    def read_recipe(self, path: Path) -> PlateRecipe:
+        """Read a recipe and its plan.
+
+        Raises:
+            RecipeError: the file is missing or wrong, or its plan cannot be read or does not fit.
+        """
+        found = super().read_recipe(path)
+        found.check_plan(path)
+        return found
+
+    def sources(self, recipe: PlateRecipe, rig: RigFile) -> Mapping[str, Path]:
+        """The file of the plan, and that of the material.
+
+        Raises:
+            RecipeError: the file of the plan is missing.
+        """
+        del rig
+        found = {} if recipe.material.file is None else {"material": recipe.material.file}
+        if recipe.plan.file is None:
+            return found
+        if not recipe.plan.file.is_file():
+            raise RecipeError(f"{recipe.plan.file}: there is no such file of a plan")
+        return {**found, PLAN: recipe.plan.file}
+
+    def from_copies(
+        self, recipe: PlateRecipe, rig: RigFile, copies: Mapping[str, Path]
+    ) -> tuple[PlateRecipe, RigFile]:
+        """The recipe with the copy of its plan."""
+        if PLAN not in copies:
+            return recipe, rig
+        plan = recipe.plan.model_copy(update={"file": copies[PLAN]})
+        return recipe.model_copy(update={"plan": plan}), rig
+
+    def predict(self, recipe: PlateRecipe, rig: RigFile, *, cached: bool) -> ExpectedPlate:
+        """The radiances of the classes."""
+        return expected_plate(recipe, recipe.plan.plan(), rig.light.angle_deg, cached=cached)
+
+    def measure(
+        self, sitting: Sitting, recipe: PlateRecipe, expected: ExpectedPlate
+    ) -> tuple[MeasuredPlate, float]:
+        """Means of the fields, after the gates of markers, light and plan."""
+        views, pixel_um = sitting.views, sitting.pixel_um
+        grid, _ = plate_grid(recipe, expected.plan, pixel_um)
+        closing, change = most_changed(
+            views, recipe, pixel_um, lambda view: mean_of(resample(view.image.value, view.placement, grid))
+        )
+        for view in views.poses:
+            sitting.calibrations.check_place(view.stage_deg, view.placement, recipe.limits.fixture_um)
+        return measure_plate(views.poses, closing, recipe, expected, pixel_um), change
+
+    def decide(
+        self,
+        sitting: Sitting,
+        recipe: PlateRecipe,
+        expected: ExpectedPlate,
+        measured: MeasuredPlate,
+        reference: Reference | None,
+    ) -> PlateDecision:
+        """Contrasts of the classes, single fields, and the code; golden plates are collected, and do not decide yet."""
+        del sitting, reference
+        return decide_plate(expected, measured, recipe)
+
+    def results(
+        self,
+        sitting: Sitting,
+        recipe: PlateRecipe,
+        expected: ExpectedPlate,
+        measured: MeasuredPlate,
+        decided: PlateDecision,
+        reference: Reference | None,
+    ) -> Results:
+        """Results for the record."""
+        del sitting, recipe, expected, measured, reference
+        return Results(
+            decided.radiance,
+            decided.predicted,
+            decided.details,
+            decided.budget,
+            decided.d2,
+            decided.dof,
+            decided.p_value,
+        )
+
+    def without_results(self) -> PlateDetails:
+        """No contrasts."""
+        return PlateDetails()
+
+    def new_recipe(self, out: Path, requested: NewRecipe) -> str:
+        """Refuse: a plate begins with its plan.
+
+        Raises:
+            UsageError: always.
+        """
+        del out, requested
+        raise UsageError(
+            "the recipe of a plate begins with its plan: `anisoscope design code TEXT --out FOLDER` writes both for a "
+            "code; for another plan write the table [plan] by hand (docs/plates.md)"
+        )
+
+    def tolerances(self, recipe: PlateRecipe) -> dict[str, float]:
+        """One tolerance for all contrasts.
+
+        Raises:
+            UsageError: the recipe gives none.
+        """
+        if recipe.decision.tolerance is None:
+            return super().tolerances(recipe)
+        from anisoscope.kinds.plates.decision import contrast_pairs
+
+        names, _ = contrast_pairs(recipe.plan.plan().letters, recipe.poses.poses())
+        return dict.fromkeys(names, recipe.decision.tolerance)
+
+    def capability(
+        self,
+        recipe: PlateRecipe,
+        rig: RigFile | None,
+        light_angle_deg: float,
+        tries: Sequence[float],
+        advance: Advance,
+    ) -> RecipeCheck:
+        """Whether light and dark fields differ in the poses in which the code is read."""
+        del rig, tries, advance
+        expected = expected_plate(recipe, recipe.plan.plan(), light_angle_deg, cached=True)
+        complaints = []
+        for number, pose in enumerate(expected.poses):
+            light = expected.radiance[:, number]
+            share = 1.0 - float(light.min() / light.max())
+            if recipe.code is not None and pose.stage_deg in recipe.code.read_at_deg and share < 0.3:
+                complaints.append(
+                    f"at {pose.stage_deg:g}° dark fields are only {share:.0%} darker than light ones: the code may not "
+                    "be read; take other directions of the classes, or a larger ridge angle"
+                )
+        return RecipeCheck(product=recipe.product, complaints=tuple(complaints))
+
+    def finding(self, record: Record) -> str:
+        """The fields that deviate, or the contrast that is most off."""
+        found = record.details
+        if not isinstance(found, PlateDetails) or not found.contrasts:
+            return super().finding(record)
+        dead = [one for one in found.fields if one.verdict == "FAIL"]
+        worst = max(found.contrasts, key=lambda one: abs(one.measured - one.predicted))
+        if dead and (worst.tolerance is None or abs(worst.measured - worst.predicted) < worst.tolerance):
+            return fields_text(dead)
+        return (
+            f"Largest deviation of a contrast: {worst.name}, {worst.measured - worst.predicted:+.3f} from the "
+            f"predicted {worst.predicted:+.3f}"
+        )
+
+    def pictures(
+        self, recipe: PlateRecipe, expected: ExpectedPlate, measured: MeasuredPlate, decided: PlateDecision
+    ) -> Pictures:
+        """The plate as seen and as predicted, the differences of its fields, and those that deviate outlined."""
+        return Pictures(
+            aligned=measured.aligned,
+            size_mm=recipe.plan.plan().size_mm[::-1],
+            predicted=predicted_fields(expected),
+            predicted_text="every field with the radiance of its class",
+            differences=decided.deviation,
+            difference_text="ln of measured over predicted, by field, less that of the whole plate",
+            deviating=np.kron(decided.deviating, np.ones((2, 2), dtype=bool))
+            if decided.deviating.any()
+            else None,
+            surface=None,
+        )
+
+    def sections(self, record: Record, pictures: Pictures) -> Sections:
+        """Contrasts, fields, and the code with its grades."""
+        del pictures
+        found = record.details
+        if not isinstance(found, PlateDetails) or not found.contrasts:
+            return Sections()
+        source = (
+            files("anisoscope.kinds.plates").joinpath("templates/inspection_plate.html").read_text("utf-8")
+        )
+        poses = [
+            f"{one.stage_deg:g}°" + (f", tilt {one.tilt_deg:g}°" if one.tilt_deg else "")
+            for one in record.poses
+        ]
+        return Sections(rule=RULE, before=source, content={"plate": found, "plate_poses": poses})
+
+    def summary(self, record: Record) -> CommandOutput:
+        """Contrasts and deviating fields."""
+        found = record.details
+        if not isinstance(found, PlateDetails):
+            return CommandOutput({"plate": None})
+        rows = [
+            [
+                one.name,
+                f"{one.measured:+.3f}",
+                f"{one.predicted:+.3f}",
+                f"{one.measured - one.predicted:+.3f}",
+                f"{one.u:.3f}",
+                "–" if one.tolerance is None else f"±{one.tolerance:g}",
+                "" if one.tolerance is None else one.verdict,
+            ]
+            for one in found.contrasts
+        ]
+        columns = ["contrast", "measured", "predicted", "deviation", "u", "tolerance", ""]
+        tables = [Table(f"{record.serial}: {record.product}", columns, rows)]
+        if found.fields:
+            listed = [
+                [
+                    f"{one.row + 1}, {one.col + 1}",
+                    one.direction_class,
+                    f"{max(one.deviations, key=abs):+.2f}",
+                    one.looks_like or "–",
+                    one.verdict,
+                ]
+                for one in found.fields
+            ]
+            tables.append(
+                Table("fields that deviate", ["row, column", "class", "ln ratio", "looks like", ""], listed)
+            )
+        return CommandOutput({"plate": found.model_dump(mode="json")}, tuple(tables), code_lines(found))
+
+
+def code_lines(found: PlateDetails) -> tuple[str, ...]:
+    """What the code says, and its grades, a line each."""
+    code = found.code
+    if code is None:
+        return ()
+    read = ", ".join("not read" if one is None else repr(one) for one in code.readings)
+    lines = [f"{code.symbology} at the poses in turn: {read}"]
+    for stage in dict.fromkeys(one.stage_deg for one in code.grades):
+        parts = [one for one in code.grades if one.stage_deg == stage]
+        text = "; ".join(
+            f"{one.parameter} {one.measured:.2f} (grade {one.measured_grade}, predicted {one.predicted_grade})"
+            for one in parts
+        )
+        lines.append(f"at {stage:g}°: {text}")
+    return tuple(lines)
+
+
+PLATES = Plates()

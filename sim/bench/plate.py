@@ -1,0 +1,255 @@
+"""A plate of fields with ridges of several directions on the virtual rig.
+
+Every field shows ridges that the path tracer has rendered in the frame of the ridges: with their own ridge angle,
+roughness and height loss, drawn from a few states of each class, and turned to the direction of the field. Between the
+fields nothing is exchanged: no shadow and no reflection crosses a border. Where a field stands off its place the flat
+land shows. Nothing of this is shared with the prediction.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.base.toml_file import NotNegative, Part, Positive, Share
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.plates import FLAT, Plan
+
+if TYPE_CHECKING:
+    from anisoscope.sim.pathtracer.plastic import Plastic
+
+Image = npt.NDArray[np.float32]
+
+FieldDefect = Literal["missing", "merged", "direction", "worn", "filled"]
+PIXEL_UM = 1.0
+STATES = 10
+"""States of the ridges of a class, among which its fields are drawn."""
+PATHS = 16384
+REFLECTIONS = 5
+POSES_REMEMBERED = 4
+
+
+class FieldDefectPart(Part):
+    """A field with a defect; ``row`` counts from 0 at the top, ``col`` from 0 on the left.
+
+    ``missing``: flat; ``merged``: half of it has the direction of another class; ``direction``: all of it; ``worn``:
+    crests rounded to a fifth of the pitch; ``filled``: crests cut by 60 % of the height.
+    """
+
+    row: Annotated[int, Field(ge=0)]
+    col: Annotated[int, Field(ge=0)]
+    defect: FieldDefect
+
+
+class PlatePart(Part):
+    """A plate: its plan, its ridges, how much fields differ (standard deviations), and defects.
+
+    ``edge_radius_um`` is the radius of all crests: a worn plate has a large one. ``misplaced_um`` is the standard
+    deviation of the place of a field along x and y.
+    """
+
+    plan: Annotated[tuple[str, ...], Field(min_length=1)]
+    facet_azimuths_deg: dict[str, float]
+    module_mm: Positive
+    pitch_um: Positive = 50.0
+    ridge_angle_deg: Annotated[float, Field(gt=0.0, lt=45.0)] = 10.0
+    edge_radius_um: NotNegative = 0.0
+    height_loss: Share = 0.0
+    angle_scatter_deg: NotNegative = 0.1
+    alpha_scatter_share: Share = 0.03
+    height_loss_scatter: Share = 0.01
+    misplaced_um: NotNegative = 1.0
+    resolved_alpha: NotNegative = 0.03
+    correlation_um: Positive = 8.0
+    defects: tuple[FieldDefectPart, ...] = ()
+
+    def fields(self) -> Plan:
+        """The plan.
+
+        Raises:
+            HeightMapError: it is none.
+        """
+        return Plan(self.plan, self.facet_azimuths_deg, self.module_mm)
+
+    @model_validator(mode="after")
+    def _is_a_plate(self) -> Self:
+        try:
+            found = self.fields()
+            found.check_ridges(self.pitch_um)
+            RidgeDesign(self.pitch_um, self.ridge_angle_deg, edge_radius_um=self.edge_radius_um)
+        except HeightMapError as problem:
+            raise ValueError(str(problem)) from None
+        rows, cols = found.shape
+        for one in self.defects:
+            if one.row >= rows or one.col >= cols:
+                raise ValueError(f"defects: the plan has no field in row {one.row}, column {one.col}")
+        return self
+
+
+@dataclass(frozen=True)
+class _State:
+    """State of the ridges of a field; None for a flat one."""
+
+    design: RidgeDesign | None
+    alpha_share: float
+    number: int
+
+
+Tiles = Callable[[_State, float], Image]
+"""Picture of a field by its state and azimuth."""
+
+
+class PlateSample:
+    """A plate as a sample of the bench (`anisoscope.sim.bench.bench.Sample`); grey.
+
+    Args:
+        part: the plate.
+        plastic: what it is made of.
+        rng: states and places of the fields.
+        reflections: whether light is followed beyond its first reflection.
+    """
+
+    def __init__(
+        self, part: PlatePart, plastic: "Plastic", rng: np.random.Generator, *, reflections: bool = True
+    ) -> None:
+        self._part, self._plastic, self._plan = part, plastic, part.fields()
+        self._reflections = REFLECTIONS if reflections else 1
+        self._seed = int(rng.integers(2**31))
+        count = len(self._plan.letters)
+        self._states = [[self._drawn(rng, number) for number in range(STATES)] for _ in range(count)]
+        rows, cols = self._plan.shape
+        self._chosen = rng.integers(0, STATES, (rows, cols))
+        self._moved_um = part.misplaced_um * rng.standard_normal((rows, cols, 2))
+        self._defects = {(one.row, one.col): one.defect for one in part.defects}
+
+    @property
+    def pixel_um(self) -> tuple[float, float]:
+        """Size (y, x) of a point of the picture."""
+        return PIXEL_UM, PIXEL_UM
+
+    def _drawn(self, rng: np.random.Generator, number: int) -> _State:
+        part = self._part
+        angle = part.ridge_angle_deg + part.angle_scatter_deg * float(rng.standard_normal())
+        loss = part.height_loss + part.height_loss_scatter * abs(float(rng.standard_normal()))
+        share = 1.0 + part.alpha_scatter_share * float(rng.standard_normal())
+        radius = part.edge_radius_um
+        design = RidgeDesign(
+            part.pitch_um, angle, height_loss=0.0 if radius > 0.0 else min(loss, 0.9), edge_radius_um=radius
+        )
+        return _State(design, share, number)
+
+    def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        """(1, rows, cols) radiance; row index rises with +y."""
+        return self._shown(tuple(float(one) for side in (to_light, to_camera) for one in np.round(side, 9)))
+
+    @cached_property
+    def _shown(self) -> Callable[[tuple[float, ...]], Image]:
+        @lru_cache(maxsize=POSES_REMEMBERED)
+        def shown(seen: tuple[float, ...]) -> Image:
+            found = self._picture(np.array(seen[:3]), np.array(seen[3:]))[None]
+            found.flags.writeable = False
+            return found
+
+        return shown
+
+    def _picture(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        plan, side = self._plan, round(1000.0 * self._plan.module_mm / PIXEL_UM)
+        rows, cols = plan.shape
+        classes = plan.classes()
+        tiles: dict[tuple[_State, float], Image] = {}
+
+        def tile(state: _State, azimuth_deg: float) -> Image:
+            key = state, azimuth_deg
+            if key not in tiles:
+                tiles[key] = self._tile(state, azimuth_deg, side, to_light, to_camera)
+            return tiles[key]
+
+        flat = tile(_State(None, 1.0, 0), 0.0)
+        picture = np.tile(flat, (rows, cols))
+        for row in range(rows):
+            for col in range(cols):
+                if classes[row, col] < 0:
+                    continue
+                shown = self._field(row, col, classes, tile)
+                right, up = (round(float(one) / PIXEL_UM) for one in self._moved_um[row, col])
+                y0, x0 = (rows - 1 - row) * side + up, col * side + right
+                y1, x1 = max(y0, 0), max(x0, 0)
+                y2, x2 = min(y0 + side, rows * side), min(x0 + side, cols * side)
+                picture[y1:y2, x1:x2] = shown[y1 - y0 : y2 - y0, x1 - x0 : x2 - x0]
+        return picture
+
+    def _field(self, row: int, col: int, classes: npt.NDArray[np.int64], tile: Tiles) -> Image:
+        """Picture of one field, with its defect."""
+        number = int(classes[row, col])
+        azimuths = [self._plan.azimuths_deg[letter] for letter in self._plan.letters]
+        state = self._states[number][int(self._chosen[row, col])]
+        defect = self._defects.get((row, col))
+        design = state.design
+        assert design is not None
+        if defect == "missing":
+            return tile(_State(None, 1.0, 0), 0.0)
+        if defect == "worn":
+            worn = RidgeDesign(design.pitch_um, design.ridge_angle_deg, edge_radius_um=0.2 * design.pitch_um)
+            return tile(_State(worn, 1.0, STATES), azimuths[number])
+        if defect == "filled":
+            cut = RidgeDesign(design.pitch_um, design.ridge_angle_deg, height_loss=0.6)
+            return tile(_State(cut, 1.0, STATES + 1), azimuths[number])
+        other = azimuths[(number + 1) % len(azimuths)]
+        if len(azimuths) == 1:
+            other = azimuths[0] + 90.0
+        if defect == "direction":
+            return tile(state, other)
+        if defect == "merged":
+            both = tile(state, azimuths[number]).copy()
+            half = both.shape[1] // 2
+            both[:, half:] = tile(state, other)[:, half:]
+            return both
+        return tile(state, azimuths[number])
+
+    def _tile(
+        self, state: _State, azimuth_deg: float, side: int, to_light: FloatArray, to_camera: FloatArray
+    ) -> Image:
+        """(side, side) picture of ridges in the direction of a field: rendered in their own frame, then turned."""
+        from anisoscope.sim.pathtracer.tracer import PathTracer  # noqa: PLC0415 - numba when first needed
+
+        part, reach = self._part, int(np.ceil(side * 1.5)) + 2
+        rng = np.random.default_rng((self._seed, state.number, int(1000 * azimuth_deg) % 360000))
+        pitch = part.pitch_um
+        whole = max(1, int(np.ceil(reach * PIXEL_UM / pitch)))
+        shape = (reach + 1, round(whole * pitch / PIXEL_UM) + 1)
+        if state.design is None:
+            surface = ridges(RidgeDesign(pitch, 1e-3), shape, PIXEL_UM)
+        else:
+            surface = ridges(state.design, shape, PIXEL_UM)
+        if part.resolved_alpha > 0.0:
+            alpha = part.resolved_alpha * state.alpha_share
+            surface = add_facet_roughness(
+                surface, alpha_along=alpha, alpha_across=alpha, correlation_um=part.correlation_um, rng=rng
+            )
+        turn = np.radians(azimuth_deg)
+        cos, sin = float(np.cos(turn)), float(np.sin(turn))
+        into = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        tracer = PathTracer(
+            surface,
+            self._plastic,
+            pitch_um=pitch,
+            reflections=self._reflections,
+            paths=PATHS,
+            seed=self._seed,
+        )
+        shown = tracer.radiance(into @ to_light, into @ to_camera)
+        place = (np.arange(side) + 0.5) * PIXEL_UM - 0.5 * side * PIXEL_UM
+        x, y = place[None, :], place[:, None]
+        across, along = cos * x + sin * y + 0.5 * side * PIXEL_UM, -sin * x + cos * y
+        columns = np.floor(across / PIXEL_UM + 1e-6).astype(np.int64) % (shown.shape[1])
+        rows = np.floor(along / PIXEL_UM + 1e-6).astype(np.int64) % (shown.shape[0])
+        return np.asarray(shown[rows, columns])
+
+
+__all__ = ["FLAT", "FieldDefectPart", "PlatePart", "PlateSample"]

@@ -1,0 +1,76 @@
+"""``anisoscope design code``: files that fit each other, the predicted code, and what it refuses."""
+
+import numpy as np
+import pytest
+
+from anisoscope.kinds.plates.kind import PLATES
+from anisoscope.profiles.files.load import read_height_map
+from anisoscope.profiles.metrology.regions import direction_regions
+from anisoscope.sim.design.plates import modules_of_code
+
+
+def test_a_data_matrix_becomes_part_insert_and_recipe(anisoscope, tmp_path):
+    out = tmp_path / "code"
+    done = anisoscope("design", "code", "A17", "--out", out, "--pixel", "4", "--stl", "--json")
+    assert done.code == 0, done.err
+    found = done.json
+    assert found["modules"] == [12, 12]
+    assert found["size_mm"] == pytest.approx([2.4, 2.4])
+    assert [one["reads"] for one in found["poses"]] == ["A17", "A17"]
+    assert [one["inverted"] for one in found["poses"]] == [False, True]
+    assert {one["grades"][0]["grade"] for one in found["poses"]} == {4}
+    part, insert = (read_height_map(out / f"{name}.x3p") for name in ("part", "insert"))
+    assert part.shape == (600, 600)
+    # the part is what a mould of the insert leaves
+    tool = read_height_map(out / "insert.x3p", role="tool")
+    np.testing.assert_allclose(tool.height_um, part.height_um, atol=1e-6)
+    assert not np.allclose(insert.height_um, part.height_um)
+    assert (out / "part.stl").stat().st_size == (out / "insert.stl").stat().st_size > 30_000_000
+    # the map shows the modules where the code has them
+    regions = direction_regions(part)
+    light = int(np.argmin(np.abs(np.array(regions.azimuths_deg))))
+    classes = np.array([-1, *(one.direction_class for one in regions.regions)])[regions.labels]
+    middle = classes[25::50, 25::50][::-1]
+    assert np.mean((middle == light) == ~modules_of_code("A17", "datamatrix")) > 0.97
+    recipe = PLATES.read_recipe(out / "recipe.toml")
+    assert recipe.code.text == "A17"
+    assert recipe.plan.plan().shape == (12, 12)
+    again = anisoscope("design", "code", "A17", "--out", out)
+    assert again.code == 64
+    assert "exists; give another folder, or --overwrite" in again.err
+
+
+def test_a_qr_code_with_draft_is_read_in_its_predicted_picture(anisoscope, tmp_path):
+    done = anisoscope(
+        "design", "code", "RIDGE", "--symbology", "qr", "--module-mm", "0.12", "--pixel", "12", "--draft", "5",
+        "--out", tmp_path / "qr",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert done.out.count("'RIDGE'") >= 3
+    recipe = PLATES.read_recipe(tmp_path / "qr" / "recipe.toml")
+    assert recipe.surface.ridge_design().wall == 5.0
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "match"),
+    [
+        (("--plate-mm", "2"), 64, "make modules of at most 0.167 mm"),
+        (("--module-mm", "0.09"), 65, "hold 1.8 ridges of 50 µm, 2 are needed"),
+        (("--facet-azimuths", "0"), 64, "--facet-azimuths takes two azimuths"),
+        (("--pixel", "3"), 65, "no whole number of pixels of 3 µm"),
+        (("--pixel", "1", "--stl"), 64, "take a larger --pixel"),
+        (("--ridge-angle", "95"), 65, "ridge angle"),
+    ],
+)
+def test_what_cannot_be_made_is_one_line_and_leaves_nothing(anisoscope, tmp_path, options, code, match):
+    done = anisoscope("design", "code", "A17", "--out", tmp_path / "code", *options)
+    assert done.code == code
+    assert match in done.err
+    assert done.err.strip().count("\n") == 0
+    assert not (tmp_path / "code").exists()
+
+
+def test_a_text_that_no_code_holds_is_refused(anisoscope, tmp_path):
+    done = anisoscope("design", "code", "x" * 4000, "--out", tmp_path / "code")
+    assert done.code == 64
+    assert "cannot be written as datamatrix" in done.err
