@@ -52,6 +52,13 @@ BLOCKS = 4
 """Parts of a region along each axis, between which its ridge angle scatters."""
 MEANS = 6
 """Passes in which the azimuths of the classes are refined."""
+RETURNED = 0.7
+"""Largest fall of a region along its azimuth, of the median fall of its points: the walls of ridges make up for their
+facets, the side of a hill falls on the whole as it does everywhere."""
+ALIKE = 0.8
+"""Least share of points whose fall is within half of its median, where ridges have no lean or many directions; normal
+textures have 0.4 to 0.7."""
+FEW_DIRECTIONS = 6
 
 
 @dataclass(frozen=True)
@@ -174,8 +181,52 @@ def direction_regions(surface: HeightMap) -> DirectionRegions:
             of less than half a pitch, are not resolved. Borders are exact to about a hundredth of the map.
 
     Returns:
-        The regions; none where no part of the map has a direction.
+        The regions; none where no part of the map has a direction, or where its slopes are those of a texture or of
+        hills.
     """
+    found = _found(surface)
+    return found if _ridged(found) else _none(surface)
+
+
+def _none(surface: HeightMap) -> DirectionRegions:
+    return DirectionRegions(surface, np.zeros(surface.shape, dtype=np.int32), (), False, ())
+
+
+def _ridged(found: DirectionRegions) -> bool:
+    """Whether the regions hold ridges, and not the hills or the texture of a surface without any."""
+    surface, median, whole, alike, points = found.surface, 0.0, 0.0, 0.0, 0
+    fall_x, fall_y = _falls(surface, LOCAL)
+    for one in found.regions:
+        turn, inside = np.radians(one.azimuth_deg), found.labels[one.box] == one.number
+        fall = np.cos(turn) * fall_x[one.box][inside] + np.sin(turn) * fall_y[one.box][inside]
+        fall = fall if found.one_sided else np.abs(fall)
+        middle = float(np.median(fall))
+        alike += float(np.count_nonzero(np.abs(fall - middle) < 0.5 * middle))
+        points += one.points
+        median += one.points * middle
+        whole += one.points * min(
+            float(np.mean(fall)), _fall_on_the_whole(surface, one, inside, turn), key=abs
+        )
+    if found.one_sided and abs(whole) >= RETURNED * median:
+        return False
+    few = found.one_sided and len(found.azimuths_deg) <= FEW_DIRECTIONS
+    return few or alike >= ALIKE * points
+
+
+def _fall_on_the_whole(
+    surface: HeightMap, region: Region, inside: npt.NDArray[np.bool_], turn: float
+) -> float:
+    """Slope of a plane through the points of a region along an azimuth in radians, positive where it falls."""
+    rows, cols = np.nonzero(inside & np.isfinite(surface.height_um[region.box]))
+    x, y = (n - n.mean() for n in (cols * surface.pixel_x_um, rows * surface.pixel_y_um))
+    height = surface.height_um[region.box][rows, cols]
+    moments = np.array([[x @ x, x @ y], [x @ y, y @ y]])
+    slopes = np.linalg.lstsq(moments, np.array([x @ height, y @ height]), rcond=None)[0]
+    return float(-np.cos(turn) * slopes[0] - np.sin(turn) * slopes[1])
+
+
+def _found(surface: HeightMap) -> DirectionRegions:
+    """Regions of one direction of fall, whatever falls there."""
     thin = max(1, min(surface.shape) // COARSE_POINTS)
     known, votes = _votes(surface, thin)
     window = max(WINDOW_SHARE * min(known.shape), LEAST_WINDOW / thin)
@@ -188,7 +239,7 @@ def direction_regions(surface: HeightMap) -> DirectionRegions:
     certain = some & (np.abs(turned) > AGREED)
     centres = _classes(turned, certain)
     if not centres.size:
-        return DirectionRegions(surface, np.zeros(surface.shape, dtype=np.int32), (), False, ())
+        return _none(surface)
     likeness = np.stack([(turned * np.exp(-1j * np.radians(one))).real for one in centres])
     classes = np.where(certain, likeness.argmax(axis=0) + 1, 0)
     coarse, class_of = _grown(classes.astype(np.int32), window)
@@ -345,7 +396,7 @@ def _classes(turned: npt.NDArray[np.complexfloating], certain: npt.NDArray[np.bo
             found.append(-180.0 + step * (peak + 0.5))
         left[(peak + around) % HISTOGRAM] = 0.0
     centres = np.array(found)
-    for _ in range(MEANS):
+    for _ in range(MEANS if found else 0):
         away = np.abs((angle[:, None] - centres + 180.0) % 360.0 - 180.0)
         nearest = away.argmin(axis=1)
         close = away.min(axis=1) < 0.5 * APART_DEG

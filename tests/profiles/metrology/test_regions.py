@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness
@@ -74,4 +75,23 @@ def test_missing_points_belong_to_no_region():
     height[:60, :90] = np.nan
     found = direction_regions(surface.with_height(height))
     assert (found.labels[:60, :90] == 0).all()
+    assert len(found.azimuths_deg) == 2
+
+
+@pytest.mark.parametrize("width", [1.0, 4.0, 16.0, 60.0])
+def test_textures_and_hills_have_no_regions(width):
+    height = 2.0 * width * gaussian_filter(np.random.default_rng(1).standard_normal((300, 300)), width)
+    assert direction_regions(HeightMap(height, 1.0, 1.0)).regions == ()
+
+
+def test_rough_facets_and_lost_walls_leave_the_regions():
+    board, _ = turned_board(0.0, 400, 2.5, 250.0)
+    rough = gaussian_filter(np.random.default_rng(2).standard_normal(board.shape), 3.0)
+    height = board.height_um + 1.5 * rough / rough.std()
+    found = direction_regions(HeightMap(height, board.pixel_x_um, board.pixel_y_um))
+    assert len(found.azimuths_deg) == 2
+    steep = np.hypot(*np.gradient(board.height_um, board.pixel_y_um, board.pixel_x_um)) > np.tan(
+        np.radians(30.0)
+    )
+    found = direction_regions(HeightMap(np.where(steep, np.nan, height), board.pixel_x_um, board.pixel_y_um))
     assert len(found.azimuths_deg) == 2
