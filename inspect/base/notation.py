@@ -19,6 +19,7 @@ NUMBER_WORDS = {
     "drift": "drift of the lamp",
 }
 """Numbers of the history that are no contrasts -> what they are called for people."""
+_OLD_TIE = "; or, not to be told apart: "
 _EXACT_P = re.compile(r"\bp (?:= (\d(?:\.\d+)?e-\d+)|< 1e-300)")
 
 
@@ -80,4 +81,5 @@ def present_notation(text: str) -> str:
     def contrast(found: re.Match[str]) -> str:
         return f"{found[1]}° / {found[2]}°, tilt {found[3]}°" + ("; " if found[4] else "")
 
+    text = text.replace(_OLD_TIE, "; cannot be distinguished from: ")
     return _EXACT_P.sub(probability, _OLD_CONTRAST.sub(contrast, text))

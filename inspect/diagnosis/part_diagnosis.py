@@ -122,4 +122,4 @@ def _summary(found: Diagnosis, alpha: float, of: str) -> str:
     others, count = ", ".join(ties[:MAX_LISTED_TIES]), len(ties) - MAX_LISTED_TIES
     if count > 0:
         others = f"{others} and {count} more"
-    return f"{bare_title(best.title)}; or, not to be told apart: {others}"
+    return f"{bare_title(best.title)}; cannot be distinguished from: {others}"

@@ -70,7 +70,7 @@ def causes_table(causes: Iterable[Separability]) -> Table:
     titles = {cause.cause: cause.title for cause in causes}
     return Table(
         "causes",
-        ["cause", "shows from", "told apart from", "never told from"],
+        ["cause", "found from", "distinguished from", "never distinguished from"],
         [
             [
                 cause.title,

@@ -118,14 +118,14 @@ class SurfaceCheck(RecipeCheck):
 
     def notes(self) -> tuple[str, ...]:
         """Causes left out, and what further tilts or lamps would separate."""
-        lines = [f"not looked at: {cause}: {reason}" for cause, reason in self.left_out]
+        lines = [f"not examined: {cause}: {reason}" for cause, reason in self.left_out]
         for one in self.advice:
             benefits = [f"show {', '.join(one.shows)}"] if one.shows else []
-            benefits += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
-            lines.append(f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(benefits)}")
-        lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in self.lamps]
+            benefits += [f"distinguish {_apart(one.tells_apart)}"] if one.tells_apart else []
+            lines.append(f"an additional tilt of {one.tilt_deg:g}° would {' and '.join(benefits)}")
+        lines += [f"{one.says} would distinguish {_apart(one.tells_apart)}" for one in self.lamps]
         if self.never:
-            lines.append(f"nothing that was tried would tell {_apart(self.never)}")
+            lines.append(f"nothing that was tried would distinguish {_apart(self.never)}")
         lines += [line for line in (self.roughness, self.thresholds) if line is not None]
         return tuple(lines)
 

@@ -533,7 +533,7 @@ def _undecided(reach: tuple[float, float], confidence: float) -> tuple[str, ...]
         return ()
     message = (
         f"the share of the study variation lies between {low:.1%} and {high:.1%} ({confidence:.0%} interval), on both "
-        f"sides of {POOR_SHARE:.0%}: more appraisers or parts would tell"
+        f"sides of {POOR_SHARE:.0%}: more appraisers or parts would decide"
     )
     return (message,)
 

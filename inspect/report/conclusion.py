@@ -124,7 +124,7 @@ def _of_verdict(
     rivals = _rivals(record, named)
     if rivals:
         others = ", ".join(rivals)
-        finding = f"{finding}; or, not to be told apart: {others}"
+        finding = f"{finding}; cannot be distinguished from: {others}"
     if record.verdict == "FAIL":
         return ("tied" if rivals else named[0].key, finding) if named else ("unexplained", measured)
     if reason.startswith("warning"):

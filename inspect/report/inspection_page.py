@@ -157,7 +157,9 @@ def _content(
         "cause_range": cause_range,
         "severity_text": severity_text,
         "weight_text": weight_text,
-        "cause_text": message("; or, not to be told apart: ").join(cause_text(c) for c in causes if c.tie),
+        "cause_text": message("; cannot be distinguished from: ").join(
+            cause_text(c) for c in causes if c.tie
+        ),
         "fitted_too": sections.fitted_too,
         "unit": sections.unit,
         "lot": pictures.lot,

@@ -213,15 +213,15 @@ def wafer_options(
         return np.asarray(np.log(np.concatenate(found)))
 
     good = log_radiance(wafer, state)
-    advance("what would tell causes apart", 0, 1 + len(names))
+    advance("what would distinguish causes", 0, 1 + len(names))
     expected = _expected(recipe, views, wafer, state, log_radiance, good, convention)
     covariance = planned_covariance(recipe, expected)
     found = []
     for number, cause in enumerate(one for one in wafer_causes() if one.name in names):
-        advance("what would tell causes apart", 1 + number, 1 + len(names))
+        advance("what would distinguish causes", 1 + number, 1 + len(names))
         found.append(_signature(cause, wafer, state, surface, log_radiance, good))
     known = Signatures(views.poses, np.exp(good), 0.0, tuple(found), ())
-    advance("what would tell causes apart", 1 + len(names), 1 + len(names))
+    advance("what would distinguish causes", 1 + len(names), 1 + len(names))
     options = []
     for kind, text, added in views.groups:
         chosen = [*views.own, *added]

@@ -71,12 +71,12 @@ DARK = (
         (SIGNIFICANT, ("p < 1e-9", "wie vorhergesagt", "0,01", "0° / 180°, Neigung 0°")),
         (DARK, ("nicht beurteilt", "Dunkelbilder prüfen.")),
         (
-            "ridge angle, off; or, not to be told apart: pitch, off and 2 more",
+            "ridge angle, off; cannot be distinguished from: pitch, off and 2 more",
             ("Rippenwinkel", "Teilung und 2 weitere"),
         ),
         (
-            "ridge angle, off; or, not to be told apart: the part lies tilted about y",
-            ("Rippenwinkel; oder, davon nicht zu unterscheiden: das Teil liegt um y geneigt",),
+            "ridge angle, off; cannot be distinguished from: the part lies tilted about y",
+            ("Rippenwinkel; nicht zu unterscheiden von: das Teil liegt um y geneigt",),
         ),
         (
             "ΔE2000 at 90°, tilt -10° is 2.31 (limit 2, guard band 0.96)",

@@ -57,3 +57,7 @@ def test_texts_of_earlier_versions_read_as_those_of_today():
         == "ln ratio 0° / 90°, tilt -3° deviates by -0.1; p < 1e-9, p = 1e-05, p < 1e-9"
     )
     assert present_notation(present_notation(then)) == present_notation(then)
+    assert (
+        present_notation("burrs; or, not to be told apart: wear")
+        == "burrs; cannot be distinguished from: wear"
+    )

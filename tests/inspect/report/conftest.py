@@ -270,7 +270,7 @@ RECORD = {
     "conformance_probability": 0.527,
     "regions": [region(number) for number in range(4)],
     "diagnosis": {
-        "says": "ridge angle, off by; or, not to be told apart: the part lies tilted about y",
+        "says": "ridge angle, off by; cannot be distinguished from: the part lies tilted about y",
         "causes": [
             cause("ridge-angle", "ridge angle, off by", "°", -2.048, 0.2, interval=(-2.44, -1.65)),
             cause(

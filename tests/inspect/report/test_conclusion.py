@@ -47,7 +47,7 @@ def test_causes_that_tie_are_named_together_and_none_of_them_acted_on(conclude):
     )
     found = conclude(*tied)
     assert found.finding == (
-        "Ridges are about 1.8° flatter than designed (8.2° ± 0.5°); or, not to be told apart: worn edges, radius."
+        "Ridges are about 1.8° flatter than designed (8.2° ± 0.5°); cannot be distinguished from: worn edges, radius."
     )
     assert (found.follows_from, found.action) == ("tied", f"{OUTCOMES['tied']}.")
     assert conclude(*tied, actions={"wear": "Hone it", "tied": "Ask Maria"}).action == "Ask Maria."

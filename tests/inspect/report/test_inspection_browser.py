@@ -178,7 +178,7 @@ def test_it_says_why_and_how_to_check(shown, report):
     folder, record = report
     assert texts(shown, "#verdict") == ["FAIL"]
     assert "1 contrast lies outside the tolerance" in texts(shown, "#rule")[0]
-    assert "−2.05° (95 %: −2.44° to −1.65°); or, not to be told apart" in texts(shown, "#cause")[0]
+    assert "−2.05° (95 %: −2.44° to −1.65°); cannot be distinguished from" in texts(shown, "#cause")[0]
     assert "5 other parts inspected before, 5 PASS" in texts(shown, "#lot-verdicts")[0]
     commands = texts(shown, "pre")[0]
     assert f"anisoscope verify {folder.name}" in commands
