@@ -50,9 +50,9 @@ def modules_of_code(text: str, symbology: Symbology, quiet: int | None = None) -
     return np.pad(symbol, QUIET[symbology] if quiet is None else quiet)
 
 
-STEP_DEG = 5.0
+STEP_DEG = 2.0
 """Step of the azimuths in the table."""
-ANGLES_DEG = tuple(float(one) for one in np.arange(1.0, 16.1, 0.5))
+ANGLES_DEG = tuple(float(one) for one in np.arange(1.0, 16.01, 0.25))
 """Ridge angles in the table."""
 MOST_FIELDS = 512
 GREYS = 64

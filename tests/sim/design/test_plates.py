@@ -24,8 +24,8 @@ def test_one_picture_is_shown_nearly_exactly():
 
 def test_two_pictures_are_shown_with_little_of_each_other():
     found = design_pictures(np.stack([ACROSS, RINGS]), (0.0, 90.0), PLASTIC, 10.0)
-    assert min(found.similarity) > 0.8
-    assert max(found.cross_talk) < 0.05
+    assert min(found.similarity) > 0.9
+    assert max(found.cross_talk) < 0.01
     for stage, shown in zip((0.0, 90.0), found.shown, strict=True):
         row, col = 5, 17
         azimuth, angle = found.azimuth_deg[row, col], found.ridge_angle_deg[row, col]
@@ -36,7 +36,7 @@ def test_two_pictures_are_shown_with_little_of_each_other():
 
 def test_what_no_plate_can_show_is_refused():
     with pytest.raises(UsageError, match="a plate looks the same"):
-        design_pictures(np.stack([ACROSS, RINGS]), (0.0, 5.0), PLASTIC, 10.0)
+        design_pictures(np.stack([ACROSS, RINGS]), (0.0, 3.0), PLASTIC, 10.0)
     with pytest.raises(UsageError, match="one picture or two"):
         design_pictures(np.stack([ACROSS] * 3), (0.0, 90.0, 180.0), PLASTIC, 10.0)
     with pytest.raises(UsageError, match="at most 512 × 512"):
