@@ -58,7 +58,7 @@ def test_endless_noise_does_not_fill_the_memory(monkeypatch):
         ("sim://laser", "no simulated stage 'laser'"),
         ("sim://elliptec?speed=3", "unknown option 'speed'"),
         ("sim://elliptec?fault=gremlins", "no fault 'gremlins'"),
-        ("sim://elliptec?time_scale=fast", "could not convert"),
+        ("sim://elliptec?time_scale=fast", "time_scale=fast: give a number"),
         ("nosuch://x", "no handler for nosuch://"),
         ("socket://127.0.0.1", "cannot open socket"),
         ("/dev/null", "cannot open port /dev/null"),

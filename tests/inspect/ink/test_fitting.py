@@ -187,7 +187,7 @@ def test_a_bright_ink_is_told(rng):
         ([(20, 20), (40, 40), (60, 60)], "joint", "how wide the lobe is"),
         ([(20, 20), (40, 40)], "joint", "3 readings"),
         ([(20, 10), (20, 20), (20, 30)], "paper", "mirror direction"),
-        ([(20, 20), (40, 40), (60, 60)], "paper", "beside the mirror direction"),
+        ([(20, 20), (40, 40), (60, 60)], "paper", "away from the mirror direction"),
         ([(20, 10), (20, 20), (20, 20), (20, 20), (20, 30)], "paper", "three angles"),
     ],
 )

@@ -13,11 +13,13 @@ from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.report_seal import SEAL_NAME
 from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
+from anisoscope.report.inspection_page import REPORT_NAME
 
 TILE_UM = 128.0
 WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 320.0}}
@@ -153,6 +155,8 @@ def test_scattered_light_is_called_so_and_records_of_before_compute_again(inspec
     del content["details"]["between_tilts"], content["diagnosis"]["tells"]
     text = json.dumps(content | {"seal": UNSEALED}, indent=2)
     path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
+    (folder / SEAL_NAME).unlink()  # names the record as it was
+    (folder / REPORT_NAME).unlink(missing_ok=True)
     again = recompute(folder)
     assert (again.differences, again.verdict) == ((), "PASS")
     assert "did not tell it: details.between_tilts, diagnosis.tells" in again.notes[-1]
