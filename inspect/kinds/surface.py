@@ -34,7 +34,7 @@ from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
-from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
+from anisoscope.prediction.expectation import EDGE_RADIUS, PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.prediction.part_scatter import (
     NamedDefect,
     PartScatter,
@@ -482,9 +482,12 @@ def with_power(
         names = ["input", "stated", "of the golden parts", "95 % from", "to", "unit, key of [scatter]"]
         tables.append(Table("scatter between parts", names, scattered, "standard deviations"))
     if birge is not None:
-        lines.append(
+        line = (
             f"variance among the golden parts over the stated one: {birge:.1f} (up to {MAX_BIRGE:g} is usual)"
         )
+        if birge > MAX_BIRGE:
+            line += ": state theirs in [scatter], or calibrate the material, which is not the recipe's"
+        lines.append(line)
     return CommandOutput(shown.content | content, tuple(tables), tuple(lines))
 
 
@@ -499,6 +502,7 @@ def scatter_texts(recipe: SurfaceRecipe) -> dict[str, tuple[float, str]]:
         "roughness along the ridges": (100.0 * part.alpha_share, "%, alpha_share"),
         "roughness across the ridges": (100.0 * part.alpha_share, "%, alpha_share"),
         "albedo of the plastic": (100.0 * part.albedo_share, "%, albedo_share"),
+        EDGE_RADIUS: (100.0 * part.edge_radius_share, "%, edge_radius_share"),
         "seating tilt about x": seat,
         "seating tilt about y": seat,
         RIDGE_ANGLE: (recipe.scattered_ridge_angle_deg, "°, ridge_angle_deg"),

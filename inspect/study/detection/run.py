@@ -78,7 +78,6 @@ from anisoscope.study.detection.product import (
     World,
     recipe_of,
     rendered_as,
-    whole_recipe,
 )
 from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_tasks
 from anisoscope.study.detection.surrogate import SurrogateTask, bases_of, prepare_surrogate
@@ -245,13 +244,14 @@ def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatA
 
 
 def least_of(values: FloatArray) -> FloatArray:
-    """(N,) least of (T, N) values at even steps, by a parabola through the three nearest to the least."""
+    """(N,) least of (T, N) values ≥ 0 at even steps, by a parabola through the three nearest to the least."""
     middle = np.clip(np.argmin(values, axis=0), 1, len(values) - 2)
     left, here, right = (np.take_along_axis(values, (middle + step)[None], 0)[0] for step in (-1, 0, 1))
     slope, bend = 0.5 * (right - left), right - 2.0 * here + left
     within = (bend > 0.0) & (np.abs(slope) <= bend)  # the vertex lies between the three
     vertex = here - slope**2 / np.where(within, 2.0 * bend, np.inf)
-    return np.asarray(np.minimum(np.where(within, vertex, np.inf), values.min(axis=0)))
+    least = np.minimum(np.where(within, vertex, np.inf), values.min(axis=0))
+    return np.asarray(np.maximum(least, 0.0))  # a parabola may dip below what cannot be negative
 
 
 def golden_of(rig: int, part: int, count: int, of: int) -> npt.NDArray[np.int_]:
@@ -297,7 +297,7 @@ def results_of(
     kinds = (GOOD, *BY_NAME)
     p = {rule: {kind: p_values(rule, judge, kind) for kind in kinds} for rule in RULES}
     rigs = {kind: columns["rig"][judge.numbers(kind)] for kind in kinds}
-    known = signatures_of(rendered_as(world), size, seed).of(CHOSEN[name]) if diagnosed else None
+    known = signatures_of(rendered_as(world), name, size, seed) if diagnosed else None
     return {
         "invalid": int(np.count_nonzero(~valid)),
         "calibration": {
@@ -313,11 +313,9 @@ def results_of(
 
 
 @lru_cache(maxsize=8)
-def signatures_of(world: World, size: Size, seed: int) -> Signatures:
-    """Signatures of the causes in all poses that are photographed, with the calibrated plastic."""
-    recipe = whole_recipe(size)
-    material = recipe_of("tilted", size, calibration_of(world, seed).file).material
-    recipe = recipe.model_copy(update={"material": material})
+def signatures_of(world: World, name: RecipeName, size: Size, seed: int) -> Signatures:
+    """Signatures with the calibrated plastic, in the poses of a recipe, whose area counts in their own pairs."""
+    recipe = recipe_of(name, size, calibration_of(world, seed).file)
     return (
         cached_signatures(recipe, LIGHT_DEG)
         if size.causes is None

@@ -62,6 +62,7 @@ from anisoscope.study.detection.run import (
     collect,
     from_prediction,
     golden_of,
+    least_of,
     study_results,
     true_extents,
 )
@@ -77,6 +78,14 @@ STILL = RigState(LIGHT_DEG, 0.0, 0.0, np.ones(len(VIEWS)))
 
 
 # statistics ----------------------------------------------------------------------------------------------------
+
+
+def test_the_least_of_distances_is_that_of_a_parabola_and_never_negative():
+    tails = np.linspace(0.0, 1.0, 17)
+    smooth = (tails - 0.33) ** 2 + 0.1
+    kinked = np.full(17, 1.0)
+    kinked[8:10] = 1e-4, 0.05  # the parabola through 1, 1e-4 and 0.05 dips to -0.1
+    assert least_of(np.stack([smooth, kinked], axis=1)) == pytest.approx([0.1, 0.0], abs=1e-9)
 
 
 def test_the_interval_of_a_rate_is_that_of_clopper_and_pearson():
