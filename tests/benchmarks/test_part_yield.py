@@ -33,7 +33,7 @@ def lot(parts=1000):
 def test_parts_through_prediction_measurement_and_verdict(bench):
     works = {
         parts: (lambda parts=parts: part_yield(lot(parts), Workers(1), next(SEED)))
-        for parts in (250, 1000, 4000)
+        for parts in (125, 500, 2000)
     }
     exponent = bench.growth("toleranced parts to verdicts, three poses", "parts", works, rounds=2)
     assert exponent == pytest.approx(1.0, abs=0.15)

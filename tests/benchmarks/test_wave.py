@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 from scipy import fft
 
+from anisoscope.kinds.wafers.kind import WAFERS
+from anisoscope.prediction.expectation import expectation
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.wave import fused
 from anisoscope.sim.light.wave.correlation import wave
@@ -88,3 +92,39 @@ def test_fifteen_directions_and_thirty_one_wavelengths(bench):
 
     sizes = {side**2: spectra(side) for side in (1024, 2048, SIZE)}
     bench.growth("15 directions × 31 wavelengths", "heights", sizes, rounds=2)
+
+
+WINDOW_RECIPE = """schema = 1
+product = "window"
+[surface]
+height_map = "window.npz"
+pitch_um = 672.0
+[material]
+reflectance = 0.9
+albedo = 0.001
+[light]
+wavelength_nm = 520.0
+bandwidth_nm = 10.0
+lamp_half_angle_deg = 0.3
+aperture_half_angle_deg = 0.7
+[acquisition]
+exposure_s = 2.5e-5
+[region]
+size_mm = [0.672, 0.672]
+"""
+
+
+def test_a_window_of_a_wafer_with_its_budget(bench, tmp_path):
+    """Strips of steps that do not repeat; radiances of three poses and what is uncertain of them."""
+    rng, height = np.random.default_rng(1), np.empty((896, 896))
+    for rows in np.split(height, np.sort(rng.choice(np.arange(1, 896), 16, replace=False))):
+        ends = np.flatnonzero(rng.random(896) < 0.12)
+        levels = rng.choice([0.0, 0.13, 0.26, 0.39], len(ends) + 1)
+        rows[:] = np.repeat(levels, np.diff(ends, prepend=0, append=896))
+    write_height_map(HeightMap(height, 0.75, 0.75), tmp_path / "window.npz")
+    (tmp_path / "window.toml").write_text(WINDOW_RECIPE)
+    recipe = WAFERS.read_recipe(tmp_path / "window.toml")
+    works = {"prediction with its budget": lambda: expectation(recipe, 10.0, WAFERS.optics)}
+    found = bench.compare("wafer window of 896 × 896 points by waves, three poses", works, rounds=3)
+    components = found["prediction with its budget"].result.components
+    bench.note(f"{len(components)} sources of uncertainty")
