@@ -2,6 +2,7 @@
 
 import itertools
 
+import numpy as np
 import pytest
 
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
@@ -53,8 +54,11 @@ def test_one_process_two_and_a_cluster(bench):
             {name: lambda way=way: part_yield(lot(), way, next(SEED)) for name, way in ways.items()},
             rounds=3,
         )
-        small = lot(200)
-        assert len({repr(part_yield(small, way, 1)) for way in ways.values()}) == 1
+        alone, *others = (part_yield(lot(80), way, 1) for way in ways.values())
+        for other in others:  # Dask gives BLAS one thread, so that sums are rounded otherwise
+            assert other.verdicts == alone.verdicts
+            means = [[contrast.mean for contrast in each.contrasts] for each in (alone, other)]
+            np.testing.assert_allclose(means[1], means[0], rtol=1e-9, atol=1e-9)
     one, two, three = ways
     bench.note(
         f"on the clock two processes are {found.wall_ratio(one, two):.2f} times as fast as one, the cluster "
