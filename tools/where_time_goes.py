@@ -28,8 +28,10 @@ STEPS = (
     ("radiance, markers, alignment, gates", "anisoscope.inspection.pipeline", "measure_frames"),
     ("decision: tests, guard bands, map of cells", "anisoscope.kinds.surface", "SurfaceKind.decide"),
     ("diagnosis, and where the height map lies", "anisoscope.kinds.surface", "SurfaceKind.diagnose"),
-    ("pictures and charts of the report", "anisoscope.kinds.surface", "SurfaceKind.sections"),
-    ("report page, record, seal", "anisoscope.inspection.run", "conclude"),
+    ("record and seal", "anisoscope.inspection.run", "conclude"),
+    ("report: what the part should look like", "anisoscope.kinds.surface", "SurfaceKind.pictures"),
+    ("report: charts and maps", "anisoscope.kinds.surface", "SurfaceKind.sections"),
+    ("report: page and seal", "anisoscope.inspection.reports", "PendingReport.write"),
 )
 TEXT = """# Where the time of an inspection goes
 
@@ -41,8 +43,10 @@ in seconds of processor time over all threads. With a real camera, its exposures
 {rows}
 | **second inspection** | **{second:.2f}** | |
 
-The first inspection takes {first:.2f} s: {more:.2f} s more for imports, reading compiled kernels, and rendering the
-simulated part. What is computed once for a recipe (prediction, effects of causes) was in the cache.
+The verdict is printed and sealed before the report, which a batch writes while the next part is inspected.
+
+The first inspection takes {first:.2f} s: {more:.2f} s more, nearly all of it imports. What is computed once for a recipe
+(prediction, effects of causes, views of the height map, scenes of the simulated part) was in the cache.
 """
 REST = "command line, progress, history, the rest"
 

@@ -5,6 +5,7 @@ import io
 import json
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -107,38 +108,48 @@ def write_reference(path: Path, reference: dict[str, Any]) -> None:
     write_bytes(path, buffer.getvalue())
 
 
+_ADVICE = "take one with `anisoscope calibrate flat`"
+
+
 def read_reference(path: Path) -> WhiteReference:
-    """Read a white reference.
+    """Read a white reference; the last one is remembered, until its file changes.
 
     Raises:
         CalibrationError: missing, damaged, or not a white reference.
     """
+    if not path.is_file():
+        raise CalibrationError(f"the flat {path} does not exist: {_ADVICE}")
+    found = path.stat()
+    return _reference_of(path, (found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino))
+
+
+@lru_cache(maxsize=1)
+def _reference_of(path: Path, _state: tuple[int, ...]) -> WhiteReference:
     import tifffile  # noqa: PLC0415 - start-up time
 
-    advice = "take one with `anisoscope calibrate flat`"
-    if not path.is_file():
-        raise CalibrationError(f"the flat {path} does not exist: {advice}")
     try:
-        with tifffile.TiffFile(path) as file:
+        content = path.read_bytes()
+        with tifffile.TiffFile(io.BytesIO(content)) as file:
             page = file.pages.first
             signal, meta = page.asarray(), json.loads(page.description)
+        signal.flags.writeable = False
         if meta["kind"] != _KIND:
-            raise CalibrationError(f"{path} is not a white reference: {advice}")
+            raise CalibrationError(f"{path} is not a white reference: {_ADVICE}")
         if signal.ndim != 2 or not np.isfinite(signal).all() or np.median(signal) <= 0.0:
-            raise CalibrationError(f"{path} holds no picture of a white tile: {advice}")
+            raise CalibrationError(f"{path} holds no picture of a white tile: {_ADVICE}")
         return WhiteReference(
             np.asarray(signal, dtype=np.float32),
             float(meta["radiance"]),
             str(meta["camera"]),
             str(meta["taken_at"]),
             float(meta["reflectance"]),
-            hashlib.sha256(path.read_bytes()).hexdigest(),
+            hashlib.sha256(content).hexdigest(),
             str(meta.get("filters", "mono")),
         )
     except CalibrationError:
         raise
     except Exception as error:
-        raise CalibrationError(f"the flat {path} cannot be read ({error}): {advice}") from error
+        raise CalibrationError(f"the flat {path} cannot be read ({error}): {_ADVICE}") from error
 
 
 def exposure_for(path: Path, radiance: float, level: float, gain: float = 1.0) -> float:

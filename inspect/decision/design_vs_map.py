@@ -18,7 +18,6 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
-from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.recipe.surface import Surface, SurfaceRecipe
 from anisoscope.record.schema import ComparisonRecord, ReadingNumberRecord, ReadingRecord
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -222,6 +221,8 @@ def measured_ridges(surface: HeightMap) -> RidgeMeasurement:
     Raises:
         HeightMapError: there are none.
     """
+    from anisoscope.profiles.metrology.ridges import measure_ridges  # noqa: PLC0415 - numba when first needed
+
     return measure_ridges(surface)
 
 

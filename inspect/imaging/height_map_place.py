@@ -10,8 +10,11 @@ Pictures and map are first reduced to a few points per pitch and cropped about t
 result is informative: the verdict compares the means of region and map, which need no position.
 """
 
+import hashlib
+import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cache import LIBRARIES, Cache
 from anisoscope.base.errors import AnisoscopeError, RegistrationError
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation
@@ -33,6 +37,7 @@ from anisoscope.sim.light.relief import Relief, radiance_maps
 Image = npt.NDArray[np.float32]
 Spectrum = npt.NDArray[np.complex128]
 
+OPENCV = "opencv-contrib-python-headless"
 MIN_RATIO = 1.5
 MIN_CORRELATION = 0.2
 MIN_OVERLAP = 0.3
@@ -98,18 +103,24 @@ def surface_pixels(surface: HeightMap) -> tuple[float, float]:
     return surface.pixel_y_um, surface.pixel_x_um
 
 
+VIEWS = "height-map-views"
+"""Kind of entry in the cache."""
+
+
+@lru_cache(maxsize=2)
 def render(
     surface: HeightMap,
-    poses: Sequence[Pose],
+    poses: tuple[Pose, ...],
     material: Material,
     convention: Convention,
     pixel_um: float,
     pitch_um: float | None = None,
     turn_deg: float = 0.0,
-) -> list[Image]:
+) -> tuple[Image, ...]:
     """Render the height map in each pose on square pixels, the first row farthest along the ridges.
 
-    Of a map on which the ridges run askew, the largest rectangle about its middle with sides along and across them.
+    All parts of a recipe, and place and report of one part, take the same pictures: the last ones are remembered. Of a
+    map on which the ridges run askew, the largest rectangle about its middle with sides along and across them.
 
     Args:
         surface: the height map.
@@ -121,9 +132,40 @@ def render(
         turn_deg: azimuth on the map of the direction across the ridges.
 
     Returns:
-        P pictures, centred on the map.
+        P pictures, centred on the map; not to be written to.
     """
-    to_light, to_camera = directions(tuple(poses), convention)
+    heights = hashlib.sha256(np.ascontiguousarray(surface.height_um).data).hexdigest()
+    seen = [(pose.stage_deg, pose.tilt_deg) for pose in poses]
+    key = [heights, surface.shape, surface_pixels(surface), seen, asdict(material), asdict(convention)]
+    entry = Cache().entry(
+        VIEWS, [*key, pixel_um, pitch_um, turn_deg], __name__, libraries=(*LIBRARIES, OPENCV)
+    )
+    views = entry.result(
+        lambda: _views(surface, poses, material, convention, pixel_um, pitch_um, turn_deg),
+        _packed,
+        lambda content: np.load(io.BytesIO(content), allow_pickle=False),
+    )
+    views.flags.writeable = False
+    return tuple(views)
+
+
+def _packed(views: Image) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, views)
+    return buffer.getvalue()
+
+
+def _views(
+    surface: HeightMap,
+    poses: tuple[Pose, ...],
+    material: Material,
+    convention: Convention,
+    pixel_um: float,
+    pitch_um: float | None,
+    turn_deg: float,
+) -> Image:
+    """(P, rows, cols) pictures of `render`."""
+    to_light, to_camera = directions(poses, convention)
     cos, sin = float(np.cos(np.radians(turn_deg))), float(np.sin(np.radians(turn_deg)))
     sides = [(size - 1) * pixel for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True)]
     inside = min(
@@ -146,7 +188,7 @@ def render(
         ]  # rows of a map rise with +y
         measured = cv2.remap(calm, at_column.astype(np.float32), at_row.astype(np.float32), cv2.INTER_LINEAR)
         found.append(np.asarray(measured, dtype=np.float32))
-    return found
+    return np.stack(found)
 
 
 def _wave(picture: Image, pitch: float) -> complex:
@@ -291,7 +333,7 @@ def _matched(
         raise RegistrationError("it is smaller than one pitch")
     rendered = render(
         surface,
-        [expected.poses[k] for k in chosen],
+        tuple(expected.poses[k] for k in chosen),
         lobe_on(Relief(expected.surface, direction_deg=expected.turn_deg), recipe),
         expected.convention,
         pixel_um * factor,
@@ -332,6 +374,7 @@ def reduced_picture(picture: Image, factor: int) -> Image:
     return np.asarray(small, dtype=np.float32)
 
 
+@lru_cache(maxsize=2)
 def reduced_map(surface: HeightMap, pitch_um: float) -> HeightMap:
     """The centre of a map, a few pitches wide, with a few points per pitch."""
     steps, cuts = [], []

@@ -5,6 +5,8 @@ on the ideal design, averaged along the ridges. Its phase is that of the ridges 
 region is the prediction that decides; light that reflects more than once is spread evenly.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
@@ -20,7 +22,7 @@ from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Image, Measured
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import ridges
+from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.relief import Relief
 
@@ -96,8 +98,13 @@ def _surface(recipe: SurfaceRecipe, expected: Expectation) -> tuple[HeightMap, s
     if expected.surface is not None:
         return reduced_map(expected.surface, recipe.surface.pitch_um), "the height map"
     pixel_um = recipe.surface.pitch_um / POINTS_OF_A_DESIGN
+    return _ideal(recipe.surface.ridge_design(), pixel_um), "the ideal design"
+
+
+@lru_cache(maxsize=2)
+def _ideal(design: RidgeDesign, pixel_um: float) -> HeightMap:
     points = PITCHES_OF_A_DESIGN * POINTS_OF_A_DESIGN + 1
-    return ridges(recipe.surface.ridge_design(), (points, points), pixel_um), "the ideal design"
+    return ridges(design, (points, points), pixel_um)
 
 
 def _folded(picture: Image, step: float, phase: float, cols: int) -> FloatArray:

@@ -22,7 +22,6 @@ from anisoscope.prediction.sensitivity import ALPHA_RANGE
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign
 from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
-from anisoscope.profiles.metrology.ridges import directions_of_parts, measure_ridges
 from anisoscope.profiles.period import MIN_SCORE, Period
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.material import Material
@@ -157,6 +156,8 @@ def measured_ridges(relief: Relief) -> RidgeMeasurement | None:
     """The ridges of a map; None where it holds too little of them."""
     if min(relief.surface.shape) < MEASURABLE_POINTS:
         return None
+    from anisoscope.profiles.metrology.ridges import measure_ridges  # noqa: PLC0415 - numba when first needed
+
     try:
         with np.errstate(divide="ignore", invalid="ignore"):  # maps without noise have no limit of outliers
             return measure_ridges(relief.surface)
@@ -195,6 +196,8 @@ def check_one_direction(relief: Relief, period: Period, material: Material) -> N
             f"the height map shows no ridges of one direction {period.pitch_um:g} µm apart, along which a lobe of "
             f"alpha_along {material.alpha_along:g} and alpha_across {material.alpha_across:g} could lie: {cure}"
         )
+    from anisoscope.profiles.metrology.ridges import directions_of_parts  # noqa: PLC0415 - numba when first needed
+
     parts = directions_of_parts(surface)
     if len(parts) > 1:
         named = ", ".join(f"{one:.0f}°" for one in parts)

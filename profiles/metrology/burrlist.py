@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.heightmap import row_blocks
-from anisoscope.profiles.metrology.ridgekernels import Mask
 
+Mask = npt.NDArray[np.bool_]
 Kind = Literal["burr", "spike", "pit"]
 OUTLINE = 3.5
 PEAK = 6.0

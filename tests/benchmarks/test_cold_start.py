@@ -1,16 +1,28 @@
-"""Processor time of commands in a process of their own, against the import of numpy, OpenCV and scipy.optimize."""
+"""Processor time of commands in a process of their own, against the import of numpy, OpenCV and scipy.optimize.
 
+What a command finds in the cache of results is there from the call before the first round, as at a user's second call;
+a prediction is timed with an empty cache too. An inspection is that of the demo's good part, without its camera's time.
+"""
+
+import os
 import subprocess
 import sys
 
 import pytest
 
+from anisoscope.base.progress import silent
+from anisoscope.cli.demo.ridges import lay_out
+from anisoscope.inspection.run import inspect_part
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.record.schema import read_record
+from anisoscope.rig.frame import read_frame
+from anisoscope.rig.framefolder import write_frame_folder
 
 pytestmark = pytest.mark.benchmark
 
 IMPORT = ("-c", "import numpy, cv2, scipy.optimize")
+LIBRARIES = f"`python -c '{IMPORT[1]}'`"
 COMMANDS = (
     ("--help",),
     ("profile", "info", "map.x3p"),
@@ -20,11 +32,17 @@ COMMANDS = (
 )
 
 
-def process(folder, *arguments):
+def process(folder, *arguments, **environment):
     """A process of its own, from its start to its end; a history that does not exist is an error."""
 
     def work():
-        done = subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, check=False)
+        done = subprocess.run(
+            [sys.executable, *arguments],
+            cwd=folder,
+            env={**os.environ, **environment},
+            capture_output=True,
+            check=False,
+        )
         assert done.returncode in (0, 64, 74), arguments
 
     return work
@@ -33,10 +51,40 @@ def process(folder, *arguments):
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_cold_start(bench, tmp_path, command):
     write_height_map(ridges(RidgeDesign(100.0, 10.0), (1000, 1000), 1.0), tmp_path / "map.x3p")
-    libraries = f"`python -c '{IMPORT[1]}'`"
-    found = bench.compare(
-        f"`anisoscope {' '.join(command)}`",
-        {"command": process(tmp_path, "-m", "anisoscope", *command), libraries: process(tmp_path, *IMPORT)},
-    )
+    works = {
+        "command": process(tmp_path, "-m", "anisoscope", *command),
+        LIBRARIES: process(tmp_path, *IMPORT),
+    }
+    if command[0] == "predict":
+        environment = {"ANISOSCOPE_CACHE_LIMIT_MB": "0", "ANISOSCOPE_CACHE": str(tmp_path / "none")}
+        works["the same without the cache"] = process(tmp_path, "-m", "anisoscope", *command, **environment)
+    found = bench.compare(f"`anisoscope {' '.join(command)}`", works)
     if command == ("--help",):
-        assert found.ratio("command", libraries) < 1.0  # no command and no library of numbers is loaded
+        assert found.ratio("command", LIBRARIES) < 1.0  # no command and no library of numbers is loaded
+
+
+def test_cold_inspection_of_frames(bench, tmp_path):
+    folder = lay_out(tmp_path / "demo", 1, silent)
+    rig = folder / "bench" / "good" / "rig.toml"
+    taken = inspect_part(folder / "recipe.toml", rig, "A1", folder / "out")
+    shots = [read_frame(taken.folder / entry.name) for entry in taken.record.frames]
+    write_frame_folder(folder / "frames", shots, [entry.again for entry in taken.record.frames])
+    command = [
+        "inspect",
+        "--recipe",
+        "recipe.toml",
+        "--rig",
+        str(rig),
+        "--serial",
+        "A1",
+        "--frames",
+        "frames",
+    ]
+    command += ["--out", str(tmp_path / "judged")]
+    bench.compare(
+        f"`anisoscope inspect --frames` of {len(shots)} frames of a megapixel",
+        {"command": process(folder, "-m", "anisoscope", *command), LIBRARIES: process(folder, *IMPORT)},
+    )
+    verdicts = {read_record(path.parent).verdict for path in (tmp_path / "judged").glob("*/record.json")}
+    bench.note(f"verdicts {', '.join(verdicts)}; record, history and report included")
+    assert verdicts == {taken.record.verdict}

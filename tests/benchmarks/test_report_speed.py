@@ -77,5 +77,5 @@ def test_frames_on_disk_to_record_and_report(bench, frames, tmp_path):
         },
     )
     both = [found[label].result.record.verdict for label in list(found.timings)[:2]]
-    bench.note(f"verdicts {', '.join(both)}; the report is written before the record, which seals it")
+    bench.note(f"verdicts {', '.join(both)}; a batch writes the report while the next part is inspected")
     assert both[0] == both[1]
