@@ -45,8 +45,8 @@ in seconds of processor time over all threads. With a real camera, its exposures
 
 The verdict is printed and sealed before the report, which a batch writes while the next part is inspected.
 
-The first inspection takes {first:.2f} s: {more:.2f} s more, nearly all of it imports. What is computed once for a recipe
-(prediction, effects of causes, views of the height map, scenes of the simulated part) was in the cache.
+The first inspection takes {first:.2f} s: {more:.2f} s more, nearly all of it imports. What is computed once for a
+recipe (prediction, effects of causes, views of the height map, scenes of the simulated part) was in the cache.
 """
 REST = "command line, progress, history, the rest"
 

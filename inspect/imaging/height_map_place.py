@@ -399,7 +399,7 @@ class _Shared(NamedTuple):
 
 
 def _shared(
-    pictures: list[Image], rendered: list[Image], place: MapPlace, pixel_um: float, pitch_um: float
+    pictures: Sequence[Image], rendered: Sequence[Image], place: MapPlace, pixel_um: float, pitch_um: float
 ) -> _Shared:
     """Means of pictures and map over their common area, whole pitches across."""
     shape, size = pictures[0].shape, rendered[0].shape
