@@ -21,6 +21,7 @@ from babel.messages.pofile import read_po, write_po
 from anisoscope.base.notation import NUMBER_WORDS
 from anisoscope.commissioning.selftest import STEPS
 from anisoscope.diagnosis.causes import all_causes
+from anisoscope.diagnosis.discriminating_poses import TILTS_DEG
 from anisoscope.diagnosis.ranking import bare_title
 from anisoscope.kinds.prints.decision import NOT_JUDGED
 from anisoscope.kinds.prints.missing_ink import MISSING_TITLE
@@ -214,7 +215,7 @@ def _tables() -> Iterator[str]:
     yield from (*OUTCOMES.values(), *MEANING.values(), INVALID_RULE, *rule.CONTRASTS.values())
     for names, _ in STEPS:
         yield from (words for _, words in names)
-    yield from NUMBER_WORDS.values()
+    yield from (*NUMBER_WORDS.values(), " and ".join(f"{tilt:g}°" for tilt in TILTS_DEG))
     yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
     for name in ("ridges", "wafers", "prints"):
         for key, words in kind_named(name).cause_words.items():
