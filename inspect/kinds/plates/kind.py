@@ -9,7 +9,6 @@ import numpy as np
 
 from anisoscope.base.errors import RecipeError, UsageError
 from anisoscope.base.progress import Advance
-from anisoscope.decision.reference_parts import RadianceSet
 from anisoscope.imaging.pose_radiance import mean_of
 from anisoscope.imaging.registration.placement import resample
 from anisoscope.imaging.views import most_changed
@@ -37,7 +36,6 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
 
     name = "plates"
     one = "a plate"
-    reference_set = RadianceSet
 
     @property
     def recipe(self) -> type[PlateRecipe]:
@@ -111,7 +109,7 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         measured: MeasuredPlate,
         reference: Reference | None,
     ) -> PlateDecision:
-        """Contrasts of the classes, single fields, and the code; golden plates are collected, and do not decide yet."""
+        """Contrasts of the classes, single fields, and the code."""
         del sitting, reference
         return decide_plate(expected, measured, recipe)
 

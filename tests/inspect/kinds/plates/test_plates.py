@@ -239,3 +239,10 @@ def test_a_new_recipe_begins_with_a_plan(anisoscope, tmp_path):
         done.err.split()
     )
     assert not (tmp_path / "plate.toml").exists()
+
+
+def test_golden_plates_are_not_collected(anisoscope, folder):
+    done = anisoscope("golden", "show", "--recipe", folder / "recipe.toml")
+    assert done.code >= 64
+    assert "Traceback" not in done.err
+    assert done.err.strip().count("\n") == 0
