@@ -64,9 +64,10 @@ def test_without_tolerances_there_are_no_risks():
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("golden", [0, 3])
-def test_good_parts_are_significant_as_often_as_the_level_says(golden):
+@pytest.mark.parametrize(("golden", "least", "most"), [(0, 0.03, 0.07), (3, 0.005, 0.06)])
+def test_good_parts_are_significant_as_often_as_the_level_says(golden, least, most):
+    """Against golden parts less often: distance and directions share the level by Bonferroni's bound."""
     one = recipe(decision={"alpha": 0.05})
     lot = Lot(one, LIGHT_DEG, Spread.of(one), parts=2000, rigs=400, golden=golden)
     found = part_yield(lot, Workers(None))
-    assert found.significant.value == pytest.approx(0.05, abs=0.02)
+    assert least < found.significant.value < most
