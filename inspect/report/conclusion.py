@@ -28,6 +28,7 @@ OUTCOMES: Mapping[str, str] = {
     "inconclusive": "Inspect it again; if it stays undecided, have a reviewer decide (anisoscope history dispose)",
     "invalid": "Put right what the reason names and inspect the part again; nothing is known about the part",
     "unexplained": "Seat it again once; if it fails again, set it aside for a reviewer: no known cause explains it",
+    "undiagnosed": "Seat it again once; if it fails again, reject it or have a reviewer decide",
     "tied": "Seat it again once; if it fails again, set it aside for a reviewer: several causes explain it alike",
 }
 """What to do next without one known cause; keys of the recipe's ``[actions]`` besides the names of causes."""
@@ -126,7 +127,9 @@ def _of_verdict(
         others = ", ".join(rivals)
         finding = f"{finding}; cannot be distinguished from: {others}"
     if record.verdict == "FAIL":
-        return ("tied" if rivals else named[0].key, finding) if named else ("unexplained", measured)
+        if not named:
+            return "undiagnosed" if record.diagnosis is None else "unexplained", measured
+        return "tied" if rivals else named[0].key, finding
     if reason.startswith("warning"):
         return "warning", f"The part is within its limits, but deviates. {finding or measured}"
     return "pass", f"The part is as it should be. {measured}"

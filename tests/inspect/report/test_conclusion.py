@@ -80,6 +80,11 @@ def test_without_a_known_cause_the_numbers_are_the_finding(conclude, causes):
     assert conclude(row("ridge-angle", 1.0, 0.1), p=1e-5).follows_from == "unexplained"
 
 
+def test_a_kind_that_looks_for_no_causes_does_not_say_that_none_explains_it(make_report_record):
+    record = make_report_record(verdict="FAIL", diagnosis=None)
+    assert concluded(record, {}, "Field (3, 4) is missing", {}).follows_from == "undiagnosed"
+
+
 def test_a_recipe_has_the_last_word_on_what_to_do(conclude):
     actions = {"ridge-angle": "Call the tool shop, extension -17", "pass": "Box 4"}
     assert (
