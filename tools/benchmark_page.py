@@ -23,7 +23,7 @@ HEAD = """# Benchmarks
 
 Written by `make benchmark && make benchmark-record`. Alternatives run in turn (A B A B) in one process, after one call
 that compiles and fills caches. Every cell gives the minimum and the median of all rounds. Processor time counts all
-threads and finished children; the ratio is that of the minima of processor time to the first line of each table. Ratios
+threads and started processes; the ratio is that of the minima of processor time to the first line of each table. Ratios
 hold under load and on other machines; seconds do not. The trend of all ratios is `docs/evidence/benchmark-trend.csv`;
 `make benchmark` names what is more than 20 % slower than the median of the last three runs on record.
 """

@@ -1,9 +1,10 @@
 """Timing of benchmarks: alternatives in turn (A B A B), wall and processor time, growth laws, results as JSON.
 
 Load on the machine changes within a run. Alternatives that are timed in turn see the same load, so their ratio holds
-where single times do not. Processor time is that of the process with all threads and of its finished children.
+where single times do not. Processor time is that of the process and of all that it started, with all threads.
 """
 
+import contextlib
 import gc
 import importlib.metadata
 import json
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 RESULTS = "ANISOSCOPE_BENCHMARK_RESULTS"
@@ -75,9 +77,14 @@ class Comparison:
 
 
 def processor_s() -> float:
-    """Seconds of processor time so far, of this process and of its finished children."""
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + children.ru_utime + children.ru_stime
+    """Seconds of processor time so far, of this process, its finished children, and workers that go on."""
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    going_on = 0.0
+    for child in psutil.Process().children(recursive=True):
+        with contextlib.suppress(psutil.Error):  # it has ended meanwhile
+            spent = child.cpu_times()
+            going_on += spent.user + spent.system + spent.children_user + spent.children_system
+    return time.process_time() + ended.ru_utime + ended.ru_stime + going_on
 
 
 def once(work: Work, calls: int) -> tuple[float, float, Any]:
