@@ -3,8 +3,10 @@
 import contextlib
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
+from serial.urlhandler import protocol_socket
 
 from anisoscope.base.clock import SYSTEM, VirtualClock
 from anisoscope.base.errors import NotConnected, ProtocolError, RigError
@@ -43,7 +45,9 @@ def in_process(monkeypatch):
 
 
 @pytest.fixture(params=["sim", "pty", "tcp"])
-def served(request, in_process):
+def served(request, in_process, monkeypatch):
+    # pyserial waits 0.3 s whenever it closes a socket, for servers that need a rest before the next client; ours do not
+    monkeypatch.setattr(protocol_socket, "time", SimpleNamespace(sleep=lambda _: None, time=time.time))
     with contextlib.ExitStack() as servers:
 
         def serve(firmware):
