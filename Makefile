@@ -6,8 +6,8 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 SEED   ?= 1
-# four more than there are cores: many tests wait for simulated devices, terminals and browsers
-WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 4)
+# two more than there are cores: many tests wait for simulated devices, terminals and browsers
+WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 2)
 
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
