@@ -1,5 +1,6 @@
 """Guards against the traps of a folder named like a module of the standard library."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -57,6 +58,12 @@ def test_no_folder_with_modules_lacks_an_init():
 def test_no_module_of_inspect_bears_a_name_of_the_standard_library():
     names = {path.stem for path in (ROOT / "inspect").glob("*") if path.suffix in ("", ".py")} - {"__main__"}
     assert names & sys.stdlib_module_names == set()
+
+
+def test_no_file_has_the_name_of_an_accident():
+    """What a shell or an editor leaves in the root is no part of the distribution."""
+    names = [path.name for path in ROOT.iterdir()]
+    assert [name for name in names if not re.fullmatch(r"[\w.-]+", name)] == []
 
 
 def test_import_inspect_in_the_root_is_the_standard_library():
