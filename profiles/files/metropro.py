@@ -78,7 +78,7 @@ def read_metropro(path: Path | str, given: Given | None = None) -> HeightMap:
     left, top, cols, rows, phase_bytes = content.numbers(">hhHHI", 64)
     if intensity_bytes != 2 * width * height * buckets or phase_bytes != 4 * rows * cols:
         refuse(name, "sizes", f"{intensity_bytes} and {phase_bytes} bytes do not fit the dimensions", DAMAGED)
-    raw = content.grid(">i4", rows, cols, header_bytes + intensity_bytes).astype(np.int32)
+    raw = content.grid(">i4", rows, cols, header_bytes + intensity_bytes)
     (lateral,) = content.numbers(">f", 184)
     stated = None if lateral == 0 else (lateral * 1e6, lateral * 1e6)
     pixel = stated_or_given_pixel(name, stated, given.pixel_um if given else None)
