@@ -27,6 +27,7 @@ _SEED = 11
 _BLOCK = 1000
 _SINGULAR = 1e-9
 _TAILS = 9  # of the lobe that are looked at together
+_TOGETHER = 200  # parts
 _NARROWED = 4  # times that their range becomes that between the neighbours of the best: to a 1/256 of it
 OF_THE_RIG = ("stray light", "linearity of the camera")
 """Sources of the measurement that all inspections on one rig share."""
@@ -46,18 +47,30 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
             d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
             return d2, len(basis), float(chi2_tail(d2, len(basis)))
     alone = own_covariance(expected, measured)
-    if expected.lobes is not None and _regular(alone):
-        d2 = nearest_lobe(expected.lobes.within(basis), off, alone)
-        return d2, len(basis), float(chi2_tail(d2, len(basis)))
-    if expected.response is not None and _regular(alone):
-        d2 = float(nearest(expected.response.within(basis), off[None], alone[None])[0])
+    if (expected.lobes is not None or expected.response is not None) and _regular(alone):
+        d2 = float(distances(expected, off[None], alone[None])[0])
         return d2, len(basis), float(chi2_tail(d2, len(basis)))
     d2, dof = mahalanobis(off, _covariance(expected.components + measured.components, basis))
     return d2, dof, float(chi2_tail(d2, dof))
 
 
-def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> float:
-    """Squared distance of (m,) deviations from the nearest tail of the lobe and state of the other inputs.
+def distances(expected: Expectation, deviation: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(N,) squared distances D² of parts from a prediction whose response or lobes are known.
+
+    Args:
+        expected: the prediction.
+        deviation: (N, m) contrasts of the parts less the predicted ones, in the basis of `log_basis`.
+        covariance: (N, m, m) of the errors not covered by the response or the lobes, of full rank.
+    """
+    basis = log_basis(len(expected.poses))
+    if expected.lobes is not None:
+        return nearest_lobe(expected.lobes.within(basis), deviation, covariance)
+    assert expected.response is not None
+    return nearest(expected.response.within(basis), deviation, covariance)
+
+
+def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(N,) squared distances of parts from the nearest tail of the lobe and state of the other inputs.
 
     min over τ and z of ((τ − τ₀)/u)² + |z|² + (d − f(τ, z))ᵀV⁻¹(d − f(τ, z)), τ within its range. Where every tail of
     the range is as likely, the first term is nil: χ² with m degrees of freedom then states the distance of good parts
@@ -65,22 +78,29 @@ def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray
 
     Args:
         lobes: ln ratios over the tail.
-        deviation: (m,) from the prediction.
-        covariance: (m, m) of the independent errors, of full rank.
+        deviation: (N, m) from the prediction.
+        covariance: (N, m, m) of the independent errors, of full rank.
     """
-    low, high = float(lobes.tails[0]), float(lobes.tails[-1])
-    start = np.zeros((_TAILS, len(lobes.responses[0].sources)))
-    metric = np.broadcast_to(covariance, (_TAILS, *covariance.shape))
-    least = np.inf
+    blocks = [slice(first, first + _TOGETHER) for first in range(0, len(deviation), _TOGETHER)]
+    return np.concatenate([_nearest_lobe(lobes, deviation[one], covariance[one]) for one in blocks])
+
+
+def _nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> FloatArray:
+    """The same of a few parts, each with `_TAILS` tails at a time."""
+    parts, k = len(deviation), len(lobes.responses[0].sources)
+    low, high = (np.full(parts, float(end)) for end in (lobes.tails[0], lobes.tails[-1]))
+    off, metric = (np.repeat(one, _TAILS, axis=0) for one in (deviation, covariance))
+    start, each = np.zeros((parts * _TAILS, k)), np.arange(parts)
+    least = np.full(parts, np.inf)
     for _ in range(_NARROWED):
-        tails = np.linspace(low, high, _TAILS)
-        shifts, responses = lobes.along(tails)
-        rest, states = nearest_states(responses, deviation - shifts, metric, start)
-        found = rest + lobes.penalty(tails)
-        best = int(np.argmin(found))
-        least = min(least, float(found[best]))
-        low, high = float(tails[max(best - 1, 0)]), float(tails[min(best + 1, _TAILS - 1)])
-        start = np.repeat(states[best][None], _TAILS, axis=0)
+        tails = np.linspace(low, high, _TAILS, axis=1)
+        shifts, responses = lobes.along(tails.ravel())
+        rest, states = nearest_states(responses, off - shifts, metric, start)
+        found = rest.reshape(tails.shape) + lobes.penalty(tails)
+        best = np.argmin(found, axis=1)
+        least = np.minimum(least, found[each, best])
+        low, high = (tails[each, np.clip(best + step, 0, _TAILS - 1)] for step in (-1, 1))
+        start = np.repeat(states.reshape(parts, _TAILS, k)[each, best], _TAILS, axis=0)
     return least
 
 

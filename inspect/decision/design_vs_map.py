@@ -21,10 +21,14 @@ from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
 from anisoscope.recipe.surface import Surface, SurfaceRecipe
 from anisoscope.record.schema import ComparisonRecord, ReadingNumberRecord, ReadingRecord
 from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.unresolved import resolve
 
 Predict = Callable[[SurfaceRecipe, float], Expectation]
 """Function that predicts a recipe at the rig's light angle, computed or from the cache."""
 
+TEXTURE = 0.01
+"""Roughness that a map resolves beyond which the light of a smooth design differs."""
 HEIGHT_SCALE_SHARE, PIXEL_SIZE_SHARE = 0.005, 0.002
 """Relative standard uncertainties of the height and length scales of a calibrated profilometer."""
 NAMES: dict[Surface, str] = {"design": "design", "height_map": "height map"}
@@ -102,10 +106,9 @@ def _measured(
         np.zeros((len(expected.poses),) * 2),
     )
     numbers = _contrasts(expected, measured.radiance, expected.radiance, own)
-    if compared.agrees:
-        says = f"the light agrees with the {name}"
-    else:
-        says = f"the light does not agree with the {name}: {_largest(numbers)}"
+    says = (
+        f"the light {'agrees' if compared.agrees else 'does not agree'} with the {name}: {_largest(numbers)}"
+    )
     return ReadingRecord(
         reading="measured-design" if surface == "design" else "measured-map",
         title=f"measured against the {name}",
@@ -127,10 +130,10 @@ def _predictions(recipe: SurfaceRecipe, design: Expectation, mapped: Expectation
     p_value = _chance(d2, dof)
     numbers = _contrasts(design, mapped.radiance, design.radiance, covariance)
     agrees = p_value >= recipe.decision.alpha
-    if agrees:
-        says = "the height map predicts the light of the design"
-    else:
-        says = f"the height map does not predict the light of the design: {_largest(numbers)}"
+    does = "predicts" if agrees else "does not predict"
+    says = f"the height map {does} the light of the design: {_largest(numbers)}"
+    if not agrees and recipe.surface.roughness == "lobe":
+        says += _texture_text(mapped)
     return ReadingRecord(
         reading="map-design",
         title="light of the height map against that of the design",
@@ -140,6 +143,19 @@ def _predictions(recipe: SurfaceRecipe, design: Expectation, mapped: Expectation
         dof=dof,
         p_value=p_value,
         numbers=numbers,
+    )
+
+
+def _texture_text(mapped: Expectation) -> str:
+    """That the roughness of the map's texture is missing in the design, where it is more than `TEXTURE`; else empty."""
+    if mapped.surface is None:
+        return ""
+    shown = resolve(Relief(mapped.surface, direction_deg=mapped.turn_deg, turn_deg=mapped.turn_deg))
+    if max(shown.along, shown.across) < TEXTURE:
+        return ""
+    return (
+        f"; the map resolves a roughness of {shown.along:.3f} along and {shown.across:.3f} across the ridges that the "
+        'design lacks: with surface.roughness = "plastic", [material] is the whole plastic of both'
     )
 
 

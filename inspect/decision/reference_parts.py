@@ -119,6 +119,18 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         return ()
 
     @classmethod
+    def restricted(cls, record: Record, then: RecipeT, recipe: RecipeT) -> tuple[Record, RecipeT]:
+        """An inspection by another recipe as far as it serves this one; a kind that shares nothing returns it as it is.
+
+        Args:
+            record: of the inspection.
+            then: recipe by which it was inspected.
+            recipe: the recipe of the set.
+        """
+        del recipe
+        return record, then
+
+    @classmethod
     def conditions_of(cls, record: Record) -> BaseModel | None:
         """Viewing conditions of an inspection, or None where the kind states none."""
         del record
@@ -227,6 +239,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
             key, recipe_then = cls.key_of(recipe), type(recipe).model_validate(record.recipe, extra="ignore")
         except ValidationError as problem:  # such as the recipe of another kind of part
             raise CalibrationError(another) from problem
+        record, recipe_then = cls.restricted(record, recipe_then, recipe)
         if tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses) != poses:
             raise CalibrationError(another)
         if cls.key_of(recipe_then) != key:
@@ -452,6 +465,24 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         return found
 
     @classmethod
+    def restricted(
+        cls, record: Record, then: SurfaceRecipe, recipe: SurfaceRecipe
+    ) -> tuple[Record, SurfaceRecipe]:
+        """The poses of the recipe, where the part was inspected in more of them, without its deviating area.
+
+        The area counts cells that deviate in any pair of poses, of which this recipe has fewer.
+        """
+        seen = {(pose.stage_deg, pose.tilt_deg): pose for pose in record.poses}
+        wanted = [(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses()]
+        fewer = len(wanted) < len(seen) and all(one in seen for one in wanted)
+        if not fewer or then.poses.facet_azimuth_deg != recipe.poses.facet_azimuth_deg:
+            return record, then
+        poses = tuple(seen[one] for one in wanted)
+        # tolerances are those of more pairs, and play no part in a golden set
+        changes = {"poses": recipe.poses, "area": None, "decision": recipe.decision}
+        return record.model_copy(update={"poses": poses}), then.model_copy(update=changes)
+
+    @classmethod
     def entries_of(cls, recipe: SurfaceRecipe) -> dict[str, Any]:
         """The pitch."""
         return {"surface": {"pitch_um": recipe.surface.pitch_um}}
@@ -468,9 +499,9 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         """Share, cells and threshold."""
         rule, area = recipe.area, surface_of(record).area
         return {
-            "area_share": None if area is None else area.share,
+            "area_share": None if rule is None or area is None else area.share,
             "cell_deviation": None if rule is None or area is None else rule.cell_deviation,
-            "cells": None if area is None else area.cells,
+            "cells": None if rule is None or area is None else area.cells,
         }
 
     def area_rule(self, recipe: SurfaceRecipe) -> Any:  # noqa: ANN401 - of the kind

@@ -27,11 +27,11 @@ PITCHES = 24
 _MISSING = (1, 2, 4, 7, 10)  # of the ridges of the surface with defects
 # Relative uncertainty of the change of ln L. Marks: real ones vary in size and form. Missing ridges: which ones, and
 # their length within the region. Edges: a real crest differs from the model cut, and on rough facets the change differs
-# by 2 to 3 % of itself from that on smooth ones; a worn one may reflect like a few chords or like an arc.
+# by 2 to 3 % of itself from that on smooth ones. Worn ones: Mitsuba's arcs change by 4 to 16 % less or more.
 # Pitch: which flanks are cut by the ends of the region is not known.
 _DOUBT = {
     "burrs": 0.3, "scratches": 0.3, "dust": 0.3, "missing-ridges": 0.2, "chatter": 0.2, "rough-facets": 0.1,
-    "wear": 0.3, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
+    "wear": 0.15, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
 }  # fmt: skip
 _DOUBT_OF_LOBES = 0.05
 _DOUBT_OF_TAIL = 0.1

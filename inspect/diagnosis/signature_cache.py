@@ -115,6 +115,7 @@ def _packed(found: Signatures) -> bytes:
         "tail": found.tail is not None,
         "left_out": found.left_out,
         "share": found.share,
+        "thresholds": found.thresholds,
     }
     arrays = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -175,4 +176,7 @@ def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signa
         longer = found.pop() if header["tail"] else None
         poses = recipe.poses.poses()
         (of_good,) = _unpacked_levels("levels", stored) or (None,)
-        return Signatures(poses, stored["radiance"], header["share"], tuple(found), left_out, longer, of_good)
+        thresholds = None if header["thresholds"] is None else tuple(header["thresholds"])
+        return Signatures(
+            poses, stored["radiance"], header["share"], tuple(found), left_out, longer, of_good, thresholds
+        )

@@ -141,6 +141,8 @@ class Signatures:
         tail: signature of a lobe with another tail, which is no cause but a sign of another plastic; None if not
             computed.
         levels: of the cells of the good part; None where the recipe states its threshold.
+        thresholds: (pairs,) that the cells of a height map set by their own texture, without noise; None where the
+            recipe states its threshold, and for a design, which has no texture.
     """
 
     poses: tuple[Pose, ...]
@@ -150,6 +152,7 @@ class Signatures:
     left_out: tuple[tuple[str, str], ...]
     tail: Signature | None = None
     levels: CellLevels | None = None
+    thresholds: tuple[float, ...] | None = None
 
     def by_thresholds(self, thresholds: Sequence[float] | None) -> "Signatures":
         """The same with the shares that (pairs,) thresholds of a part give, unless the recipe states a threshold."""
@@ -212,7 +215,8 @@ def signatures(
             tail = _signature(scene, tail_cause(recipe.material.material().tail), good)
     advance("signatures", len(causes), len(causes))
     share = 0.0 if good.share is None else good.share
-    return Signatures(scene.poses, good.radiance, share, found, left_out, tail, good.levels)
+    thresholds = None if good.levels is None or scene.design is not None else good.thresholds
+    return Signatures(scene.poses, good.radiance, share, found, left_out, tail, good.levels, thresholds)
 
 
 def causes_of(recipe: SurfaceRecipe) -> tuple[Cause, ...]:
@@ -249,11 +253,12 @@ def changes_at(
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """(P,) radiances of a surface, and of its contrast map the share and the levels of its cells, where predicted."""
+    """(P,) radiances of a surface, and share, levels and thresholds of the cells of its contrast map, if predicted."""
 
     radiance: FloatArray
     share: float | None = None
     levels: CellLevels | None = None
+    thresholds: tuple[float, ...] | None = None
 
 
 def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False) -> Signature:
@@ -443,15 +448,15 @@ class _Scene:
         means, cells = radiance_of_cells(relief, to_light, to_camera, material, side)
         return _Look(means + indirect, *self._deviating(cells + indirect[:, None, None]))
 
-    def _deviating(self, cells: FloatArray) -> tuple[float, CellLevels | None]:
-        """Share of deviating cells, and their levels where the thresholds are those of every part."""
+    def _deviating(self, cells: FloatArray) -> tuple[float, CellLevels | None, tuple[float, ...]]:
+        """Share of deviating cells, their levels where the thresholds are those of every part, and the thresholds."""
         assert self.cell_deviation is not None
         safe = np.maximum(cells, 1e-6)
         ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
         thresholds = cell_thresholds(ratios, self.cell_deviation)
         found = CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
         levels = CellLevels.of(ratios) if self.cell_deviation == "auto" else None
-        return float(np.mean(found.deviating())), levels
+        return float(np.mean(found.deviating())), levels, tuple(map(float, thresholds))
 
 
 def _profile(design: RidgeDesign) -> HeightMap:

@@ -492,7 +492,7 @@ def with_power(
 
 
 def _size(defect: NamedDefect, multiple: float) -> str:
-    return f"{multiple * defect.size:.2g}{defect.unit}" if np.isfinite(multiple) else "–"
+    return defect.text(multiple) if np.isfinite(multiple) else "–"
 
 
 def scatter_texts(recipe: SurfaceRecipe) -> dict[str, tuple[float, str]]:

@@ -1,6 +1,6 @@
 """Check of a recipe before inspection: contrasts with u, T/U, budget, separability of causes, helpful tilts."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -14,6 +14,7 @@ from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures
+from anisoscope.imaging.deviation_map import LEAST_DEVIATION
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
@@ -174,16 +175,21 @@ def check_recipe(
     advance("prediction", 0, 1)
     expected = expectation(recipe, light_angle_deg, optics)
     pairs, budget = _plan(recipe, expected)
-    known = _with_texture(cached_signatures(recipe, light_angle_deg, advance, model))
+    every = cached_signatures(recipe, light_angle_deg, advance, model)
+    known = _with_texture(every)
     with_map = recipe.area is not None
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
-    causes = separability(
-        known,
-        planned_covariance(recipe, expected),
-        with_map=with_map,
-        u_background=u_background,
-        inputs=planned_inputs(recipe, expected),
-    )
+
+    def causes_by(shown: Signatures) -> tuple[Separability, ...]:
+        return separability(
+            shown,
+            planned_covariance(recipe, expected),
+            with_map=with_map,
+            u_background=u_background,
+            inputs=planned_inputs(recipe, expected),
+        )
+
+    causes = causes_by(known)
     single = recipe.poses.stage_and_tilt_deg is not None  # chosen as a whole: `recipe suggest` chooses others
     new = [] if single else [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance, optics, model) if new and _lacking(causes) else ()
@@ -202,7 +208,7 @@ def check_recipe(
         causes=causes,
         left_out=known.left_out,
         roughness=_roughness(recipe, expected) if optics is PLASTIC else None,
-        thresholds=None if recipe.area is None or recipe.area.cell_deviation != "auto" else _THRESHOLDS,
+        thresholds=None if every.levels is None else _thresholds_text(every, causes, causes_by),
         advice=advice,
         complaints=_complaints(recipe, pairs),
         lamps=lamps,
@@ -210,18 +216,49 @@ def check_recipe(
     )
 
 
-_THRESHOLDS = (
-    f"area.cell_deviation is auto: every part sets its own thresholds, and {MOST_DEVIATION:g} is assumed here; parts "
-    "whose cells scatter less show smaller burrs, scratches and dust"
-)
+def _thresholds_text(
+    known: Signatures,
+    causes: tuple[Separability, ...],
+    causes_by: Callable[[Signatures], tuple[Separability, ...]],
+) -> str:
+    """Thresholds of the cells where "auto" leaves them to every part, and the size from which they show marks."""
+    pairs = len(consecutive_pairs(known.poses))
+    if known.thresholds is not None:
+        each = ", ".join(f"{one:.2f}" for one in known.thresholds)
+        return (
+            f"area.cell_deviation is auto: by the texture of the height map cells deviate beyond {each} (one a pair of "
+            f"angles; more where noise scatters them), which shows {_marks(causes)}"
+        )
+    even = causes_by(known.by_thresholds([LEAST_DEVIATION] * pairs))
+    return (
+        "area.cell_deviation is auto: the thresholds are not known yet, because a design has no texture. Every part "
+        f"sets its own, five times what its cells scatter by and at least {LEAST_DEVIATION:g}; {MOST_DEVIATION:g} is "
+        f"assumed here, which shows {_marks(causes)}; at {LEAST_DEVIATION:g} it would be {_marks(even)}. The first "
+        "inspection states its thresholds"
+    )
+
+
+def _marks(causes: tuple[Separability, ...]) -> str:
+    """Local defects with the extent from which on they are shown."""
+    found = []
+    for one in causes:
+        if one.group != "area":
+            continue
+        if one.detection_extent is None:
+            found.append(f"no {one.cause}")
+        elif one.unit:
+            found.append(f"{one.cause} from {one.detection_extent:.2g} {one.unit}")
+        else:
+            found.append(f"{one.cause} from {100.0 * one.detection_extent:.2g} %")
+    return ", ".join(found)
 
 
 def _with_texture(known: Signatures) -> Signatures:
-    """Signatures whose cells deviate beyond `MOST_DEVIATION` in every pair where the threshold is that of each part.
+    """Signatures whose cells deviate by the thresholds of the height map, or of a design beyond `MOST_DEVIATION`.
 
-    How the cells of good parts scatter is not known before one is photographed, and a design has no texture.
+    How the cells of good parts scatter is not known of a design before one is photographed.
     """
-    return known.by_thresholds([MOST_DEVIATION] * len(consecutive_pairs(known.poses)))
+    return known.by_thresholds(known.thresholds or [MOST_DEVIATION] * len(consecutive_pairs(known.poses)))
 
 
 def second_lamps_for(

@@ -238,7 +238,11 @@ class NamedDefect:
 
     def of_size(self, multiple: float) -> str:
         """The defect at a multiple of that size."""
-        return f"{self.words}{multiple * self.size:.2g}{self.unit}"
+        return f"{self.words}{self.text(multiple)}"
+
+    def text(self, multiple: float) -> str:
+        """A multiple of that size with its unit, to two digits."""
+        return f"{float(f'{multiple * self.size:.2g}'):g}{self.unit}"
 
 
 def named_defects(recipe: SurfaceRecipe) -> tuple[NamedDefect, ...]:

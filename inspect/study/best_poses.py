@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from pydantic import ValidationError
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError, UsageError
@@ -27,7 +28,7 @@ from anisoscope.prediction.part_scatter import (
 )
 from anisoscope.prediction.propagation import propagate
 from anisoscope.prediction.sensitivity import DARK, State, evaluate
-from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.recipe.surface import RecipeT, SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
 
 FREE_LEVEL = 25.0
@@ -38,6 +39,96 @@ MORE_PARTS = (1, 3, 10, 25)
 MOST_FRAMES = 256
 BRACKET, MOST_BRACKETS = 4, 4
 _ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class _Sized:
+    """A defect of which a size can be given.
+
+    Attributes:
+        key: of ``[defects]`` in the recipe.
+        units: how its size may end, the usual one first; "%" is a share.
+        begins: first words of its names.
+    """
+
+    key: str
+    units: tuple[str, ...]
+    begins: str
+
+
+_SIZED = {
+    "ridge-angle": _Sized("ridge_angle_deg", ("°", "deg"), "ridge angle"),
+    "roughness": _Sized("roughness_share", ("%",), "roughness"),
+    "height-loss": _Sized("height_loss", ("%",), "height loss"),
+    "wear": _Sized("wear_um", ("µm", "um"), "edges worn"),
+}
+
+
+def with_sizes(recipe: RecipeT, asked: Sequence[str]) -> tuple[RecipeT, tuple[str, ...]]:
+    """A recipe with other sizes of its defects, and the first words of the names of these defects.
+
+    Args:
+        recipe: the recipe.
+        asked: NAME=SIZE, such as ``ridge-angle=0.5``, ``roughness=20%`` or ``wear=5um``.
+
+    Raises:
+        UsageError: another form, an unknown name, a name twice, or a size that is none.
+    """
+    known = ", ".join(f"{name} ({one.units[0]})" for name, one in _SIZED.items())
+    sizes: dict[str, float] = {}
+    begins: list[str] = []
+    for text in asked:
+        name, separator, size = (part.strip() for part in text.partition("="))
+        if not separator:
+            raise UsageError(
+                f"--defect takes NAME=SIZE, such as ridge-angle=0.5 or roughness=20%, not {text!r}"
+            )
+        if name not in _SIZED:
+            raise UsageError(f"--defect {text}: there is no defect {name!r}; there are {known}")
+        one = _SIZED[name]
+        if one.key in sizes:
+            raise UsageError(f"--defect {text}: {name} is asked for twice; leave one size out")
+        sizes[one.key] = _size_of(text, size, one)
+        begins.append(one.begins)
+    try:
+        part = type(recipe.defects).model_validate({**recipe.defects.model_dump(), **sizes})
+    except ValidationError as problem:
+        (error, *_), fields = problem.errors(), {one.key: name for name, one in _SIZED.items()}
+        name, reason = fields.get(str(error["loc"][0]), "size"), error["msg"][:1].lower() + error["msg"][1:]
+        raise UsageError(f"--defect {name}: {reason}") from None
+    return recipe.model_copy(update={"defects": part}), tuple(begins)
+
+
+def _size_of(text: str, size: str, one: _Sized) -> float:
+    """Size of a defect in the unit of its key."""
+    usual = one.units[0]
+    number, given = size, ""
+    for unit in ("°", "deg", "%", "µm", "um"):
+        if size.endswith(unit):
+            number, given = size.removesuffix(unit).strip(), unit
+            break
+    if given and given not in one.units:
+        raise UsageError(f"--defect {text}: its size is in {usual}, not in {given}")
+    try:
+        value = float(number)
+    except ValueError:
+        raise UsageError(f"--defect {text}: {size!r} is no size in {usual}") from None
+    if not 0.0 < value < float("inf"):
+        both = "; both signs of a ridge angle are looked for" if one.key == "ridge_angle_deg" else ""
+        raise UsageError(f"--defect {text}: a size is above 0{both}")
+    if given == "%":
+        return 0.01 * value
+    if usual == "%" and value > 1.0:
+        raise UsageError(
+            f"--defect {text}: {value:g} without a unit is {value:.0%}: write {value:g}% or {value / 100:g}"
+        )
+    return value
+
+
+def sizes_in_toml(asked: SurfaceRecipe, recipe: SurfaceRecipe) -> tuple[str, ...]:
+    """Lines of ``[defects]`` by which one recipe differs from another one."""
+    now, then = asked.defects.model_dump(), recipe.defects.model_dump()
+    return tuple(f"{key} = {value:g}" for key, value in now.items() if value != then[key])
 
 
 @dataclass(frozen=True)
@@ -95,6 +186,7 @@ def best_poses(
     power: float = 0.9,
     ignored: Sequence[str] = (),
     advance: Advance = silent,
+    asked: Sequence[str] = (),
 ) -> Suggestion:
     """Choose poses for the defects of a recipe.
 
@@ -109,6 +201,7 @@ def best_poses(
         power: required probability of finding each defect.
         ignored: first words of names of defects that need not be shown, such as "roughness along".
         advance: called at every step.
+        asked: first words of names of the defects that must be shown; all if empty.
 
     Raises:
         UsageError: too few poses are allowed, or no defect can be shown.
@@ -133,8 +226,13 @@ def best_poses(
     for words in ignored:
         if not any(name.startswith(words) for name in changes):
             raise UsageError(f"no defect begins with {words!r}; there are {', '.join(changes)}")
+    for words in asked:
+        if not any(name.startswith(words) for name in changes):
+            raise UsageError(f"this surface shows no {words!r} of that size; it shows {', '.join(changes)}")
     wanted = {
-        name: change for name, change in changes.items() if not name.startswith(tuple(ignored) or ("\0",))
+        name: change
+        for name, change in changes.items()
+        if not name.startswith(tuple(ignored)) and (not asked or name.startswith(tuple(asked)))
     }
     if not wanted:
         raise UsageError("no defect is left that poses could show")

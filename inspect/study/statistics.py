@@ -1,5 +1,6 @@
 """Statistics of studies: rates with intervals over rigs, areas under ROC curves, the ideal observer, uniformity."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,6 +130,25 @@ def ideal_scores(
             alternative = np.logaddexp.reduce([_log_density(new, *one) for one in odd], axis=0)
             out[~kept] = alternative - _log_density(new, mean, scatter)
     return scores[0], scores[1]
+
+
+def nearest_curves(
+    values: FloatArray, scatter: FloatArray, curves: Sequence[FloatArray]
+) -> npt.NDArray[np.int_]:
+    """The curve that an observer who knows the scatter of good parts finds nearest to each part.
+
+    Args:
+        values: (N, k) contrasts of parts from the mean of good ones.
+        scatter: (k, k) covariance of good parts.
+        curves: (E, k) changes by every cause over its extents.
+
+    Returns:
+        (N,) numbers of the curves: the causes of maximum likelihood, all as probable beforehand.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(scatter))
+    at = values @ root.T
+    least = [np.min(np.sum((at[:, None] - (curve @ root.T)[None]) ** 2, axis=-1), axis=1) for curve in curves]
+    return np.asarray(np.argmin(least, axis=0))
 
 
 def _normal(values: FloatArray, scatter: FloatArray) -> tuple[FloatArray, FloatArray]:

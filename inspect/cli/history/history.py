@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from anisoscope.history.comparing import Compared, Comparison
     from anisoscope.history.dispositions import Disposition
     from anisoscope.history.rows import Row
-    from anisoscope.record.schema import ConclusionRecord
+    from anisoscope.record.schema import ConclusionRecord, Record
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +26,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import number_name, number_text
 from anisoscope.cli.history.options import ALL, Place, Which, opened
-from anisoscope.cli.inspect.inspection import conclusion_lines
+from anisoscope.cli.inspect.inspection import conclusion_lines, explained
 from anisoscope.cli.progress import progress
 
 COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
@@ -152,7 +152,7 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
     """Print one inspection with all its data in the history."""
     from anisoscope.history.export import with_dispositions
 
-    folder, conclusion = _folder_state(row)
+    folder, record, conclusion = _folder_state(row)
     if json_:
         words = {} if conclusion is None else {"finding": conclusion.finding, "action": conclusion.action}
         print_json({**with_dispositions(row, decided), **words, "folder_state": folder})
@@ -162,6 +162,8 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
         write_line(line)
     for reason in row.reasons:
         write_line(f"  {translated(reason)}")
+    for line in () if record is None else explained(record):
+        write_line(f"  {line}")
     details = {
         name: getattr(row, name) for name in ("lot", "cavity", "station", "operator") if getattr(row, name)
     }
@@ -183,8 +185,8 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
         write_line(f"{_local(one.created_at)} {decision}{comment}")
 
 
-def _folder_state(row: "Row") -> "tuple[str, ConclusionRecord | None]":
-    """State of the folder, and what its record concludes; a record of an earlier version is read by its kind."""
+def _folder_state(row: "Row") -> "tuple[str, Record | None, ConclusionRecord | None]":
+    """State of the folder, its record, and what that concludes; one of an earlier version is read by its kind."""
     from pathlib import Path
 
     from anisoscope.base.errors import AnisoscopeError
@@ -192,13 +194,13 @@ def _folder_state(row: "Row") -> "tuple[str, ConclusionRecord | None]":
     from anisoscope.kinds.registry import kind_named
 
     if not Path(row.folder).is_dir():
-        return "gone", None
+        return "gone", None, None
     try:
         record = record_of(row)
         conclusion = record.conclusion or kind_named(record.kind).conclude(record)
     except AnisoscopeError as error:
-        return str(error), None
-    return "its record is the one in the history", conclusion
+        return str(error), None, None
+    return "its record is the one in the history", record, conclusion
 
 
 def _number_rows(numbers: Mapping[str, float]) -> list[list[str]]:

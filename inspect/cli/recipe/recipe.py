@@ -132,6 +132,15 @@ def suggest(
     file: File,
     /,
     *,
+    defect: Annotated[
+        tuple[str, ...],
+        Parameter(
+            name=["--defect"],
+            negative=(),
+            help="Smallest defect to be found, NAME=SIZE, in place of [defects]: ridge-angle=0.5, roughness=20%, "
+            "height-loss=10% or wear=5um; repeat the option for several, others are then ignored.",
+        ),
+    ] = (),
     poses: Annotated[int, Parameter(help="Number of poses.")] = 6,
     angles: Annotated[
         str, Parameter(help="Allowed stage angles: from:to:step, or a list; degrees.")
@@ -154,14 +163,18 @@ def suggest(
     light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
     json_: Json = False,
 ) -> int:
-    """Choose poses that show the defects of a recipe ([defects]) best among good parts that differ ([scatter]).
+    """Choose poses that show defects best among good parts that differ ([scatter]).
+
+    The defects are those of the recipe ([defects]), or of --defect. Printed: poses, exposures, frames and golden parts
+    with which each is found, or that optics cannot.
 
     Examples:
         anisoscope recipe suggest recipe.toml --poses 6 --tilts=-20:20:5
+        anisoscope recipe suggest recipe.toml --defect ridge-angle=0.5 --defect roughness=20%
     """
     from anisoscope.kinds.registry import kind_of
     from anisoscope.rig.rigfile import read_rig
-    from anisoscope.study.best_poses import best_poses
+    from anisoscope.study.best_poses import best_poses, sizes_in_toml, with_sizes
 
     kind = kind_of(file)
     recipe = kind.read_recipe(file)
@@ -169,11 +182,12 @@ def suggest(
         raise UsageError(
             f"{file}: poses are chosen where a recipe states how good parts differ ([scatter]), not for {kind.one}"
         )
+    sized, asked = with_sizes(recipe, defect)
     rig_file = None if rig is None else read_rig(rig)
     angle = light_angle if rig_file is None else rig_file.light.angle_deg
     allowed = parse_range(angles, "--angles"), parse_range(tilts, "--tilts")
     with progress(file.name, quiet=json_) as advance:
-        found = best_poses(recipe, angle, poses, *allowed, u_pose, power, ignore, advance)
+        found = best_poses(sized, angle, poses, *allowed, u_pose, power, ignore, advance, asked)
     if json_:
         print_json(found)
         return 0
@@ -210,6 +224,8 @@ def suggest(
     brackets = ", ".join(f"{factor:g}" for factor in found.brackets)
     lines += ["[acquisition]", f"frames_per_pose = {frames}", f"brackets = [{brackets}]"]
     lines.append(_exposure_line(rig_file, found.brightest, recipe.acquisition.gain))
+    if sizes := sizes_in_toml(sized, recipe):
+        lines += ["[defects]", *sizes]
     for line in lines:
         console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0

@@ -14,7 +14,7 @@ Judges by what is known of the plastic and the number n of golden parts:
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from anisoscope.base.cache import Cache
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import chi2_tail, log_basis
-from anisoscope.decision.consistency_test import OF_THE_RIG, contrast_scatter
+from anisoscope.decision.consistency_test import OF_THE_RIG, contrast_scatter, distances
 from anisoscope.decision.predictive_test import Scatter, predictive_test
 from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.ranking import NOTHING, diagnose
@@ -39,7 +39,6 @@ from anisoscope.inspection.material_calibration import residual_test
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.prediction.part_scatter import part_scatter
-from anisoscope.prediction.profile_likelihood import nearest
 from anisoscope.prediction.propagation import TAIL
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.material_file import (
@@ -80,11 +79,21 @@ from anisoscope.study.detection.product import (
     rendered_as,
 )
 from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_tasks
-from anisoscope.study.detection.surrogate import SurrogateTask, bases_of, prepare_surrogate
-from anisoscope.study.statistics import Area, Rate, area_under_curve, ideal_scores, rate, uniformity
+from anisoscope.study.detection.surrogate import SurrogateTask, bases_of, curves_of, prepare_surrogate
+from anisoscope.study.statistics import (
+    Area,
+    Rate,
+    area_under_curve,
+    ideal_scores,
+    nearest_curves,
+    rate,
+    uniformity,
+)
 from anisoscope.study.sweep import Workers, sweep
 
 Results = dict[str, Any]
+Curves = Mapping[str, FloatArray]
+"""(E, P) changes of ln L of the poses of a recipe along every cause, in one world."""
 
 COVERAGE = 1.959964
 LEVEL = 0.01
@@ -103,7 +112,6 @@ DIAGNOSED_WITH = 3
 DIAGNOSED = 20
 """Parts of a class that are diagnosed, at most."""
 SHARED_SOURCES = ("stray light",)
-TAILS = 17
 _SEED = 3
 
 
@@ -219,39 +227,12 @@ def covariance_of_measurement(own: FloatArray) -> FloatArray:
 
 
 def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatArray) -> FloatArray:
-    """(N,) p values of parts as `consistency_test.from_prediction` gives them one by one.
-
-    The nearest tail of the lobe is that of a parabola through the least of `TAILS` distances and its neighbours.
-    """
+    """(N,) p values of parts as `consistency_test.from_prediction` gives them one by one."""
     basis = log_basis(len(expected.poses))
     known = [c for c in expected.alone if expected.lobes is None or c.source != TAIL]
     alone = covariance_of_measurement(own) + np.sum([c.covariance() for c in known], axis=0)
-    within = basis @ alone @ basis.T
     off = (log_radiance - np.log(expected.radiance)) @ basis.T
-    if expected.lobes is None:
-        assert expected.response is not None
-        d2 = nearest(expected.response.within(basis), off, within)
-    else:
-        lobes = expected.lobes.within(basis)
-        tails = np.linspace(lobes.tails[0], lobes.tails[-1], TAILS)
-        found = [
-            (lobes.at(float(tail)), more) for tail, more in zip(tails, lobes.penalty(tails), strict=True)
-        ]
-        d2 = least_of(
-            np.array([nearest(known, off - shift, within) + more for (shift, known), more in found])
-        )
-    return chi2_tail(d2, len(basis))
-
-
-def least_of(values: FloatArray) -> FloatArray:
-    """(N,) least of (T, N) values ≥ 0 at even steps, by a parabola through the three nearest to the least."""
-    middle = np.clip(np.argmin(values, axis=0), 1, len(values) - 2)
-    left, here, right = (np.take_along_axis(values, (middle + step)[None], 0)[0] for step in (-1, 0, 1))
-    slope, bend = 0.5 * (right - left), right - 2.0 * here + left
-    within = (bend > 0.0) & (np.abs(slope) <= bend)  # the vertex lies between the three
-    vertex = here - slope**2 / np.where(within, 2.0 * bend, np.inf)
-    least = np.minimum(np.where(within, vertex, np.inf), values.min(axis=0))
-    return np.asarray(np.maximum(least, 0.0))  # a parabola may dip below what cannot be negative
+    return chi2_tail(distances(expected, off, basis @ alone @ basis.T), len(basis))
 
 
 def golden_of(rig: int, part: int, count: int, of: int) -> npt.NDArray[np.int_]:
@@ -279,7 +260,14 @@ def p_values(rule: str, judge: Judge, kind: str) -> FloatArray:
 
 
 def results_of(
-    world: World, columns: Columns, name: RecipeName, size: Size, seed: int, *, diagnosed: bool
+    world: World,
+    columns: Columns,
+    name: RecipeName,
+    size: Size,
+    seed: int,
+    *,
+    diagnosed: bool,
+    folder: Path | None = None,
 ) -> Results:
     """Results of one recipe in one world.
 
@@ -290,6 +278,7 @@ def results_of(
         size: of the study.
         seed: of the study.
         diagnosed: whether causes are looked for.
+        folder: of the study's cache.
     """
     valid = columns["valid"].astype(bool)
     columns = {key: values[valid] for key, values in columns.items()}
@@ -297,7 +286,10 @@ def results_of(
     kinds = (GOOD, *BY_NAME)
     p = {rule: {kind: p_values(rule, judge, kind) for kind in kinds} for rule in RULES}
     rigs = {kind: columns["rig"][judge.numbers(kind)] for kind in kinds}
-    known = signatures_of(rendered_as(world), name, size, seed) if diagnosed else None
+    known = None
+    if diagnosed:
+        curves = {cause: curve[:, list(judge.chosen)] for cause, curve in curves_of(world, folder).items()}
+        known = signatures_of(rendered_as(world), name, size, seed), curves
     return {
         "invalid": int(np.count_nonzero(~valid)),
         "calibration": {
@@ -371,7 +363,7 @@ def _class(
     name: RecipeName,
     p: dict[str, dict[str, FloatArray]],
     rigs: dict[str, npt.NDArray[np.int_]],
-    known: Signatures | None,
+    known: tuple[Signatures, Curves] | None,
 ) -> Results:
     area = _over_limit(judge, name, kind)
     last = RULES[-1]
@@ -388,19 +380,47 @@ def _class(
         "area_over_limit": area,
         "auc": {"value": ours.value, "u": ours.u},
         "ideal": {"value": best.value, "u": best.u},
-        "diagnosis": None if known is None else _diagnosis(kind, judge, name, known, rigs[kind]),
+        "diagnosis": None
+        if known is None
+        else {
+            **_diagnosis(kind, judge, name, known[0], rigs[kind]),
+            "separable": _separable(kind, judge, known[1], rigs[kind]),
+        },
     }
 
 
-def _ideal(judge: Judge, kind: str) -> tuple[FloatArray, FloatArray]:
-    """Scores of the ideal observer of the means: he knows what good parts of every rig show on average."""
+def _off_good_parts(judge: Judge) -> FloatArray:
+    """(N, m) contrasts of all parts from the mean of the good parts of their rig."""
     basis = log_basis(len(judge.chosen))
     values, rigs = judge.log_radiance @ basis.T, judge.columns["rig"]
     usual = np.isin(judge.columns["kind"], (GOOD, GOLDEN))
     off = np.array(values)
     for rig in np.unique(rigs):
         off[rigs == rig] -= values[usual & (rigs == rig)].mean(axis=0)
-    bad = judge.numbers(kind)
+    return off
+
+
+def _separable(kind: str, judge: Judge, curves: Curves, rigs: npt.NDArray[np.int_]) -> Results:
+    """Parts of which the ideal observer names the right cause: no diagnosis by these poses can be right more often.
+
+    It knows the mean and the scatter of good parts of the rig, and how every cause changes the poses in this world.
+    """
+    basis, off = log_basis(len(judge.chosen)), _off_good_parts(judge)
+    if BY_NAME[kind].local:
+        return _rate(rate(np.zeros(0, dtype=bool)))
+    usual = np.isin(judge.columns["kind"], (GOOD, GOLDEN))
+    names = list(curves)
+    near = nearest_curves(
+        off[judge.numbers(kind)],
+        np.cov(off[usual], rowvar=False),
+        [curve @ basis.T for curve in curves.values()],
+    )
+    return _rate(rate(near == names.index(BY_NAME[kind].cause), rigs))
+
+
+def _ideal(judge: Judge, kind: str) -> tuple[FloatArray, FloatArray]:
+    """Scores of the ideal observer of the means: he knows what good parts of every rig show on average."""
+    off, bad = _off_good_parts(judge), judge.numbers(kind)
     signs = np.sign(judge.columns["extent"][bad]).astype(int)
     return ideal_scores(off[bad], off[judge.numbers(GOOD)], signs)
 
@@ -623,7 +643,9 @@ def _evaluated(task: tuple[World, Columns, Plan]) -> dict[str, Any]:
     given = [plan.rigs, plan.pictured, plan.seed, plan.diagnosed, asdict(plan.size)]
 
     def results(name: RecipeName) -> Results:
-        return results_of(world, columns, name, plan.size, plan.seed, diagnosed=plan.diagnosed)
+        return results_of(
+            world, columns, name, plan.size, plan.seed, diagnosed=plan.diagnosed, folder=plan.folder
+        )
 
     return {
         name: Cache(plan.folder)

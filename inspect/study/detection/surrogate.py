@@ -56,6 +56,18 @@ STATES, FEW, MANY, SPREAD = 136, 30, 60, 1.5
 
 Light that is reflected more than once is followed by few paths: ``MANY`` states show its slopes on good ridges."""
 PATHS = 1 << 14
+CURVE = 61
+_STATES = {
+    "ridge-angle": ([0], 3.0),
+    "roughness-along": ([1], 5.0),
+    "roughness-across": ([2], 3.0),
+    "roughness": ([1, 2], 5.0),
+    "colour": ([3], 5.0),
+    "seating-x": ([4], 5.0),
+    "seating-y": ([5], 5.0),
+    "light-angle": ([6], 5.0),
+}
+"""Causes that a state describes: its columns, and how far it goes in `UNITS`."""
 _SQUARES = tuple((a, b) for a in range(len(UNITS)) for b in range(a + 1))
 _LEAST = 1e-9
 
@@ -262,6 +274,49 @@ def indirect_of_groove(
     if kind == "wear":
         design = replace(design, edge_radius_um=extent)
     return corrected.indirect_radiance(*sides, design, material)
+
+
+def curves_of(world: World, folder: Path | None = None) -> dict[str, FloatArray]:
+    """(E, P) changes of ln L of the poses along every cause that is uniform along the ridges, in one world.
+
+    Over `CURVE` extents; between 0 and the extent of a class ln L of worn and of lower ridges is taken as linear.
+
+    Args:
+        world: the world.
+        folder: of its cache.
+    """
+    good = surrogate_of(SurrogateTask(world, GOOD, 0.0, folder))
+    usual = _log_means(good, np.zeros((1, len(UNITS))))
+    found = {}
+    for cause, (columns, most) in _STATES.items():
+        extents = np.linspace(-most, most, CURVE)
+        states = np.zeros((CURVE, len(UNITS)))
+        states[:, columns] = extents[:, None]
+        found[cause] = _log_means(good, states) - usual
+    for kind in (
+        "ridge-angle",
+        "roughness",
+    ):  # about the extents of their classes, where those of good parts end
+        cause, column = BY_NAME[kind].cause, 0 if kind == "ridge-angle" else 2
+        for extent in bases_of(kind):
+            states = np.zeros((CURVE, len(UNITS)))
+            states[:, column] = np.linspace(-3.0, 3.0, CURVE)
+            own = surrogate_of(SurrogateTask(world, kind, extent, folder))
+            found[cause] = np.vstack([found[cause], _log_means(own, states) - usual])
+    for kind in ("height-loss", "wear"):
+        own = surrogate_of(SurrogateTask(world, kind, BY_NAME[kind].extent, folder))
+        change = _log_means(own, np.zeros((1, len(UNITS)))) - usual
+        found[BY_NAME[kind].cause] = np.linspace(0.0, 2.0, CURVE)[:, None] * change
+    return found
+
+
+def _log_means(own: Surrogate, states: FloatArray) -> FloatArray:
+    """(N, P) ln of the mean radiance of the poses at (N, K) states."""
+    found = []
+    for state in states:
+        every = np.tile(state, (len(VIEWS), 1))
+        found.append((own.radiance(every).mean(axis=1) + own.reflected(every))[: len(SEEN)])
+    return np.asarray(np.log(np.array(found)))
 
 
 def error_of(task: SurrogateTask, states: FloatArray) -> FloatArray:

@@ -201,7 +201,9 @@ def test_the_nearest_lobe_is_that_of_a_search_over_the_tail_and_all_inputs(rng):
     covariance = np.diag(np.full(6, 0.02**2))
     for u in (np.inf, 0.3):
         lobes = LobeDoubt(tails, shifts, responses, 0.2, u)
-        for deviation in 0.05 * rng.normal(size=(4, 6)):
+        deviations = 0.05 * rng.normal(size=(4, 6))
+        together = nearest_lobe(lobes, deviations, np.broadcast_to(covariance, (4, 6, 6)))
+        for deviation, found in zip(deviations, together, strict=True):
 
             def distance(at, lobes=lobes, deviation=deviation):
                 tail = float(np.clip(at[0], 0.0, 1.0))
@@ -214,4 +216,4 @@ def test_the_nearest_lobe_is_that_of_a_search_over_the_tail_and_all_inputs(rng):
                 minimize(distance, [start, 0.0, 0.0], method="Nelder-Mead", options=options).fun
                 for start in np.linspace(0.05, 0.95, 7)
             )
-            assert nearest_lobe(lobes, deviation, covariance) == pytest.approx(least, rel=2e-4, abs=2e-4)
+            assert found == pytest.approx(least, rel=2e-4, abs=2e-4)

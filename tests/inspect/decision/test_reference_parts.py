@@ -1,6 +1,7 @@
 """Sets of reference parts: their files, which rows count, and when they serve as the reference."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -58,6 +59,25 @@ def test_the_set_of_a_kind_that_states_viewing_conditions_is_refused(make_recipe
         path.write_text(json.dumps(content))
         with pytest.raises(CalibrationError, match=r"the golden parts in .* cannot be read"):
             GoldenSet.read(path, recipe)
+
+
+def test_a_part_that_was_inspected_in_more_poses_serves_a_recipe_with_fewer(make_recipe):
+    tilted = make_recipe(poses={"tilts_deg": [0.0, 10.0]})
+    upright = make_recipe(poses={"angles_deg": [0.0, 180.0]})
+    seen = [
+        SimpleNamespace(stage_deg=a, tilt_deg=t, measured=a + t)
+        for t in (0.0, 10.0)
+        for a in (0.0, 90.0, 180.0)
+    ]
+    record = SimpleNamespace(poses=seen, model_copy=lambda update: SimpleNamespace(**update))
+    part, rules = GoldenSet.restricted(record, tilted, upright)
+    assert [pose.measured for pose in part.poses] == [0.0, 180.0]
+    assert GoldenSet.key_of(rules) == GoldenSet.key_of(upright)
+    assert rules.area is None  # fewer pairs deviate in fewer cells
+    for other in (tilted, make_recipe(poses={"angles_deg": [0.0, 45.0]})):
+        assert GoldenSet.restricted(record, tilted, other) == (record, tilted)
+    turned = make_recipe(poses={"angles_deg": [0.0, 180.0], "facet_azimuth_deg": 5.0})
+    assert GoldenSet.restricted(record, tilted, turned) == (record, tilted)
 
 
 def test_cells_are_those_of_the_rows_that_count(make_recipe, rng):

@@ -11,6 +11,7 @@ from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.kinds import surface_check as recipecheck
 from anisoscope.kinds.surface_check import check_recipe
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.light.unresolved import resolve
 
@@ -102,3 +103,30 @@ def test_a_second_lamp_is_named_by_what_no_nearer_one_tells(make_recipe, monkeyp
     found = recipecheck.second_lamps_for(make_recipe(), 0.0, [pair, back, third], silent, PLASTIC_CAUSES)
     assert [(one.says, one.tells_apart) for one in found] == [("near", (pair,)), ("far", (back,))]
     assert asked == [["a", "b", "c"]]
+
+
+def _with_burrs(recipe, light_angle_deg, advance, _):
+    return signatures(recipe, light_angle_deg, advance, ("burrs",))
+
+
+_with_burrs.__module__ = signatures.__module__
+BURRS = CauseModel(
+    lambda recipe: tuple(one for one in PLASTIC_CAUSES.causes(recipe) if one.name == "burrs"), _with_burrs
+)
+
+
+def test_thresholds_of_a_design_are_said_to_be_unknown_and_those_of_a_map_are_its_own(make_recipe, tmp_path):
+    auto = {"area": {"cell_deviation": "auto"}, "surface": {"reflections": "direct"}}
+    line = check_recipe(make_recipe(**auto), 10.0, model=BURRS).thresholds
+    assert "not known yet, because a design has no texture" in line
+    assumed, even = (float(one) for one in re.findall(r"burrs from ([0-9.]+) %", line))
+    assert even <= assumed
+    smooth = ridges(RidgeDesign(100.0, 10.0), (201, 601), (2.0, 2.0))
+    rough = add_facet_roughness(smooth, 0.04, 0.04, 8.0, np.random.default_rng(3))
+    write_height_map(rough, tmp_path / "rough.x3p")
+    of_map = {"height_map": tmp_path / "rough.x3p", "design": None, "reflections": "direct"}
+    line = check_recipe(make_recipe(**{**auto, "surface": of_map}), 10.0, model=BURRS).thresholds
+    first, second = (float(one) for one in re.findall(r"0\.\d\d", line)[:2])
+    assert 0.1 < second < first < 0.8
+    assert "burrs from" in line
+    assert check_recipe(make_recipe(), 10.0, model=BURRS).thresholds is None

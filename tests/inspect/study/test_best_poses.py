@@ -7,7 +7,7 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.recipe.surface import DefectsPart
-from anisoscope.study.best_poses import best_poses, ideal_distances
+from anisoscope.study.best_poses import best_poses, ideal_distances, sizes_in_toml, with_sizes
 
 TABLE = {
     "schema": 1,
@@ -91,3 +91,38 @@ def test_what_cannot_be_chosen_is_one_clear_line():
         best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), camera_share=-1.0)
     with pytest.raises(UsageError, match="between 0 and 1"):
         best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), power=2.0)
+
+
+def test_sizes_that_are_asked_for_replace_those_of_the_recipe():
+    rules = recipe(reflections="direct")
+    asked = ("ridge-angle=1°", "roughness=30%", "height-loss=0.05", "wear=8um")
+    sized, begins = with_sizes(rules, asked)
+    found = sized.defects
+    assert (found.ridge_angle_deg, found.height_loss, found.wear_um) == (1.0, 0.05, 8.0)
+    assert found.roughness_share == pytest.approx(0.3)
+    assert begins == ("ridge angle", "roughness", "height loss", "edges worn")
+    assert sizes_in_toml(sized, rules)[:2] == ("ridge_angle_deg = 1", "roughness_share = 0.3")
+    assert with_sizes(rules, ()) == (rules, ())
+    options = (3, (0.0, 90.0, 180.0, 270.0), (0.0, 10.0))
+    only, names = with_sizes(rules, ("height-loss=10%",))
+    loss = best_poses(only, 10.0, *options, asked=names)
+    assert loss.frames[1] is not None  # the ridge angle of the recipe needs more golden parts
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (("ridge-angle",), "takes NAME=SIZE"),
+        (("angle=1",), r"no defect 'angle'; there are ridge-angle \(°\)"),
+        (("ridge-angle=1", "ridge-angle=2"), "asked for twice"),
+        (("ridge-angle=20%",), "in °, not in %"),
+        (("ridge-angle=-0.5",), "above 0; both signs"),
+        (("wear=nan",), "above 0"),
+        (("roughness=twenty",), "'twenty' is no size in %"),
+        (("roughness=20",), "write 20% or 0.2"),
+        (("height-loss=100%",), "height-loss: input should be less than 1"),
+    ],
+)
+def test_a_size_that_is_none_is_one_clear_line(asked, said):
+    with pytest.raises(UsageError, match=said):
+        with_sizes(recipe(), asked)

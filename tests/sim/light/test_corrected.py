@@ -1,3 +1,6 @@
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -225,3 +228,32 @@ def test_an_edge_of_half_a_micrometre_counts_where_it_mirrors():
         )
         assert 0.009 < rounded[2] / sharp[2] - 1.0 < 0.018
         assert np.all(np.abs(rounded[:2] / sharp[:2] - 1.0) < 0.004)
+
+
+MITSUBA = json.loads(
+    (Path(__file__).parents[2] / "data" / "mitsuba" / "wear.json").read_text(encoding="utf-8")
+)
+"""Worn ridges by another renderer: tools/render_mitsuba_wear.py."""
+
+
+@pytest.mark.parametrize(("plastic", "of_change"), [("smooth, dark", 0.05), ("rough, bright", 0.17)])
+def test_worn_ridges_are_as_bright_as_mitsuba_renders_them(plastic, of_change):
+    """Crests of up to a fifth of the pitch; changes by wear, rms over poses and radii, as a share of themselves."""
+    poses = [Pose(*pose) for pose in MITSUBA["poses"]]
+    sides = directions(poses, Convention(MITSUBA["light_angle_deg"]))
+    own = MITSUBA["plastics"][plastic]
+    material = Material(own["alpha"], own["alpha"], own["albedo"], MITSUBA["index"])
+    rows = [row for row in MITSUBA["rows"] if row["plastic"] == plastic]
+    assert [row["radius_um"] for row in rows] == [0.0, 2.5, 5.0, 10.0, 20.0]
+    ours, theirs = [], []
+    for row in rows:
+        worn = RidgeDesign(MITSUBA["pitch_um"], MITSUBA["ridge_angle_deg"], edge_radius_um=row["radius_um"])
+        direct = radiance(*sides, worn, material)
+        np.testing.assert_allclose(direct, row["direct"], rtol=0.006)
+        found = direct + indirect_radiance(*sides, worn, material)
+        assert max(np.array(row["all_error"]) / row["all"]) < 0.002
+        np.testing.assert_allclose(found, row["all"], rtol=0.011)
+        ours.append(np.log(found))
+        theirs.append(np.log(row["all"]))
+    change, reference = (np.array(one[1:]) - one[0] for one in (ours, theirs))
+    assert np.sqrt(np.sum((change - reference) ** 2) / np.sum(reference**2)) < of_change
