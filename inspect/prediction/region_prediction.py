@@ -161,6 +161,80 @@ def predict_map(
     return _combined(found, budgets, poses, convention)
 
 
+@dataclass(frozen=True, eq=False)
+class FieldGrid:
+    """Square fields on a height map, each of one class of direction.
+
+    Attributes:
+        classes: (rows, cols) class of every field, -1 for flat ones; first row at the top of the map.
+        azimuths_deg: (C,) toward which the facets of the classes lean on the map.
+        ridges: ideal ridges of the fields, for light that reflects more than once.
+        interior: share of the side of a field over which it is averaged.
+    """
+
+    classes: npt.NDArray[np.int64]
+    azimuths_deg: tuple[float, ...]
+    ridges: RidgeDesign
+    interior: float
+
+
+def predict_fields(
+    surface: HeightMap,
+    fields: FieldGrid,
+    material: Material,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    bounces: int | None = None,
+) -> FloatArray:
+    """(P, rows, cols) radiance of fields of a height map, facet by facet, each with the lobe of its class.
+
+    Shadows are those of the whole map; light that reflects more than once is that of the ideal ridges of the class.
+
+    Args:
+        surface: the map, which the fields fill.
+        fields: its fields.
+        material: the plastic, as far as the map does not resolve it.
+        poses: P poses.
+        convention: how angles are counted; ``facet_azimuth_deg`` turns the map.
+        bounces: largest number of reflections; None follows all.
+    """
+    found = np.full((len(poses), *fields.classes.shape), np.nan)
+    groove = groove_of_design(fields.ridges, bounces)
+    for number, azimuth in enumerate(fields.azimuths_deg):
+        mine = fields.classes == number
+        if not mine.any():
+            continue
+        frame = replace(convention, facet_azimuth_deg=convention.facet_azimuth_deg + azimuth)
+        # facets about edges across x are finer than those about others
+        quarters = round(azimuth / 90.0)
+        rest = azimuth - 90.0 * quarters
+        relief = Relief(turned_clockwise(surface, quarters), None, 1.0, "symmetric", _direction(rest), rest)
+
+        to_light, to_camera = directions(poses, frame)
+        maps = radiance_maps(relief, to_light, to_camera, material)
+        radiance = np.array([_field_means(np.rot90(one, -quarters), fields) for one in maps])
+        if groove is not None:
+            radiance += groove.light(to_light, to_camera, material)[:, None, None]
+        found[:, mine] = radiance[:, mine]
+        if number == 0:
+            found[:, fields.classes < 0] = radiance[:, fields.classes < 0]
+    return found
+
+
+def _field_means(values: npt.NDArray[np.floating], fields: FieldGrid) -> FloatArray:
+    """(rows, cols) means of the middles of the fields of a map of facets, first row at the top."""
+    (tall, wide), (rows, cols) = values.shape, fields.classes.shape
+    found = np.empty((rows, cols))
+    margin = 0.5 * (1.0 - fields.interior)
+    for row in range(rows):
+        low, high = (round((rows - 1 - row + part) * tall / rows) for part in (margin, 1.0 - margin))
+        band = values[low:high]
+        for col in range(cols):
+            left, right = (round((col + part) * wide / cols) for part in (margin, 1.0 - margin))
+            found[row, col] = float(np.nanmean(band[:, left:right], dtype=float))
+    return found
+
+
 def _with_ridges(regions: DirectionRegions, number: int) -> list[HeightMap]:
     """Maps of the largest regions of a class that hold four ridges."""
     found: list[HeightMap] = []

@@ -188,6 +188,21 @@ def direction_regions(surface: HeightMap) -> DirectionRegions:
     return found if _ridged(found) else _none(surface)
 
 
+def field_leans(surface: HeightMap, rows: int, cols: int) -> npt.NDArray[np.complexfloating]:
+    """(rows, cols) mean unit vectors x + iy of the falls in square fields that fill a map, first row at the top.
+
+    The angle is the azimuth toward which the facets of a field lean; of a flat field the vector is short.
+    """
+    fall_x, fall_y = _falls(surface, LOCAL)
+    steep = np.hypot(fall_x, fall_y)
+    votes = np.where(steep > FLAT_SLOPE, (fall_x + 1j * fall_y) / np.maximum(steep, FLAT_SLOPE), 0.0)
+    bands = [
+        [part.mean() for part in np.array_split(band, cols, axis=1)]
+        for band in np.array_split(votes[::-1], rows)
+    ]
+    return np.array(bands)
+
+
 def _none(surface: HeightMap) -> DirectionRegions:
     return DirectionRegions(surface, np.zeros(surface.shape, dtype=np.int32), (), False, ())
 

@@ -7,6 +7,7 @@ land shows. Nothing of this is shared with the prediction.
 """
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal, Self
@@ -18,6 +19,7 @@ from pydantic import Field, model_validator
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.toml_file import NotNegative, Part, Positive, Share
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.plates import FLAT, Plan
 
@@ -127,6 +129,18 @@ class PlateSample:
         self._chosen = rng.integers(0, STATES, (rows, cols))
         self._moved_um = part.misplaced_um * rng.standard_normal((rows, cols, 2))
         self._defects = {(one.row, one.col): one.defect for one in part.defects}
+        self._tiles: dict[tuple[object, ...], Image] = {}
+        self._heights: dict[tuple[object, ...], Image] = {}
+
+    def lot_mate(self, rng: np.random.Generator, defects: tuple[FieldDefectPart, ...]) -> "PlateSample":
+        """Another plate of the same plastic and seat: its fields have the same states at other places."""
+        found = copy(self)
+        rows, cols = self._plan.shape
+        found._chosen = rng.integers(0, STATES, (rows, cols))  # noqa: SLF001 - of its own class
+        found._moved_um = self._part.misplaced_um * rng.standard_normal((rows, cols, 2))  # noqa: SLF001
+        found._defects = {(one.row, one.col): one.defect for one in defects}  # noqa: SLF001
+        found.__dict__.pop("_shown", None)
+        return found
 
     @property
     def pixel_um(self) -> tuple[float, float]:
@@ -158,18 +172,41 @@ class PlateSample:
 
         return shown
 
-    def _picture(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
-        plan, side = self._plan, round(1000.0 * self._plan.module_mm / PIXEL_UM)
-        rows, cols = plan.shape
-        classes = plan.classes()
-        tiles: dict[tuple[_State, float], Image] = {}
+    def height_map(self) -> HeightMap:
+        """Height map of the plate as it is made, with texture and misplaced fields; row index rises with +y."""
+        side = round(1000.0 * self._plan.module_mm / PIXEL_UM)
+        flat = 0.5 * RidgeDesign(self._part.pitch_um, self._part.ridge_angle_deg).height_um
 
         def tile(state: _State, azimuth_deg: float) -> Image:
             key = state, azimuth_deg
-            if key not in tiles:
-                tiles[key] = self._tile(state, azimuth_deg, side, to_light, to_camera)
-            return tiles[key]
+            if key not in self._heights:
+                self._heights[key] = made(state, azimuth_deg)
+            return self._heights[key]
 
+        def made(state: _State, azimuth_deg: float) -> Image:
+            found = _turned(self._surface(state, azimuth_deg, side).height_um[:-1, :-1], azimuth_deg, side)
+            return found + np.float32(flat) if state.design is None else found
+
+        return HeightMap(self._assembled(tile, side).astype(np.float64), PIXEL_UM, PIXEL_UM, {})
+
+    def _picture(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        side = round(1000.0 * self._plan.module_mm / PIXEL_UM)
+        pose = (*to_light.tolist(), *to_camera.tolist())
+        if len({key[0] for key in self._tiles} | {pose}) > POSES_REMEMBERED:
+            self._tiles.clear()
+
+        def tile(state: _State, azimuth_deg: float) -> Image:
+            key = pose, state, azimuth_deg
+            if key not in self._tiles:
+                self._tiles[key] = self._tile(state, azimuth_deg, side, to_light, to_camera)
+            return self._tiles[key]
+
+        return self._assembled(tile, side)
+
+    def _assembled(self, tile: Tiles, side: int) -> Image:
+        """Fields at their places; what a field leaves free is flat land."""
+        rows, cols = self._plan.shape
+        classes = self._plan.classes()
         flat = tile(_State(None, 1.0, 0), 0.0)
         picture = np.tile(flat, (rows, cols))
         for row in range(rows):
@@ -212,44 +249,50 @@ class PlateSample:
             return both
         return tile(state, azimuths[number])
 
+    def _surface(self, state: _State, azimuth_deg: float, side: int) -> HeightMap:
+        """Height map of the ridges of a field in their own frame, larger than the field."""
+        part, reach = self._part, int(np.ceil(side * 1.5)) + 2
+        rng = np.random.default_rng((self._seed, state.number, int(1000 * azimuth_deg) % 360000))
+        whole = max(1, int(np.ceil(reach * PIXEL_UM / part.pitch_um)))
+        shape = (reach + 1, round(whole * part.pitch_um / PIXEL_UM) + 1)
+        surface = ridges(state.design or RidgeDesign(part.pitch_um, 1e-3), shape, PIXEL_UM)
+        if part.resolved_alpha > 0.0:
+            alpha = part.resolved_alpha * state.alpha_share
+            surface = add_facet_roughness(
+                surface, alpha_along=alpha, alpha_across=alpha, correlation_um=part.correlation_um, rng=rng
+            )
+        return surface
+
     def _tile(
         self, state: _State, azimuth_deg: float, side: int, to_light: FloatArray, to_camera: FloatArray
     ) -> Image:
         """(side, side) picture of ridges in the direction of a field: rendered in their own frame, then turned."""
         from anisoscope.sim.pathtracer.tracer import PathTracer  # noqa: PLC0415 - numba when first needed
 
-        part, reach = self._part, int(np.ceil(side * 1.5)) + 2
-        rng = np.random.default_rng((self._seed, state.number, int(1000 * azimuth_deg) % 360000))
-        pitch = part.pitch_um
-        whole = max(1, int(np.ceil(reach * PIXEL_UM / pitch)))
-        shape = (reach + 1, round(whole * pitch / PIXEL_UM) + 1)
-        if state.design is None:
-            surface = ridges(RidgeDesign(pitch, 1e-3), shape, PIXEL_UM)
-        else:
-            surface = ridges(state.design, shape, PIXEL_UM)
-        if part.resolved_alpha > 0.0:
-            alpha = part.resolved_alpha * state.alpha_share
-            surface = add_facet_roughness(
-                surface, alpha_along=alpha, alpha_across=alpha, correlation_um=part.correlation_um, rng=rng
-            )
         turn = np.radians(azimuth_deg)
         cos, sin = float(np.cos(turn)), float(np.sin(turn))
         into = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         tracer = PathTracer(
-            surface,
+            self._surface(state, azimuth_deg, side),
             self._plastic,
-            pitch_um=pitch,
+            pitch_um=self._part.pitch_um,
             reflections=self._reflections,
             paths=PATHS,
             seed=self._seed,
         )
-        shown = tracer.radiance(into @ to_light, into @ to_camera)
-        place = (np.arange(side) + 0.5) * PIXEL_UM - 0.5 * side * PIXEL_UM
-        x, y = place[None, :], place[:, None]
-        across, along = cos * x + sin * y + 0.5 * side * PIXEL_UM, -sin * x + cos * y
-        columns = np.floor(across / PIXEL_UM + 1e-6).astype(np.int64) % (shown.shape[1])
-        rows = np.floor(along / PIXEL_UM + 1e-6).astype(np.int64) % (shown.shape[0])
-        return np.asarray(shown[rows, columns])
+        return _turned(tracer.radiance(into @ to_light, into @ to_camera), azimuth_deg, side)
+
+
+def _turned(values: FloatArray | Image, azimuth_deg: float, side: int) -> Image:
+    """(side, side) of the values of ridges in their own frame, turned to an azimuth about the middle of a field."""
+    turn = np.radians(azimuth_deg)
+    cos, sin = float(np.cos(turn)), float(np.sin(turn))
+    place = (np.arange(side) + 0.5) * PIXEL_UM - 0.5 * side * PIXEL_UM
+    x, y = place[None, :], place[:, None]
+    across, along = cos * x + sin * y + 0.5 * side * PIXEL_UM, -sin * x + cos * y
+    columns = np.floor(across / PIXEL_UM + 1e-6).astype(np.int64) % values.shape[1]
+    rows = np.floor(along / PIXEL_UM + 1e-6).astype(np.int64) % values.shape[0]
+    return np.asarray(values[rows, columns], dtype=np.float32)
 
 
 __all__ = ["FLAT", "FieldDefectPart", "PlatePart", "PlateSample"]

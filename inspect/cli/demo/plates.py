@@ -23,7 +23,9 @@ RESOLVED_ALPHA = 0.03
 DEAD = ((3, 4), (6, 8), (9, 2))
 WORN_UM = 20.0
 """Radius of the crests of the worn plate."""
-ANGLES_DEG = [0.0, 90.0]
+READ_AT_DEG = [0.0, 90.0]
+ANGLES_DEG = [*READ_AT_DEG, 180.0]
+"""At 180° worn and filled ridges shine, which face away otherwise."""
 
 
 def lay_out(out: Path, seed: int, advance: Advance) -> Path:
@@ -86,7 +88,7 @@ def recipe() -> dict[str, Any]:
             "u_index": 0.005,
         },
         "plan": {"file": "plan.csv", "module_mm": MODULE_MM, "facet_azimuths_deg": AZIMUTHS_DEG},
-        "code": {"text": TEXT, "symbology": "datamatrix", "read_at_deg": ANGLES_DEG},
+        "code": {"text": TEXT, "symbology": "datamatrix", "read_at_deg": READ_AT_DEG},
         "poses": {"angles_deg": ANGLES_DEG},
         "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.4, 2.4]},

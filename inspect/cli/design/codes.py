@@ -13,6 +13,7 @@ from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.kinds.plates.expectation import ExpectedPlate
+    from anisoscope.kinds.plates.recipe import Symbology
     from anisoscope.profiles.plates import Plan
 
 MOST_MESH_POINTS = 4_000_000
@@ -63,8 +64,8 @@ def code(
         anisoscope design code "LOT 7" --symbology qr --pitch 40 --module-mm 0.16 --draft 5 --out qr-code
     """
     from anisoscope.kinds.plates.expectation import expected_plate
-    from anisoscope.kinds.plates.kind import PLATES
     from anisoscope.kinds.plates.recipe import PlateRecipe
+    from anisoscope.kinds.registry import kind_named
     from anisoscope.profiles.comparison import turned_over
     from anisoscope.profiles.files.load import write_height_map
     from anisoscope.profiles.ideal import RidgeDesign
@@ -104,7 +105,7 @@ def code(
     for name in names[2:]:
         stem, _, _ = name.partition(".")
         write_height_map(maps[stem], out / name)
-    recipe = PLATES.read_recipe(out / "recipe.toml")
+    recipe = kind_named("plates").read_recipe(out / "recipe.toml")
     assert isinstance(recipe, PlateRecipe)
     expected = expected_plate(recipe, plan, LIGHT_DEG, cached=True)
     _print(text, symbology, plan, expected, [out / name for name in names], as_json=json_)
@@ -160,19 +161,23 @@ def recipe_text(
 
 
 def _print(
-    text: str, symbology: str, plan: "Plan", expected: "ExpectedPlate", paths: list[Path], *, as_json: bool
+    text: str,
+    symbology: "Symbology",
+    plan: "Plan",
+    expected: "ExpectedPlate",
+    paths: list[Path],
+    *,
+    as_json: bool,
 ) -> None:
     import numpy as np
 
-    from anisoscope.kinds.plates.decision import predicted_fields
-    from anisoscope.kinds.plates.measurement import decoded
-    from anisoscope.kinds.plates.record import graded
+    from anisoscope.kinds.plates.code_grades import OVERALL
+    from anisoscope.kinds.plates.decision import predicted_code
 
-    shown, rows = predicted_fields(expected), list[dict[str, Any]]()
+    rows = list[dict[str, Any]]()
+    readings, grades = predicted_code(expected, symbology)
     for number, pose in enumerate(expected.poses):
         darker = int(np.argmin(expected.radiance[:, number]))
-        grades = graded(shown[number], expected.plan.classes() == darker, symbology)
-        read = decoded(np.kron(shown[number], np.ones((8, 8))), symbology)
         light, dim = float(expected.radiance[:, number].max()), float(expected.radiance[:, number].min())
         rows.append(
             {
@@ -180,8 +185,8 @@ def _print(
                 "light": light,
                 "dark": dim,
                 "inverted": darker == 0,
-                "reads": read,
-                "grades": [fields_of(one) for one in grades],
+                "reads": readings[number],
+                "grades": [fields_of(one) for one in grades[number]],
             }
         )
     content = {
@@ -197,18 +202,18 @@ def _print(
         return
     print_table(
         f"{symbology} {text!r}: {plan.shape[1]} × {plan.shape[0]} modules of {plan.module_mm:g} mm",
-        ["stage [°]", "light [1/sr]", "dark [1/sr]", "cell contrast", "grade", "predicted picture says"],
+        ["stage [°]", "light [1/sr]", "dark [1/sr]", "cell contrast", OVERALL, "predicted picture says"],
         [
             [
                 f"{one['stage_deg']:g}",
                 f"{one['light']:.4f}",
                 f"{one['dark']:.4f}",
-                f"{one['grades'][0]['value']:.2f}",
+                f"{1.0 - one['dark'] / one['light']:.2f}",
                 str(one["grades"][0]["grade"]),
                 f"{one['reads']!r}" + (", inverted" if one["inverted"] else ""),
             ]
             for one in rows
         ],
-        caption=f"light {LIGHT_DEG:g}° from the camera; grade of cell contrast after ISO/IEC 29158; written: "
+        caption=f"light {LIGHT_DEG:g}° from the camera; grades after ISO/IEC 29158 and 15415; written: "
         + ", ".join(str(path) for path in paths),
     )

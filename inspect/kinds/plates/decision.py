@@ -7,31 +7,39 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
+from anisoscope.kinds.plates.code_grades import Cells, Grade, graded
+from anisoscope.kinds.plates.code_symbol import FIELD_POINTS, Symbol, find_symbol, read_picture
 from anisoscope.kinds.plates.expectation import ExpectedPlate
+from anisoscope.kinds.plates.field_judgement import (
+    TESTS,
+    banded,
+    field_offsets,
+    fields_text,
+    judge_fields,
+    predicted_fields,
+)
+from anisoscope.kinds.plates.field_places import FieldPlaces
+from anisoscope.kinds.plates.field_test import MIDDLE_ERROR, class_middles
 from anisoscope.kinds.plates.measurement import MeasuredPlate
-from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.kinds.plates.recipe import PlateRecipe, Symbology
 from anisoscope.kinds.plates.record import (
     ClassRecord,
     CodeRecord,
-    FieldRecord,
+    GoldenPlatesRecord,
     GradeRecord,
+    PlacementRecord,
     PlateContrastRecord,
     PlateDetails,
-    graded,
 )
+from anisoscope.kinds.plates.reference_plates import GoldenPlates
 from anisoscope.prediction.expectation import Component
 from anisoscope.record.schema import BudgetRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Pose
+from anisoscope.sim.light.geometry import Pose, directions
 
-MIDDLE, MIDDLE_ERROR = 0.6, 1.1
-"""Share of the fields of a class, by their brightness, whose mean stands for it, so that fields with defects are left
-out; and its standard error over that of the mean of all."""
-MAD = 1.4826
-NEAR = 0.5
-"""Rms distance from the change of a defect, in shares of the deviation, up to which a field looks like it."""
-LISTED = 3
+MOST_RECORDED = 4096
+"""Fields of which the offsets are recorded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +56,9 @@ class PlateDecision:
         d2, dof, p_value: distance of all ln ratios from the prediction, and its probability.
         deviation: (P, rows, cols) ln ratio of every field to its prediction, relative to the mean of all.
         deviating: (rows, cols) fields that fail.
+        class_deviation: (C·P,) ln L of the classes, measured − predicted.
+        covariance: (C·P, C·P) of it.
+        components: its sources.
     """
 
     verdict: Verdict
@@ -61,13 +72,28 @@ class PlateDecision:
     p_value: float
     deviation: FloatArray
     deviating: np.ndarray
+    class_deviation: FloatArray
+    covariance: FloatArray
+    components: tuple[Component, ...]
 
 
-def decide_plate(expected: ExpectedPlate, measured: MeasuredPlate, recipe: PlateRecipe) -> PlateDecision:
-    """Decide on a plate."""
+def decide_plate(
+    expected: ExpectedPlate,
+    measured: MeasuredPlate,
+    recipe: PlateRecipe,
+    golden: GoldenPlates | None = None,
+) -> PlateDecision:
+    """Decide on a plate.
+
+    Args:
+        expected: the prediction.
+        measured: the fields.
+        recipe: limits and rule.
+        golden: good plates that replace the prediction where deviations are tested, or None.
+    """
     classes, letters = expected.plan.classes(), expected.plan.letters
     ln = np.log(measured.radiance)
-    middle, scatter, counts = _class_middles(ln, classes, len(letters))
+    middle, scatter, counts = class_middles(ln, classes, len(letters))
     components = (*expected.components, *_measured_components(expected, measured, recipe, scatter, counts))
     covariance = np.sum([one.covariance() for one in components], axis=0)
     covariance = covariance + _of_poses(expected, measured, recipe)
@@ -92,8 +118,12 @@ def decide_plate(expected: ExpectedPlate, measured: MeasuredPlate, recipe: Plate
     )
     basis = log_basis(off.size)
     d2, dof = mahalanobis(basis @ off, basis @ covariance @ basis.T)
-    p_value = float(chi2_tail(d2, dof))
-    fields = _fields(expected, measured, recipe, ln, middle, classes)
+    p_value, compared = float(chi2_tail(d2, dof)), None
+    if golden is not None:
+        d2, dof, p_value = golden.t_squared(middle)
+        compared = GoldenPlatesRecord(parts=len(golden.parts), t2=d2, p_value=p_value)
+    offsets = field_offsets(expected, ln, middle)
+    fields, powers = judge_fields(expected, measured, recipe, offsets, golden)
     code = _code(expected, measured, recipe)
     details = PlateDetails(
         classes=tuple(
@@ -112,6 +142,10 @@ def decide_plate(expected: ExpectedPlate, measured: MeasuredPlate, recipe: Plate
         field_count=int((classes >= 0).sum()),
         alike=measured.alike,
         code=code,
+        powers=powers,
+        placement=tuple(_placement(one, expected.plan.module_mm) for one in measured.places),
+        field_offsets=_recorded(offsets),
+        golden=compared,
     )
     verdict, reasons = _verdict(details, recipe, p_value)
     budget = tuple(
@@ -137,14 +171,10 @@ def decide_plate(expected: ExpectedPlate, measured: MeasuredPlate, recipe: Plate
         p_value,
         deviation - np.nanmedian(deviation),
         deviating,
+        off,
+        covariance,
+        components,
     )
-
-
-def banded(size: float, tolerance: float, guard: float) -> Verdict:
-    """Verdict on a deviation with a guard band (ISO 14253-1)."""
-    if size <= tolerance - guard:
-        return Verdict.PASS
-    return Verdict.FAIL if size >= tolerance + guard else Verdict.INCONCLUSIVE
 
 
 def contrast_pairs(letters: tuple[str, ...], poses: tuple[Pose, ...]) -> tuple[list[str], FloatArray]:
@@ -174,33 +204,27 @@ def _pose(pose: Pose) -> str:
     return f"{pose.stage_deg:g}" + (f" @{pose.tilt_deg:g}" if pose.tilt_deg else "")
 
 
-def predicted_fields(expected: ExpectedPlate) -> FloatArray:
-    """(P, rows, cols) predicted radiance of every field; flat ones by direct light."""
-    classes = expected.plan.classes()
-    return np.where(
-        classes >= 0, expected.radiance.T[:, np.maximum(classes, 0)], expected.flat[:, None, None]
+def _recorded(offsets: FloatArray) -> tuple[tuple[tuple[float | None, ...], ...], ...]:
+    """Offsets with four decimals; none of plates of very many fields."""
+    if offsets[0].size > MOST_RECORDED:
+        return ()
+    return tuple(
+        tuple(tuple(round(float(one), 4) if np.isfinite(one) else None for one in row) for row in pose)
+        for pose in offsets
     )
 
 
-def _class_middles(
-    ln: FloatArray, classes: np.ndarray, count: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(C, P) middles of ln L, (C, P) scatter between fields, (C,) numbers of fields."""
-    middle = np.array([_middle(ln[:, classes == one]) for one in range(count)])
-    away = [np.abs(ln[:, classes == one] - middle[one][:, None]) for one in range(count)]
-    scatter = MAD * np.array([np.nanmedian(one, axis=1) for one in away])
-    return middle, scatter, np.array([float((classes == one).sum()) for one in range(count)])
-
-
-def _middle(values: FloatArray) -> FloatArray:
-    """(P,) means of the middle fields of (P, F)."""
-    ordered = np.sort(values, axis=1)  # NaN last
-    count = np.isfinite(ordered).sum(axis=1)
-    found = []
-    for row, n in zip(ordered, count, strict=True):
-        cut = int(0.5 * (1.0 - MIDDLE) * n)
-        found.append(float(row[cut : n - cut].mean()))
-    return np.array(found)
+def _placement(places: FieldPlaces | None, module_mm: float) -> PlacementRecord | None:
+    """Places of the fields as the record has them."""
+    if places is None:
+        return None
+    x, y = places.shift
+    return PlacementRecord(
+        shift_mm=(x * module_mm, y * module_mm),
+        turn_deg=places.turn_deg,
+        axial=places.axial,
+        grid=places.grid,
+    )
 
 
 def _measured_components(
@@ -242,49 +266,30 @@ def _share(one: Component, gradient: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("kn,nm,km->k", gradient, one.covariance(), gradient)))
 
 
-def _fields(
-    expected: ExpectedPlate,
-    measured: MeasuredPlate,
-    recipe: PlateRecipe,
-    ln: FloatArray,
-    middle: FloatArray,
-    classes: np.ndarray,
-) -> tuple[FieldRecord, ...]:
-    """Fields that do not surely pass, the largest deviation first."""
-    tolerance, coverage, letters = recipe.fields.tolerance, recipe.decision.coverage, expected.plan.letters
-    found = []
-    for row, col in zip(*np.nonzero(classes >= 0), strict=True):
-        number = int(classes[row, col])
-        off = ln[:, row, col] - middle[number]
-        if not np.isfinite(off).any():
-            continue
-        worst = int(np.nanargmax(np.abs(off)))
-        u = float(np.hypot(measured.noise[worst], measured.u_place[worst, row, col]))
-        verdict = banded(abs(float(off[worst])), tolerance, min(coverage * u, 0.5 * tolerance))
-        if verdict == "PASS":
-            continue
-        looks = looks_like(off, {name: one[number] for name, one in expected.defects.items()})
-        found.append(
-            FieldRecord(
-                row=int(row),
-                col=int(col),
-                direction_class=letters[number],
-                deviations=tuple(float(one) for one in off),
-                u=u,
-                verdict=verdict,
-                looks_like=looks,
-            )
-        )
-    return tuple(sorted(found, key=lambda one: -max(abs(value) for value in one.deviations)))
+def predicted_code(
+    expected: ExpectedPlate, symbology: Symbology
+) -> tuple[tuple[str | None, ...], tuple[tuple[Grade, ...], ...]]:
+    """What a reader makes of the predicted fields in every pose, and their grades; no grades without a symbol."""
+    fields, cosines = predicted_fields(expected), _light_cosines(expected)
+    readings = tuple(read_picture(np.kron(one, np.ones((FIELD_POINTS,) * 2)), symbology) for one in fields)
+    symbol = _symbol(expected, symbology)
+    if symbol is None:
+        return readings, ((),) * len(readings)
+    cells = [
+        Cells(one, cosine, reading is not None, 0.0, 0.0)
+        for one, cosine, reading in zip(fields, cosines, readings, strict=True)
+    ]
+    return readings, tuple(graded(one, symbol) for one in cells)
 
 
-def looks_like(off: FloatArray, defects: dict[str, FloatArray]) -> str | None:
-    """The defect whose change of ln L (P,) is nearest to a deviation; None where none is near."""
-    apart = {name: float(np.sqrt(np.nanmean((off - one) ** 2))) for name, one in defects.items()}
-    if not apart:
-        return None
-    best = min(apart, key=lambda name: apart[name])
-    return best if apart[best] <= NEAR * float(np.sqrt(np.nanmean(off**2))) else None
+def _light_cosines(expected: ExpectedPlate) -> list[float]:
+    return [float(one) for one in directions(expected.poses, expected.convention)[0][:, 2]]
+
+
+def _symbol(expected: ExpectedPlate, symbology: Symbology) -> Symbol | None:
+    """The symbol, where the plan is one of two classes without flat fields."""
+    classes = expected.plan.classes()
+    return find_symbol(classes, symbology) if set(np.unique(classes)) == {0, 1} else None
 
 
 def _code(expected: ExpectedPlate, measured: MeasuredPlate, recipe: PlateRecipe) -> CodeRecord | None:
@@ -293,68 +298,58 @@ def _code(expected: ExpectedPlate, measured: MeasuredPlate, recipe: PlateRecipe)
     if part is None:
         return None
     due = tuple(pose.tilt_deg == 0.0 and pose.stage_deg in part.read_at_deg for pose in expected.poses)
-    classes, grades = expected.plan.classes(), list[GradeRecord]()
-    if len(expected.plan.letters) == 2 and (classes >= 0).all():
-        predicted = predicted_fields(expected)
-        for number, pose in enumerate(expected.poses):
-            if not due[number]:
-                continue
-            darker = int(np.argmin(expected.radiance[:, number]))
-            pairs = zip(
-                graded(measured.radiance[number], classes == darker, part.symbology),
-                graded(predicted[number], classes == darker, part.symbology),
-                strict=False,
+    readings, predicted = predicted_code(expected, part.symbology)
+    symbol, grades = _symbol(expected, part.symbology), list[GradeRecord]()
+    for number, (pose, cosine) in enumerate(zip(expected.poses, _light_cosines(expected), strict=True)):
+        if symbol is None or not due[number]:
+            continue
+        places = measured.places[number] if measured.places else None
+        seen = Cells(
+            measured.radiance[number],
+            cosine,
+            measured.texts[number] is not None,
+            None if places is None else places.axial,
+            None if places is None else places.grid,
+        )
+        other = {one.parameter: one for one in predicted[number]}
+        grades += [
+            GradeRecord(
+                stage_deg=pose.stage_deg,
+                tilt_deg=pose.tilt_deg,
+                parameter=one.parameter,
+                measured=one.value,
+                measured_grade=one.grade,
+                predicted=other[one.parameter].value,
+                predicted_grade=other[one.parameter].grade,
             )
-            grades += [
-                GradeRecord(
-                    stage_deg=pose.stage_deg,
-                    tilt_deg=pose.tilt_deg,
-                    parameter=seen.parameter,
-                    measured=seen.value,
-                    measured_grade=seen.grade,
-                    predicted=want.value,
-                    predicted_grade=want.grade,
-                )
-                for seen, want in pairs
-            ]
+            for one in graded(seen, symbol)
+        ]
     return CodeRecord(
         text=part.text,
         symbology=part.symbology,
         readings=measured.texts,
         required=due,
         grades=tuple(grades),
+        predicted_readings=readings,
     )
 
 
 def _verdict(details: PlateDetails, recipe: PlateRecipe, p_value: float) -> tuple[Verdict, tuple[str, ...]]:
     """Verdict and reasons."""
-    fails, unsure, warnings = list[str](), list[str](), list[str]()
-    for one in sorted(details.contrasts, key=lambda one: -abs(one.measured - one.predicted)):
-        line = (
-            f"{one.name}: measured {one.measured:+.3f}, predicted {one.predicted:+.3f} (u {one.u:.3f}, tolerance "
-            f"±{one.tolerance:g})"
-            if one.tolerance is not None
-            else ""
-        )
-        if one.verdict == "FAIL":
-            fails.append(line)
-        elif one.verdict == "INCONCLUSIVE":
-            unsure.append(line)
-    dead = [one for one in details.fields if one.verdict == "FAIL"]
-    if len(dead) > recipe.fields.most:
-        fails.insert(0, fields_text(dead))
-    elif len(details.fields) > recipe.fields.most:
-        unsure.append(f"{fields_text(list(details.fields))}: within the guard band")
+    fails, unsure, warnings = _of_fields(details, recipe)
+    contrasts = sorted(details.contrasts, key=lambda one: -abs(one.measured - one.predicted))
+    fails += [contrast_text(one) for one in contrasts if one.verdict == "FAIL"]
+    unsure += [contrast_text(one) for one in contrasts if one.verdict == "INCONCLUSIVE"]
     code = details.code
     if code is not None and code.unread:
         seen = ", ".join(
             "nothing" if code.readings[n] is None else repr(code.readings[n]) for n in code.unread
         )
         fails.append(f"the code does not read {code.text!r} in every required pose: {seen}")
-    if p_value < recipe.decision.alpha:
-        text = f"the classes deviate from the prediction together (p {p_value_text(p_value)})"
+    together = _together(details, recipe, p_value)
+    if together is not None:
         must = recipe.decision.tolerance is None or recipe.decision.deviation == "fail"
-        (fails if must else warnings).append(text)
+        (fails if must else warnings).append(together if must else f"warning: {together}")
     if fails:
         return Verdict.FAIL, (*fails, *unsure, *warnings)
     if unsure:
@@ -362,13 +357,34 @@ def _verdict(details: PlateDetails, recipe: PlateRecipe, p_value: float) -> tupl
     return Verdict.PASS, tuple(warnings)
 
 
-def fields_text(fields: list[FieldRecord]) -> str:
-    """How many fields deviate, and the first of them with what they look like."""
-    named = "; ".join(
-        f"row {one.row + 1}, column {one.col + 1} ({one.looks_like or 'unlike any known defect'})"
-        for one in fields[:LISTED]
+def _of_fields(details: PlateDetails, recipe: PlateRecipe) -> tuple[list[str], list[str], list[str]]:
+    """Reasons by single fields: to fail, not to decide, and to warn."""
+    dead, near, others = (
+        [one for one in details.fields if one.verdict == verdict]
+        for verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS)
     )
-    more = f" and {len(fields) - LISTED} more" if len(fields) > LISTED else ""
+    fails, unsure = [], []
+    if len(dead) > recipe.fields.most:
+        fails.append(fields_text(dead))
+    elif len(dead) + len(near) > recipe.fields.most:
+        unsure.append(f"within the guard band: {fields_text([*dead, *near])}")
+    beyond = f"warning: within the tolerance, but beyond the scatter: {fields_text(others)}" if others else ""
+    return fails, unsure, [beyond] if beyond else []
+
+
+def _together(details: PlateDetails, recipe: PlateRecipe, p_value: float) -> str | None:
+    """What all classes together show, where that is significant."""
+    if p_value >= recipe.decision.alpha / TESTS:
+        return None
+    text = p_value_text(p_value)
+    if details.golden is None:
+        return f"the classes deviate together (p {text} for a plate as predicted)"
+    return f"the classes deviate together (p {text} for a plate like the golden ones)"
+
+
+def contrast_text(one: PlateContrastRecord) -> str:
+    """A contrast with its tolerance."""
     return (
-        f"{len(fields)} field{'s deviate' if len(fields) > 1 else ' deviates'} from the class: {named}{more}"
+        f"{one.name}: measured {one.measured:+.3f}, predicted {one.predicted:+.3f} (u {one.u:.3f}, tolerance "
+        f"±{one.tolerance:g})"
     )

@@ -9,9 +9,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.kinds.plates.field_test import class_middles
+from anisoscope.kinds.plates.plate_map import fields_by_map, plate_surface
 from anisoscope.kinds.plates.recipe import PlateRecipe
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import Component, Expectation, expectation
@@ -21,12 +24,36 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import Plan
 from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.material import Material
 
 FLAT_DEG = 0.2
 """Ridge angle of a field without ridges."""
 WORN_SHARE, FILLED_LOSS, MERGED_SHARE = 0.2, 0.6, 0.5
 """Radius of worn crests over the pitch; height loss of filled fields; share of another direction in merged ones."""
 FAINTEST = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Lying:
+    """A position of the plate in its seat: how far it is turned, and whether the plan is mirrored.
+
+    Attributes:
+        quarters: quarter turns, counter-clockwise.
+        mirrored: whether the places are mirrored left to right, as on the plan of the mould; with or without the
+            directions.
+        classes: (rows, cols) of the fields as they lie, -1 for flat ones.
+        ln: (C, P) ln of direct light of the classes.
+    """
+
+    quarters: int
+    mirrored: bool
+    classes: npt.NDArray[np.int64]
+    ln: FloatArray
+
+    @property
+    def turned_text(self) -> str:
+        """How it is turned, after a noun."""
+        return f" turned by {90 * self.quarters}°" if self.quarters else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +67,11 @@ class ExpectedPlate:
         radiance: (C, P) of the classes, in the order of ``plan.letters``, in 1/sr.
         components: uncertainties of ln L of all classes and poses, (C·P,) each, classes slowest.
         per_degree: (C, P) change of ln L per degree of stage angle.
-        turned: (4, C, P) ln of direct light of the classes on the plate turned by so many quarter turns.
+        lying: positions of the plate, the right one first.
         defects: by name the (C, P) change of ln L of a field with this defect.
         flat: (P,) radiance of a flat field, estimated from direct light.
         optics: rays or waves, and why.
+        fields: (P, rows, cols) radiance of every field by the height map; None without one.
     """
 
     plan: Plan
@@ -52,12 +80,13 @@ class ExpectedPlate:
     radiance: FloatArray
     components: tuple[Component, ...]
     per_degree: FloatArray
-    turned: FloatArray
+    lying: tuple[Lying, ...]
     defects: Mapping[str, FloatArray]
     flat: FloatArray
     optics: dict[str, Any] | None = None
     model: str = "corrected"
     surface: HeightMap | None = field(default=None)
+    fields: FloatArray | None = None
 
     def covariance(self) -> FloatArray:
         """(C·P, C·P) covariance of ln L."""
@@ -65,7 +94,19 @@ class ExpectedPlate:
 
 
 def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, cached: bool) -> ExpectedPlate:
-    """Predict the classes of a plate; errors as for `anisoscope.prediction.expectation.expectation`."""
+    """Predict the classes of a plate, and with a height map every field.
+
+    Args:
+        recipe: the recipe.
+        plan: its plan.
+        light_angle_deg: the rig's angle between light and camera.
+        cached: predictions of the classes may come from the cache.
+
+    Raises:
+        HeightMapError: the height map cannot be read, or is not that of the plan.
+        RecipeError: as for `anisoscope.prediction.expectation.expectation`.
+    """
+    surface = None if recipe.surface.height_map is None else plate_surface(recipe, plan)
     predict = cached_expectation if cached else expectation
     azimuths = [plan.azimuths_deg[letter] for letter in plan.letters]
     found = [predict(recipe.of_class(one), light_angle_deg) for one in azimuths]
@@ -73,15 +114,28 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
     poses = recipe.poses.poses()
     design = recipe.surface.ridge_design()
 
-    def direct(ridges: RidgeDesign, azimuth_deg: float) -> FloatArray:
-        frame = replace(convention, facet_azimuth_deg=convention.facet_azimuth_deg + azimuth_deg)
-        light = predict_design(ridges, recipe.material.material(), poses, frame, bounces=1).radiance
-        return np.asarray(np.log(np.maximum(light, FAINTEST)))
+    direct = direct_light(recipe, poses, convention)
 
-    turned = np.array([[direct(design, one + 90.0 * k) for one in azimuths] for k in range(4)])
+    places = plan.classes()
+    lying = tuple(
+        Lying(
+            quarters,
+            mirrored,
+            np.rot90(places[:, ::-1] if mirrored else places, quarters),
+            np.array(
+                [direct(design, (180.0 - one if leaning else one) + 90.0 * quarters) for one in azimuths]
+            ),
+        )
+        for mirrored, leaning in ((False, False), (True, False), (True, True))
+        for quarters in range(4)
+    )
+    upright = lying[0].ln
     flat = direct(replace(design, ridge_angle_deg=FLAT_DEG, edge_radius_um=0.0), 0.0)
-    radiance = np.array([one.radiance for one in found])
-    level = float(np.mean(np.log(radiance) - turned[0]))
+    radiance, fields = np.array([one.radiance for one in found]), None
+    if surface is not None:
+        fields = fields_by_map(surface, recipe, plan, poses, convention)
+        radiance = np.exp(class_middles(np.log(fields), plan.classes(), len(plan.letters))[0])
+    level = float(np.mean(np.log(radiance) - upright))
     return ExpectedPlate(
         plan,
         poses,
@@ -89,12 +143,37 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
         radiance,
         _components(found, azimuths),
         np.array([one.per_degree for one in found]),
-        turned,
-        _defects(design, azimuths, turned[0], flat, direct),
+        lying,
+        _defects(design, azimuths, upright, flat, direct),
         np.exp(flat + level),
         found[0].optics,
-        found[0].model,
+        found[0].model if fields is None else "relief",
+        fields=fields,
     )
+
+
+def direct_light(
+    recipe: PlateRecipe, poses: tuple[Pose, ...], convention: Convention
+) -> Callable[..., FloatArray]:
+    """A function of ridges, of the azimuth toward which they lean, and of a plastic: (P,) ln of direct light."""
+
+    def direct(
+        ridges: RidgeDesign,
+        azimuth_deg: float,
+        material: Material | None = None,
+        light_deg: float | None = None,
+    ) -> FloatArray:
+        frame = replace(
+            convention,
+            facet_azimuth_deg=convention.facet_azimuth_deg + azimuth_deg,
+            light_angle_deg=convention.light_angle_deg if light_deg is None else light_deg,
+        )
+        plastic = recipe.material.material() if material is None else material
+        return np.asarray(
+            np.log(np.maximum(predict_design(ridges, plastic, poses, frame, bounces=1).radiance, FAINTEST))
+        )
+
+    return direct
 
 
 def _components(found: list[Expectation], azimuths: list[float]) -> tuple[Component, ...]:

@@ -3,28 +3,35 @@
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from anisoscope.base.errors import RecipeError, UsageError
-from anisoscope.base.progress import Advance
+from anisoscope.base.errors import AnisoscopeError, RecipeError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.pose_radiance import mean_of
 from anisoscope.imaging.registration.placement import resample
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
-from anisoscope.kinds.kind import Kind, NewRecipe, Reference, Results, Sitting
-from anisoscope.kinds.plates.decision import PlateDecision, decide_plate, fields_text, predicted_fields
+from anisoscope.kinds.kind import Explanation, Kind, NewRecipe, Reference, Results, Sitting, usable
+from anisoscope.kinds.plates.causes import FIELD_WORDS, PLATE_WORDS, explain_plate
+from anisoscope.kinds.plates.code_grades import OVERALL
+from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
+from anisoscope.kinds.plates.field_judgement import fields_text, places_text, predicted_fields
 from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate, plate_grid
+from anisoscope.kinds.plates.plate_map import HEIGHT_MAP
 from anisoscope.kinds.plates.recipe import PlateRecipe
-from anisoscope.kinds.plates.record import PlateDetails
+from anisoscope.kinds.plates.record import CodeRecord, GradeRecord, PlateDetails
+from anisoscope.kinds.plates.reference_plates import GoldenPlates, reference_table
 from anisoscope.kinds.recipe_check import RecipeCheck
-from anisoscope.record.schema import Record
+from anisoscope.record.schema import ConclusionRecord, DiagnosisRecord, Record
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
 
 PLAN = "plan"
+FIELD_FINDINGS = tuple(one.more.partition("{size}")[0] for one in FIELD_WORDS.values())
 RULE = (
     "FAIL where a contrast between classes or poses is out of its tolerance by more than the guard band, where more "
     "fields deviate from their class than the recipe allows, or where the code is not read"
@@ -62,27 +69,34 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         return found
 
     def sources(self, recipe: PlateRecipe, rig: RigFile) -> Mapping[str, Path]:
-        """The file of the plan, and that of the material.
+        """The files of plan, height map and material.
 
         Raises:
-            RecipeError: the file of the plan is missing.
+            RecipeError: plan or height map is missing.
         """
         del rig
-        found = {} if recipe.material.file is None else {"material": recipe.material.file}
-        if recipe.plan.file is None:
-            return found
-        if not recipe.plan.file.is_file():
-            raise RecipeError(f"{recipe.plan.file}: there is no such file of a plan")
-        return {**found, PLAN: recipe.plan.file}
+        named = {
+            "material": recipe.material.file,
+            PLAN: recipe.plan.file,
+            HEIGHT_MAP: recipe.surface.height_map,
+        }
+        found = {role: path for role, path in named.items() if path is not None}
+        for role, path in found.items():
+            if role != "material" and not path.is_file():
+                raise RecipeError(f"{path}: there is no such file of a {role.replace('_', ' ')}")
+        return found
 
     def from_copies(
         self, recipe: PlateRecipe, rig: RigFile, copies: Mapping[str, Path]
     ) -> tuple[PlateRecipe, RigFile]:
-        """The recipe with the copy of its plan."""
-        if PLAN not in copies:
-            return recipe, rig
-        plan = recipe.plan.model_copy(update={"file": copies[PLAN]})
-        return recipe.model_copy(update={"plan": plan}), rig
+        """The recipe with the copies of its plan and height map."""
+        if PLAN in copies:
+            plan = recipe.plan.model_copy(update={"file": copies[PLAN]})
+            recipe = recipe.model_copy(update={"plan": plan})
+        if HEIGHT_MAP in copies:
+            surface = recipe.surface.model_copy(update={"height_map": copies[HEIGHT_MAP]})
+            recipe = recipe.model_copy(update={"surface": surface})
+        return recipe, rig
 
     def predict(self, recipe: PlateRecipe, rig: RigFile, *, cached: bool) -> ExpectedPlate:
         """The radiances of the classes."""
@@ -110,8 +124,8 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         reference: Reference | None,
     ) -> PlateDecision:
         """Contrasts of the classes, single fields, and the code."""
-        del sitting, reference
-        return decide_plate(expected, measured, recipe)
+        del sitting
+        return decide_plate(expected, measured, recipe, cast("GoldenPlates | None", usable(reference)))
 
     def results(
         self,
@@ -123,7 +137,8 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         reference: Reference | None,
     ) -> Results:
         """Results for the record."""
-        del sitting, recipe, expected, measured, reference
+        del sitting, recipe, expected, measured
+        lacking = reference and reference.lacking
         return Results(
             decided.radiance,
             decided.predicted,
@@ -132,7 +147,58 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
             decided.d2,
             decided.dof,
             decided.p_value,
+            notes=(f"golden plates: {lacking}",) if lacking else (),
         )
+
+    def diagnose(
+        self,
+        sitting: Sitting,
+        recipe: PlateRecipe,
+        expected: ExpectedPlate,
+        measured: MeasuredPlate,
+        decided: PlateDecision,
+        reference: Reference | None,
+        advance: Advance = silent,
+        *,
+        cached: bool = False,
+    ) -> Explanation:
+        """What is wrong with single fields, and with the plate as a whole."""
+        del sitting, reference, cached
+        advance("causes", 0, 1)
+        try:
+            return Explanation(explain_plate(recipe, expected, measured, decided))
+        except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
+            return Explanation(DiagnosisRecord(says="not possible"), notes=(f"no diagnosis: {problem}",))
+
+    @property
+    def cause_words(self) -> Mapping[str, CauseWords]:
+        """Defects of fields, and causes of the whole plate."""
+        return PLATE_WORDS
+
+    def conclude(self, record: Record) -> ConclusionRecord:
+        """The verdict in plain words, with the places of the fields that fail."""
+        found, details = super().conclude(record), record.details
+        if not isinstance(details, PlateDetails) or not found.finding.startswith(FIELD_FINDINGS):
+            return found
+        dead = [one for one in details.fields if one.verdict == "FAIL"]
+        first, mark, rest = found.finding.removesuffix(".").partition(". ")
+        return found.model_copy(update={"finding": f"{first} ({places_text(dead)}){mark}{rest}."})
+
+    def nominal(self, record: Record) -> Mapping[str, float]:
+        """The ridge angle of the design."""
+        return {"ridge-angle": float(record.recipe["surface"]["design"]["ridge_angle_deg"])}
+
+    reference_set = GoldenPlates
+
+    def show_reference(
+        self,
+        known: Any,  # noqa: ANN401 - golden plates
+        recipe: PlateRecipe,
+        light_angle_deg: float = 10.0,
+    ) -> CommandOutput:
+        """Golden plates, and how much they vary."""
+        del recipe, light_angle_deg
+        return reference_table(known)
 
     def without_results(self) -> PlateDetails:
         """No contrasts."""
@@ -158,8 +224,6 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         """
         if recipe.decision.tolerance is None:
             return super().tolerances(recipe)
-        from anisoscope.kinds.plates.decision import contrast_pairs
-
         names, _ = contrast_pairs(recipe.plan.plan().letters, recipe.poses.poses())
         return dict.fromkeys(names, recipe.decision.tolerance)
 
@@ -186,7 +250,7 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         return RecipeCheck(product=recipe.product, complaints=tuple(complaints))
 
     def finding(self, record: Record) -> str:
-        """The fields that deviate, or the contrast that is most off."""
+        """Fields that deviate, the code, or the contrast that is most off."""
         found = record.details
         if not isinstance(found, PlateDetails) or not found.contrasts:
             return super().finding(record)
@@ -194,10 +258,12 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         worst = max(found.contrasts, key=lambda one: abs(one.measured - one.predicted))
         if dead and (worst.tolerance is None or abs(worst.measured - worst.predicted) < worst.tolerance):
             return fields_text(dead)
-        return (
-            f"Largest deviation of a contrast: {worst.name}, {worst.measured - worst.predicted:+.3f} from the "
-            f"predicted {worst.predicted:+.3f}"
-        )
+        if found.code is not None and found.code.unread and worst.verdict != "FAIL":
+            return f"The code is not read as {found.code.text!r}"
+        off, spread = worst.measured - worst.predicted, 2.0 * worst.u
+        if worst.tolerance is None:
+            return f"Largest deviation: {worst.name} is off by {off:+.3f} ± {spread:.2f}"
+        return f"Largest deviation: {worst.name} is off by {off:+.3f} ± {spread:.2f} (tolerance ±{worst.tolerance:g})"
 
     def pictures(
         self, recipe: PlateRecipe, expected: ExpectedPlate, measured: MeasuredPlate, decided: PlateDecision
@@ -229,7 +295,9 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
             f"{one.stage_deg:g}°" + (f", tilt {one.tilt_deg:g}°" if one.tilt_deg else "")
             for one in record.poses
         ]
-        return Sections(rule=RULE, before=source, content={"plate": found, "plate_poses": poses})
+        graded = [] if found.code is None else grade_rows(found.code)
+        content = {"plate": found, "plate_poses": poses, "plate_grades": graded}
+        return Sections(rule=RULE, before=source, content=content)
 
     def summary(self, record: Record) -> CommandOutput:
         """Contrasts and deviating fields."""
@@ -268,20 +336,38 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
 
 
 def code_lines(found: PlateDetails) -> tuple[str, ...]:
-    """What the code says, and its grades, a line each."""
-    code = found.code
-    if code is None:
-        return ()
-    read = ", ".join("not read" if one is None else repr(one) for one in code.readings)
-    lines = [f"{code.symbology} at the poses in turn: {read}"]
-    for stage in dict.fromkeys(one.stage_deg for one in code.grades):
-        parts = [one for one in code.grades if one.stage_deg == stage]
-        text = "; ".join(
-            f"{one.parameter} {one.measured:.2f} (grade {one.measured_grade}, predicted {one.predicted_grade})"
-            for one in parts
-        )
-        lines.append(f"at {stage:g}°: {text}")
+    """What the code says, and its grades, a line each; and what the test of single fields would find."""
+    code, lines = found.code, []
+    if code is not None:
+        read = ", ".join("not read" if one is None else repr(one) for one in code.readings)
+        lines.append(f"{code.symbology} at the poses in turn: {read}")
+        lines += grade_lines(code)
+    if found.powers:
+        powers = ", ".join(f"{one.defect} {one.power:.0%}" for one in found.powers)
+        lines.append(f"probability that a single field with a defect is found: {powers}")
     return tuple(lines)
+
+
+def grade_rows(code: CodeRecord) -> list[tuple[str, list[GradeRecord]]]:
+    """Parameters, each with its grade at every pose in which the code must be read."""
+    names = dict.fromkeys(one.parameter for one in code.grades)
+    return [(name, [one for one in code.grades if one.parameter == name]) for name in names]
+
+
+def grade_lines(code: CodeRecord) -> list[str]:
+    """Overall grade of every pose, and the parameters that bound it."""
+    lines = []
+    for stage in dict.fromkeys(one.stage_deg for one in code.grades):
+        parts = {one.parameter: one for one in code.grades if one.stage_deg == stage}
+        if OVERALL not in parts:  # a record of an earlier version
+            continue
+        whole = parts.pop(OVERALL)
+        weak = [f"{one.parameter} {one.measured:.2f}" for one in parts.values() if one.measured_grade < 4]
+        by = f"; below 4: {', '.join(weak)}" if weak else ""
+        lines.append(
+            f"at {stage:g}°: overall grade {whole.measured_grade} (predicted {whole.predicted_grade}){by}"
+        )
+    return lines
 
 
 PLATES = Plates()

@@ -11,7 +11,9 @@ from anisoscope.base.errors import MeasurementError, RegistrationError
 from anisoscope.imaging.pose_radiance import check_light, check_view
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import Grid, View, resample
-from anisoscope.kinds.plates.expectation import ExpectedPlate
+from anisoscope.kinds.plates.code_symbol import read_picture
+from anisoscope.kinds.plates.expectation import ExpectedPlate, Lying
+from anisoscope.kinds.plates.field_places import FieldPlaces, field_places
 from anisoscope.kinds.plates.recipe import PlateRecipe
 from anisoscope.profiles.plates import Plan
 
@@ -21,11 +23,20 @@ LEAST_PIXELS = 8
 """Camera pixels along the side of a field."""
 ALIKE = 0.5
 """Correlation with the plan below which a plate is another one."""
-BETTER = 0.2
-"""By how much another position of the plate must correlate better."""
+CLOSER = 0.1
+"""By how much ln L of another position of the plate must fit better, on average over the fields."""
+FITS = 0.3
+"""Mean distance of ln L from the best position up to which the plate is that of the plan, lying otherwise."""
+LEVEL = 0.4
+"""Largest common difference of ln L that is left out when positions are compared: plastic and lamp."""
+FARTHEST = 1.0
+UNLIKE_SHARE = 0.35
+"""Scatter of ln L over the fields, by that of the plan, below which a plate shows no fields at all."""
+LEAST_SCATTER = 0.05
+"""Scatter of ln L over the fields of a plan below which there is nothing to correlate with."""
 MOST_MISSING = 0.02
-DECODED_POINTS = 6
-"""Points a field in the pictures in which codes are read, at least."""
+MOST_SHIFT, MOST_TURN_DEG = 0.25, 2.0
+"""Shift in fields, and turn against the fixture, beyond which a plate does not lie in its seat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +52,7 @@ class MeasuredPlate:
         drift: change of the first pose until the end, or None.
         alike: correlation with the plan.
         texts: what the code says in every pose; None where it is not read, or the plate has none.
+        places: where the fields lie in every pose; None where too few borders show.
     """
 
     radiance: FloatArray
@@ -51,6 +63,7 @@ class MeasuredPlate:
     drift: float | None
     alike: float
     texts: tuple[str | None, ...]
+    places: tuple[FieldPlaces | None, ...] = ()
 
 
 def plate_grid(recipe: PlateRecipe, plan: Plan, pixel_um: float) -> tuple[Grid, int]:
@@ -126,10 +139,34 @@ def measure_plate(
         again = field_means(resample(closing.image.value, closing.placement, grid), points, interior)
         drift = float(np.nanmean(again) / np.nanmean(radiance[0]) - 1.0)
     correlation = check_plan(radiance, expected)
+    places = tuple(field_places(one, points) for one in aligned)
+    check_places(places, expected.plan.module_mm)
     texts = tuple(read_code(one, recipe, points) for one in aligned)
     return MeasuredPlate(
-        radiance, per_um * recipe.u_place_um, noise, aligned, grid, drift, correlation, texts
+        radiance, per_um * recipe.u_place_um, noise, aligned, grid, drift, correlation, texts, places
     )
+
+
+def check_places(places: tuple[FieldPlaces | None, ...], module_mm: float) -> None:
+    """Check that the plate lies in its seat.
+
+    Raises:
+        RegistrationError: it is shifted or turned against the markers.
+    """
+    known = [one for one in places if one is not None]
+    if not known:
+        return
+    x, y = np.median([one.shift for one in known], axis=0)
+    if max(abs(x), abs(y)) > MOST_SHIFT:
+        raise RegistrationError(
+            f"the fields lie {x * module_mm:+.3f} mm, {y * module_mm:+.3f} mm (x, y) off their places (limit "
+            f"{MOST_SHIFT * module_mm:g} mm): seat the plate against its stops, or correct region.center_mm"
+        )
+    turn = float(np.median([one.turn_deg for one in known]))
+    if abs(turn) > MOST_TURN_DEG:
+        raise RegistrationError(
+            f"the plate lies turned by {turn:+.1f}° in its seat (limit ±{MOST_TURN_DEG:g}°): seat it against its stops"
+        )
 
 
 def _noise(view: View, points: int, pixel_um: float, grid: Grid) -> float:
@@ -143,50 +180,72 @@ def _noise(view: View, points: int, pixel_um: float, grid: Grid) -> float:
 def check_plan(radiance: FloatArray, expected: ExpectedPlate) -> float:
     """Correlation of the fields with those of the plan.
 
+    Positions are compared by the mean distance of ln L from what each would show, and by the correlation: where no
+    class faces the light in any pose, as often after a turn by 180°, hardly a field differs from another.
+
     Args:
         radiance: (P, rows, cols) measured.
         expected: the prediction.
 
     Raises:
-        MeasurementError: the plate lies turned, or is not the one of the plan.
+        MeasurementError: the plate lies turned or upside down, or is not the one of the plan.
     """
     seen = np.log(radiance)
-    seen = seen - np.nanmean(seen, axis=(1, 2), keepdims=True)
-    plan, found = expected.plan, {}
-    for quarters in range(4):
-        # a plate turned by quarters: its places turn, and so do its directions
-        classes = np.rot90(plan.classes(), quarters)
-        if classes.shape != plan.shape:
-            continue
-        found[f"turned by {90 * quarters}°"] = _alike(seen, classes, expected.turned[quarters])
-        found[f"turned by {90 * quarters}°, mirrored"] = _alike(
-            seen, classes[:, ::-1], expected.turned[quarters]
-        )
-    right = found.pop("turned by 0°")
-    best = max(found, key=lambda name: found[name])
-    if found[best] > max(right + BETTER, ALIKE):
-        if best.endswith("mirrored"):
+    right, *others = expected.lying
+    alike = _alike(seen, right)
+    distance = _distance(seen, right)
+    best = min(others, key=lambda one: _distance(seen, one), default=right)
+    closest = _distance(seen, best)
+    if closest < min(distance - CLOSER, FITS) and _alike(seen, best) >= ALIKE:
+        if best.mirrored:
             raise MeasurementError(
-                f"the fields are those of the plan {best} (correlation {found[best]:.2f}, as planned {right:.2f}): "
-                "the plan is mirrored, or is that of the mould"
+                f"the fields are those of the plan mirrored{best.turned_text} (mean distance of ln L "
+                f"{closest:.2f}, as planned {distance:.2f}): the plan is mirrored, or is that of the mould"
             )
         raise MeasurementError(
-            f"the plate lies {best} (correlation with the plan {found[best]:.2f}, as it should lie {right:.2f}): seat "
-            "it as the recipe says"
+            f"the plate lies{best.turned_text} (mean distance of ln L {closest:.2f}, as it should lie "
+            f"{distance:.2f}): seat it as the recipe says"
         )
-    if right < ALIKE:
+    if alike >= ALIKE:
+        return alike
+    shown, planned = (float(np.nanstd(_within_poses(one))) for one in (seen, _due(right)))
+    if planned < LEAST_SCATTER and distance < FITS:
+        return alike
+    if shown < UNLIKE_SHARE * planned:
         raise MeasurementError(
-            f"the fields are not those of the plan (correlation {right:.2f}, at least {ALIKE:g} is needed): is it the "
-            "plan of another plate, or does the plate lie upside down?"
+            f"the fields hardly differ from each other (standard deviation of ln L {shown:.2f}, of the plan "
+            f"{planned:.2f}): does the plate lie turned by 180° or upside down, or has it no ridges?"
         )
-    return right
+    raise MeasurementError(
+        f"the fields are not those of the plan (correlation {alike:.2f}, at least {ALIKE:g} is needed): is it the plan "
+        "of another plate?"
+    )
 
 
-def _alike(seen: FloatArray, classes: npt.NDArray[np.int64], light: FloatArray) -> float:
-    """Correlation of what is seen with ln radiances (C, P) of classes, over fields and poses."""
-    due = np.where(classes >= 0, light.T[:, np.maximum(classes, 0)], np.nan)
+def _due(lying: Lying) -> FloatArray:
+    """(P, rows, cols) ln L of the fields of a position; NaN for flat ones."""
+    return np.where(lying.classes >= 0, lying.ln.T[:, np.maximum(lying.classes, 0)], np.nan)
+
+
+def _within_poses(ln: FloatArray) -> FloatArray:
+    """Ln L less its mean in every pose."""
+    return np.asarray(ln - np.nanmean(ln, axis=(1, 2), keepdims=True))
+
+
+def _distance(seen: FloatArray, lying: Lying) -> float:
+    """Mean distance of ln L from what a position would show, its level aside; large ones count alike."""
+    if lying.classes.shape != seen.shape[1:]:
+        return float("inf")
+    off = seen - _due(lying)
+    level = float(np.clip(np.nanmedian(off), -LEVEL, LEVEL))
+    return float(np.nanmean(np.minimum(np.abs(off - level), FARTHEST)))
+
+
+def _alike(seen: FloatArray, lying: Lying) -> float:
+    """Correlation of what is seen with the ln radiances of a position, over fields and poses."""
+    due = _within_poses(_due(lying))
+    seen = _within_poses(seen)
     known = np.isfinite(due) & np.isfinite(seen)
-    due = due - np.nanmean(due, axis=(1, 2), keepdims=True)
     a, b = seen[known] - seen[known].mean(), due[known] - due[known].mean()
     size = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / size if size > 0.0 else 0.0
@@ -199,21 +258,4 @@ def read_code(picture: Image, recipe: PlateRecipe, points: int) -> str | None:
     known = np.nan_to_num(picture, nan=float(np.nanmedian(picture)))
     # ridges are finer than modules: what is read is the mean over a good part of a module
     grey = np.asarray(cv2.blur(known, (max(1, points // 3),) * 2), dtype=np.float32)
-    return decoded(grey, recipe.code.symbology)
-
-
-def decoded(picture: FloatArray | Image, symbology: str) -> str | None:
-    """Text of a code in a grey picture, dark on light or light on dark; None where none is read."""
-    import importlib  # noqa: PLC0415
-    from typing import Any  # noqa: PLC0415
-
-    library: Any = importlib.import_module("zxingcpp")  # compiled, without types
-    low, high = np.percentile(picture, [1.0, 99.0])
-    grey = np.clip(255.0 * (picture - low) / max(high - low, 1e-12), 0.0, 255.0).astype(np.uint8)
-    kind = {"datamatrix": library.BarcodeFormat.DataMatrix, "qr": library.BarcodeFormat.QRCode}[symbology]
-    for one in (grey, 255 - grey):
-        framed = cv2.copyMakeBorder(one, *(4 * DECODED_POINTS,) * 4, cv2.BORDER_REPLICATE)
-        for found in library.read_barcodes(framed, formats=kind):
-            if found.valid:
-                return str(found.text)
-    return None
+    return read_picture(grey, recipe.code.symbology)

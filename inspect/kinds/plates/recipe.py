@@ -89,8 +89,9 @@ class CodePart(Part):
 class FieldsPart(Part):
     """Limits of single fields.
 
-    ``tolerance`` is the largest |ln| by which a field may differ from the median of its class in any pose; ``most`` how
-    many fields may. ``interior`` is the share of the side of a field over which it is averaged.
+    ``tolerance`` is the largest |ln| by which a field may differ from the middle of its class in any pose; ``most`` how
+    many fields may. ``interior`` is the share of the side of a field over which it is averaged. With a height map the
+    field is compared with what the map predicts of it.
     """
 
     tolerance: Positive = 0.25
@@ -120,9 +121,17 @@ class PlateRecipe(RecipeBase):
 
     @model_validator(mode="after")
     def _is_a_plate(self) -> Self:
-        if self.surface.design is None or self.surface.height_map is not None:
+        if self.surface.design is None:
             raise ValueError(
-                "surface: the fields of a plate are compared with ideal ridges: give design, and no height_map"
+                "surface: a plate needs design, the ideal ridges of its fields, also with a height_map"
+            )
+        if self.surface.height_map is not None and self.surface.decides != "height_map":
+            raise ValueError(
+                'surface: the height_map of a plate decides: say compare = "height_map", or leave the map out'
+            )
+        if self.surface.roughness == "plastic":
+            raise ValueError(
+                'surface: plates know no roughness = "plastic": give the roughness that the map does not resolve'
             )
         if self.plan.rows:
             self._check_plan(self.plan.plan())
@@ -175,4 +184,5 @@ class PlateRecipe(RecipeBase):
             "scatter",
         )
         tables = {name: getattr(self, name) for name in common}
+        tables["surface"] = self.surface.model_copy(update={"height_map": None, "compare": None})
         return SurfaceRecipe.model_validate({"schema": 1, "poses": poses, **tables})

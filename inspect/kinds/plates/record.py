@@ -1,12 +1,7 @@
 """What a record holds of a plate: contrasts of its classes, fields that deviate, readings and grades of its code."""
 
-from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
-from anisoscope.base.arrays import FloatArray
 from anisoscope.record.details import Details
 from anisoscope.record.verdict import Verdict
 
@@ -30,7 +25,9 @@ class PlateContrastRecord(_Part):
 class FieldRecord(_Part):
     """A field that deviates from its class: row and column from 0 at the top left, ln ratio to the class by pose.
 
-    ``looks_like`` names the defect whose predicted change is nearest, None where none is near.
+    With a height map it is the ln ratio to what the map predicts. ``looks_like`` names the defect whose predicted
+    change is nearest, None where none is near. ``p_value`` is that of the scatter of its class, Holm-adjusted over the
+    plate; ``significant`` says whether it is below the level of fields.
     """
 
     row: int
@@ -40,6 +37,32 @@ class FieldRecord(_Part):
     u: float
     verdict: Verdict
     looks_like: str | None
+    p_value: float = 1.0
+    significant: bool = False
+
+
+class PowerRecord(_Part):
+    """Probability that a single field with a defect is found on this plate, by its deviation from its class."""
+
+    defect: str
+    power: float
+
+
+class PlacementRecord(_Part):
+    """How the fields of a pose lie against the fixture: shift (x, y) in mm, turn, and the non-uniformities."""
+
+    shift_mm: tuple[float, float]
+    turn_deg: float
+    axial: float
+    grid: float
+
+
+class GoldenPlatesRecord(_Part):
+    """Comparison of the classes with golden plates: how many, Hotelling's T² and its p value."""
+
+    parts: int
+    t2: float
+    p_value: float
 
 
 class ClassRecord(_Part):
@@ -73,6 +96,7 @@ class CodeRecord(_Part):
     readings: tuple[str | None, ...]
     required: tuple[bool, ...]
     grades: tuple[GradeRecord, ...] = ()
+    predicted_readings: tuple[str | None, ...] = ()
 
     @property
     def unread(self) -> tuple[int, ...]:
@@ -85,7 +109,7 @@ class CodeRecord(_Part):
 
 
 class PlateDetails(Details):
-    """Classes, contrasts, deviating fields, correlation with the plan, and code of a plate."""
+    """Classes, contrasts, deviating fields, correlation with the plan, places, and code of a plate."""
 
     classes: tuple[ClassRecord, ...] = ()
     contrasts: tuple[PlateContrastRecord, ...] = ()
@@ -93,6 +117,11 @@ class PlateDetails(Details):
     field_count: int = 0
     alike: float | None = None
     code: CodeRecord | None = None
+    powers: tuple[PowerRecord, ...] = ()
+    placement: tuple[PlacementRecord | None, ...] = ()
+    field_offsets: tuple[tuple[tuple[float | None, ...], ...], ...] = ()
+    """(P, rows, cols) ln L of every field less the middle of its class; none of plates of very many fields."""
+    golden: GoldenPlatesRecord | None = None
 
     def numbers(self) -> dict[str, float]:
         """The contrasts by their names, and the number of fields that deviate."""
@@ -112,69 +141,3 @@ class PlateDetails(Details):
     def compared(self) -> dict[str, float]:
         """The contrasts."""
         return {one.name: one.measured for one in self.contrasts}
-
-
-# ---- grades of the code ----------------------------------------------------------------------------------------
-
-CONTRAST_STEPS = 0.30, 0.25, 0.20, 0.15
-MODULATION_STEPS = 0.50, 0.40, 0.30, 0.20
-DAMAGE_STEPS = 0.0, 0.09, 0.13, 0.17
-
-
-@dataclass(frozen=True)
-class Grade:
-    """Value and grade of one parameter: 4 is the best, 0 fails."""
-
-    parameter: str
-    value: float
-    grade: int
-
-
-def graded(
-    radiance: FloatArray, dark: npt.NDArray[np.bool_], symbology: str, quiet: int = 1
-) -> tuple[Grade, ...]:
-    """Grades of a code after ISO/IEC 29158 (cell contrast) and ISO/IEC 15415 (modulation, fixed pattern damage).
-
-    Modulation is the least of all modules, without the allowance for error correction; fixed pattern damage is the
-    share of wrong modules in the finder pattern.
-
-    Args:
-        radiance: (rows, cols) of the modules, quiet zone included.
-        dark: (rows, cols) which of them should be the darker ones.
-        symbology: "datamatrix" or "qr".
-        quiet: width of the quiet zone in modules.
-
-    Returns:
-        Cell contrast, cell modulation, fixed pattern damage, share of wrong modules.
-    """
-    light_mean, dark_mean = float(np.nanmean(radiance[~dark])), float(np.nanmean(radiance[dark]))
-    contrast = (light_mean - dark_mean) / light_mean if light_mean > 0.0 else 0.0
-    threshold = 0.5 * (light_mean + dark_mean)
-    away = np.where(dark, threshold - radiance, radiance - threshold) / max(
-        0.5 * abs(light_mean - dark_mean), 1e-12
-    )
-    wrong = ~(away > 0.0)
-    modulation = max(float(np.nanmin(away)), 0.0)
-    inner = wrong[quiet : wrong.shape[0] - quiet, quiet : wrong.shape[1] - quiet]
-    damage = max(float(np.mean(part)) for part in _finder(inner, symbology))
-    share = float(np.mean(wrong))
-    return (
-        Grade("cell contrast", contrast, _at_least(contrast, CONTRAST_STEPS)),
-        Grade("cell modulation", modulation, _at_least(modulation, MODULATION_STEPS)),
-        Grade("fixed pattern damage", damage, _at_most(damage, DAMAGE_STEPS)),
-    ) + ((Grade("wrong modules", share, 4 if share == 0.0 else 0),) if share > 0.0 else ())
-
-
-def _finder(wrong: npt.NDArray[np.bool_], symbology: str) -> list[npt.NDArray[np.bool_]]:
-    """Parts of the finder pattern."""
-    if symbology == "datamatrix":
-        return [wrong[:, 0], wrong[-1]]
-    return [wrong[:7, :7], wrong[:7, -7:], wrong[-7:, :7]]
-
-
-def _at_least(value: float, steps: tuple[float, ...]) -> int:
-    return next((4 - n for n, step in enumerate(steps) if value >= step), 0)
-
-
-def _at_most(value: float, steps: tuple[float, ...]) -> int:
-    return next((4 - n for n, step in enumerate(steps) if value <= step), 0)

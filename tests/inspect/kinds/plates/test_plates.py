@@ -7,26 +7,37 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope.base.errors import MeasurementError, RecipeError
+from anisoscope.base.errors import HeightMapError, MeasurementError, RecipeError
 from anisoscope.cli.demo import plates as demo
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.kinds.plates.decision import decide_plate, looks_like, predicted_fields
+from anisoscope.kinds.plates.causes import explain_plate, plate_signatures
+from anisoscope.kinds.plates.code_symbol import read_picture
+from anisoscope.kinds.plates.decision import decide_plate
 from anisoscope.kinds.plates.expectation import expected_plate
+from anisoscope.kinds.plates.field_judgement import looks_like, predicted_fields
+from anisoscope.kinds.plates.field_places import field_places
 from anisoscope.kinds.plates.kind import PLATES
-from anisoscope.kinds.plates.measurement import MeasuredPlate, check_plan, decoded, field_means
-from anisoscope.kinds.plates.record import graded
+from anisoscope.kinds.plates.measurement import MeasuredPlate, check_places, check_plan, field_means
+from anisoscope.kinds.plates.reference_plates import GoldenPlate, GoldenPlates, reference_table
 from anisoscope.kinds.registry import kind_of
-from anisoscope.profiles.plates import Plan
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.plates import Plan, plate_map
 from anisoscope.sim.design.plates import modules_of_code
 
 LIGHT_DEG = 10.0
+
+
+def two_poses():
+    """The recipe of the demo at the poses in which its code is read."""
+    return demo.recipe() | {"poses": {"angles_deg": demo.READ_AT_DEG}}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("plate")
     (where / "plan.csv").write_text("\n".join(",".join(row) for row in demo.plan_rows()))
-    (where / "recipe.toml").write_text(tomli_w.dumps(demo.recipe()))
+    (where / "recipe.toml").write_text(tomli_w.dumps(two_poses()))
     return where
 
 
@@ -40,7 +51,7 @@ def expected(recipe):
     return expected_plate(recipe, recipe.plan.plan(), LIGHT_DEG, cached=True)
 
 
-def measured(expected, factor=None, texts=(demo.TEXT, demo.TEXT), seed=1, scatter=0.02):
+def measured(expected, factor=None, texts=None, seed=1, scatter=0.02):
     """A plate as predicted but for a scatter between its fields, and factors on some."""
     shown = predicted_fields(expected)
     rng = np.random.default_rng(seed)
@@ -48,6 +59,7 @@ def measured(expected, factor=None, texts=(demo.TEXT, demo.TEXT), seed=1, scatte
     if factor is not None:
         shown = shown * factor
     none = np.full(shown.shape, 1e-3)
+    texts = (demo.TEXT,) * len(shown) if texts is None else texts
     return MeasuredPlate(
         shown, none, np.full(len(shown), 1e-3), (), Grid((0.0, 0.0), 0.005, (9, 9)), 0.0, 0.99, texts
     )
@@ -88,7 +100,7 @@ def test_fields_with_a_defect_are_found_and_named(expected, recipe, defect):
     assert sorted((one.row, one.col) for one in found.details.fields) == sorted(places)
     assert {one.looks_like for one in found.details.fields} == {defect}
     assert sorted(zip(*np.nonzero(found.deviating), strict=True)) == sorted(places)
-    assert "3 fields deviate from the class" in found.reasons[0]
+    assert "3 fields deviate from their class" in found.reasons[0]
 
 
 def test_a_plate_worn_all_over_fails_by_its_classes_not_by_its_fields(expected, recipe):
@@ -114,31 +126,172 @@ def test_what_looks_like_no_defect_is_not_named(expected):
     defects = {name: one[0] for name, one in expected.defects.items()}
     assert looks_like(np.array([3.0, 3.0]), defects) is None
     assert looks_like(defects["worn"], defects) == "worn"
+    assert looks_like(0.6 * defects["worn"], defects) == "worn"
+
+
+def test_a_single_worn_field_is_found_by_the_scatter_of_its_class(expected, recipe):
+    one = measured(expected, changed(expected, [(3, 4)], "worn"))
+    found = decide_plate(expected, one, recipe)
+    (field,) = found.details.fields
+    assert (field.row, field.col, field.looks_like, field.significant) == (3, 4, "worn", True)
+    assert field.p_value < 1e-4
+    assert found.verdict == "PASS"
+    assert found.reasons[0].startswith(
+        "warning: within the tolerance, but beyond the scatter: 1 field deviates"
+    )
+    strict = recipe.model_copy(
+        update={"decision": recipe.decision.model_copy(update={"deviation": "fail", "alpha": 0.01})}
+    )
+    assert decide_plate(expected, one, strict).verdict == "FAIL"
+    powers = {one.defect: one.power for one in found.details.powers}
+    assert powers["missing"] > 0.999
+    assert 0.05 < powers["worn"] < 1.0
+
+
+def lying(expected, **position):
+    """(P, rows, cols) what a position of the plate shows, with the level of the prediction."""
+    (one, *_) = [
+        one for one in expected.lying if all(getattr(one, name) == value for name, value in position.items())
+    ]
+    level = np.log(expected.radiance).mean() - expected.lying[0].ln.mean()
+    rng = np.random.default_rng(3)
+    ln = one.ln.T[:, np.maximum(one.classes, 0)] + level
+    return np.exp(ln + 0.02 * rng.standard_normal(ln.shape))
 
 
 def test_a_plate_that_lies_otherwise_or_is_another_one_is_invalid(expected):
     good = measured(expected).radiance
     assert check_plan(good, expected) > 0.95
-    # turned by a quarter: places and directions turn
-    classes = np.rot90(expected.plan.classes(), 1)
-    light = np.exp(expected.turned[1])
-    turned = light.T[:, np.maximum(classes, 0)]
-    with pytest.raises(
-        MeasurementError, match=r"the plate lies turned by 90° \(correlation with the plan 1\.00"
-    ):
-        check_plan(turned, expected)
-    mirrored = good[:, :, ::-1]
-    with pytest.raises(MeasurementError, match="the plan is mirrored, or is that of the mould"):
-        check_plan(mirrored, expected)
+    for quarters in (1, 2, 3):
+        with pytest.raises(MeasurementError, match=rf"the plate lies turned by {90 * quarters}° "):
+            check_plan(lying(expected, quarters=quarters, mirrored=False), expected)
+    for shown in (good[:, :, ::-1], lying(expected, quarters=0, mirrored=True)):
+        with pytest.raises(MeasurementError, match="the plan is mirrored, or is that of the mould"):
+            check_plan(shown, expected)
     rng = np.random.default_rng(1)
     other = rng.permuted(good.reshape(len(good), -1), axis=1).reshape(good.shape)
-    with pytest.raises(
-        MeasurementError, match=r"are not those of the plan.*plan of another plate, or .* upside down"
-    ):
+    with pytest.raises(MeasurementError, match=r"are not those of the plan.*plan of another plate"):
         check_plan(other, expected)
     flat = 0.05 * np.exp(0.02 * rng.standard_normal(good.shape))
-    with pytest.raises(MeasurementError, match="upside down"):
+    with pytest.raises(MeasurementError, match="turned by 180° or upside down, or has it no ridges"):
         check_plan(flat, expected)
+
+
+def test_places_of_fields_give_shift_turn_and_non_uniformity(expected):
+    classes, points = expected.plan.classes(), 20
+    fields = np.where(classes == 0, 0.27, 0.03)
+    picture = np.kron(fields, np.ones((points, points))).astype(np.float32)
+    even = field_places(picture, points)
+    np.testing.assert_allclose([*even.shift, even.turn_deg, even.axial, even.grid], 0.0, atol=1e-3)
+    middle = (picture.shape[0] - 1) / 2.0
+    turn, wide = np.radians(0.5), 1.02  # counter-clockwise; 2 % wider along x
+    cos, sin = np.cos(turn), np.sin(turn)
+    linear = np.array([[cos * wide, sin], [-sin * wide, cos]])  # rows count downward
+    offset = middle - linear @ [middle, middle] + [2.0, -1.0]  # 0.1 fields to the right, 0.05 up
+    moved = cv2.warpAffine(
+        picture, np.column_stack([linear, offset]), picture.shape[::-1], borderMode=cv2.BORDER_REPLICATE
+    )
+    found = field_places(moved, points)
+    np.testing.assert_allclose(found.shift, [0.1, 0.05], atol=0.02)
+    assert found.turn_deg == pytest.approx(0.5, abs=0.05)
+    assert found.axial == pytest.approx(0.02, abs=0.003)
+    assert found.grid < 0.06
+    one = picture.copy()
+    row, col = 1, 5  # moved to the right by a fifth of a field
+    neighbours = [(row, col - 1), (row, col + 1)]
+    assert {int(classes[place]) for place in neighbours} == {1 - int(classes[row, col])}
+    one[20:40, 100:104] = fields[row, col - 1]
+    one[20:40, 120:124] = fields[row, col]
+    assert field_places(one, points).grid == pytest.approx(0.2, abs=0.04)
+    assert field_places(np.full_like(picture, 0.1), points) is None
+    with pytest.raises(
+        MeasurementError, match=r"\+0\.060 mm, \+0\.000 mm .* off their places \(limit 0\.05 mm\)"
+    ):
+        check_places((replace_shift(even, 0.3, 0.0),), 0.2)
+    with pytest.raises(MeasurementError, match=r"turned by \+3\.0° in its seat"):
+        check_places((replace_turn(even, 3.0),), 0.2)
+
+
+def replace_shift(places, x, y):
+    """The places with a shift of all borders, in fields."""
+    return replace(
+        places,
+        across=replace(places.across, off=places.across.off + x),
+        down=replace(places.down, off=places.down.off - y),
+    )
+
+
+def replace_turn(places, turn_deg):
+    """The places turned counter-clockwise."""
+    turn = np.tan(np.radians(turn_deg))
+    return replace(
+        places,
+        across=replace(places.across, off=places.across.off + turn * places.across.row),
+        down=replace(places.down, off=places.down.off - turn * places.down.col),
+    )
+
+
+def test_causes_of_fields_and_of_the_whole_plate_are_told_apart(recipe):
+    poses = recipe.poses.model_copy(update={"angles_deg": (0.0, 90.0, 180.0, 270.0)})
+    recipe = recipe.model_copy(update={"poses": poses})
+    expected = expected_plate(recipe, recipe.plan.plan(), LIGHT_DEG, cached=True)
+
+    def explained(factor):
+        seen = measured(expected, factor)
+        decided = decide_plate(expected, seen, recipe)
+        return explain_plate(recipe, expected, seen, decided)
+
+    assert explained(None).says == "nothing: the plate is as it should be"
+    fields = explained(changed(expected, [(3, 4), (6, 8)], "missing"))
+    assert [(one.cause, one.severity) for one in fields.causes] == [("fields-missing", 2.0)]
+    known = {one.cause.name: one for one in plate_signatures(recipe, expected).found}
+    shape = expected.radiance.shape
+    for name, extent in (("ridge-angle", -1.5), ("wear", 12.0), ("incomplete-filling", 0.3)):
+        change = known[name].at(extent)[0]
+        factor = np.exp(change[:-1].reshape(shape)).T[:, np.maximum(expected.plan.classes(), 0)]
+        seen = measured(expected, factor)
+        decided = decide_plate(expected, seen, recipe)
+        found = explain_plate(recipe, expected, seen, decided).causes[0]
+        assert found.cause == name
+        assert found.severity == pytest.approx(extent, rel=0.25)
+    assert set(known) <= set(PLATES.cause_words)
+
+
+def test_golden_plates_replace_the_prediction_and_take_the_pattern_of_the_mould(expected, recipe):
+    pattern = np.exp(0.1 * np.random.default_rng(9).standard_normal((2, 12, 12)))
+    rng = np.random.default_rng(4)
+
+    def plate(seed, factor=1.0):
+        level = np.exp(0.03 * rng.standard_normal((2, 1, 1)))
+        return measured(expected, pattern * level * factor, seed=seed, scatter=0.01)
+
+    def row(seed):
+        found = decide_plate(expected, plate(seed), recipe).details
+        return GoldenPlate(
+            serial=f"G-{seed}",
+            inspected_at=f"2026-01-{seed + 1:02d}",
+            ln_classes=tuple(tuple(np.log(one.measured)) for one in found.classes),
+            offsets=found.field_offsets,
+            verdict="PASS",
+        )
+
+    golden = GoldenPlates(
+        product="p", recipe_key="k", poses=((0.0, 0.0), (90.0, 0.0)), parts=tuple(row(n) for n in range(10))
+    )
+    assert golden.directions == 3
+    assert golden.lacking is None
+    worn = changed(expected, [(3, 4)], "worn")
+    alone = decide_plate(expected, plate(50, worn), recipe).details
+    with_golden = decide_plate(expected, plate(50, worn), recipe, golden).details
+    assert alone.golden is None
+    assert with_golden.golden.parts == 10
+    assert with_golden.golden.p_value > 1e-3
+    # the pattern hides the worn field; without the pattern it shows
+    powers = [{one.defect: one.power for one in found.powers}["worn"] for found in (alone, with_golden)]
+    assert powers[1] > 0.99 > powers[0]
+    assert (3, 4) in [(one.row, one.col) for one in with_golden.fields if one.significant]
+    (table,) = reference_table(golden).tables
+    assert table.rows[-1][0] == "scatter"
 
 
 def test_the_mean_of_a_field_is_that_of_its_middle():
@@ -154,35 +307,15 @@ def test_the_mean_of_a_field_is_that_of_its_middle():
 def test_codes_are_read_dark_on_light_and_light_on_dark(symbology):
     dark = modules_of_code("RIDGE 7", symbology)
     picture = np.kron(np.where(dark, 0.03, 0.27), np.ones((9, 9))).astype(np.float32)
-    assert decoded(picture, symbology) == "RIDGE 7"
-    assert decoded(0.3 - picture, symbology) == "RIDGE 7"
-    assert decoded(np.full_like(picture, 0.1), symbology) is None
-
-
-def test_grades_follow_contrast_modulation_and_damage():
-    dark = modules_of_code("A17", "datamatrix")
-    rng = np.random.default_rng(1)
-    light = np.where(dark, 0.03, 0.27)
-    perfect = {one.parameter: one for one in graded(light, dark, "datamatrix")}
-    assert perfect["cell contrast"].value == pytest.approx(1.0 - 0.03 / 0.27)
-    assert {one.grade for one in perfect.values()} == {4}
-    assert "wrong modules" not in perfect
-    pale = {one.parameter: one for one in graded(np.where(dark, 0.22, 0.27), dark, "datamatrix")}
-    assert pale["cell contrast"].grade == 1
-    noisy = np.where(dark, 0.03, 0.27) + 0.075 * rng.uniform(-1.0, 1.0, dark.shape)
-    assert 0 < {one.parameter: one for one in graded(noisy, dark, "datamatrix")}["cell modulation"].grade < 4
-    broken = light.copy()
-    broken[3:5, 1] = 0.27  # two modules of the left side of the finder pattern
-    damaged = {one.parameter: one for one in graded(broken, dark, "datamatrix")}
-    assert damaged["fixed pattern damage"].value == pytest.approx(0.2)
-    assert damaged["fixed pattern damage"].grade == 0
-    assert damaged["wrong modules"].value == pytest.approx(2 / dark.size)
+    assert read_picture(picture, symbology) == "RIDGE 7"
+    assert read_picture(0.3 - picture, symbology) == "RIDGE 7"
+    assert read_picture(np.full_like(picture, 0.1), symbology) is None
 
 
 def test_a_plan_may_be_an_image_or_rows_and_its_table_makes_the_kind(folder, recipe, tmp_path):
     dark = modules_of_code(demo.TEXT, "datamatrix")
     cv2.imwrite(str(tmp_path / "plan.png"), np.where(dark, 0, 255).astype(np.uint8))
-    table = demo.recipe()
+    table = two_poses()
     del table["kind"]
     table["plan"]["file"] = "plan.png"
     (tmp_path / "recipe.toml").write_text(tomli_w.dumps(table))
@@ -207,11 +340,22 @@ def test_a_plan_may_be_an_image_or_rows_and_its_table_makes_the_kind(folder, rec
             {"code": {"text": "A17", "read_at_deg": [45.0]}},
             r"code\.read_at_deg: 45 is none of poses\.angles_deg",
         ),
-        ({"surface": {"pitch_um": 50.0, "height_map": "map.x3p"}}, "give design, and no height_map"),
+        ({"surface": {"pitch_um": 50.0, "height_map": "map.x3p"}}, "a plate needs design"),
+        (
+            {
+                "surface": {
+                    "pitch_um": 50.0,
+                    "height_map": "map.x3p",
+                    "design": {"ridge_angle_deg": 10.0},
+                    "compare": "design",
+                }
+            },
+            "the height_map of a plate decides",
+        ),
     ],
 )
 def test_a_recipe_that_does_not_fit_is_one_line(tmp_path, change, match):
-    table = demo.recipe()
+    table = two_poses()
     table["plan"] = {
         "module_mm": 0.2,
         "rows": list(demo.plan_rows()),
@@ -241,8 +385,81 @@ def test_a_new_recipe_begins_with_a_plan(anisoscope, tmp_path):
     assert not (tmp_path / "plate.toml").exists()
 
 
-def test_golden_plates_are_not_collected(anisoscope, folder):
+def test_golden_plates_are_shown_and_none_are_there_at_first(anisoscope, folder):
     done = anisoscope("golden", "show", "--recipe", folder / "recipe.toml")
     assert done.code >= 64
     assert "Traceback" not in done.err
     assert done.err.strip().count("\n") == 0
+
+
+@pytest.fixture(scope="module")
+def with_map(folder):
+    """A recipe whose plate is a height map in which one field is flat."""
+    plan = Plan(("AABB", "ABAB", "BABA"), demo.AZIMUTHS_DEG, 0.2)
+    surface = plate_map(plan, RidgeDesign(50.0, 10.0), 2.0)
+    height = surface.height_um.copy()
+    height[100:200, 200:300] = np.median(height)  # the second row from below, third column
+    rows, cols = np.indices(height.shape)
+    write_height_map(surface.with_height(height + 0.002 * cols - 0.001 * rows), folder / "plate.npz")
+    table = two_poses() | {"region": {"size_mm": [0.8, 0.6]}}
+    table["plan"] = {
+        "rows": list(plan.rows),
+        "module_mm": 0.2,
+        "facet_azimuths_deg": demo.AZIMUTHS_DEG,
+    }
+    del table["code"]
+    table["surface"] = {
+        "pitch_um": 50.0,
+        "design": {"ridge_angle_deg": 10.0, "edge_radius_um": 0.0},
+        "height_map": "plate.npz",
+        "compare": "height_map",
+    }
+    (folder / "with-map.toml").write_text(tomli_w.dumps(table))
+    return table
+
+
+def test_fields_are_predicted_one_by_one_from_a_height_map(folder, with_map):
+    recipe = PLATES.read_recipe(folder / "with-map.toml")
+    assert PLATES.sources(recipe, None) == {"height_map": folder / "plate.npz"}
+    found = expected_plate(recipe, recipe.plan.plan(), LIGHT_DEG, cached=True)
+    bare = recipe.model_copy(
+        update={"surface": recipe.surface.model_copy(update={"height_map": None, "compare": None})}
+    )
+    ideal = expected_plate(bare, recipe.plan.plan(), LIGHT_DEG, cached=True)
+    classes = found.plan.classes()
+    good = np.ones(classes.shape, dtype=bool)
+    good[1, 2] = False
+    off = np.log(found.fields) - np.log(ideal.radiance.T[:, np.maximum(classes, 0)])
+    assert np.abs(off[:, good]).max() < 0.05  # light from field to field, and the walls between points
+    np.testing.assert_allclose(off[:, 1, 2], ideal.defects["missing"][0], atol=0.15)
+    # a plate as its map says passes, also with the flat field; a field that is as the design says does not
+    as_mapped = measured(found, seed=3, scatter=0.01)
+    assert decide_plate(found, as_mapped, recipe).details.fields == ()
+    mended = as_mapped.radiance.copy()
+    mended[:, 1, 2] = ideal.radiance[0]
+    (field,) = decide_plate(found, replace(as_mapped, radiance=mended), recipe).details.fields
+    assert (field.row, field.col, field.verdict) == (1, 2, "FAIL")
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (
+            {"rows": ["BBAA", "BABA", "ABAB"]},
+            r"do not lean as the plan says .* is it the map of another plate",
+        ),
+        ({"rows": ["ABAB", "BABA", "BBAA"], "facet_azimuths_deg": {"A": 180.0, "B": 90.0}}, "turned by 180°"),
+        (
+            {"rows": ["BBAA", "BABA", "ABAB"], "facet_azimuths_deg": {"A": 180.0, "B": -90.0}},
+            "that of the plan mirrored",
+        ),
+        ({"module_mm": 0.15}, r"the map is 0\.8 mm × 0\.6 mm large, the plan 0\.6 mm × 0\.45 mm"),
+    ],
+)
+def test_a_plan_that_is_not_that_of_the_map_is_one_line(folder, with_map, change, match):
+    table = with_map | {"plan": with_map["plan"] | change}
+    (folder / "other.toml").write_text(tomli_w.dumps(table))
+    recipe = PLATES.read_recipe(folder / "other.toml")
+    with pytest.raises(HeightMapError, match=match) as problem:
+        expected_plate(recipe, recipe.plan.plan(), LIGHT_DEG, cached=True)
+    assert "\n" not in str(problem.value)
