@@ -1,6 +1,34 @@
-"""``python -m anisoscope``."""
+"""``anisoscope``, and ``python -m anisoscope``.
 
-from anisoscope.cli import main
+A stop of a held rig is sent before the command line is even imported, which takes longer than the stop.
+"""
+
+import contextlib
+import itertools
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+
+def main() -> NoReturn:
+    """Entry point of the ``anisoscope`` command."""
+    if sys.argv[1:3] == ["rig", "stop"] and not {"--help", "-h", "--driver"} & set(sys.argv):
+        _stop_at_once(sys.argv[3:])
+    from anisoscope.cli import main as command_line  # noqa: PLC0415 - start-up time
+
+    command_line()
+
+
+def _stop_at_once(options: list[str]) -> None:
+    """Stop held rigs; what came of it, and everything else, is for the command itself, which stops again."""
+    from anisoscope.base.errors import AnisoscopeError  # noqa: PLC0415
+    from anisoscope.rig.holdline import stop_held  # noqa: PLC0415
+
+    named = [word.partition("=")[2] for word in options if word.startswith(("--rig=", "-g="))]
+    named += [value for word, value in itertools.pairwise(options) if word in {"--rig", "-g"}]
+    with contextlib.suppress(AnisoscopeError, OSError):
+        stop_held(Path(named[0]) if named else None)
+
 
 if __name__ == "__main__":
     main()

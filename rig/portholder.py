@@ -1,8 +1,9 @@
 """Which process holds a port: a small file per open port, so that a stop from another terminal reaches it.
 
 A port is open once, so a second process cannot talk to a stage that moves. It can find out who does, and interrupt
-that process, which then stops the stage itself. The files lie in a folder that only the user can write to; a file
-that outlived its process (or whose number went to another process) counts for nothing.
+that process, which then stops the stage itself; or, where that process serves the port to others, ask it. The files
+lie in a folder that only the user can write to. A file that outlived its process (or whose number went to another
+process) says that the process ended without closing the port, so that what moves behind it has to be stopped first.
 """
 
 import contextlib
@@ -33,6 +34,9 @@ class Holder:
         program: its command line, for people.
         started: start time in the system's own count; distinguishes it from a later one of the same number.
         interrupt_by: the signal on which it leaves in good order; "" if it has none.
+        serves_at: ``host:port`` at which it serves the port to other processes; "" if it does not.
+        token: what a client has to say there.
+        rig: the rig file that it serves; "" without.
     """
 
     pid: int
@@ -40,6 +44,9 @@ class Holder:
     program: str
     started: str
     interrupt_by: str
+    serves_at: str = ""
+    token: str = ""
+    rig: str = ""
 
     @property
     def is_alive(self) -> bool:
@@ -71,15 +78,26 @@ class Holder:
             ) from problem
 
 
-def claim(port: str) -> Path | None:
-    """Note that this process holds a port; returns the note, or None where none could be made."""
-    if port.startswith(SIMULATED):
+def claim(port: str, serves_at: str = "", token: str = "", rig: str = "") -> Path | None:
+    """Note that this process holds a port; returns the note, or None where none could be made.
+
+    A simulated port exists in its own process only, and is noted only where that serves it to others.
+
+    Args:
+        port: the port.
+        serves_at: as for `Holder`.
+        token: as for `Holder`.
+        rig: as for `Holder`.
+    """
+    if port.startswith(SIMULATED) and not serves_at:
         return None
     program = " ".join(Path(part).name if number == 0 else part for number, part in enumerate(sys.argv))
-    me = Holder(os.getpid(), port, program[:200], _started(os.getpid()), _handled_signal())
+    started, signal_ = _started(os.getpid()), _handled_signal()
+    me = Holder(os.getpid(), port, program[:200], started, signal_, serves_at, token, rig)
     try:
         note = _note_of(port)
         partial = note.with_suffix(f".{me.pid}")
+        partial.touch(mode=0o600)
         partial.write_text(json.dumps(asdict(me)), encoding="utf-8")
         partial.replace(note)
     except OSError:  # a full or read-only disk must not block the port
@@ -99,15 +117,31 @@ def release(note: Path | None) -> None:
 
 def holder_of(port: str) -> Holder | None:
     """The other process that holds a port, as far as it is one of ours."""
-    if port.startswith(SIMULATED):
-        return None
+    found = _noted(port)
+    return None if found is None or found.pid == os.getpid() or not found.is_alive else found
+
+
+def is_abandoned(port: str) -> bool:
+    """Whether a process of ours that held a port ended without closing it."""
+    found = _noted(port)
+    return found is not None and found.pid != os.getpid() and not found.is_alive
+
+
+def servers() -> tuple[Holder, ...]:
+    """The other processes of this user that serve ports, one entry each."""
     try:
-        found = _read(_note_of(port))
+        notes = [_read(path) for path in _folder().glob("*.json")]
+    except OSError:
+        return ()
+    found = {one.pid: one for one in notes if one is not None and one.serves_at and one.pid != os.getpid()}
+    return tuple(one for one in found.values() if one.is_alive)
+
+
+def _noted(port: str) -> Holder | None:
+    try:
+        return _read(_note_of(port))
     except OSError:
         return None
-    if found is None or found.pid == os.getpid() or not found.is_alive:
-        return None
-    return found
 
 
 def wait_until_released(port: str, timeout_s: float) -> bool:
@@ -159,6 +193,7 @@ def _read(note: Path) -> Holder | None:
             str(found["program"]),
             str(found["started"]),
             str(found["interrupt_by"]),
+            *(str(found.get(key, "")) for key in ("serves_at", "token", "rig")),
         )
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -1,9 +1,11 @@
 """What a rotation stage is, and how exactly and how fast it moves. Angles are in degrees."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import LimitExceeded
 
 
@@ -68,6 +70,60 @@ def check_limits(stage: RotationStage, angle_deg: float) -> None:
         raise LimitExceeded(
             f"{stage.name}: {angle_deg:.6g}° is outside {low:.6g}°…{high:.6g}°; nothing was moved"
         )
+
+
+@dataclass(frozen=True)
+class MotionState:
+    """What a stage does now.
+
+    Attributes:
+        moving: whether it turns.
+        position_deg: where it is; None where it cannot be read during a motion.
+        speed_deg_s: how fast it turns, negative towards lower angles; None where that is not known.
+    """
+
+    moving: bool
+    position_deg: float | None
+    speed_deg_s: float | None
+
+
+OBSERVED_S = 0.1
+
+
+def motion_state(stage: RotationStage, clock: Clock = SYSTEM) -> MotionState:
+    """Look whether a stage turns, without waiting for the end: by its own account, or by two readings."""
+    own: Callable[[], MotionState] | None = getattr(stage, "motion_state", None)
+    if own is not None:
+        return own()
+    return between_readings(stage.position_deg, 2.0 * stage.resolution_deg, clock)
+
+
+def between_readings(read_deg: Callable[[], float], still_deg: float, clock: Clock) -> MotionState:
+    """State of a stage from two readings, `OBSERVED_S` apart; up to `still_deg` it stands."""
+    before_deg, before_s = read_deg(), clock()
+    clock.sleep(OBSERVED_S)
+    now_deg, now_s = read_deg(), clock()
+    moving = abs(now_deg - before_deg) > still_deg
+    return MotionState(moving, now_deg, (now_deg - before_deg) / (now_s - before_s) if moving else 0.0)
+
+
+FULL_TURN_DEG = 360.0
+
+
+def within_a_turn(stage: RotationStage, angle_deg: float) -> float:
+    """The angle in degrees within the limits that is the same direction, where they span a full turn.
+
+    Of a stage that cannot turn all the way round, and for an angle within the limits, the angle itself.
+    """
+    low, high = stage.limits_deg
+    slack = 0.5 * stage.resolution_deg
+    if (
+        not math.isfinite(angle_deg)
+        or high - low < FULL_TURN_DEG - slack
+        or low - slack <= angle_deg <= high + slack
+    ):
+        return angle_deg
+    return low + (angle_deg - low) % FULL_TURN_DEG
 
 
 @dataclass(frozen=True)

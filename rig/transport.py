@@ -22,8 +22,9 @@ from serial.tools import list_ports
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import NotConnected
-from anisoscope.rig.portholder import claim, holder_of, release
+from anisoscope.rig.portholder import Holder, claim, holder_of, is_abandoned, release
 
+TCP = "socket://"
 HANDLER_GROUP = "anisoscope.serial_handlers"
 POLL_S = 0.05
 # What pyserial raises for a port that was unplugged or closed under a running call.
@@ -57,12 +58,16 @@ class Connection:
         self.write_lock = threading.Lock()
         self.buffer = bytearray()
         self._holders = 0
+        if port.startswith(TCP) and (holder := holder_of(port)) is not None:
+            # a server of serial ports accepts a second client, and answers only the first
+            raise NotConnected(_in_use(port, holder))
         try:
             self.serial: serial.Serial = serial.serial_for_url(
                 port, timeout=POLL_S, exclusive=True, **settings
             )
         except PORT_ERRORS as problem:
             raise NotConnected(_why_not_open(port, problem)) from problem
+        self.abandoned = is_abandoned(port)
         # a simulated device may bring a time of its own
         self.clock: Clock = getattr(self.serial, "clock", SYSTEM)
         self._claim = claim(port)
@@ -139,7 +144,7 @@ def _why_not_open(port: str, problem: BaseException) -> str:
     if code == errno.ENOENT or "FileNotFoundError" in text:
         return f"there is no port {port}; {_what_exists()}"
     if code in {errno.EAGAIN, errno.EBUSY}:
-        return f"port {port} is in use by {_who_uses(port)}, or name another port"
+        return _in_use(port, holder_of(port))
     if code == errno.EACCES or "PermissionError" in text:
         return (
             f"port {port} may not be opened: another program holds it, or this user lacks the permission "
@@ -147,16 +152,21 @@ def _why_not_open(port: str, problem: BaseException) -> str:
         )
     if "not known" in text:
         return f"port {port}: no handler for {port.split('://', maxsplit=1)[0]}:// is installed"
-    if "://" in port:
-        return f"cannot open {port}: {text}"
-    return f"cannot open port {port}: {text}; {_what_exists()}"
+    return f"cannot open {'' if '://' in port else 'port '}{port}: {text}" + _advice(port)
 
 
-def _who_uses(port: str) -> str:
-    holder = holder_of(port)
+def _advice(port: str) -> str:
+    if port.startswith(TCP):
+        return "; check address and port number, and close other programs connected to it"
+    return "" if "://" in port else f"; {_what_exists()}"
+
+
+def _in_use(port: str, holder: Holder | None) -> str:
     if holder is None:
-        return "another program; close that program"
-    return f"process {holder.pid} ({holder.program}); wait for its end, end it with anisoscope rig stop"
+        who = "another program; close that program"
+    else:
+        who = f"process {holder.pid} ({holder.program}); wait for its end, end it with anisoscope rig stop"
+    return f"port {port} is in use by {who}, or name another port"
 
 
 def _what_exists() -> str:
@@ -223,6 +233,11 @@ class Transport:
     def clock(self) -> Clock:
         """Time by which to wait for what is behind the port."""
         return self._connection.clock
+
+    @property
+    def abandoned(self) -> bool:
+        """Whether the process that had the port open before ended without closing it: something may still move."""
+        return self._connection.abandoned
 
     @property
     def pending(self) -> bytes:

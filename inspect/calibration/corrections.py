@@ -13,7 +13,7 @@ from typing import Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.base.errors import CalibrationError, RegistrationError
+from anisoscope.base.errors import CalibrationError, RegistrationError, RigFileError
 from anisoscope.calibration.record import (
     KINDS,
     CalibrationRecord,
@@ -286,7 +286,7 @@ def _listed(kind: Kind, part: CalibrationPart | None, at: datetime) -> Listed:
             if not record_path(path).is_file():
                 return Listed(kind, "no record", str(path), None, white.taken_at, None, needed, advice(kind))
         record = read_calibration(path, kind, path if kind == "flat" else picture_path(path))
-    except CalibrationError as error:
+    except (CalibrationError, RigFileError) as error:
         state: State = "damaged" if path.exists() or record_path(path).exists() else "missing"
         return Listed(kind, state, str(path), None, None, None, needed, str(error))
     return Listed(

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.errors import CalibrationError, RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.frames import Bed, Taking, calibration_bed, write_picture
 from anisoscope.calibration.record import (
@@ -185,8 +185,8 @@ def calibrate_stray(
 
     Raises:
         UsageError: a reflectance outside 0 to 1.
-        RigFileError, RigError: the rig.
-        CalibrationError: no flat, or no dark target.
+        RigFileError, RigError: the rig; it names no flat, or one that does not exist.
+        CalibrationError: no dark target.
         RecordError: a file cannot be written.
     """
     if not 0.0 <= target_reflectance < 1.0:
@@ -194,7 +194,7 @@ def calibrate_stray(
     days_of("stray", taking.valid_days)
     part = read_rig(rig_path).calibration
     if part is None:
-        raise CalibrationError(
+        raise RigFileError(
             f"{rig_path} names no flat, which scales stray light: take one with `anisoscope calibrate flat` first"
         )
     white = read_reference(part.flat)

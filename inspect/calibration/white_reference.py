@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.atomic_write import write_bytes
-from anisoscope.base.errors import CalibrationError, RecordError
+from anisoscope.base.errors import CalibrationError, RecordError, RigFileError
 from anisoscope.imaging.linearisation import Stack, WhiteReference, hot_pixels
 from anisoscope.rig.bayer import channel_of_pixels
 
@@ -115,10 +115,11 @@ def read_reference(path: Path) -> WhiteReference:
     """Read a white reference; the last one is remembered, until its file changes.
 
     Raises:
-        CalibrationError: missing, damaged, or not a white reference.
+        RigFileError: there is no such file.
+        CalibrationError: damaged, or not a white reference.
     """
     if not path.is_file():
-        raise CalibrationError(f"the flat {path} does not exist: {_ADVICE}")
+        raise RigFileError(f"the flat {path} does not exist: {_ADVICE}")
     found = path.stat()
     return _reference_of(path, (found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino))
 

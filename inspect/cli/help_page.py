@@ -10,6 +10,7 @@ from cyclopts.exceptions import (
     CycloptsError,
     MissingArgumentError,
     UnknownCommandError,
+    UnknownOptionError,
     UnusedCliTokensError,
 )
 
@@ -116,11 +117,24 @@ def _mistake(error: CycloptsError, arguments: Sequence[str]) -> str:
         if all(len(token.strip("-")) <= 2 and _NEGATIVE_VALUE.match(token) for token in unused):
             return f"{' '.join(unused)} is left over: a value that begins with a minus needs '=', as in --tilts=-10"
         return f"too many arguments: {' '.join(unused)}"
+    if isinstance(error, UnknownOptionError) and (word := _after_the_end(error, arguments)) is not None:
+        return (
+            f"{word} stands after '--', which ends the options: write the options before it, or leave it out"
+        )
     if isinstance(error, UnknownCommandError) and error.command_chain:
         return str(error).replace(
             "Unknown command", f"Unknown command of {' '.join(error.command_chain)}:", 1
         )
     return str(error).removesuffix(".")
+
+
+def _after_the_end(error: UnknownOptionError, arguments: Sequence[str]) -> str | None:
+    """The option that the parser does not know because it stands after ``--``; None if it is unknown anyway."""
+    word = error.token.keyword or error.token.value
+    known = error.argument_collection or ()
+    if "--" not in arguments or word not in arguments[list(arguments).index("--") :]:
+        return None
+    return word if any(word.partition("=")[0] in argument.names for argument in known) else None
 
 
 def _missing(error: MissingArgumentError, arguments: Sequence[str]) -> str:

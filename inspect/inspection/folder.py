@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import unicodedata
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,16 +15,17 @@ from anisoscope.rig.acquisition.writer import FRAMES
 
 JOB = "job.json"
 INPUTS = "inputs"
+LONGEST_NAME = 160
 
 
 def make_folder(out: Path, serial: str) -> Path:
-    """A new folder ``<serial>-<UTC time>`` below ``out``.
+    """A new folder ``<serial>-<UTC time>`` below ``out``; signs of the serial number that paths cannot hold become _.
 
     Raises:
         RecordError: it cannot be made.
     """
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    base = f"{serial.replace(' ', '_').replace('#', '')}-{stamp}"
+    base = f"{_as_file_name(serial)}-{stamp}"
     try:
         out.mkdir(parents=True, exist_ok=True)
         for number in range(1000):
@@ -36,6 +38,13 @@ def make_folder(out: Path, serial: str) -> Path:
     except OSError as error:
         raise RecordError(f"cannot make an inspection folder in {out}: {error.strerror}") from error
     raise RecordError(f"{out} already holds a thousand inspections named {base}")
+
+
+def _as_file_name(serial: str) -> str:
+    """The serial number in letters that every file system and shell takes, at most 160 bytes of UTF-8."""
+    plain = unicodedata.normalize("NFC", serial).replace("#", "")
+    safe = "".join(one if one.isalnum() or one in "._+-" else "_" for one in plain)
+    return safe.encode()[:LONGEST_NAME].decode(errors="ignore")
 
 
 @contextlib.contextmanager

@@ -1,10 +1,9 @@
 """An inspection before the first picture: what is known and checked."""
 
-import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from anisoscope.base.errors import CalibrationError, RigFileError, UsageError
+from anisoscope.base.errors import RigFileError, UsageError
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.calibration.record import Kind, record_path
 from anisoscope.calibration.white_reference import read_reference
@@ -22,7 +21,7 @@ from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.rigfile import CalibrationPart, RigFile, read_rig
 
-SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
+LONGEST_SERIAL = 64
 Role = str
 """What a file is to an inspection, such as "recipe", "height map" or "flat record"; kinds of parts have their own."""
 
@@ -93,15 +92,20 @@ class Job:
 
 
 def check_serial(serial: str) -> str:
-    """A serial number that can name a folder.
+    """A serial number that can be shown, searched and typed: letters of any script, and signs between them.
 
     Raises:
-        UsageError: it holds anything but letters, digits, blanks and ``. _ + # -``, or begins with a blank or a sign.
+        UsageError: it is too long, begins with a sign, ends with a blank, or holds what cannot be printed.
     """
-    if not SERIAL.fullmatch(serial) or serial != serial.strip():
+    if (
+        not 1 <= len(serial) <= LONGEST_SERIAL
+        or not serial[0].isalnum()
+        or not serial.isprintable()
+        or serial != serial.strip()
+    ):
         raise UsageError(
-            f"the serial number {serial[:64]!r} cannot be used: 1 to 64 letters, digits, blanks or . _ + # -, "
-            "beginning with a letter or a digit"
+            f"the serial number {serial[:LONGEST_SERIAL]!r} cannot be used: give 1 to {LONGEST_SERIAL} letters, "
+            "digits, signs or blanks, beginning with a letter or a digit"
         )
     return serial
 
@@ -193,10 +197,10 @@ def flat_of(rig: RigFile, path: Path) -> Path:
     """The file of the rig's white reference.
 
     Raises:
-        CalibrationError: the rig file names none.
+        RigFileError: the rig file names none.
     """
     if rig.calibration is None:
-        raise CalibrationError(
+        raise RigFileError(
             f"{path} names no flat, so that radiances have no scale: take one with `anisoscope calibrate flat` "
             "and name it under [calibration] flat"
         )

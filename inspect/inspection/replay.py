@@ -80,7 +80,8 @@ def inspect_frames(
         UsageError: no rig file, or a wrong reflectance.
         RecipeError, RigFileError, HeightMapError: one of the files.
         RecordError: the frames are incomplete or do not fit together, or the inspection folder cannot be written.
-        CalibrationError: there is no flat, or one of another camera.
+        RigFileError: there is no flat.
+        CalibrationError: a flat of another camera.
     """
     given = read_given(frames, recipe_path, serial, rig_path, reflectance)
     with contextlib.ExitStack() as cleanup:

@@ -10,6 +10,7 @@ from anisoscope.base.errors import RigError
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
+from anisoscope.rig.hold import held_light, held_stage
 from anisoscope.rig.light import Light, rest
 from anisoscope.rig.rigfile import BY_HAND, AxisPart, CameraPart, LightPart, RigFile
 from anisoscope.rig.stage import RotationStage
@@ -133,7 +134,7 @@ def open_devices(
                 found.camera = open_camera(camera.driver, **camera.options)
                 stack.push(_closing(found.camera))
             if light is not None:
-                found.light = open_light(light.driver, port=light.port, **light.options)
+                found.light = open_lamp(light)
                 stack.push(_closing(found.light))
         # Leaving the context does the same; this is for an interpreter that ends inside of it.
         atexit.register(found.make_safe)
@@ -167,8 +168,20 @@ def _closing(device: _Closable) -> Callable[..., None]:
 
 
 def open_axis(part: AxisPart, table: str) -> RotationStage:
-    """Open an axis from its table in the rig file; errors as for `open_devices`."""
+    """Open an axis from its table in the rig file, or use it where another process holds it for others.
+
+    Errors as for `open_devices`.
+    """
+    if (held := held_stage(part)) is not None:
+        return held
     options: dict[str, object] = dict(part.options)
     if part.driver == BY_HAND:
         options.setdefault("label", table)
     return open_stage(part.driver, table=table, port=part.port, **options)
+
+
+def open_lamp(part: LightPart) -> Light:
+    """Open a light from its table, or use it where another process holds it; errors as for `open_devices`."""
+    if (held := held_light(part)) is not None:
+        return held
+    return open_light(part.driver, port=part.port, **part.options)

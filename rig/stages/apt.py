@@ -357,6 +357,11 @@ class Apt(PortStage):
             self._last = self._line.status()
             self._homed = self._last.homed
 
+    @classmethod
+    def stop_command(cls, *, address: str = "50", stop: str = "profiled", **_options: object) -> bytes:
+        """Stop of the controller at an address; see `PortStage`."""
+        return Message(STOP, (CHANNEL, STOPS.get(stop, STOP_PROFILED))).to_bytes(address_of(address))
+
     def status(self) -> Status:
         """Read position and status bits; the way to watch a stage that moves."""
         with self._bus:
@@ -393,6 +398,9 @@ class Apt(PortStage):
 
     def _read_deg(self) -> float:
         self._last = self._line.status()
+        return self._last.counts / self.scale.counts_per_deg
+
+    def _read_moving_deg(self) -> float | None:
         return self._last.counts / self.scale.counts_per_deg
 
     def _check_reference(self, now_deg: float) -> None:
@@ -442,7 +450,7 @@ class Apt(PortStage):
             self._clock.sleep(FIRST_PAUSE_S)
 
     def _is_busy(self, wait_s: float) -> bool:
-        status = self._line.status(fresh=False)
+        status = self._last = self._line.status(fresh=False)
         self._seen_moving = self._seen_moving or status.moving
         self._seen_homing = self._seen_homing or status.homing
         if not status.moving and self._is_over(status):

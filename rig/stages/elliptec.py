@@ -311,6 +311,7 @@ class Elliptec(PortStage):
     """
 
     PORT: ClassVar = {"baudrate": 9600}
+    search_turns = 1.0  # its reference is at most one turn away
 
     def __init__(
         self,
@@ -352,6 +353,11 @@ class Elliptec(PortStage):
             max(tolerance_deg, self._resolution_deg), velocity, velocity / 0.1, margin_s=margin_s
         )
         self._line.busy_limit_s = self.rules.timeout_s(float(self.info.travel_deg))
+
+    @classmethod
+    def stop_command(cls, *, address: str = "0", **_options: object) -> bytes:
+        """Stop of the device at an address; see `PortStage`."""
+        return f"{address}st".encode("ascii", errors="ignore")
 
     def status(self) -> int:
         """Read and thereby clear the status code; 0 is ok, 9 is busy."""

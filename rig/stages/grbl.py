@@ -76,6 +76,7 @@ class GrblAxis(PortStage):
         self._board = board
         self._number = AXES.index(axis)
         self._searching = False
+        self._moving_deg: float | None = None
         self._command = ""
         self._polls = self._target_steps = 0
         self._busy_until = 0.0
@@ -135,6 +136,9 @@ class GrblAxis(PortStage):
             raise self._lost()
         return (self._steps(status) - self._board.zeros.get(self.axis, 0)) / self._steps_per_deg
 
+    def _read_moving_deg(self) -> float | None:
+        return None if self._searching else self._moving_deg  # a board that searches reports nothing
+
     def _lost(self) -> NotHomed:
         return NotHomed(f"{self.name} was reset or switched off, and its position is lost; home it again")
 
@@ -161,6 +165,7 @@ class GrblAxis(PortStage):
 
     def _move_goes_on(self) -> bool:
         status = self._status()
+        self._moving_deg = (self._steps(status) - self._board.zeros.get(self.axis, 0)) / self._steps_per_deg
         self._raise_alarm()
         if self._refused_as_busy("moving"):
             return True
@@ -258,6 +263,11 @@ class Grbl(GrblAxis):
         low, high = _travel_deg(board, AXES.index(axis), from_switch=not self._home_here)
         limits = (low if min_deg is None else min_deg, high if max_deg is None else max_deg)
         super().__init__(transport, board, axis, tolerance_deg, velocity_deg_s, margin_s, limits)
+
+    @classmethod
+    def stop_command(cls, **_options: object) -> bytes:
+        """A reset, which stops a search as well as a move; see `PortStage`."""
+        return RESET
 
     # The reference.
 

@@ -5,6 +5,7 @@ and velocity, and running out of it raises and stops; limits are checked before 
 needs a reference search first; stop works from another thread. Angles are in degrees.
 """
 
+import collections
 import contextlib
 import math
 import threading
@@ -15,11 +16,19 @@ from typing import Self
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
-from anisoscope.rig.stage import MotionRules, check_limits
+from anisoscope.rig.stage import MotionRules, MotionState, between_readings, check_limits
 
 POLL_S = 0.1
 SETTLE_S = 0.2
 LOST_REFERENCE_TOLERANCES = 10.0
+READING_S = 0.05  # what a motion waits for a reading of another thread
+SAMPLE_S = 0.25
+# A stage that reports motion and gets on by less than this share of its speed for so long does not move.
+STANDSTILL_S, STANDSTILL_SHARE = 3.0, 0.001
+
+
+class _Underway(Exception):
+    """A motion of this connection goes on."""
 
 
 class StageBase(ABC):
@@ -30,6 +39,7 @@ class StageBase(ABC):
     """
 
     home_deg = 0.0
+    search_turns = 2.0  # of all that it can turn, the way of a reference search at most
 
     def __init__(
         self, name: str, rules: MotionRules, limits_deg: tuple[float, float], resolution_deg: float
@@ -44,6 +54,7 @@ class StageBase(ABC):
         self._stopping = threading.Event()
         self._homed = False
         self._left_at_deg: float | None = None
+        self._samples: collections.deque[tuple[float, float]] = collections.deque()
 
     # What the driver adds.
 
@@ -66,6 +77,10 @@ class StageBase(ABC):
     def _is_surely_busy(self) -> bool:
         """Query at the end of a move's time whether the stage still moves."""
         return self._is_busy(0.0)
+
+    def _read_moving_deg(self) -> float | None:
+        """Query the angle in degrees during a motion; None where the device does not report it then."""
+        return None
 
     @abstractmethod
     def _send_stop(self) -> None:
@@ -116,13 +131,37 @@ class StageBase(ABC):
                 self._check_reference(now_deg)
             return now_deg
 
+    def motion_state(self) -> MotionState:
+        """What the stage does now, without waiting for the end of a motion; may be called from any thread.
+
+        A motion of this connection is known by it; any other one by two readings.
+        """
+        try:
+            return between_readings(self._read_at_rest, 2.0 * self._resolution_deg, self._clock)
+        except _Underway:
+            samples = list(self._samples)[-2:]
+            if len(samples) < 2 or samples[1][0] <= samples[0][0]:
+                return MotionState(True, samples[-1][1] if samples else None, None)
+            (before_s, before_deg), (now_s, now_deg) = samples
+            return MotionState(True, now_deg, (now_deg - before_deg) / (now_s - before_s))
+
+    def _read_at_rest(self) -> float:
+        if not self._motion.acquire(blocking=False):
+            raise _Underway
+        try:
+            with self._bus:
+                return self._read_deg()
+        finally:
+            self._motion.release()
+
     def home(self) -> float:
         """Search the reference and return the angle read back, in degrees."""
         with self._one_motion():
             self._homed = False
             low, high = self._limits_deg
             span = max(high - low, 360.0)
-            reached = self._move("home", self._begin_home, self.home_deg, 2.0 * self.rules.timeout_s(span))
+            limit_s = self.search_turns * self.rules.timeout_s(span)
+            reached = self._move("home", self._begin_home, self.home_deg, limit_s)
             self._homed = True
             return reached
 
@@ -171,7 +210,7 @@ class StageBase(ABC):
 
     @contextlib.contextmanager
     def _one_motion(self) -> Iterator[None]:
-        if not self._motion.acquire(blocking=False):
+        if not self._motion.acquire(timeout=READING_S):
             raise RigError(f"{self.name} is moving already; wait for it, or stop it first")
         try:
             with self._bus:
@@ -214,6 +253,7 @@ class StageBase(ABC):
 
     def _move(self, what: str, begin: Callable[[], None], target_deg: float, timeout_s: float) -> float:
         self._left_at_deg = None
+        self._samples.clear()
         try:
             deadline = self._clock() + timeout_s
             begin()
@@ -235,6 +275,8 @@ class StageBase(ABC):
                 self._send_stop()
                 self._wait_until_still()
                 raise RigError(f"{self.name}: the {what} was stopped at {self._read_deg():.4g}°")
+            if busy:
+                self._observe(what)
             at_deg = self._read_deg() if not busy else math.nan
             if abs(at_deg - target_deg) <= self.rules.tolerance_deg:
                 return at_deg
@@ -247,6 +289,28 @@ class StageBase(ABC):
                     f"{self.name}: the {what} did not end within {timeout_s:.1f} s, and was stopped; look for an "
                     "obstacle, or correct velocity_deg_s of the driver"
                 )
+
+    def _observe(self, what: str) -> None:
+        """Sample the angle of a stage that moves; raise where it reports motion and stands still."""
+        now = self._clock()
+        if self._samples and now - self._samples[-1][0] < SAMPLE_S:
+            return
+        at_deg = self._read_moving_deg()
+        if at_deg is None:
+            return
+        self._samples.append((now, at_deg))
+        while len(self._samples) > 2 and now - self._samples[1][0] >= STANDSTILL_S:
+            self._samples.popleft()
+        since_s = now - self._samples[0][0]
+        if since_s < STANDSTILL_S:
+            return
+        least_deg = max(2.0 * self._resolution_deg, STANDSTILL_SHARE * self.rules.velocity_deg_s * since_s)
+        places = [place for _, place in self._samples]
+        if max(places) - min(places) < least_deg:
+            raise MotionTimeout(
+                f"{self.name}: the {what} does not get on: it reports motion and has stood at {at_deg:.4g}° for "
+                f"{since_s:.0f} s; look for an obstacle, or switch it off and on"
+            )
 
     def _wait_until_still(self) -> None:
         """After a stop command: read pending messages until the device is at rest."""

@@ -1,14 +1,17 @@
 """A stage behind a port: how it is opened, and who closes the port."""
 
 import contextlib
+import logging
 from collections.abc import Callable
 from inspect import signature
 from typing import Any, ClassVar, Self
 
 from anisoscope.base.clock import Clock
-from anisoscope.base.errors import RigError
+from anisoscope.base.errors import NotConnected, RigError
 from anisoscope.rig.stages.motion import StageBase
-from anisoscope.rig.transport import Transport
+from anisoscope.rig.transport import TCP, Transport
+
+_log = logging.getLogger(__name__)
 
 
 class PortStage(StageBase):
@@ -47,12 +50,28 @@ class PortStage(StageBase):
         connect: Callable[..., Self] = cls
         transport = Transport(port, **settings)
         try:
+            if transport.abandoned:
+                _log.warning("%s: the process that had it open has ended; the axis is stopped first", port)
+                transport.write(cls.stop_command(**options))
             stage = connect(transport, **options)
+            if transport.abandoned:
+                stage.stop()
+        except NotConnected as problem:
+            transport.close()
+            if port.startswith(TCP):
+                raise NotConnected(f"{problem}, and close other programs connected to it") from problem
+            raise
         except BaseException:
             transport.close()
             raise
         stage._owns_transport = True  # noqa: SLF001 - of our own class
         return stage
+
+    @classmethod
+    def stop_command(cls, **options: Any) -> bytes:  # noqa: ANN401 - the driver's own options
+        """Bytes that stop the axis whatever it does, before anything is known of it; empty where there are none."""
+        del options
+        return b""
 
     def _end_session(self) -> None:
         """Notify the device of the end of the connection."""

@@ -30,7 +30,7 @@ from anisoscope.rig.transport import Transport
 
 TERMINATOR = b"\r\n"
 ADDRESSES = range(1, 32)
-NO_ERROR = "@"
+NO_ERROR, NOT_FOR_STEPPERS = "@", "W"
 NOT_REFERENCED = frozenset(range(0x0A, 0x12))
 CONFIGURATION = 0x14
 HOMING = frozenset({0x1E, 0x1F})
@@ -86,7 +86,7 @@ _FAULTS = (
     "too low a supply voltage",
     "too high an output power",
 )
-_ANSWER = re.compile(rb"(?<![0-9A-Za-z])(\d{1,2})([A-Z]{2})([ -~]*)$")
+_ANSWER = re.compile(rb"(?<![0-9A-Za-z])(\d{1,2})(FRM|FRS|[A-Z]{2})([ -~]*)$")
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Smc100Line:
             self._transport.discard()
             self._stranger, self._heard = None, False
             self.send(question)
-            if (value := self._answer_to(question[:2])) is not None:
+            if (value := self._answer_to(question.rstrip("?"))) is not None:
                 return value
             if not (self._heard or self._transport.pending):
                 break
@@ -312,16 +312,27 @@ class Smc100(PortStage):
         self._homed = state.code not in NOT_REFERENCED | HOMING | {CONFIGURATION}
 
     def _encoder_step_deg(self) -> float:
+        """Encoder increment (CC), or a microstep: motion of a full step over the microsteps in it (PP)."""
         try:
             return self._line.query_number("SU?")
         except NotConnected:
+            if self._line.error() == NOT_FOR_STEPPERS:
+                return self._line.query_number("FRS?") / max(self._line.query_number("FRM?"), 1.0)
             raise ProtocolError(
                 f"{self._line.name} does not tell its resolution (SU); set resolution_deg in the rig file"
             ) from None
         finally:
             self._line.error()
 
+    @classmethod
+    def stop_command(cls, *, address: str | int = 1, **_options: object) -> bytes:
+        """Stop of the controller at an address; see `PortStage`."""
+        return f"{address}ST".encode("ascii", errors="ignore") + TERMINATOR
+
     # The motion.
+
+    def _read_moving_deg(self) -> float | None:
+        return self._line.query_number("TP")
 
     def _state(self) -> State:
         state = self._line.state()

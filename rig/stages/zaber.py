@@ -451,6 +451,12 @@ class Zaber(PortStage):
             )
             self._homed = NO_REFERENCE.isdisjoint(acknowledge_flags(self._line))
 
+    @classmethod
+    def stop_command(cls, *, address: int | str = 1, axis: int = 1, **_options: object) -> bytes:
+        """Stop of an axis of the device at an address; see `PortStage`."""
+        device, number = _number("address", address, MAX_ADDRESS), _number("axis", axis, MAX_AXIS)
+        return command(device, number, NUMBERS - 1, "stop")
+
     def warnings(self) -> tuple[str, ...]:
         """Read the warning flags that stand, such as ``WR``, the gravest first."""
         with self._bus:
@@ -474,6 +480,12 @@ class Zaber(PortStage):
         del now_deg
         if not self._homed:
             raise error_of_flag(self.name, "WR")
+
+    def _read_moving_deg(self) -> float | None:
+        try:
+            return float(self._line.command("get pos").data) / self._counts_per_deg
+        except ValueError:
+            return None
 
     def _begin_home(self) -> None:
         self._begin("home")

@@ -46,7 +46,7 @@ MISSING_ON_WINDOWS = {
         "pthread_kill",
         "pause",
     },
-    "socket": {"AF_UNIX", "socketpair"},
+    "socket": {"AF_UNIX"},  # socketpair exists on Windows since Python 3.5
 }
 # Where it is allowed, and what guards it.
 GUARDED = {

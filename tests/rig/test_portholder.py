@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 
@@ -11,13 +12,15 @@ import pytest
 from anisoscope.base.errors import NotConnected, RigError
 from anisoscope.rig import portholder
 from anisoscope.rig.portholder import Holder, claim, holder_of, release, wait_until_released
+from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
-from anisoscope.sim.bench.serve import PtyServer
+from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
 HOLD = """
 import sys
+from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.rig.transport import Transport
 line = Transport(sys.argv[1])
 print("open", flush=True)
@@ -63,6 +66,29 @@ def test_the_holder_is_found_named_and_interrupted(other, port):
     assert other.wait(120) == 7
     assert wait_until_released(port, 0.0)
     Transport(port).close()
+
+
+def test_a_tcp_port_that_another_process_holds_is_named_before_it_is_opened():
+    """A second client of such a server is accepted, and never answered."""
+    with TcpServer(ElliptecFirmware(RotaryAxis(time_scale=0.0))) as server:
+        command = [sys.executable, "-c", HOLD, server.url]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen(command, text=True, **pipes) as process:
+            assert process.stdout.readline() == "open\n"
+            with pytest.raises(NotConnected, match=rf"in use by process {process.pid} .*rig stop"):
+                Transport(server.url)
+            process.communicate()
+        Transport(server.url).close()
+
+
+def test_a_tcp_port_that_a_foreign_program_holds_is_silent_and_the_message_says_why():
+    with TcpServer(ElliptecFirmware(RotaryAxis(time_scale=0.0))) as server:
+        host, port = server.port.split(":")
+        with (
+            socket.create_connection((host, int(port))),
+            pytest.raises(NotConnected, match=r"is silent; check .* close other programs connected to it"),
+        ):
+            Elliptec.open(server.url, timeout_s=0.2)
 
 
 def test_one_port_has_one_holder_by_any_name(other, port, tmp_path):

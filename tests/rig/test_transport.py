@@ -55,6 +55,7 @@ def test_endless_noise_does_not_fill_the_memory(monkeypatch):
     ("port", "pattern"),
     [
         ("/dev/ttyNOTHERE", "there is no port /dev/ttyNOTHERE; .*port"),
+        ("socket://127.0.0.1:9", "check address and port number, and close other programs"),
         ("sim://laser", "no simulated stage 'laser'"),
         ("sim://elliptec?speed=3", "unknown option 'speed'"),
         ("sim://elliptec?fault=gremlins", "no fault 'gremlins'"),

@@ -60,13 +60,13 @@ def live(
     if not 0.0 < fps <= 1000.0:
         raise UsageError(f"--fps must lie above 0 and up to 1000, not {fps:g}")
     file = read_rig(rig)
-    with open_devices({}, file.camera, file.light) as devices:
+    with open_devices({}, file.camera, None if light == "as-is" else file.light) as devices:
         camera, lamp = devices.camera, devices.light
         assert camera is not None
-        assert lamp is not None
         camera.configure(exposure, gain)
-        (lamp.on if light == "on" else lamp.off)()
-        by_hand = file.light.driver == "manual"  # which asks in the same terminal
+        if lamp is not None:
+            (lamp.on if light == "on" else lamp.off)()
+        by_hand = lamp is not None and file.light.driver == "manual"  # which asks in the same terminal
         try:
             with _sinks(web, port, file.name, json_=json_) as sinks:
                 _watch(camera, sinks, focus, frames, 1.0 / fps, end_request(listen=not by_hand))

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from anisoscope.rig.rigfile import AxisPart, RigAxes
     from anisoscope.rig.stage import RotationStage
 
-    Go = Callable[[RotationStage, AxisPart], None]
+    Target = Callable[[RotationStage, AxisPart, float], float]
+    Go = Callable[[RotationStage, AxisPart, float], None]
 
 Devices = Annotated[Which, Parameter(name="*")]
 Axis = Annotated[AxisName, Parameter(name="--axis", help="Which axis: stage, or tilt.")]
@@ -76,6 +77,8 @@ def move(
 ) -> int:
     """Move an axis to an angle. An axis that was not homed is homed first: confirm, or give --yes.
 
+    A stage that turns all the way round takes every angle: -5 is 355. The way stays within its limits.
+
     Examples:
         anisoscope rig move 90 --sample --rig rig.toml --yes
         anisoscope rig move 10 --rig rig.toml --axis tilt
@@ -86,19 +89,18 @@ def move(
     if sample and which.rig is None:
         raise UsageError("--sample needs a rig file: only that says at which reading the sample stands at 0°")
 
-    def target(part: "AxisPart") -> float:
-        return part.reading_deg(angle_deg) if sample else angle_deg
+    def target(stage: "RotationStage", part: "AxisPart", _now_deg: float) -> float:
+        reading = _in_reach(stage, axis, part.reading_deg(angle_deg) if sample else angle_deg)
+        if sample:
+            check_limits(stage, reading - part.approach_deg)
+        return reading
 
-    def look(stage: "RotationStage", part: "AxisPart") -> None:
-        check_limits(stage, target(part))
-
-    def go(stage: "RotationStage", part: "AxisPart") -> None:
-        if sample and stage.position_deg() > (below := target(part) - part.approach_deg):
-            check_limits(stage, below)
+    def go(stage: "RotationStage", part: "AxisPart", reading: float) -> None:
+        if sample and stage.position_deg() > (below := reading - part.approach_deg):
             stage.move_to(below)
-        stage.move_to(target(part))
+        stage.move_to(reading)
 
-    return _motion(which, axis, go, look, yes=yes, json_=json_)
+    return _motion(which, axis, target, go, yes=yes, json_=json_)
 
 
 def jog(
@@ -112,27 +114,35 @@ def jog(
 ) -> int:
     """Move an axis by an angle. An axis that was not homed is homed first: confirm, or give --yes.
 
+    A stage that turns all the way round goes on at its other limit: 20 from 350 is 10.
+
     Examples:
         anisoscope rig jog 5 --rig rig.toml
     """
 
-    def go(stage: "RotationStage", _part: "AxisPart") -> None:
-        stage.move_by(delta_deg)
+    def target(stage: "RotationStage", _part: "AxisPart", now_deg: float) -> float:
+        return _in_reach(stage, axis, now_deg + delta_deg)
 
-    return _motion(which, axis, go, yes=yes, json_=json_)
+    def go(stage: "RotationStage", _part: "AxisPart", reading: float) -> None:
+        stage.move_to(reading)
+
+    return _motion(which, axis, target, go, yes=yes, json_=json_)
 
 
 def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
-    """Stop all axes at once, also those that another anisoscope process is moving.
+    """Stop all axes at once, also those that another anisoscope process is moving; without options, of all held rigs.
 
-    Only one process can have a port open. If another anisoscope process has it, that process is interrupted as by
-    Ctrl-C: it stops its axes, switches the light off, and exits.
+    A held rig (`rig hold`) stops and stays held. Otherwise only one process can have a port open: that process is
+    interrupted as by Ctrl-C, stops its axes, switches the light off, and exits.
 
     Examples:
+        anisoscope rig stop
         anisoscope rig stop --rig rig.toml
     """
     from anisoscope.rig.acquisition.opening import open_devices
 
+    if which == NOTHING_NAMED:
+        return _stop_held(json_=json_)
     _, axes = which.read()
     interruptions = [_interrupt(holder) for holder in _holders(axes)]
     with open_devices(axes) as devices:
@@ -149,22 +159,58 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     return 0
 
 
-def _motion(
-    which: Which, axis: AxisName, go: "Go", look: "Go | None" = None, *, yes: bool, json_: bool
-) -> int:
-    """Home if need be, and move; `look` comes before both and may refuse."""
+def _in_reach(stage: "RotationStage", axis: AxisName, reading_deg: float) -> float:
+    """The reading itself, or that of the same direction within the limits of a stage that turns all the way round.
+
+    An arm is not turned round: it would hit something.
+
+    Raises:
+        LimitExceeded: it cannot be reached; nothing was moved.
+    """
+    from anisoscope.rig.stage import check_limits, within_a_turn
+
+    if axis == "stage":
+        reading_deg = within_a_turn(stage, reading_deg)
+    check_limits(stage, reading_deg)
+    return reading_deg
+
+
+def _stop_held(*, json_: bool) -> int:
+    from anisoscope.base.errors import UsageError
+    from anisoscope.rig.holdline import stop_held
+
+    found = stop_held()
+    if not found:
+        raise UsageError(
+            "no rig is held (anisoscope rig hold): name the devices to stop, --rig FILE or --driver NAME"
+        )
+    problems = [text for axes in found.values() for text in axes.values() if text]
+    if problems:
+        raise RigError("; ".join(problems))
+    if json_:
+        print_json({"held": {str(pid): list(axes) for pid, axes in found.items()}})
+        return 0
+    for pid, axes in found.items():
+        print(message("process {pid}: stopped {axes}", pid=str(pid), axes=", ".join(axes)))  # noqa: T201
+    return 0
+
+
+def _motion(which: Which, axis: AxisName, target: "Target", go: "Go", *, yes: bool, json_: bool) -> int:
+    """Home if need be, and move; a target that cannot be reached is refused before both."""
     from anisoscope.rig.acquisition.opening import open_devices
 
     file, part = which.axis(axis)
     with open_devices({axis: part}) as devices:
         stage = devices.axes[axis]
-        if look is not None:
-            look(stage, part)
         before = _position(stage)
         homed = not stage.is_homed
+        low, high = stage.limits_deg
+        zero = min(max(0.0, low), high)
+        reading = target(stage, part, zero if homed or before is None else before)
         if homed:
             _home(stage, part, yes=yes)
-        go(stage, part)
+            reading = target(stage, part, stage.position_deg())
+        go(stage, part, reading)
         moved = _Moved(axis, stage.name, before, stage.position_deg(), homed)
     return _show(moved, file, part, json_=json_)
 
@@ -190,7 +236,9 @@ def _holders(axes: "dict[str, AxisPart]") -> "list[Holder]":
     from anisoscope.rig.portholder import holder_of
 
     found = [holder_of(part.port) for part in axes.values() if part.port is not None]
-    return list({holder.pid: holder for holder in found if holder is not None}.values())
+    return list(
+        {holder.pid: holder for holder in found if holder is not None and not holder.serves_at}.values()
+    )
 
 
 def _interrupt(holder: "Holder") -> int:

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 AxisName = Literal["stage", "tilt"]
 Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
 Gain = Annotated[float, Parameter(help="Gain as a factor.")]
-LightState = Annotated[Literal["on", "off"], Parameter(help="Light while the picture is taken.")]
+LightState = Annotated[
+    Literal["on", "off", "as-is"],
+    Parameter(help="Light while the picture is taken; as-is leaves it alone, and asks nobody to switch it."),
+]
 RigPath = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative="", help="Home without asking.")]
 

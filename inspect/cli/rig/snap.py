@@ -58,7 +58,8 @@ def snap(
         raise UsageError(f"--count must lie between 1 and 10000, not {frames}")
     file = read_rig(rig)
     axes = {"stage": file.stage} | ({} if file.tilt is None else {"tilt": file.tilt})
-    with open_devices(axes if stage else {}, file.camera, file.light) as devices:
+    lamp = None if light == "as-is" else file.light
+    with open_devices(axes if stage else {}, file.camera, lamp) as devices:
         frame, saturated = _take(devices, file, exposure, gain, frames, light=light)
         assert devices.camera is not None
         info = devices.camera.info
@@ -97,16 +98,16 @@ def _take(
 
     camera, lamp = devices.camera, devices.light
     assert camera is not None
-    assert lamp is not None
     settings = camera.configure(exposure, gain)
-    (lamp.on if light == "on" else lamp.off)()
+    if lamp is not None:
+        (lamp.on if light == "on" else lamp.off)()
     info = camera.info
     captured = [camera.grab().copy() for _ in range(frames)]
     mean = np.rint(np.mean(captured, axis=0)).astype(np.uint16) if frames > 1 else captured[0]
     stage_deg, tilt_deg = _angles(devices, file)
     frame = Frame(
         counts=mean,
-        kind="sample" if light == "on" else "dark",
+        kind="dark" if light == "off" else "sample",
         bit_depth=info.bit_depth,
         black_level=info.black_level,
         exposure_s=settings.exposure_s,

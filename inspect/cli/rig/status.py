@@ -57,17 +57,21 @@ def _of(query: "Callable[..., dict[str, Any]]", part: Any, *rest: Any) -> dict[s
 def _axis(part: "AxisPart", table: str, stack: contextlib.ExitStack) -> dict[str, Any]:
     from anisoscope.rig.acquisition.opening import open_axis
     from anisoscope.rig.rigfile import BY_HAND
+    from anisoscope.rig.stage import motion_state
 
     if part.driver == BY_HAND:
         return {"device": "set by hand"}
     axis = open_axis(part, table)
     stack.callback(axis.close)
-    reading = axis.position_deg()
+    state = motion_state(axis)
+    reading = state.position_deg
     return {
         "port": part.port,
         "device": axis.name,
         "position_deg": reading,
-        "angle_deg": part.angle_deg(reading),
+        "angle_deg": None if reading is None else part.angle_deg(reading),
+        "moving": state.moving,
+        "speed_deg_s": state.speed_deg_s,
         "homed": axis.is_homed,
         "limits_deg": list(axis.limits_deg),
         "resolution_deg": axis.resolution_deg,
@@ -94,9 +98,9 @@ def _camera(part: "CameraPart", file: "RigAxes", stack: contextlib.ExitStack) ->
 
 
 def _light(part: "LightPart", stack: contextlib.ExitStack) -> dict[str, Any]:
-    from anisoscope.rig.drivers import open_light
+    from anisoscope.rig.acquisition.opening import open_lamp
 
-    light = open_light(part.driver, port=part.port, **part.options)
+    light = open_lamp(part)
     stack.callback(light.close)
     return {
         "port": part.port,
@@ -124,9 +128,18 @@ def _line(table: str, device: dict[str, Any]) -> str:
     if "position_deg" in device:
         low, high = device["limits_deg"]
         whose = message("part") if table == "stage" else message("arm")
-        angle = f" ({whose} {decimal(format(device['angle_deg'], '.3f'))}°)" if "angle_deg" in device else ""
+        known = device.get("angle_deg") is not None
+        angle = f" ({whose} {decimal(format(device['angle_deg'], '.3f'))}°)" if known else ""
+        if device["position_deg"] is not None:
+            words.append(message("at {angle}°", angle=format(device["position_deg"], ".3f")) + angle)
+        if device["moving"]:
+            speed = device["speed_deg_s"]
+            words.append(
+                message("moving")
+                if speed is None
+                else message("moving at {speed}°/s", speed=decimal(format(speed, "+.3g")))
+            )
         words += [
-            message("at {angle}°", angle=format(device["position_deg"], ".3f")) + angle,
             message("homed") if device["homed"] else message("not homed since it was connected"),
             message("reaches {low}°…{high}°", low=f"{low:g}", high=f"{high:g}"),
             message("steps of {step}°", step=format(device["resolution_deg"], ".2g")),

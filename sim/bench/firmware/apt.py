@@ -1,10 +1,13 @@
 """Firmware of Thorlabs APT rotation stages, byte by byte: K10CR1, and KDC101 with a PRM1-Z8.
 
-Questions are answered at any time, also during a motion; a motion is answered once, when it is over; a motor without
-current does not move, and does not say so; a channel may have current only some time after it was switched on. A K10CR1
-is a stepper without encoder: at an obstacle it loses steps and notices nothing. A KDC101 reads an encoder and reports a
-motion error; it falls silent if it sends updates and the host does not acknowledge them. Backlash and jog parameters
-are kept, and have no effect. A stop is instant, on a ramp or not. Source: Thorlabs APT communications protocol.
+Questions are answered at any time, also during a motion; a motion is answered once, when it is over. At power-up the
+channel is switched on: published clients (pylablib, thorlabs-apt-device) search the reference of real stages without
+switching it on. A motion of a channel that the host switched off is refused by a message 0081; the protocol has this
+message, that it comes here is assumed. A channel may have current only some time after it was switched on. A K10CR1 is
+a stepper without encoder: at an obstacle it loses steps and notices nothing. A KDC101 reads an encoder and reports a
+motion error; it falls silent if it sends updates and the host does not acknowledge them. Backlash, jog and limit switch
+parameters are kept, and have no effect. A stop is instant, on a ramp or not. Source: Thorlabs APT communications
+protocol.
 """
 
 import math
@@ -25,10 +28,11 @@ HOST, LONG, HEADER = 0x01, 0x80, 6
 HOST_MESSAGES = {
     **dict.fromkeys((0x0002, 0x0005, 0x0011, 0x0012, 0x0018, 0x0210, 0x0211, 0x0223, 0x0429), 0),
     **dict.fromkeys((0x040A, 0x0411, 0x0414, 0x0417, 0x043B, 0x0441, 0x0443, 0x0465), 0),
-    **dict.fromkeys((0x0480, 0x0490, 0x0492), 0),
+    **dict.fromkeys((0x0424, 0x0480, 0x0490, 0x0492), 0),
     **dict.fromkeys((0x0448, 0x0453, 0x043A, 0x0445, 0x0450), 6),
     **dict.fromkeys((0x0413, 0x0440), 14),
     0x0416: 22,
+    0x0423: 16,
 }
 # A move without data goes where the parameters say that were set before.
 EITHER_FORM = frozenset({0x0448, 0x0453})
@@ -85,6 +89,8 @@ def rich_response(about: int, code: int, notes: str) -> bytes:
 
 
 CHANNEL = 1
+NO_SWITCH = 1
+SWITCHED_OFF = 1
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,7 @@ class AptModel:
         return {
             0x0413: struct.pack("<Hiii", CHANNEL, 0, acceleration, velocity),
             0x0416: struct.pack("<HHiiiiH", CHANNEL, 2, step, 0, acceleration, velocity, 2),
+            0x0423: struct.pack("<HHHiiH", CHANNEL, NO_SWITCH, NO_SWITCH, 0, 0, NO_SWITCH),
             0x043A: struct.pack("<Hi", CHANNEL, 0),
             0x0440: struct.pack("<HHHii", CHANNEL, 2, 1, velocity, 0),
             0x0445: struct.pack("<Hi", CHANNEL, 0),
@@ -148,6 +155,7 @@ class AptFirmware(SimulatedDevice):
         axis: the axis it turns; by default one that stands at 0° and moves in real time.
         address: destination to which it listens.
         model: controller and motor.
+        enabled: whether the channel is switched on at power-up.
         enabling_s: time in seconds from the command that switches the channel on until the motor has current.
         faults: what is wrong with it; as text, ``name`` or ``name:number``. The number of a latched error is the bit
             of the status; that of a motion error too, if there is such an error bit, or else the code of a complaint.
@@ -164,6 +172,7 @@ class AptFirmware(SimulatedDevice):
         *,
         address: int = 0x50,
         model: AptModel = MODELS["K10CR1"],
+        enabled: bool = True,
         enabling_s: float = 0.0,
         faults: Iterable[Fault | str] = (),
     ) -> None:
@@ -172,6 +181,7 @@ class AptFirmware(SimulatedDevice):
         self.model = model
         self.address = address
         self.enabling_s = enabling_s
+        self._enabled_at_first = enabled
         self.identified = 0
         self.motor = Motor(self.axis, model.counts_per_deg, self.faults)
         self._handlers = self._all_handlers()
@@ -192,7 +202,7 @@ class AptFirmware(SimulatedDevice):
     def _power_up(self) -> None:
         self.motor.power_up()
         self._updates = self._forward = False
-        self._enabled_at = math.inf
+        self._enabled_at = -math.inf if self._enabled_at_first else math.inf
         self._errors = self._slipped = self._target = 0
         self._doing: Motion | None = None
         self._next_update, self._unacknowledged = 0.0, 0
@@ -333,7 +343,10 @@ class AptFirmware(SimulatedDevice):
             self._dead = True
         elif FaultKind.MOTION_ERROR in self.faults:
             self._refuse(int(self.faults[FaultKind.MOTION_ERROR]))
-        elif self._enabled and not self._errors & 1 << MOTION_ERROR_BIT:
+        elif not self._enabled:
+            about = 0x0443 if target is None else 0x0453
+            self._answer(0x0081, rich_response(about, SWITCHED_OFF, "channel 1 is switched off"))
+        elif not self._errors & 1 << MOTION_ERROR_BIT:
             self._go(target)
 
     def _refuse(self, code: int) -> None:

@@ -1,10 +1,12 @@
 """Firmware of a Newport SMC100 or CONEX controller with a rotation stage, byte by byte.
 
-A query is answered with address, letters and value; a command is not answered. An error is stored as a letter until it
-is read by TE or TB. A home search is accepted only without a reference: for a second one the controller must be
-restarted, and does not answer meanwhile. A stage with an encoder detects an obstacle: the motor is disabled with a
-following error. Tables hold the models, the error texts, and the commands allowed in each state. Source: Newport
-SMC100CC/PP user's manual.
+A query is answered with address, letters and value; a command is not answered. An error is stored as a letter
+until it is read by TE or TB. A home search is accepted only without a reference: for a second one the
+controller must be restarted, and does not answer meanwhile. A stage with encoder (CC) detects an obstacle: the
+motor is disabled with a following error. A stepper (PP) loses steps and notices nothing. The controller with
+the RS-232 socket answers to address 1, whatever its RS-485 address (SA) is. Tables hold the models, the error
+texts, and the commands allowed in each state. Sources: Newport SMC100CC/PP user's manual; order of the lines of
+ZT, the set of a PP, and address 1 beside SA as the published client hvl_ccb reads them.
 """
 
 import re
@@ -77,9 +79,8 @@ ALLOWED: Mapping[str, frozenset[Mode]] = {
     "PW": frozenset({Mode.NOT_REFERENCED, Mode.CONFIGURATION}),
     "RS": frozenset({Mode.NOT_REFERENCED, Mode.CONFIGURATION, Mode.READY, Mode.DISABLED}),
     "ST": frozenset(Mode) - {Mode.CONFIGURATION, Mode.DISABLED},
-    "ZX": frozenset({Mode.CONFIGURATION}),
 }
-ANSWERED = frozenset({"ID", "MM", "PA", "PR", "PT", "PW", "TB", "TE", "TH", "TP", "TS", "VE", "ZT", "ZX"})
+ANSWERED = frozenset({"ID", "MM", "PA", "PR", "PT", "PW", "TB", "TE", "TH", "TP", "TS", "VE", "ZT"})
 # Parameters that may be changed while the stage is in use as well, though only until the next restart.
 LIVE = frozenset({"AC", "JR", "SL", "SR", "VA"})
 
@@ -91,7 +92,8 @@ class SmcModel:
     Attributes:
         stage: name of the stage, the answer to ID.
         version: the answer to VE.
-        parameters: configuration, by letters; SU is the encoder increment in degrees.
+        parameters: configuration, by letters. SU (CC) is the encoder increment in degrees; FRS and FRM (PP) are degrees
+            a full step and microsteps in it.
     """
 
     stage: str
@@ -100,29 +102,41 @@ class SmcModel:
 
     @property
     def step_deg(self) -> float:
-        """Encoder increment."""
+        """Encoder increment, or microstep, in degrees."""
+        if self.stepper:
+            return self.parameters["FRS"] / self.parameters["FRM"]
         return self.parameters["SU"]
+
+    @property
+    def stepper(self) -> bool:
+        """Whether it drives a stepper (PP) instead of a servo motor with an encoder (CC)."""
+        return "FRM" in self.parameters
 
 
 _COMMON = {
     "BA": 0.0,
     "BH": 0.0,
-    "FE": 1.0,
     "HT": 2.0,
     "JR": 0.04,
     "OT": 30.0,
-    "SA": 1.0,
     "SL": 0.0,
     "SR": 360.0,
+    "ZX": 3.0,
 }
-URS100CC = SmcModel(
-    "URS100CC", "SMC_CC_1.0.0", {**_COMMON, "AC": 160.0, "OH": 20.0, "SU": 0.0005, "VA": 40.0}
-)
-PR50CC = SmcModel("PR50CC", "SMC_CC_1.0.0", {**_COMMON, "AC": 80.0, "OH": 10.0, "SU": 0.001, "VA": 20.0})
+_SERVO = {**_COMMON, "FE": 1.0}
+_STEPPER = {**_COMMON, "FRM": 100.0, "FRS": 0.02, "QIL": 1.0, "VB": 0.0}
+URS100CC = SmcModel("URS100CC", "SMC_CC_1.0.0", {**_SERVO, "AC": 160.0, "OH": 20.0, "SU": 0.0005, "VA": 40.0})
+PR50CC = SmcModel("PR50CC", "SMC_CC_1.0.0", {**_SERVO, "AC": 80.0, "OH": 10.0, "SU": 0.001, "VA": 20.0})
+URS75PP = SmcModel("URS75PP", "SMC_PP_1.0.0", {**_STEPPER, "AC": 80.0, "OH": 10.0, "VA": 20.0})
 AG_PR100P = SmcModel(
-    "AG-PR100P", "Conex-AGP 1.0.0", {**_COMMON, "AC": 8.0, "OH": 1.0, "SU": 0.0005, "SR": 340.0, "VA": 2.0}
+    "AG-PR100P", "Conex-AGP 1.0.0", {**_SERVO, "AC": 8.0, "OH": 1.0, "SU": 0.0005, "SR": 340.0, "VA": 2.0}
 )
-MODELS = {"urs100cc": URS100CC, "pr50cc": PR50CC, "conex-agp": AG_PR100P}
+MODELS = {"urs100cc": URS100CC, "pr50cc": PR50CC, "urs75pp": URS75PP, "conex-agp": AG_PR100P}
+# Parameters of the other kind of motor, which are refused with a letter of their own.
+SERVO_ONLY = frozenset({"FD", "FE", "FF", "KD", "KI", "KP", "KV", "SC", "SU"})
+STEPPER_ONLY = frozenset({"FRM", "FRS", "VB"})
+NOT_FOR_STEPPERS, NOT_FOR_SERVOS = "W", "X"
+FIRST, FIRST_RS485 = 1, 2
 
 
 RESTART_S = 3.0
@@ -154,7 +168,7 @@ class Smc100States(SimulatedDevice):
         self.model = model
         self.address = address
         self.stage = model.stage
-        self.stored = {**model.parameters, "SA": float(address)}
+        self.stored = {**model.parameters, "SA": float(max(address, FIRST_RS485))}
         self.motor = Motor(self.axis, 1.0 / model.step_deg, self.faults)
         self._faults_seen = 0
         self._busy_answers = int(self.faults.get(FaultKind.BUSY, 0))
@@ -164,8 +178,8 @@ class Smc100States(SimulatedDevice):
 
     @property
     def counts(self) -> int:
-        """Position in encoder increments, as the controller believes it to be."""
-        return self.motor.counts
+        """Position in encoder increments or microsteps, as the controller believes it to be."""
+        return self.motor.counts + self._slipped
 
     @property
     def mode(self) -> Mode:
@@ -181,7 +195,7 @@ class Smc100States(SimulatedDevice):
         self.parameters = dict(self.stored)
         self._code = FROM_RESET
         self._faults_seen = 0
-        self._target = 0
+        self._target = self._slipped = 0
         self._error = "@"
         self._restarted_at = self._clock()
 
@@ -211,7 +225,8 @@ class Smc100States(SimulatedDevice):
             self._code = CONFIGURATION
         elif self.mode is Mode.CONFIGURATION:
             self.stored = dict(self.parameters)
-            self.address = int(self.parameters["SA"])
+            if self.address != FIRST:
+                self.address = int(self.parameters["SA"])
             self._code = FROM_CONFIGURATION
 
     def _configure(self, letters: str, value: str) -> None:
@@ -228,8 +243,14 @@ class Smc100States(SimulatedDevice):
             self.parameters[letters] = float(value)
 
     def _plausible(self, letters: str, value: float) -> bool:
-        ranges = {"SL": (-1e12, 0.0), "SR": (0.0, 1e12), "HT": (0.0, 4.0), "SA": (2.0, 31.0)}
-        low, high = ranges.get(letters, (0.0 if letters in {"BA", "BH"} else 1e-9, 1e12))
+        ranges = {
+            "SL": (-1e12, 0.0),
+            "SR": (0.0, 1e12),
+            "HT": (0.0, 4.0),
+            "SA": (2.0, 31.0),
+            "ZX": (1.0, 3.0),
+        }
+        low, high = ranges.get(letters, (0.0 if letters in {"BA", "BH", "VB"} else 1e-9, 1e12))
         return low <= value <= high
 
     # Motion.
@@ -265,17 +286,22 @@ class Smc100States(SimulatedDevice):
             if target_counts is None:
                 self.motor.home()
             else:
-                self.motor.move(target_counts)
+                self.motor.move(target_counts - self._slipped)
 
     def _attend(self) -> None:
         ended = self.motor.ended()
         if ended is None or self.mode not in {Mode.HOMING, Mode.MOVING}:
             return
         homing = self.mode is Mode.HOMING
-        if ended is Motion.STALL:
+        if ended is Motion.STALL and (homing or not self.model.stepper):
             self._faults_seen |= HOMING_TIME_OUT if homing else FOLLOWING_ERROR
             self._code = FROM_HOMING if homing else DISABLE_FROM_MOVING
-        elif FaultKind.LOST_REPLY not in self.faults:
+            return
+        if homing:
+            self._slipped = 0
+        elif ended is Motion.STALL:
+            self._slipped = self._target - self.motor.counts
+        if FaultKind.LOST_REPLY not in self.faults:
             self._code = READY_FROM_HOMING if homing else READY_FROM_MOVING
 
     def _stop(self) -> None:
@@ -288,7 +314,7 @@ class Smc100States(SimulatedDevice):
 
 
 LINE_LENGTH = 80
-_COMMAND = re.compile(r"(\d*)([A-Z]{2})(.*)$")
+_COMMAND = re.compile(r"(\d*)(FRM|FRS|QIL|[A-Z]{2})(.*)$")
 
 
 class Smc100Firmware(Smc100States):
@@ -307,7 +333,9 @@ class Smc100Firmware(Smc100States):
         if match is None or self._dead or self._clock() < self._restarted_at:
             return True
         address, letters, value = match.groups()
-        if not address:
+        if not address and letters == "ST":  # the general stop, of every controller on the line
+            self._obey(letters, value)
+        elif not address:
             self._fail(BAD_ADDRESS)
         elif int(address) == self.address:
             self.commands.append(letters.encode("ascii") + value.encode("latin-1"))
@@ -322,6 +350,10 @@ class Smc100Firmware(Smc100States):
             self._answer(letters, self._number(self.parameters[letters]))
         elif letters in self.parameters or letters == "ID":
             self._configure(letters, value)
+        elif letters in SERVO_ONLY and self.model.stepper:
+            self._fail(NOT_FOR_STEPPERS)
+        elif letters in STEPPER_ONLY and not self.model.stepper:
+            self._fail(NOT_FOR_SERVOS)
         elif letters not in ALLOWED:
             self._fail(UNKNOWN)
         elif self.mode not in ALLOWED[letters]:
@@ -343,12 +375,11 @@ class Smc100Firmware(Smc100States):
             "PW": lambda _: answer("PW", str(int(self.mode is Mode.CONFIGURATION))),
             "TB": self._report_text,
             "TE": lambda _: self._report_error(),
-            "TH": lambda _: answer("TH", self._degrees(self.motor.counts)),
+            "TH": lambda _: answer("TH", self._degrees(self.counts)),
             "TP": lambda _: self._report_position(),
             "TS": lambda _: self._report_state(),
             "VE": lambda _: answer("VE", self.model.version),
             "ZT": lambda _: self._report_all(),
-            "ZX": lambda _: answer("ZX", "3"),
         }
 
     def _handlers(self) -> dict[str, Callable[[str], None]]:
@@ -356,11 +387,10 @@ class Smc100Firmware(Smc100States):
             "MM": self._enable,
             "OR": lambda _: self._start(None),
             "PA": lambda value: self._move(value, 0),
-            "PR": lambda value: self._move(value, self.motor.counts),
+            "PR": lambda value: self._move(value, self.counts),
             "PW": self._enter_configuration,
             "RS": lambda _: self._restart(),
             "ST": lambda _: self._stop(),
-            "ZX": lambda value: None if value in {"1", "2", "3"} else self._fail(BAD_PARAMETER),
         }
 
     # Answers.
@@ -390,7 +420,7 @@ class Smc100Firmware(Smc100States):
         self._answer("TB", f"{code} {ERROR_TEXTS.get(code, 'Unknown')}")
 
     def _report_position(self) -> None:
-        self._answer("TP", self._degrees(self.motor.counts))
+        self._answer("TP", self._degrees(self.counts))
         if self.motor.loses_power():
             self._power_up()
 
@@ -400,6 +430,9 @@ class Smc100Firmware(Smc100States):
             self._faults_seen = 0
 
     def _report_all(self) -> None:
+        """The configuration as the lines that would set it, between PW1 and PW0: the stage first, then by letters."""
+        self._answer("PW", "1")
+        self._answer("ID", self.stage)
         for letters, value in sorted(self.parameters.items()):
             self._answer(letters, self._number(value))
         self._answer("PW", "0")

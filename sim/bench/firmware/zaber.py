@@ -465,6 +465,7 @@ class ZaberFirmware(ZaberController):
         return {
             "pos": lambda: self.motor.counts,
             "encoder.pos": lambda: self.motor.counts,
+            "limit.home.triggered": lambda: int(self.motor.referenced),
             "driver.enabled": lambda: int(self._flags.isdisjoint(CUTTING)),
         }
 

@@ -116,7 +116,7 @@ def test_something_bright_is_no_light_trap(small, small_flat, tmp_path):
         calibrate_stray(
             small("grey", rig=rig, sample={**TILE, "reflectance": 0.2}).rig, tmp_path / "s", Taking(0.004)
         )
-    with pytest.raises(CalibrationError, match="names no flat"):
+    with pytest.raises(RigFileError, match="names no flat"):
         calibrate_stray(small("none", rig={"calibration": None}).rig, tmp_path / "s", Taking(0.004))
     assert not list(tmp_path.glob("s.*"))
 

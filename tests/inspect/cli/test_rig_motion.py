@@ -165,10 +165,10 @@ def test_in_a_terminal_homing_is_asked_for(line, rig_file, answer, moved):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["move", "400"], "400° is outside 0°…360°; nothing was moved"),
+        (["move", "400", "--option", "max_deg=180"], "400° is outside 0°…180°; nothing was moved"),
         (["move", "1", "--sample"], "needs a rig file"),
         (["move", "1", "--axis", "tilt"], "--axis tilt: nothing tilts there"),
-        (["jog", "-10"], "-10° is outside 0°…360°"),
+        (["jog", "-10", "--option", "max_deg=180"], "-10° is outside 0°…180°"),
         (["home", "--option", "address"], "KEY=VALUE"),
         (["home", "--rig", "rig.toml"], "--rig FILE, or --driver"),
     ],
@@ -182,11 +182,46 @@ def test_mistakes_are_one_line(command, arguments, complaint):
     assert "Traceback" not in err
 
 
-def test_an_angle_out_of_reach_is_refused_before_the_stage_is_homed(command):
-    port = "sim://elliptec?time_scale=0"
-    code, _, err = command("rig", "move", "400", "--driver", "elliptec", "--port", port, "--yes")
+@pytest.mark.parametrize("arguments", [["move", "200"], ["jog", "200"], ["move", "nan"], ["jog", "-1"]])
+def test_an_angle_out_of_reach_is_refused_before_the_stage_is_homed(command, arguments):
+    stage = ["--driver", "elliptec", "--port", "sim://elliptec?time_scale=0", "--option", "max_deg=180"]
+    code, _, err = command("rig", *arguments, *stage, "--yes")
     assert code == 69
+    assert "nothing was moved" in err
     assert "homing" not in err
+
+
+def test_an_approach_out_of_reach_is_refused_before_the_stage_is_homed(command, line, rig_file):
+    rig = rig_file(line()[0])
+    code, _, err = command("rig", "move", -9, "--sample", "-g", rig, "--yes")
+    assert (code, "-1° is outside 0°…360°" in err, "homing" in err) == (69, True, False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reading"),
+    [(["move", -5], 355.0), (["move", 400], 40.0), (["jog", -10], 350.0), (["jog", 725], 5.0)],
+)
+def test_a_stage_that_turns_all_the_way_round_takes_every_angle(command, line, rig_file, arguments, reading):
+    url, (axis, _) = line()
+    code, out, err = command("rig", *arguments, "-g", rig_file(url), "--yes", "--json")
+    assert code == 0, err
+    assert json.loads(out)["after_deg"] == pytest.approx(reading, abs=0.01)
+    assert axis.position() == pytest.approx(reading, abs=0.01)
+
+
+def test_an_arm_is_not_turned_round(command, line, rig_file):
+    url, (_, tilt) = line()
+    code, _, err = command("rig", "move", -5, "--axis", "tilt", "-g", rig_file(url, tilt=True), "--yes")
+    assert (code, "-5° is outside 0°…360°" in err, tilt.position()) == (69, True, 0.0)
+
+
+def test_options_after_the_end_of_the_options_are_named(command):
+    arguments = ["--", "-5", "--driver", "elliptec", "--port", "sim://elliptec"]
+    code, out, err = command("rig", "move", *arguments)
+    assert (code, out) == (64, "")
+    assert err.startswith(
+        "anisoscope: --driver stands after '--', which ends the options: write the options before"
+    )
 
 
 def test_options_of_a_driver_reach_it(command, line):
@@ -226,6 +261,41 @@ def test_stop_reaches_a_stage_that_another_process_moves(command, line, rig_file
     assert "interrupted; the stage is stopped" in said
     assert not axis.busy()
     assert 0.0 < axis.position() < 300.0
+    assert holder_of(url) is None
+
+
+def test_a_held_rig_stays_homed_and_is_stopped_without_naming_it(
+    command, line, rig_file, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    url, (axis, _) = line(kind=PtyServer)
+    rig = rig_file(url)
+    code, _, err = command("rig", "stop")
+    assert (code, "no rig is held" in err) == (64, True)
+    holding = [sys.executable, "-Im", "anisoscope", "rig", "hold", "--home", "--yes", "-g", str(rig)]
+    with subprocess.Popen(holding, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as owner:
+        assert owner.stdout.readline() == "holding stage ELL14 11400517 for other commands\n"
+        code, out, err = command("rig", "move", 30, "-g", rig)
+        assert (code, err) == (0, ""), "nothing homes twice"
+        assert out.startswith("stage ELL14 11400517: was at 0.000°, is at 30.00")
+        code, _, err = command("rig", "hold", "-g", rig)
+        assert (code, "another process holds this rig already" in err) == (64, True)
+        axis.stop()
+        axis.time_scale = 60.0
+        moving = [sys.executable, "-Im", "anisoscope", "rig", "move", "300", "-g", str(rig)]
+        with subprocess.Popen(moving, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as mover:
+            while not axis.busy():
+                assert mover.poll() is None, mover.communicate()
+                time.sleep(0.02)
+            code, out, _ = command("rig", "status", "-g", rig)
+            assert "moving, homed" in out
+            code, out, _ = command("rig", "stop", "--json")
+            assert (code, json.loads(out)) == (0, {"held": {str(owner.pid): ["stage"]}})
+            _, said = mover.communicate(timeout=120)
+        assert (mover.returncode, "was stopped at" in said) == (69, True)
+        assert not axis.busy()
+        owner.send_signal(signal.SIGTERM)
+        assert owner.wait(120) == 0
     assert holder_of(url) is None
 
 

@@ -1,5 +1,6 @@
 """``anisoscope rig snap`` and ``rig live`` on the virtual rig."""
 
+import io
 import json
 import os
 import pty
@@ -85,6 +86,25 @@ def test_a_colour_camera_gives_its_mosaic_and_a_preview_in_colour(command, virtu
     assert (code, json.loads(out)["ridge_deg"]) == (0, None)
     code, printed, _ = command("rig", "status", "-g", rig.rig)
     assert (code, "colour filters gbrg" in printed) == (0, True)
+
+
+@pytest.mark.parametrize("lit", [True, False])
+def test_as_is_leaves_the_light_alone_and_asks_nobody(command, rig, tmp_path, lit, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    text = rig.rig.read_text()
+    head, _, _ = text.partition("[light]")
+    rig.rig.write_text(head + '[light]\ndriver = "manual"\n')
+    rig.bench.light_on = lit
+    out = tmp_path / "a.tif"
+    assert command(*snap(rig, out))[0] == 69, "nobody can switch it"
+    code, _, err = command(*snap(rig, out, "--light", "as-is", "--json"))
+    assert (code, "switch" in err.lower()) == (0, False)
+    frame = read_frame(out)
+    assert frame.kind == "sample"
+    assert (frame.counts.mean() > 500) == lit
+    assert rig.bench.light_on == lit
+    code, printed, _ = command(*live(rig, "--count", 1, "--light", "as-is", "--json"))
+    assert (code, "mean" in json.loads(printed)) == (0, True)
 
 
 def test_too_long_an_exposure_is_said(command, rig, tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from anisoscope.base.errors import CalibrationError, RecordError, UsageError
+from anisoscope.base.errors import CalibrationError, RecordError, RigFileError, UsageError
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.replay import inspect_frames
@@ -187,7 +187,7 @@ def add(folder, kind, pictures):
 def test_flats_in_the_folder_fix_the_scale(taken, replay):
     rig, live, folder = taken
     geometry = bare(rig)
-    with pytest.raises(CalibrationError, match="names no flat"):
+    with pytest.raises(RigFileError, match="names no flat"):
         replay(rig, folder, rig_path=geometry)
     add(folder, "flat", photographs(rig, "flat", 'kind = "white-tile"', 4))
     found = replay(rig, folder, rig_path=geometry)

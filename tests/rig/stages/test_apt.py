@@ -7,7 +7,7 @@ import pytest
 
 from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
-from anisoscope.rig.stages.apt import Apt, scale_of
+from anisoscope.rig.stages.apt import Apt, scale_of, trouble_of
 from anisoscope.rig.stages.apt_wire import (
     MOVE_ABSOLUTE,
     DeviceInfo,
@@ -216,7 +216,7 @@ def test_updates_are_switched_off_when_connecting_and_acknowledged_when_on(in_pr
 
 
 def test_a_disabled_motor_is_enabled_before_a_motion(in_process):
-    firmware = firmware_with()
+    firmware = AptFirmware(RotaryAxis(time_scale=0.0), enabled=False)
     with Apt.open(in_process(firmware), **HURRY) as stage:
         assert not stage.status().enabled
         stage.home()
@@ -227,7 +227,7 @@ def test_a_disabled_motor_is_enabled_before_a_motion(in_process):
 
 def late(*faults, enabling_s, model="K10CR1"):
     axis = RotaryAxis(time_scale=0.0, clock=VirtualClock())
-    return AptFirmware(axis, model=MODELS[model], enabling_s=enabling_s, faults=faults)
+    return AptFirmware(axis, model=MODELS[model], enabled=False, enabling_s=enabling_s, faults=faults)
 
 
 @pytest.mark.parametrize("faults", [(), ("split", "unsolicited", "garbage"), ("latched-error:14",)])
@@ -244,10 +244,15 @@ def test_a_motor_that_gets_no_current_is_named(in_process):
     firmware = late(enabling_s=1e6)
     with (
         Apt.open(in_process(firmware)) as stage,
-        pytest.raises(RigError, match="does not switch its motor on"),
+        pytest.raises(RigError, match="channel 1 is switched off"),
     ):
         stage.home()
     assert not firmware.motor.referenced
+
+
+def test_a_controller_that_does_not_say_so_is_named_by_its_status():
+    silent = trouble_of("K10CR1", Status(0, 1 << 10), 0.0, moved=False)
+    assert "does not switch its motor on" in str(silent)
 
 
 class SlowLine(AptFirmware):
@@ -271,7 +276,7 @@ class SlowLine(AptFirmware):
 
 
 def test_a_status_of_before_that_comes_late_is_not_believed(in_process):
-    firmware = SlowLine(RotaryAxis(time_scale=0.0, clock=VirtualClock()))
+    firmware = SlowLine(RotaryAxis(time_scale=0.0, clock=VirtualClock()), enabled=False)
     with Apt.open(in_process(firmware)) as stage:
         assert stage.home() == pytest.approx(0.0, abs=stage.resolution_deg)
         assert stage.status().enabled

@@ -1,6 +1,8 @@
 """The same cases for every driver: what a user may rely on, whatever stage stands on the rig."""
 
+import json
 import re
+import subprocess
 import threading
 import time
 
@@ -16,10 +18,12 @@ from anisoscope.base.errors import (
     Stalled,
 )
 from anisoscope.base.plugins import installed
+from anisoscope.rig import portholder
 from anisoscope.rig.drivers import STAGES
 from anisoscope.rig.stage import RotationStage
 from anisoscope.sim.bench.firmware import catalogue
 from anisoscope.sim.bench.firmware.faults import FaultKind
+from anisoscope.sim.bench.serve import PtyServer
 
 ACTION = r"; (calibrate|check|correct|find|home|let|look|lower|remove|send|unpark|wait)\b"
 """What every error ends with: what to do."""
@@ -208,6 +212,26 @@ def test_stop_at_rest_and_closing_twice_are_harmless(in_process, case, clock):
     stage.close()
     with pytest.raises(NotConnected):
         stage.position_deg()
+
+
+def test_an_axis_that_a_killed_process_left_moving_is_stopped_first(case, tmp_path, monkeypatch):
+    """The note of a port outlives the process that did not close it."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    firmware = case.firmware(time_scale=case.stage.get("unhurried", 5.0))
+    with PtyServer(firmware) as server:
+        stage = case.open(server.url, margin_s=5.0, timeout_s=PATIENT_S)
+        stage.home()
+        stage._begin_move(300.0)
+        stage._transport.close()
+        note = portholder.claim(server.port)
+        ended = subprocess.Popen(["true"])
+        ended.wait()
+        note.write_text(json.dumps(json.loads(note.read_text()) | {"pid": ended.pid}))
+        assert firmware.axis.busy()
+        with case.open(server.url, margin_s=5.0, timeout_s=PATIENT_S) as again:
+            assert not firmware.axis.busy()
+            assert 0.0 <= firmware.axis.position() < 300.0
+            assert again.position_deg() < 300.0
 
 
 def test_only_one_program_may_hold_a_port(in_process, case, clock):

@@ -7,7 +7,7 @@ from anisoscope.rig.stages.smc100 import Answer, Smc100, State, error_of_letter
 from anisoscope.rig.transport import Transport, shared_ports
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.device import Bus
-from anisoscope.sim.bench.firmware.smc100 import AG_PR100P, Smc100Firmware
+from anisoscope.sim.bench.firmware.smc100 import AG_PR100P, URS75PP, Smc100Firmware
 
 HURRY = {"timeout_s": 0.15, "margin_s": 0.15, "velocity_deg_s": 4000.0}
 
@@ -145,6 +145,14 @@ def test_limits_changed_in_the_controller_meanwhile_are_told(in_process):
         firmware.write(b"1SR50\r\n")
         with pytest.raises(LimitExceeded, match="TE G"):
             stage.move_to(90.0)
+
+
+def test_a_stepper_tells_its_resolution_by_its_microsteps(in_process):
+    firmware = Smc100Firmware(RotaryAxis(time_scale=0.0), model=URS75PP)
+    with Smc100.open(in_process(firmware), **HURRY) as stage:
+        assert stage.resolution_deg == pytest.approx(0.0002)
+        stage.home()
+        assert stage.move_to(12.3456) == pytest.approx(12.3456, abs=1e-6)
 
 
 def test_a_controller_that_does_not_tell_its_resolution(in_process):

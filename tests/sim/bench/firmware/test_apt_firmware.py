@@ -59,11 +59,12 @@ def test_information_is_84_bytes():
 @pytest.mark.parametrize(
     ("command", "answer"),
     [
-        ("1102 01 00 50 01", "1202 01 02 01 50"),
+        ("1102 01 00 50 01", "1202 01 01 01 50"),
         ("1104 01 00 50 01", "1204 0600 81 50 0100 00000000"),
         ("0A04 01 00 50 01", "0B04 0600 81 50 0100 00000000"),
-        ("2904 01 00 50 01", "2A04 0600 81 50 0100 00210000"),
-        ("8004 01 00 50 01", "8104 0E00 81 50 0100 00000000 00000000 00210000"),
+        ("2904 01 00 50 01", "2A04 0600 81 50 0100 00210080"),
+        ("8004 01 00 50 01", "8104 0E00 81 50 0100 00000000 00000000 00210080"),
+        ("2404 01 00 50 01", "2504 1000 81 50 0100 0100 0100 00000000 00000000 0100"),
         ("3B04 01 00 50 01", "3C04 0600 81 50 0100 00000000"),
         ("1404 01 00 50 01", "1504 0E00 81 50 0100 00000000 AC3A0000 52555E04"),
         ("4104 01 00 50 01", "4204 0E00 81 50 0100 0200 0100 52555E04 00000000"),
@@ -73,7 +74,7 @@ def test_information_is_84_bytes():
         ("1800 00 00 50 01", ""),
         ("1200 00 00 50 01", ""),
         ("0500 00 00 21 01", ""),
-        ("6504 01 01 50 01", "6604 0E00 81 50 0100 00000000 00000000 00210000"),
+        ("6504 01 01 50 01", "6604 0E00 81 50 0100 00000000 00000000 00210080"),
     ],
 )
 def test_answers(command, answer):
@@ -92,13 +93,24 @@ def test_a_servo_speaks_in_the_messages_of_servos():
     firmware = instant(KDC101)
     assert ask(firmware, REQ_STATUS["K10CR1"]) == b""
     answer = ask(firmware, REQ_STATUS["KDC101"])
-    assert answer == bytes.fromhex("9104 0E00 81 50 0100 00000000 0000 0000 00210000")
+    assert answer == bytes.fromhex("9104 0E00 81 50 0100 00000000 0000 0000 00210080")
 
 
-def test_a_motor_without_current_does_not_move():
+def test_the_channel_is_on_at_power_up_as_published_clients_expect():
     firmware = instant()
-    assert ask(firmware, move(1000)) == b""
-    assert firmware.counts == 0
+    assert ask(firmware, HOME) == bytes.fromhex("4404 01 00 01 50")
+    assert status_of(firmware)[3] == ENABLED_AT_REST | 1 << 10
+
+
+def test_a_motion_of_a_channel_that_was_switched_off_is_refused_and_said():
+    firmware = instant()
+    ask(firmware, "1002 01 02 50 01")
+    for command, about in ((move(1000), 0x0453), (HOME, 0x0443)):
+        answer = ask(firmware, command)
+        assert answer[:6] == bytes.fromhex("8100 4400 81 50")
+        assert struct.unpack_from("<HH", answer, 6) == (about, 1)
+        assert b"switched off" in answer
+    assert (firmware.counts, firmware.motor.referenced) == (0, False)
     ask(firmware, ENABLE)
     ask(firmware, move(1000))
     assert firmware.counts == 1000

@@ -5,7 +5,7 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
-from anisoscope.sim.bench.firmware.smc100 import AG_PR100P, ERROR_TEXTS, Smc100Firmware
+from anisoscope.sim.bench.firmware.smc100 import AG_PR100P, ERROR_TEXTS, URS75PP, Smc100Firmware
 
 
 class Clock:
@@ -35,6 +35,10 @@ def ready(**options):
     firmware = instant(**options)
     assert ask(firmware, "1OR", "1TS") == "1TS000032"
     return firmware
+
+
+def stepper(**options):
+    return instant(model=URS75PP, **options)
 
 
 def disabled():
@@ -89,7 +93,10 @@ def configured():
         (disabled, ["1MM?"], "1MM0"),
         (configured, ["1PA5", "1TE"], "1TEI"),
         (configured, ["1SL5", "1TE"], "1TEC"),
-        (configured, ["1SA7", "1PW0", "7TS"], "7TS00000C"),
+        (configured, ["1SA7", "1PW0", "1TS", "1SA?"], "1TS00000C 1SA7"),
+        (stepper, ["1ID?", "1VE", "1FRM?", "1FRS?"], "1IDURS75PP 1VESMC_PP_1.0.0 1FRM100 1FRS0.02"),
+        (stepper, ["1SU?", "1TE", "1FE?", "1TE"], "1TEW 1TEW"),
+        (instant, ["1FRM?", "1TE"], "1TEX"),
         (configured, ["1IDPR50", "1ID?", "1ZX3", "1TE", "1ZX?"], "1IDPR50 1TE@ 1ZX3"),
     ],
 )
@@ -107,7 +114,26 @@ def test_what_is_configured_survives_a_restart_and_what_is_set_in_use_does_not()
 def test_all_parameters_at_once():
     answers = ask(instant(), "1ZT").split()
     assert "1SU0.0005" in answers
-    assert answers[-1] == "1PW0"
+    assert (answers[0], answers[1], answers[-1]) == ("1PW1", "1IDURS100CC", "1PW0")
+
+
+def test_all_parameters_of_a_stepper_in_the_order_of_the_manual():
+    letters = [answer.rstrip("-.0123456789")[1:] for answer in ask(stepper(), "1ZT").split()]
+    assert " ".join(letters[2:-1]) == "AC BA BH FRM FRS HT JR OH OT QIL SA SL SR VA VB ZX"
+
+
+def test_a_controller_behind_the_first_takes_its_address_from_the_configuration():
+    firmware = instant(address=3)
+    assert ask(firmware, "3PW1", "3SA7", "3PW0", "3TS", "7TS") == "7TS00000C"
+
+
+def test_a_stepper_loses_steps_at_an_obstacle_and_says_nothing():
+    firmware = stepper(faults=("stall:45",))
+    assert ask(firmware, "1OR", "1PA90", "1TS", "1TP") == "1TS000033 1TP90.00000"
+    assert firmware.axis.position() == 45.0
+    firmware.clear_faults()
+    assert ask(firmware, "1PA60", "1TP") == "1TP60.00000"
+    assert firmware.axis.position() == pytest.approx(15.0)
 
 
 def test_a_motion_goes_through_its_states(clock):
@@ -134,6 +160,17 @@ def test_a_stop_ends_a_move_ready_and_a_search_without_reference(clock):
     assert ask(firmware, "1ST", "1TS") == "1TS000033"
     assert 0.0 < firmware.axis.position() < 90.0
     assert firmware.stops == 2
+
+
+def test_a_stop_without_address_stops_every_controller(clock):
+    mounts = [Mount(RotaryAxis(clock=clock)) for _ in range(2)]
+    bus = build("smc100", mounts)
+    ask(bus, "1OR", "2OR")
+    clock.now += 1.0
+    ask(bus, "1PA90", "2PA90")
+    clock.now += 1.0
+    assert ask(bus, "ST", "1TS", "1TE", "2TS") == "1TS000033 1TE@ 2TS000033"
+    assert not any(mount.axis.busy() for mount in mounts)
 
 
 def test_an_obstacle_disables_the_motor():

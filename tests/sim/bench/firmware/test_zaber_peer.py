@@ -60,8 +60,10 @@ def test_it_homes_and_moves(axis_of):
     firmware = stage(time_scale=0.05)
     axis = axis_of(firmware)
     assert not axis.is_homed()
+    assert axis.settings.get("limit.home.triggered") == 0
     axis.home()
     assert axis.is_homed()
+    assert axis.settings.get("limit.home.triggered") == 1
     axis.move_absolute(QUARTER)
     assert firmware.axis.position() == pytest.approx(90.0)
     axis.move_relative(-QUARTER / 2)

@@ -1,0 +1,371 @@
+"""A rig that stays open: one process owns its axes and its light, others use them over a socket of this machine.
+
+A port is open once, and a stage without memory loses its reference when it is closed. So one process (``anisoscope rig
+hold``) may keep the devices open; whoever opens an axis or a light of a rig file meanwhile gets a proxy of it. The
+note of the port (`anisoscope.rig.portholder`) states where the owner listens, and a token that only this user can
+read.
+
+A client that goes away during a motion stops it. How they talk: `anisoscope.rig.holdline`.
+"""
+
+import contextlib
+import hmac
+import json
+import logging
+import secrets
+import selectors
+import socket
+import socketserver
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any, Self
+
+from anisoscope.base.errors import AnisoscopeError, RigError
+from anisoscope.rig.holdline import ALIVE_S, LONGEST_LINE, HoldLine
+from anisoscope.rig.light import Light
+from anisoscope.rig.portholder import Holder, claim, holder_of, release
+from anisoscope.rig.rigfile import BY_HAND, AxisPart, LightPart
+from anisoscope.rig.stage import MotionState, RotationStage, motion_state
+
+_log = logging.getLogger(__name__)
+
+HERE = "127.0.0.1"
+Part = AxisPart | LightPart
+MOTIONS = frozenset({"home", "move_to", "move_by"})
+
+
+def key_of(part: Part) -> str:
+    """What an owner and a client agree on: driver, port and options of a device."""
+    return json.dumps([part.driver, part.port, dict(sorted(part.options.items()))])
+
+
+# The owner.
+
+
+class Owner:
+    """Serves devices to other processes of this user until its context ends.
+
+    Args:
+        axes: open axes by their tables of the rig file, with these.
+        light: the open light and its table.
+        rig: the rig file; "" without.
+
+    Attributes:
+        address: ``host:port`` at which it listens.
+    """
+
+    def __init__(
+        self,
+        axes: Mapping[str, tuple[AxisPart, RotationStage]],
+        light: tuple[LightPart, Light] | None = None,
+        rig: str = "",
+    ) -> None:
+        self.axes = {table: axis for table, (_, axis) in axes.items()}
+        parts: list[tuple[Part, RotationStage | Light]] = [
+            *axes.values(),
+            *([] if light is None else [light]),
+        ]
+        self._devices = {key_of(part): device for part, device in parts}
+        self._ports = list(dict.fromkeys(part.port for part, _ in parts if part.port is not None))
+        self._rig = rig
+        self._token = secrets.token_urlsafe(32)
+        self._stack = contextlib.ExitStack()
+        self.address = ""
+
+    def __enter__(self) -> Self:
+        server = _Server(self)
+        self._stack.callback(server.server_close)
+        self.address = f"{HERE}:{server.server_address[1]}"
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,), name="rig hold", daemon=True)
+        thread.start()
+        self._stack.callback(thread.join)
+        self._stack.callback(server.shutdown)
+        for port in self._ports:
+            self._stack.callback(release, claim(port, self.address, self._token, self._rig))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def stop_all(self) -> dict[str, str]:
+        """Stop all axes at the same time; by table, what went wrong, or ""."""
+        found: dict[str, str] = {}
+
+        def stop(table: str, axis: RotationStage) -> None:
+            try:
+                axis.stop()
+                found[table] = ""
+            except RigError as problem:
+                found[table] = str(problem)
+
+        threads = [threading.Thread(target=stop, args=pair) for pair in self.axes.items()]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return found
+
+    def action(self, request: Mapping[str, Any]) -> tuple[Callable[[], Any], Callable[[], None]]:
+        """What a request wants done, and what is done when its client goes away meanwhile.
+
+        Raises:
+            RigError: it is not from this user, or names nothing that is held.
+        """
+        if not hmac.compare_digest(str(request.get("token", "")).encode(), self._token.encode()):
+            raise RigError(
+                "the process that holds the rig does not know this client; start the command again"
+            )
+        do, arguments = str(request.get("do")), list(request.get("args", ()))
+        key = request.get("device")
+        if key is None:
+            if do != "stop":
+                raise RigError(f"the process that holds the rig knows no '{do}' for all devices")
+            return self.stop_all, _nothing
+        device = self._devices.get(str(key))
+        if device is None:
+            raise RigError(
+                "the process that holds the rig has this port open with another driver or other options; end it with q "
+                "in its window, and start anisoscope rig hold with this rig file"
+            )
+        if isinstance(device, RotationStage):
+            return _stage_action(device, do, arguments)
+        return _light_action(device, do), _nothing
+
+
+def _nothing() -> None:
+    """Nothing has to be undone."""
+
+
+def _stage_action(
+    stage: RotationStage, do: str, arguments: list[Any]
+) -> tuple[Callable[[], Any], Callable[[], None]]:
+    queries: dict[str, Callable[[], Any]] = {
+        "describe": lambda: {
+            "name": stage.name,
+            "limits_deg": list(stage.limits_deg),
+            "resolution_deg": stage.resolution_deg,
+        },
+        "is_homed": lambda: stage.is_homed,
+        "motion_state": lambda: asdict(motion_state(stage)),
+        "position_deg": stage.position_deg,
+        "stop": stage.stop,
+    }
+    if do in queries and not arguments:
+        return queries[do], _nothing
+    numbers = [float(value) for value in arguments]
+    if do in MOTIONS and len(numbers) == (do != "home"):
+        return lambda: getattr(stage, do)(*numbers), stage.stop
+    raise RigError(f"the process that holds the rig knows no '{do}' of a stage")
+
+
+def _light_action(light: Light, do: str) -> Callable[[], Any]:
+    actions: dict[str, Callable[[], Any]] = {
+        "describe": lambda: {
+            "name": str(getattr(light, "name", "")),
+            "asks": bool(getattr(light, "asks", False)),
+        },
+        "on": light.on,
+        "off": light.off,
+    }
+    if do not in actions:
+        raise RigError(f"the process that holds the rig knows no '{do}' of a light")
+    return actions[do]
+
+
+def _refusal(error: AnisoscopeError) -> dict[str, Any]:
+    return {"error": type(error).__name__, "text": str(error)}
+
+
+class _Server(socketserver.ThreadingTCPServer):
+    daemon_threads = True
+    block_on_close = False
+    allow_reuse_address = True
+
+    def __init__(self, owner: Owner) -> None:
+        self.owner = owner
+        super().__init__((HERE, 0), _Client)
+
+
+class _Client(socketserver.StreamRequestHandler):
+    """One client: its requests one after the other."""
+
+    server: _Server
+    disable_nagle_algorithm = True
+
+    def handle(self) -> None:
+        with contextlib.suppress(OSError):
+            while line := self.rfile.readline(LONGEST_LINE):
+                self._send(self._answer(line))
+
+    def _send(self, answer: Mapping[str, Any]) -> None:
+        self.wfile.write(json.dumps(answer).encode() + b"\n")
+
+    def _answer(self, line: bytes) -> Mapping[str, Any]:
+        try:
+            action, undo = self.server.owner.action(json.loads(line))
+        except AnisoscopeError as error:
+            return _refusal(error)
+        except (ValueError, TypeError, AttributeError):
+            return _refusal(RigError("the process that holds the rig does not understand the request"))
+        try:
+            return {"ok": self._wait_for(action, undo)}
+        except AnisoscopeError as error:
+            return _refusal(error)
+        except Exception as error:  # noqa: BLE001 - the client learns of it, and this process goes on
+            _log.exception("a request of another process")
+            return _refusal(
+                RigError(f"internal error in the process that holds the rig: {type(error).__name__}: {error}")
+            )
+
+    def _wait_for(self, action: Callable[[], Any], undo: Callable[[], None]) -> Any:  # noqa: ANN401
+        """Result of an action, which runs in a thread; a client that goes away meanwhile has it undone."""
+        ours, theirs = socket.socketpair()
+        outcome: list[Any] = []
+
+        def work() -> None:
+            try:
+                outcome.extend((True, action()))
+            except BaseException as error:  # noqa: BLE001 - goes on in the thread of the client
+                outcome.extend((False, error))
+            finally:
+                theirs.close()
+
+        thread = threading.Thread(target=work, name="rig hold action", daemon=True)
+        with ours:
+            thread.start()
+            self._stay(ours, undo)
+        thread.join()
+        if not outcome[0]:
+            raise outcome[1]
+        return outcome[1]
+
+    def _stay(self, done: socket.socket, undo: Callable[[], None]) -> None:
+        """Wait until an action is done; send signs of life, and undo the action where the client disconnects."""
+        client: socket.socket | None = self.connection
+        with selectors.DefaultSelector() as waiting:
+            waiting.register(done, selectors.EVENT_READ)
+            waiting.register(self.connection, selectors.EVENT_READ)
+            while True:
+                ready = [key.fileobj for key, _ in waiting.select(ALIVE_S)]
+                if done in ready:
+                    return
+                if client is not None and not self._is_there(heard=client in ready):
+                    waiting.unregister(client)
+                    client = None
+                    with contextlib.suppress(RigError):
+                        undo()
+
+    def _is_there(self, *, heard: bool) -> bool:
+        try:
+            if heard and not self.connection.recv(1, socket.MSG_PEEK):
+                return False
+            self.connection.sendall(b"\n")
+        except OSError:
+            return False
+        return True
+
+
+# The clients.
+
+
+class HeldStage:
+    """A stage that another process holds; what it does is what the stage of its driver does."""
+
+    def __init__(self, holder: Holder, key: str) -> None:
+        self._holder, self._key, self._line = holder, key, HoldLine(holder)
+        found = self._line.describe(key)
+        self.name = str(found["name"])
+        self.limits_deg = (float(found["limits_deg"][0]), float(found["limits_deg"][1]))
+        self.resolution_deg = float(found["resolution_deg"])
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether the reference was searched since its owner opened it, or the device knows it."""
+        return bool(self._line.ask(self._key, "is_homed"))
+
+    def motion_state(self) -> MotionState:
+        """Query whether it moves, where it is, and its speed, whichever process moves it."""
+        line = HoldLine(self._holder)
+        try:
+            return MotionState(**line.ask(self._key, "motion_state"))
+        finally:
+            line.close()
+
+    def position_deg(self) -> float:
+        """Read the angle."""
+        return float(self._line.ask(self._key, "position_deg"))
+
+    def home(self) -> float:
+        """Search the reference; return the angle read back."""
+        return float(self._line.ask(self._key, "home"))
+
+    def move_to(self, angle_deg: float) -> float:
+        """Move to an angle; return the angle read back."""
+        return float(self._line.ask(self._key, "move_to", angle_deg))
+
+    def move_by(self, delta_deg: float) -> float:
+        """Move by an angle; return the angle read back."""
+        return float(self._line.ask(self._key, "move_by", delta_deg))
+
+    def stop(self) -> None:
+        """Stop at once, on a connection of its own."""
+        line = HoldLine(self._holder)
+        try:
+            line.ask(self._key, "stop")
+        finally:
+            line.close()
+
+    def close(self) -> None:
+        """Let go of the owner, which keeps the stage open; a motion of this client is stopped."""
+        self._line.close()
+
+
+class HeldLight:
+    """A light that another process holds."""
+
+    def __init__(self, holder: Holder, key: str) -> None:
+        self._key, self._line = key, HoldLine(holder)
+        found = self._line.describe(key)
+        self.name, self.asks = str(found["name"]), bool(found["asks"])
+
+    def on(self) -> None:
+        """Switch on; return when it is lit."""
+        self._line.ask(self._key, "on")
+
+    def off(self) -> None:
+        """Switch off; return when it is dark."""
+        self._line.ask(self._key, "off")
+
+    def close(self) -> None:
+        """Let go of the owner, which keeps the light open."""
+        self._line.close()
+
+
+def held_stage(part: AxisPart) -> HeldStage | None:
+    """The axis of a rig file if another process holds it for others, else None.
+
+    Raises:
+        NotConnected: that process does not answer.
+        RigError: it holds the port with another driver or other options.
+    """
+    holder = _owner_of(part)
+    return None if holder is None else HeldStage(holder, key_of(part))
+
+
+def held_light(part: LightPart) -> HeldLight | None:
+    """The light of a rig file if another process holds it for others, else None; errors as for `held_stage`."""
+    holder = _owner_of(part)
+    return None if holder is None else HeldLight(holder, key_of(part))
+
+
+def is_held(part: Part) -> bool:
+    """Whether another process holds the device for others."""
+    return _owner_of(part) is not None
+
+
+def _owner_of(part: Part) -> Holder | None:
+    if part.port is None or part.driver == BY_HAND:
+        return None
+    holder = holder_of(part.port)
+    return holder if holder is not None and holder.serves_at else None

@@ -1,0 +1,122 @@
+"""Requests to the process that holds a rig open for others, and the stop of all that is held.
+
+The socket is bound to 127.0.0.1. A request is a line of JSON, ``{"token", "device", "do", "args"}``, and so is its
+answer, ``{"ok": …}`` or ``{"error", "text"}``. While something takes long the owner sends empty lines: a client that
+hears nothing for `SILENCE_S` gives up. A stop needs a connection of its own, waits for no other request, and reaches
+all axes where no device is named.
+
+Nothing heavy is imported here: a stop is sent while the rest of the program still loads.
+"""
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+from anisoscope.base import errors
+from anisoscope.base.errors import NotConnected, RigError
+from anisoscope.rig.portholder import Holder, servers
+
+ALIVE_S, SILENCE_S = 0.5, 5.0
+LONGEST_LINE = 65536
+
+
+class HoldLine:
+    """Requests to the owner of a port, one after the other; a connection that broke is made anew."""
+
+    def __init__(self, holder: Holder) -> None:
+        self._holder = holder
+        self._lock = threading.Lock()
+        self._socket: socket.socket | None = None
+        self._pending = b""
+
+    def ask(self, device: str | None, do: str, *arguments: float) -> Any:  # noqa: ANN401
+        """Answer of the owner.
+
+        Raises:
+            NotConnected: it has ended, or does not answer.
+            AnisoscopeError: what it raised.
+        """
+        request = {"token": self._holder.token, "device": device, "do": do, "args": arguments}
+        with self._lock:
+            try:
+                answer = self._exchange(json.dumps(request).encode() + b"\n")
+            except OSError as problem:
+                self.close()
+                silent = isinstance(problem, TimeoutError)
+                raise NotConnected(
+                    f"process {self._holder.pid}, which holds {self._holder.port}, "
+                    f"{'does not answer; look at its window' if silent else 'has ended; start the command again'}"
+                ) from problem
+            except BaseException:
+                self.close()  # an answer that nobody waits for would be taken for that of the next request
+                raise
+        if "error" in answer:
+            kind = getattr(errors, str(answer["error"]), RigError)
+            raise kind(str(answer["text"]))
+        return answer["ok"]
+
+    def describe(self, device: str) -> dict[str, Any]:
+        """What a device is; errors as for `ask`, after which nothing is open."""
+        try:
+            return cast("dict[str, Any]", self.ask(device, "describe"))
+        except BaseException:
+            self.close()
+            raise
+
+    def _exchange(self, request: bytes) -> dict[str, Any]:
+        if self._socket is None:
+            host, _, port = self._holder.serves_at.rpartition(":")
+            self._socket = socket.create_connection((host, int(port)), timeout=SILENCE_S)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._pending = b""
+        self._socket.sendall(request)
+        while True:
+            line, found, rest = self._pending.partition(b"\n")
+            if not found:
+                came = self._socket.recv(LONGEST_LINE)
+                if not came:
+                    raise ConnectionResetError
+                self._pending += came
+                continue
+            self._pending = rest
+            if line:
+                return cast("dict[str, Any]", json.loads(line))
+
+    def close(self) -> None:
+        """Let go of the owner."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def stop_held(rig: Path | None = None) -> dict[int, dict[str, str]]:
+    """Stop all axes that other processes hold for others; of one rig file, if it is named.
+
+    Returns:
+        By process, by table: what went wrong, or "".
+
+    Raises:
+        NotConnected: one of these processes does not answer; the others were asked.
+    """
+    found: dict[int, dict[str, str]] = {}
+    problems = []
+    for holder in held_rigs(rig):
+        line = HoldLine(holder)
+        try:
+            found[holder.pid] = line.ask(None, "stop")
+        except NotConnected as problem:
+            problems.append(str(problem))
+        finally:
+            line.close()
+    if problems:
+        raise NotConnected("; ".join(problems))
+    return found
+
+
+def held_rigs(rig: Path | None = None) -> Iterator[Holder]:
+    """The processes that hold a rig for others; of one rig file, if it is named."""
+    wanted = None if rig is None else str(rig.resolve())
+    return (holder for holder in servers() if wanted is None or holder.rig == wanted)

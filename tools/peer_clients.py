@@ -1,0 +1,117 @@
+"""Other people's clients, whose licence keeps them out of the tests, against the simulated stages.
+
+Each gets an environment of its own below a cache folder, made once by pip, and drives a device on a pseudo terminal.
+Run it before a release; nothing of the package or its tests imports any of them::
+
+    python tools/peer_clients.py            # all; or the names of some
+    python tools/peer_clients.py --write    # and store what they say in docs/evidence/peer-clients.md
+"""
+
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass
+from pathlib import Path
+
+from platformdirs import user_cache_path
+
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.serve import PtyServer
+
+HERE = Path(__file__).resolve().parent
+PAGE = HERE.parent / "docs" / "evidence" / "peer-clients.md"
+TURNED_DEG = 33.0
+LIMIT_S = 180
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A published client, pinned, and the device that it drives."""
+
+    package: str
+    licence: str
+    device: str
+    model: str
+
+
+PEERS = {
+    "pylablib_k10cr1": Peer("pylablib-lightweight==1.4.3", "GPL-3", "apt", "K10CR1"),
+    "apt_device_kdc101": Peer("thorlabs-apt-device==0.3.8", "GPL-3", "apt", "KDC101"),
+    "microscope_zaber": Peer("microscope==0.7.0", "GPL-3", "zaber", "X-RSW60A"),
+    "hvl_ccb_smc100": Peer("hvl-ccb==0.19.6", "GPL-3", "smc100", "urs75pp"),
+}
+
+
+def interpreter_with(package: str) -> Path:
+    """Python of an environment that holds a package; made where there is none yet.
+
+    Raises:
+        subprocess.CalledProcessError: pip does not find it.
+    """
+    folder = user_cache_path("anisoscope") / "peers" / package.replace("==", "-")
+    python = folder / ("Scripts" if sys.platform == "win32" else "bin") / "python"
+    if not (folder / "complete").exists():
+        venv.create(folder, with_pip=True, clear=True)
+        subprocess.run(
+            [python, "-m", "pip", "install", "--quiet", "pyserial", package, *ALSO.get(package, ())],
+            check=True,
+        )
+        (folder / "complete").touch()
+    return python
+
+
+# What these need and do not require.
+ALSO = {"hvl-ccb==0.19.6": ("aenum",), "pylablib-lightweight==1.4.3": ("numba", "pyft232")}
+
+
+def run(name: str) -> tuple[bool, str]:
+    """Let a client drive its device; whether the device then stands where it was sent, and what the client said."""
+    peer = PEERS[name]
+    python = interpreter_with(peer.package)
+    axis = RotaryAxis(time_scale=0.1, start_deg=12.0)
+    with PtyServer(build(peer.device, [Mount(axis)], model=peer.model)) as server:
+        done = subprocess.run(
+            [python, HERE / "peers" / f"{name}.py", server.port],
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
+    arrived = done.returncode == 0 and abs(axis.position() - TURNED_DEG) < 0.01
+    said = done.stdout if done.returncode == 0 else done.stdout + done.stderr
+    return arrived, said.replace(server.port, "PORT").strip()
+
+
+def page(results: dict[str, tuple[bool, str]]) -> str:
+    """The page of evidence."""
+    lines = [
+        "# Clients of other people\n",
+        "`python tools/peer_clients.py --write` lets published clients drive the simulated stages on a pseudo",
+        "terminal: home, then 33°. Their licence (GPL) keeps them out of the tests; each has its own environment.",
+        "Permissive ones (`zaber-motion`, `thorlabs-apt-protocol`, `pygrbl-streamer`) are in the tests.\n",
+    ]
+    for name, (arrived, said) in results.items():
+        peer = PEERS[name]
+        verdict = "stands at 33°" if arrived else "does not stand at 33°"
+        lines += [f"## {peer.package}, {peer.device} {peer.model}: {verdict}\n", "```", said, "```\n"]
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run them; 0 if every device stands where it was sent."""
+    names = [name for name in sys.argv[1:] if not name.startswith("-")] or list(PEERS)
+    results = {}
+    for name in names:
+        results[name] = run(name)
+        arrived, said = results[name]
+        sys.stdout.write(
+            f"{'ok  ' if arrived else 'FAIL'} {PEERS[name].package} ({PEERS[name].model})\n{said}\n\n"
+        )
+    if "--write" in sys.argv:
+        PAGE.write_text(page(results), encoding="utf-8")
+    return 0 if all(arrived for arrived, _ in results.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
