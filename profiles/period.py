@@ -7,7 +7,7 @@ points weigh nothing.
 """
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -105,10 +105,8 @@ def _windowed(residual: FloatArray, known: npt.NDArray[np.bool_]) -> FloatArray:
 
 def _power(data: FloatArray) -> FloatArray:
     """Power of the real two-dimensional spectrum about frequency 0 along y, from −``LOBE_BINS`` on along x."""
-    from scipy import fft  # noqa: PLC0415 - slow to import
-
     rows, cols = data.shape
-    spectrum = fft.rfft2(data)
+    spectrum = np.fft.rfft2(data)  # scipy's is no faster, and slow to import
     power = np.empty((rows, LOBE_BINS + cols // 2 + 1))
     negative = (rows + 1) // 2  # number of frequencies from 0 on; the others are negative
     for there, here in (
@@ -337,6 +335,15 @@ def find_period(surface: HeightMap) -> Period:
     if surface not in _found:  # maps do not change, and what is done with one often asks for its period again
         _found[surface] = _period(surface)
     return _found[surface]
+
+
+def take_over_period(surface: HeightMap, source: HeightMap, quarters: int = 0) -> None:
+    """Let `find_period` know the period of a map that is ``source`` without a tilt, turned clockwise by quarters."""
+    found = find_period(source)
+    if found.is_periodic:
+        direction = 90.0 - (90.0 - (found.direction_deg - 90.0 * quarters)) % 180.0
+        found = replace(found, direction_deg=direction)
+    _found[surface] = found
 
 
 def _period(surface: HeightMap) -> Period:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from anisoscope.prediction.sensitivity import (
     Surface,
     evaluate,
 )
-from anisoscope.recipe.material_file import MaterialFile, material_at
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.material import LONGEST_TAIL
+
+if TYPE_CHECKING:
+    from anisoscope.recipe.material_file import MaterialFile
 
 PLASTIC_AND_SEAT = (
     "roughness along the ridges",
@@ -245,7 +247,7 @@ def calibrated_material(
     nominal: State,
     poses: tuple[Pose, ...],
     convention: Convention,
-    file: MaterialFile,
+    file: "MaterialFile",
 ) -> FloatArray:
     """(K, P) changes of ln L, independent of each other, that a calibrated material leaves at its tail.
 
@@ -261,6 +263,8 @@ def calibrated_material(
         convention: how the angles are counted.
         file: the material with its covariance.
     """
+    from anisoscope.recipe.material_file import material_at  # noqa: PLC0415 - pydantic, for a recipe only
+
     names, values = file.covariance.parameters, file.values()
     _, covariance = file.covariance.given_tail()
     size, vectors = np.linalg.eigh(covariance)

@@ -7,7 +7,7 @@ from one field into the next is left out, and so are the points next to borders 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,6 @@ from anisoscope.prediction.sensitivity import Budget, Contribution, InputUncerta
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.level import level
-from anisoscope.profiles.metrology.regions import DirectionRegions, direction_regions
 from anisoscope.profiles.period import Period, find_period
 from anisoscope.sim.light.census import Facets
 from anisoscope.sim.light.contrasts import contrasts
@@ -36,6 +35,9 @@ from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
 from anisoscope.sim.light.relief import MAX_MISSING_SHARE, Relief, radiance_maps
 from anisoscope.sim.light.unresolved import resolve
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.metrology.regions import DirectionRegions
 
 TRIED = 6
 """Regions of a class in which ridges are searched."""
@@ -111,12 +113,12 @@ def predict_map(
             **options,
         )
 
-    regions = None if find_period(surface).is_periodic else direction_regions(surface)
+    regions = None if find_period(surface).is_periodic else _regions(surface)
     if regions is None or len(regions.azimuths_deg) < 2:
         try:
             return one(surface, convention, max_missing_share, inputs)
         except SeveralDirectionsError:
-            regions = direction_regions(surface) if regions is None else regions
+            regions = _regions(surface) if regions is None else regions
             if len(regions.azimuths_deg) < 2:
                 raise
     if surface.missing_share > max_missing_share:
@@ -235,7 +237,13 @@ def _field_means(values: npt.NDArray[np.floating], fields: FieldGrid) -> FloatAr
     return found
 
 
-def _with_ridges(regions: DirectionRegions, number: int) -> list[HeightMap]:
+def _regions(surface: HeightMap) -> "DirectionRegions":
+    from anisoscope.profiles.metrology.regions import direction_regions  # noqa: PLC0415 - OpenCV, for few maps
+
+    return direction_regions(surface)
+
+
+def _with_ridges(regions: "DirectionRegions", number: int) -> list[HeightMap]:
     """Maps of the largest regions of a class that hold four ridges."""
     found: list[HeightMap] = []
     for region in regions.of_class(number)[:TRIED]:
@@ -256,7 +264,7 @@ class _Facets:
     """
 
     surface: HeightMap
-    regions: DirectionRegions
+    regions: "DirectionRegions"
     material: Material
     poses: tuple[Pose, ...]
     inputs: InputUncertainty | None
@@ -339,7 +347,7 @@ class _Facets:
         return RidgeDesign(max(pitch, 2.0 * max(px, py)), angle)
 
 
-def _first_class(regions: DirectionRegions) -> int:
+def _first_class(regions: "DirectionRegions") -> int:
     """The class whose frame is the sample's."""
     areas, azimuths = regions.areas, np.array(regions.azimuths_deg)
 

@@ -7,7 +7,7 @@ import numpy as np
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap, sealed
 from anisoscope.profiles.level import level
-from anisoscope.profiles.period import Period, find_period
+from anisoscope.profiles.period import Period, find_period, take_over_period
 from anisoscope.sim.light.census import Facets
 from anisoscope.sim.light.relief import MAX_MISSING_SHARE, Relief
 
@@ -68,9 +68,9 @@ def prepare_relief(
         none = Period(float("nan"), float("nan"), 0.0, False)
         prepared = level(surface, none if levelling == "plane" else period).map
     lean = facet_azimuth(prepared, period) if period.is_periodic else 0.0
-    if placed:
-        quarters = round(lean / 90.0)
-        prepared, lean = turned_clockwise(prepared, quarters), lean - 90.0 * quarters
+    quarters = round(lean / 90.0) if placed else 0
+    prepared, lean = turned_clockwise(prepared, quarters), lean - 90.0 * quarters
+    take_over_period(prepared, surface, quarters)
     width = (prepared.shape[1] - 1) * prepared.pixel_x_um
     if pitch_um is not None and pitch_um > width * (1.0 + 1e-6):
         raise HeightMapError(

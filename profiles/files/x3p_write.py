@@ -20,11 +20,13 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.parallel import for_each
 from anisoscope.profiles.heightmap import HeightMap, row_blocks
 
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
 ULPS = "anisoscope/ulps.bin"
 PACKING_LEVEL = 1
+BLOCK_BYTES = 2**22
 SAMPLE_BYTES = 2**18
 SAMPLED = (0.1, 0.3, 0.5, 0.7, 0.9)
 WORTH = 0.7
@@ -204,16 +206,46 @@ def write_x3p(surface: HeightMap, path: Path | str, *, text: bool = False) -> No
     path = Path(path)
     partial = path.with_name(f".{path.name}.partial")
     try:
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(partial, "w") as archive:
             for name, content in entries.items():
-                kind = zipfile.ZIP_DEFLATED if _worth_packing(content) else zipfile.ZIP_STORED
-                archive.writestr(zipfile.ZipInfo(name, ENTRY_DATE), content, kind, PACKING_LEVEL)
+                if _worth_packing(content):
+                    _add_packed(archive, name, content)
+                else:
+                    archive.writestr(zipfile.ZipInfo(name, ENTRY_DATE), content)
         partial.replace(path)
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def _add_packed(archive: zipfile.ZipFile, name: str, content: Buffer) -> None:
+    """Add an entry that is packed by several threads: zipfile itself packs in one.
+
+    Blocks of the content are packed alone and end at a whole byte; one after the other they are one deflate stream.
+    """
+    starts = range(0, max(len(content), 1), BLOCK_BYTES)
+
+    def packed(start: int) -> bytes:
+        packer = zlib.compressobj(PACKING_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+        part = packer.compress(content[start : start + BLOCK_BYTES])
+        return part + packer.flush(
+            zlib.Z_FINISH if start + BLOCK_BYTES >= len(content) else zlib.Z_FULL_FLUSH
+        )
+
+    parts = for_each(packed, starts)
+    info = zipfile.ZipInfo(name, ENTRY_DATE)
+    info.compress_type, info.CRC = zipfile.ZIP_DEFLATED, zlib.crc32(content)
+    info.file_size, info.compress_size = len(content), sum(map(len, parts))
+    info.header_offset, info.external_attr = archive.start_dir, 0o600 << 16
+    assert archive.fp is not None
+    archive.fp.seek(archive.start_dir)
+    for part in (info.FileHeader(), *parts):
+        archive.fp.write(part)
+    archive.start_dir = archive.fp.tell()
+    archive.filelist.append(info)
+    archive.NameToInfo[name] = info
 
 
 def _worth_packing(content: Buffer) -> bool:

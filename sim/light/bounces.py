@@ -24,7 +24,7 @@ from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.material import SHORTEST_TAIL, Material
 from anisoscope.sim.light.ridge_profile import ridge_polyline, sharp_groove, visible_shares
-from anisoscope.sim.light.shine import plastic_of
+from anisoscope.sim.light.two_reflections import brdf_table, two_reflections
 
 FieldArray = npt.NDArray[np.float32]
 
@@ -71,17 +71,23 @@ def direction_grid(opening: float, material: Material) -> DirectionGrid:
     phi_weight = 0.5 * np.pi * (0.5 + 1.5 * x**2) * x_weight * np.cos(phi)
     sides = tuple(_fan(angle, phi, sign) for angle, sign in ((chi, 1.0), (np.pi - opening - chi, -1.0)))
     weight = np.outer(chi_weight, phi_weight).ravel()
-    from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
-
-    first = brdf_table(sides[0], sides[0], plastic_of(material))
+    below = sides[0].reshape(ANGLES, ELEVATIONS, 3)[:, : ELEVATIONS // 2].reshape(-1, 3)
+    arriving = below[:, 2] * weight.reshape(ANGLES, ELEVATIONS)[:, : ELEVATIONS // 2].ravel()
+    half = brdf_table(below, sides[0], material)
+    half = np.multiply(half, arriving[:, None], dtype=np.float32, casting="same_kind")
+    half = half.reshape(ANGLES, ELEVATIONS // 2, ANGLES, ELEVATIONS)
+    first = np.concatenate(
+        [half, half[:, ::-1, :, ::-1]], axis=1
+    )  # elevations above are those below, mirrored
     # the second side's fan is the first one's, mirrored and with its angles in reverse
-    second = first.reshape(ANGLES, ELEVATIONS, ANGLES, ELEVATIONS)[::-1, :, ::-1].reshape(first.shape)
-    scatter = tuple(
-        (brdf * (side[:, 2] * weight)[:, None]).astype(np.float32)
-        for brdf, side in zip((first, second), sides, strict=True)
-    )
+    scatter = first, np.ascontiguousarray(first[::-1, :, ::-1])
     ratio = np.sin(chi) / np.sin(np.pi - opening - chi)
-    return DirectionGrid((sides[0], sides[1]), weight, ratio, (scatter[0], scatter[1]))
+    return DirectionGrid(
+        (sides[0], sides[1]),
+        weight,
+        ratio,
+        (scatter[0].reshape(DIRECTIONS, DIRECTIONS), scatter[1].reshape(DIRECTIONS, DIRECTIONS)),
+    )
 
 
 def _fan(angle: FloatArray, phi: FloatArray, sign: float) -> FloatArray:
@@ -127,9 +133,7 @@ class Groove:
             light: (P, 3) directions to the light in the frame of the *other* side.
             lit: (P, 2) lit intervals of the other side.
         """
-        from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
-
-        sent = brdf_table(light, self.grid.sides[1 - side], plastic_of(self.material)) * light[:, 2:]
+        sent = brdf_table(light, self.grid.sides[1 - side], self.material) * light[:, 2:]
         edges, growth = self.edges[side], self.growth[1 - side]
         shot = growth[:, None, None, None] * lit  # (angles, 1, P, 2)
         common = overlap(edges[:-1, None], edges[1:, None], shot[..., 0], shot[..., 1])
@@ -161,12 +165,8 @@ class Groove:
         Returns:
             (P,) values.
         """
-        from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
-
         directions = self.grid.sides[side]
-        weight = brdf_table(camera, directions, plastic_of(self.material)) * (
-            directions[:, 2] * self.grid.weight
-        )
+        weight = brdf_table(camera, directions, self.material) * (directions[:, 2] * self.grid.weight)
         shot = self.growth[1 - side][:, None, None] * self.edges[1 - side]  # (angles, 1, edges)
         length = overlap(shot[..., :-1], shot[..., 1:], seen[:, :1], seen[:, 1:])  # (angles, P, cells)
         shape = (len(field), CELLS, ANGLES, ELEVATIONS)
@@ -275,17 +275,10 @@ def _rule(nodes: int) -> FloatArray:
 
 def _twice(light: _Sides, camera: _Sides, opening: float, material: Material, nodes: int) -> FloatArray:
     """(P,) light after exactly two reflections, in µm/sr; ``opening`` between the sides in radians."""
-    from anisoscope.sim.light.bounces_kernels import two_reflections  # noqa: PLC0415 - numba when first needed
-
-    plastic, steps = plastic_of(material), panel_steps(material)
-    rule = _rule(nodes)
-    total = np.zeros(len(light.local[0]))
-    for pose in range(len(total)):
-        for first in (0, 1):
-            views = light.local[first][pose], camera.local[1 - first][pose]
-            parts = light.visible[first][pose], camera.visible[1 - first][pose]
-            total[pose] += two_reflections(*views, *parts, opening, plastic, steps, rule)
-    return total
+    first = np.concatenate(light.local), np.concatenate(camera.local[::-1])
+    parts = np.concatenate(light.visible), np.concatenate(camera.visible[::-1])
+    each = two_reflections(*first, *parts, opening, material, panel_steps(material), _rule(nodes))
+    return np.asarray(each.reshape(2, -1).sum(axis=0))
 
 
 def _more_often(

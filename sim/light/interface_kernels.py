@@ -10,26 +10,22 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.kernel_compilation import jit_kernel
-
-UNSHADOWED = 6.0
-"""1/(α·tan θ) from which on Smith's Λ is below 1e-18, less than 1 + Λ can hold."""
-PER_UNIT = 256
-_NODES = np.arange(int(UNSHADOWED * PER_UNIT) + 2) / PER_UNIT
-_BELLS = np.exp(-(_NODES**2)) / math.sqrt(math.pi)
-_TAILS = 0.5 * np.array([math.erfc(node) for node in _NODES])
+from anisoscope.sim.light.shadowing import (
+    LAMBDA_BELLS,
+    LAMBDA_NODES,
+    LAMBDA_TAILS,
+    PER_UNIT,
+    UNSHADOWED,
+)
 
 
 @jit_kernel(inline="always")
 def _beckmann_lambda(a: float) -> float:
-    """Smith's Λ of Beckmann's lobe (Heitz 2014, Eq. 66) from a = 1/(α·tan θ).
-
-    g = a·Λ = ½(exp(−a²)/√π − a·erfc a) has the derivatives −½·erfc a, exp(−a²)/√π and multiples of the latter: its
-    Taylor series from the nearest of 256 nodes a unit, up to the fourth power, is exact to 2e-15.
-    """
+    """Smith's Λ from a = 1/(α·tan θ), as `shadowing.beckmann_lambda`."""
     if a >= UNSHADOWED:
         return 0.0
     place = int(a * PER_UNIT + 0.5)
-    node, bell, tail = float(_NODES[place]), float(_BELLS[place]), float(_TAILS[place])
+    node, bell, tail = float(LAMBDA_NODES[place]), float(LAMBDA_BELLS[place]), float(LAMBDA_TAILS[place])
     d = a - node
     bent = 0.5 - d * (node / 3.0 - d * (4.0 * node * node - 2.0) / 24.0)
     return max(0.5 * bell - node * tail + d * (d * bell * bent - tail), 0.0) / a

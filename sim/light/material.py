@@ -14,6 +14,7 @@ T changes by up to .003 where cos θ = .5, by .0003 above .8, and x from .592 to
 an albedo of .2.
 """
 
+import sys
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Literal
@@ -22,6 +23,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.sim.light.shadowing import UNSHADOWED, beckmann_lambda
 
 InternalReflection = Literal["nonlinear", "linear"]
 
@@ -31,16 +33,27 @@ LONGEST_TAIL = 1.6  # the shadowing of a tail of 2 and more is infinite
 SHORTEST_TAIL = 1e-4  # a tail below it is none: the lobe is Beckmann's
 SHADOWING_ENDS = 0.005, 1000.0  # α·tan θ between which shadowing is tabulated
 SHADOWING_SIZE = 513
+_COSINES = 24  # of a table at a time: arrays of them stay in the cache
+TABLES_BY_ARRAYS = 60  # of the interface; more are worth the import of numba
 _STEEPEST = 4.6  # slopes in units of alpha beyond which less than 1e-9 of the facets lie
 
 
 @cache
 def _gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights on −1…1, from a tridiagonal matrix: numpy's rule of 256 nodes solves a full one in 0.25 s."""
-    from scipy.special import roots_legendre  # noqa: PLC0415 - loaded with the error function of the lobe
+    """Nodes and weights on −1…1 of an even rule, by Newton's method on the recurrence of Legendre's polynomials.
 
-    node, weight = roots_legendre(nodes)
-    return node, weight
+    numpy's rule of 256 nodes solves a full matrix in 0.25 s, scipy's costs the import of scipy.special.
+    """
+    x = np.cos(np.pi * (np.arange(1, nodes // 2 + 1) - 0.25) / (nodes + 0.5))
+    slope = np.ones_like(x)
+    for _ in range(6):
+        before, value = np.ones_like(x), x
+        for order in range(2, nodes + 1):
+            before, value = value, ((2 * order - 1) * x * value - (order - 1) * before) / order
+        slope = nodes * (x * value - before) / (x * x - 1.0)
+        x = x - value / slope
+    weight = 2.0 / ((1.0 - x * x) * slope * slope)
+    return np.concatenate([-x, x[::-1]]), np.concatenate([weight, weight[::-1]])
 
 
 @dataclass(frozen=True)
@@ -130,13 +143,18 @@ def fresnel(cosine: FloatArray, index: float) -> FloatArray:
 def slope_density(square: FloatArray, material: Material) -> FloatArray:
     """π·P(r²): density of the slopes of microfacets over that of Beckmann's lobe at its centre, for r² ≥ 0."""
     if material.tail < SHORTEST_TAIL:
-        value = np.exp(-square)
+        value = _bell(square)
     else:
         value = np.exp(-(1.0 + 1.0 / material.tail) * np.log1p(material.tail * square))
     if material.second_lobe is not None:
         weight, width = material.second_lobe
-        value = (1.0 - weight) * value + weight / width**2 * np.exp(-square / width**2)
+        value = (1.0 - weight) * value + weight / width**2 * _bell(square / width**2)
     return np.asarray(value)
+
+
+def _bell(square: FloatArray) -> FloatArray:
+    """exp(−r²), at least 1e-130: smaller numbers slow everything down that they are multiplied with."""
+    return np.asarray(np.exp(-np.minimum(square, 300.0)))
 
 
 def distribution(
@@ -159,12 +177,12 @@ def smith_lambda(
     Λ = ∫_a^∞ (q − a) P₁(q) dq / a with a = 1/(α tan θ) and the density P₁ of the slopes along one axis, that of
     Student's t distribution with 2/τ degrees of freedom. Both parts of the integral are closed.
     """
-    from scipy.special import betainc, erfc, gammaln  # noqa: PLC0415 - 0.1 s that --help should not pay
-
     a = 1.0 / np.maximum(alpha_tan, 1e-9)
     if tail < SHORTEST_TAIL:
-        value = 0.5 * (np.exp(-(np.minimum(a, 26.0) ** 2)) / (a * np.sqrt(np.pi)) - erfc(a))
+        value = np.where(a < UNSHADOWED, beckmann_lambda(np.minimum(a, UNSHADOWED)), 0.0)
     else:
+        from scipy.special import betainc, gammaln  # noqa: PLC0415 - start-up time
+
         degrees = 1.0 / tail
         height = np.sqrt(tail / np.pi) * np.exp(gammaln(degrees + 0.5) - gammaln(degrees))
         grown = np.log1p(tail * a**2)
@@ -216,14 +234,52 @@ def lobe_albedo(cosine: FloatArray, alpha: float, index: float) -> FloatArray:
     with slopes x in the plane of incidence and y across it, up to the root x of μ·(1 + x² + y²) = 2·(μ − x·sin θ).
     Gauss-Legendre; seen to be exact to 1e-5. ``index`` < 1 gives the counterpart from inside.
     """
-    from anisoscope.sim.light.interface_kernels import lobe_albedos  # noqa: PLC0415 - numba when first needed
-
     cosines = np.array(cosine, dtype=np.float64)  # writeable: the kernel is compiled for one kind of array
+    rules = _gauss_legendre(_ACROSS), _gauss_legendre(_ALONG)
     albedos = np.empty_like(cosines)
-    nodes = _gauss_legendre(_ACROSS), _gauss_legendre(_ALONG)
-    scratch = np.empty((4, _ACROSS))
-    lobe_albedos(cosines, float(alpha), float(index), _STEEPEST, *nodes, scratch, albedos)
+    if "numba" in sys.modules or _interface.cache_info().misses > TABLES_BY_ARRAYS:
+        from anisoscope.sim.light.interface_kernels import lobe_albedos  # noqa: PLC0415 - numba when first needed
+
+        scratch = np.empty((4, _ACROSS))
+        lobe_albedos(cosines, float(alpha), float(index), _STEEPEST, *rules, scratch, albedos)
+        return albedos
+    for start in range(0, cosines.size, _COSINES):
+        part = slice(start, start + _COSINES)
+        albedos[part] = _lobe_albedos(cosines[part], alpha, index, *rules)
     return albedos
+
+
+def _lobe_albedos(
+    cosine: FloatArray,
+    alpha: float,
+    index: float,
+    across: tuple[FloatArray, FloatArray],
+    along: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """The quadrature of `interface_kernels.lobe_albedos` in arrays (cosines, slopes across, slopes along)."""
+    (node, weight), reach = across, _STEEPEST * alpha
+    y = 0.5 * reach * (along[0] + 1.0)
+    mu = np.clip(cosine, 1e-4, 1.0)[:, None, None]
+    sine = np.sqrt(1.0 - mu * mu)
+
+    def shadow(cosine: FloatArray) -> FloatArray:
+        return smith_lambda(alpha * np.sqrt(1.0 - cosine * cosine) / cosine)
+
+    grazing = (np.sqrt(np.maximum(sine * sine + mu * mu * (1.0 - (y * y)[:, None]), 0.0)) - sine) / mu
+    half = 0.5 * np.maximum(np.minimum(grazing, reach) + reach, 0.0)
+    x = half * (node + 1.0) - reach
+    x_square = x * x
+    half_square = 1.0 / (1.0 + x_square + (y * y)[:, None])  # cos² of the microfacet's angle
+    dot = mu - x * sine
+    cos_half = np.minimum(np.abs(dot) * np.sqrt(half_square), 1.0)
+    out = np.clip(2.0 * dot * half_square - mu, 1e-9, 1.0)
+    entering = np.broadcast_to(1.0 + shadow(mu), out.shape).copy()
+    slanting = out * out < (UNSHADOWED * alpha) ** 2 * (1.0 - out * out)
+    entering[slanting] += shadow(out[slanting])
+    density = np.exp(x_square * -(alpha**-2.0))
+    light = fresnel(cos_half, index) * np.maximum(dot, 0.0) * density / entering
+    outer = reach * along[1] * np.exp(-((y / alpha) ** 2))
+    return np.asarray(((light @ weight) * half[..., 0]) @ outer / (np.pi * alpha * alpha * mu[:, 0, 0]))
 
 
 @cache
@@ -250,7 +306,11 @@ def transmittance_table(material: Material) -> FloatArray:
 
 def transmittance(cosine: FloatArray, material: Material) -> FloatArray:
     """T(μ) = 1 − directional albedo of the lobe, interpolated; α is √(α_u·α_v)."""
-    return np.interp(cosine, _cosines(), transmittance_table(material))
+    table = transmittance_table(material)
+    place = cosine * (TABLE_SIZE - 1)
+    index = np.minimum(place.astype(np.intp), TABLE_SIZE - 2)
+    low = table[index]
+    return np.asarray(low + (place - index) * (table[index + 1] - low))
 
 
 def diffuse_scale(material: Material) -> float:

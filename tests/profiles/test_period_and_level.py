@@ -10,7 +10,7 @@ from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap, sampled
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.level import level
-from anisoscope.profiles.period import find_period
+from anisoscope.profiles.period import find_period, take_over_period
 
 DEFAULT = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "heightmaps"
 DATA = Path(os.environ.get("ANISOSCOPE_TEST_DATA", DEFAULT))
@@ -116,3 +116,16 @@ def test_a_sample_is_every_nth_of_the_chosen_points(most):
     places = np.flatnonzero(chosen)
     assert_array_equal(sampled(chosen, most), places[:: max(1, places.size // most)])
     assert sampled(np.zeros((10, 10), dtype=bool), most).size == 0
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_the_period_of_a_turned_map_is_taken_over(quarters):
+    source = oblique(30.0)
+    turned, searched = (
+        HeightMap(np.rot90(source.height_um, quarters), *(1.1, 1.7) if quarters % 2 == 0 else (1.7, 1.1))
+        for _ in range(2)
+    )
+    take_over_period(turned, source, quarters)
+    known, found = find_period(turned), find_period(searched)
+    assert known.pitch_um == pytest.approx(found.pitch_um, rel=1e-4)
+    assert known.direction_deg == pytest.approx(found.direction_deg, abs=0.02)

@@ -471,7 +471,6 @@ def predict(
     def prepared() -> "tuple[PredictOne, Material]":
         from anisoscope.prediction.optics_selection import Rig, predict_with_optics
         from anisoscope.prediction.predict import predict_design
-        from anisoscope.prediction.region_prediction import predict_map
         from anisoscope.profiles.heightmap import HeightMap
         from anisoscope.profiles.ideal import RidgeDesign
         from anisoscope.sim.light.geometry import Convention, pose_grid
@@ -487,6 +486,7 @@ def predict(
         subject: HeightMap | RidgeDesign
         if height_map is not None:
             from anisoscope.cli.profile.profile import parse_pixel
+            from anisoscope.prediction.region_prediction import predict_map
             from anisoscope.profiles.files.load import read_height_map
 
             surface = subject = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)

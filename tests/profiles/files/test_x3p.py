@@ -319,3 +319,13 @@ def test_masks_that_cannot_be_used(marked, tmp_path):
         with pytest.raises(HeightMapError, match=message):
             read_height_map(marked, mask_regions=["all"])
         assert not np.isnan(read_height_map(marked).height_um).any()
+
+
+def test_blocks_packed_by_threads_are_one_entry(tmp_path, monkeypatch):
+    monkeypatch.setattr("anisoscope.profiles.files.x3p_write.BLOCK_BYTES", 1000)
+    surface = some_map(90, 70)
+    write_x3p(surface, tmp_path / "a.x3p")
+    with zipfile.ZipFile(tmp_path / "a.x3p") as archive:
+        assert archive.testzip() is None
+        assert archive.getinfo("bindata/data.bin").compress_size < 90 * 70 * 8
+    np.testing.assert_array_equal(read_x3p(tmp_path / "a.x3p").height_um, surface.height_um)

@@ -4,10 +4,11 @@ import pytest
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.bounces import interreflection
+from anisoscope.sim.light.bounces import direction_grid, interreflection
 from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.two_reflections import brdf_table
 
 ALONG = np.array([0.0, 1.0, 0.0])
 TABLE = directions(pose_grid((0, 90, 180), (-20, -10, 0, 10, 20)), Convention())
@@ -234,17 +235,23 @@ def random_directions(seed):
 
 
 @pytest.mark.parametrize("lobe", [{}, {"tail": 1.0}, {"tail": 0.3, "second_lobe": (0.2, 2.0)}])
-def test_the_compiled_brdf_is_the_material(lobe):
-    from anisoscope.sim.light.bounces_kernels import brdf_table
-    from anisoscope.sim.light.shine import plastic_of
-
+def test_the_brdf_between_directions_is_that_of_a_facet(lobe):
     first, second = random_directions(3)
     material = Material(0.2, 0.35, 0.4, **lobe)
     frame = ALONG, -np.eye(3)[0], np.eye(3)[2]
     turned = [np.column_stack([d[:, 1], -d[:, 0], d[:, 2]]) for d in (first, second)]
-    shown = brdf_table(turned[0], turned[1], plastic_of(material))
+    shown = brdf_table(turned[0], turned[1], material)
     expected = [facet_brdf(first, np.broadcast_to(d, first.shape), *frame, material) for d in second]
     np.testing.assert_allclose(shown, np.array(expected).T, rtol=1e-4 if lobe else 1e-6)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_grid_scatters_as_the_brdf_between_its_directions(side):
+    material = Material(0.1, 0.2, 0.3, tail=0.4)
+    grid, chosen = direction_grid(1.2, material), np.arange(5, 1536, 61)
+    ways = grid.sides[side]
+    expected = brdf_table(ways[chosen], ways, material) * (ways[:, 2] * grid.weight)[chosen, None]
+    np.testing.assert_allclose(grid.scatter[side][chosen], expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What the reflectance models load: nothing heavy before it is needed."""
+"""What the reflectance models load: nothing heavy before it is needed, and for a design not even then."""
 
 import subprocess
 import sys
@@ -24,3 +24,19 @@ def test_importing_the_models_loads_numpy_only():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_design_is_predicted_without_compiler_and_scipy():
+    script = (
+        "import sys\n"
+        "from anisoscope.prediction.predict import predict_design\n"
+        "from anisoscope.prediction.sensitivity import InputUncertainty\n"
+        "from anisoscope.profiles.ideal import RidgeDesign\n"
+        "from anisoscope.sim.light.geometry import Convention, pose_grid\n"
+        "from anisoscope.sim.light.material import Material\n"
+        "poses, inputs = pose_grid((0.0, 90.0), (0.0,)), InputUncertainty()\n"
+        "found = predict_design(RidgeDesign(100.0, 10.0), Material(), poses, Convention(), inputs=inputs)\n"
+        f"print(found.notes['bounces'], [name for name in {HEAVY!r} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "all []"

@@ -1,10 +1,15 @@
+import sys
+
 import numpy as np
 import pytest
+from scipy import special
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.interface_kernels import UNSHADOWED, _beckmann_lambda
+from anisoscope.sim.light.interface_kernels import _beckmann_lambda
 from anisoscope.sim.light.material import (
     Material,
+    _gauss_legendre,
+    _lobe_albedos,
     diffuse_scale,
     distribution,
     facet_brdf,
@@ -14,6 +19,7 @@ from anisoscope.sim.light.material import (
     smith_lambda,
     transmittance,
 )
+from anisoscope.sim.light.shadowing import UNSHADOWED
 
 X, Y, Z = np.eye(3)
 
@@ -109,8 +115,24 @@ def test_smith_lambda_is_the_shadowing_of_gaussian_slopes():
 
 def test_shadowing_from_tables_is_that_of_the_closed_form():
     a = np.append(np.geomspace(1e-3, UNSHADOWED, 300), [np.nextafter(UNSHADOWED, 0.0), 30.0])
-    tabulated = np.array([_beckmann_lambda(float(one)) for one in a])
-    np.testing.assert_allclose(1.0 + tabulated, 1.0 + smith_lambda(1.0 / a), rtol=5e-15)
+    closed = 0.5 * (np.exp(-(a**2)) / (a * np.sqrt(np.pi)) - special.erfc(a))
+    compiled = np.array([_beckmann_lambda(float(one)) for one in a])
+    np.testing.assert_allclose(1.0 + compiled, 1.0 + closed, rtol=5e-15)
+    np.testing.assert_allclose(1.0 + smith_lambda(1.0 / a), 1.0 + closed, rtol=5e-15)
+
+
+@pytest.mark.parametrize("nodes", [16, 32, 256])
+def test_rules_of_quadrature_are_those_of_scipy(nodes):
+    np.testing.assert_allclose(_gauss_legendre(nodes), special.roots_legendre(nodes), atol=1e-13)
+
+
+@pytest.mark.parametrize("alpha", [0.001, 0.08, 1.0])
+@pytest.mark.parametrize("index", [1.5, 1 / 1.5])
+def test_albedos_by_arrays_are_those_of_the_kernel(alpha, index):
+    cosine = np.linspace(0.0, 1.0, 40)
+    by_arrays = _lobe_albedos(cosine, alpha, index, _gauss_legendre(32), _gauss_legendre(16))
+    assert "numba" in sys.modules
+    np.testing.assert_allclose(by_arrays, lobe_albedo(cosine, alpha, index), rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.1, 0.3])
