@@ -15,6 +15,7 @@ product over all directions, the same at every place.
 
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +23,8 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import SHORTEST_TAIL, Material
+from anisoscope.sim.light.material import SHORTEST_TAIL, Material, Rays, brdf, brdf_table, rays, rays_to
 from anisoscope.sim.light.ridge_profile import ridge_polyline, sharp_groove, visible_shares
-from anisoscope.sim.light.two_reflections import brdf_table, two_reflections
 
 FieldArray = npt.NDArray[np.float32]
 
@@ -212,6 +212,162 @@ def higher_reflections(
         decay = np.clip(latest / np.where(previous > 0, previous, 1.0), 0.0, 0.95)
         total = total + latest * decay / (1.0 - decay)
     return total
+
+
+_POINTS = 8192  # of the inner integral of two reflections at a time: arrays of them stay in the cache
+_LEAST_COSINE = 0.02  # of the elevation of a lobe, over which its panels widen
+
+
+def two_reflections(
+    light: FloatArray,
+    camera: FloatArray,
+    lit: FloatArray,
+    seen: FloatArray,
+    opening: float,
+    material: Material,
+    steps: FloatArray,
+    rule: FloatArray,
+) -> FloatArray:
+    """Light that reflects on a first side and then, once, on the second side of the groove.
+
+    ∫∫ f_1 f_2 cos_i cos_o cos²φ sin χ M(χ) dφ dχ, where M is the length on the first side from which a ray at χ
+    leaves a lit point and meets a seen point: sides are straight, so M is the overlap of two intervals.
+
+    Args:
+        light: (N, 3) directions to the light in the frame of the first side.
+        camera: (N, 3) directions to the camera in the frame of the second side.
+        lit: (N, 2) lit intervals of the first side, distances from the foot.
+        seen: (N, 2) seen intervals of the second side.
+        opening: angle between the sides, radians.
+        material: of both sides.
+        steps: ends of the panels on one side of a lobe's centre, in multiples of its width.
+        rule: (2, Q) nodes and weights of a Gauss-Legendre rule, used in every panel.
+
+    Returns:
+        (N,) integrals, in the unit of length per sr; divided by pitch·ω_o,z they are radiances.
+    """
+    total = np.zeros(len(light))
+    reached = (light[:, 2] > 0.0) & (camera[:, 2] > 0.0) & (lit[:, 1] > lit[:, 0]) & (seen[:, 1] > seen[:, 0])
+    use = np.flatnonzero(reached)
+    if use.size:
+        around = np.concatenate([[0.0], steps, -steps])
+        pair, chi, weight = _angles(
+            light[use], camera[use], lit[use], seen[use], opening, material, around, rule
+        )
+        ends = _Ends.of(light[use], camera[use], material)
+        inner = np.concatenate(
+            [
+                ends.elevation_integral(pair[part], chi[part], opening, material, around, rule)
+                for part in _parts(len(chi), around.size * rule.shape[1])
+            ]
+        )
+        found = np.bincount(pair, weight * inner, use.size)
+        total[use] = found * light[use, 2] * camera[use, 2]
+    return total
+
+
+def _parts(count: int, points: int) -> list[slice]:
+    """Slices of so many angles, each with about so many points of the inner integral."""
+    size = max(1, _POINTS // points)
+    return [slice(start, start + size) for start in range(0, max(count, 1), size)]
+
+
+def _panels(breaks: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:
+    """Starts and half lengths, (N, K − 1), of the panels between breakpoints (N, K)."""
+    ordered = np.sort(np.clip(breaks, low, high), axis=1)
+    return ordered[:, :-1], 0.5 * np.diff(ordered, axis=1)
+
+
+def _angles(
+    light: FloatArray,
+    camera: FloatArray,
+    lit: FloatArray,
+    seen: FloatArray,
+    opening: float,
+    material: Material,
+    around: FloatArray,
+    rule: FloatArray,
+) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray]:
+    """Nodes of the outer integral: the pair of directions that each belongs to, χ, and its weight with sin χ·M(χ).
+
+    Panels are laid around the mirror directions of both sides, and between the kinks of M.
+    """
+    end, width = np.pi - opening, 2.0 * material.alpha_across * around
+    own, other = lit[:, [0, 1, 0, 1]], seen[:, [0, 0, 1, 1]]
+    ratio = other / np.where(own > 0.0, own, 1.0)
+    kinks = np.arctan2(ratio * np.sin(opening), 1.0 - ratio * np.cos(opening))
+    breaks = [
+        np.broadcast_to([0.0, end], (len(light), 2)),
+        np.arctan2(light[:, 2], light[:, 1])[:, None] + width,
+        end - np.arctan2(camera[:, 2], camera[:, 1])[:, None] + width,
+        np.where(own > 0.0, kinks, end),
+    ]
+    start, half = _panels(np.concatenate(breaks, axis=1), 0.0, end)
+    pair, panel = np.nonzero(half >= 1e-10)
+    start, half = start[pair, panel, None], half[pair, panel, None]
+    chi = start + half * (1.0 + rule[0])
+    ratio = np.sin(chi) / np.sin(end - chi)
+    (lit_from, lit_to), (seen_from, seen_to) = lit[pair].T[..., None], seen[pair].T[..., None]
+    common = np.minimum(lit_to, seen_to / ratio) - np.maximum(lit_from, seen_from / ratio)
+    meets = common > 0.0
+    weight = half * rule[1] * np.sin(chi) * common
+    return np.broadcast_to(pair[:, None], chi.shape)[meets], chi[meets], weight[meets]
+
+
+class _Ends(NamedTuple):
+    """Both ends of N ways of light, and where the lobes about them stand.
+
+    Attributes:
+        light: to the light, in the frame of the first side.
+        camera: to the camera, in the frame of the second side.
+        centre: (2, N) elevations of the lobes.
+        cosine: (2, N) their cosines.
+    """
+
+    light: Rays
+    camera: Rays
+    centre: FloatArray
+    cosine: FloatArray
+
+    @classmethod
+    def of(cls, light: FloatArray, camera: FloatArray, material: Material) -> "_Ends":
+        centre = np.arcsin(np.stack([-light[:, 0], camera[:, 0]]))
+        first, last = (rays_to(one, material) for one in (light, camera))
+        return cls(first, last, centre, np.maximum(_LEAST_COSINE, np.cos(centre)))
+
+    def elevation_integral(
+        self,
+        pair: npt.NDArray[np.intp],
+        chi: FloatArray,
+        opening: float,
+        material: Material,
+        around: FloatArray,
+        rule: FloatArray,
+    ) -> FloatArray:
+        """(M,) ∫ f_1·f_2·cos²φ dφ for M angles χ at the first side, each of one pair of directions."""
+        angles = np.stack([chi, np.pi - opening - chi])
+        sine, cosine = np.sin(angles), np.cos(angles)
+        breaks = [np.broadcast_to([-0.5 * np.pi, 0.5 * np.pi], (len(chi), 2))]
+        for side, end in enumerate((self.light, self.camera)):
+            flat = self.cosine[side, pair]
+            spread = material.alpha_along * (end.normal[pair] + flat * sine[side]) / flat
+            breaks.append(self.centre[side, pair, None] + spread[:, None] * around)
+        start, half = _panels(np.concatenate(breaks, axis=1), -0.5 * np.pi, 0.5 * np.pi)
+        way, panel = np.nonzero(half >= 1e-10)
+        half = half[way, panel]
+        phi = start[way, panel] + half * (
+            1.0 + rule[0, :, None]
+        )  # panels run fastest, so that loops are long
+        flat, rise = np.cos(phi), np.sin(phi)
+        out, back = (
+            rays(along, -flat * cosine[side, way], flat * sine[side, way], material)
+            for side, along in enumerate((rise, -rise))
+        )
+        at = pair[way]
+        value = brdf(self.light.at(at), out, material)
+        value *= brdf(back, self.camera.at(at), material)
+        value *= flat * flat
+        return np.asarray(np.bincount(way, (rule[1] @ value) * half, len(chi)), dtype=np.float64)
 
 
 NODES = 6  # of the Gauss-Legendre rule in each panel

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
-from anisoscope.sim.light.material import SHADOWING_ENDS, SHADOWING_SIZE
+from anisoscope.sim.light.material import SHADOWING_ENDS, SLANTS_PER_E_FOLD
 from anisoscope.sim.light.shine import LobeShape, Shine, Vector
 
 log_compilation()
@@ -22,7 +22,6 @@ FAINT = 45.0
 """Exponent of the lobe from which it counts as nothing: e⁻⁴⁵."""
 
 FIRST_SLANT = math.log(SHADOWING_ENDS[0])
-SLANTS_PER_E_FOLD = (SHADOWING_SIZE - 1) / math.log(SHADOWING_ENDS[1] / SHADOWING_ENDS[0])
 
 EDGE = 1.5
 """Difference of the neighbours' slopes from which a facet between them straddles an edge."""

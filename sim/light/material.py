@@ -17,7 +17,8 @@ an albedo of .2.
 import sys
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Literal
+from math import log, pi
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -33,7 +34,9 @@ LONGEST_TAIL = 1.6  # the shadowing of a tail of 2 and more is infinite
 SHORTEST_TAIL = 1e-4  # a tail below it is none: the lobe is Beckmann's
 SHADOWING_ENDS = 0.005, 1000.0  # α·tan θ between which shadowing is tabulated
 SHADOWING_SIZE = 513
+SLANTS_PER_E_FOLD = (SHADOWING_SIZE - 1) / log(SHADOWING_ENDS[1] / SHADOWING_ENDS[0])
 _COSINES = 24  # of a table at a time: arrays of them stay in the cache
+_ROWS = 16  # of a table of BRDFs at a time
 TABLES_BY_ARRAYS = 60  # of the interface; more are worth the import of numba
 _STEEPEST = 4.6  # slopes in units of alpha beyond which less than 1e-9 of the facets lie
 
@@ -351,3 +354,89 @@ def facet_brdf(
     lobe = lobe * smith(to_light, to_camera, along, across, normal, material) / (4.0 * cos_i * cos_o)
     base = diffuse_scale(material) * transmittance(cos_i, material) * transmittance(cos_o, material)
     return np.where(front, lobe + base, 0.0)
+
+
+class Rays(NamedTuple):
+    """Directions in the frame of a side, and what a BRDF needs of each alone: transmittance and Smith's Λ."""
+
+    along: FloatArray
+    up: FloatArray
+    normal: FloatArray
+    through: FloatArray
+    shadow: FloatArray
+
+    def at(self, place: Any) -> "Rays":  # noqa: ANN401 - whatever an array takes
+        """Those at some places."""
+        return Rays(*(one[place] for one in self))
+
+
+def rays(along: FloatArray, up: FloatArray, normal: FloatArray, material: Material) -> Rays:
+    """Directions (along, up, normal) above a side."""
+    return Rays(along, up, normal, transmittance(normal, material), _shadowing(along, up, normal, material))
+
+
+def rays_to(directions: FloatArray, material: Material) -> Rays:
+    """(N, 3) directions above a side."""
+    along, up, normal = np.ascontiguousarray(directions.T)
+    return rays(along, up, normal, material)
+
+
+def _shadowing(along: FloatArray, up: FloatArray, normal: FloatArray, material: Material) -> FloatArray:
+    """Smith's Λ: for any lobe but Beckmann's from its table, where ln Λ is nearly straight over ln(α·tan θ)."""
+    spread = (material.alpha_along * along) ** 2 + (material.alpha_across * up) ** 2
+    if material.is_beckmann:
+        found = np.zeros_like(spread)
+        slanting = spread > (normal / UNSHADOWED) ** 2
+        found[slanting] = beckmann_lambda(normal[slanting] / np.sqrt(spread[slanting]))
+        return found
+    table = shadowing_table(material.tail, material.second_lobe)
+    place = np.log(np.maximum(np.sqrt(spread) / normal, 1e-9) / SHADOWING_ENDS[0]) * SLANTS_PER_E_FOLD
+    index = np.clip(place.astype(np.intp), 0, table.size - 2)
+    return np.asarray(np.exp(table[index] + (place - index) * (table[index + 1] - table[index])))
+
+
+def brdf(first: Rays, second: Rays, material: Material) -> FloatArray:
+    """BRDF [1/sr] of rough plastic between directions above a side, as `facet_brdf`; they broadcast."""
+    alpha_u, alpha_v, index = material.alpha_along, material.alpha_across, material.index
+    h_normal = first.normal + second.normal
+    per_square = 1.0 / (h_normal * h_normal)
+    h_along, h_up = (first.along + second.along) ** 2, (first.up + second.up) ** 2
+    slope = (h_along * alpha_u**-2 + h_up * alpha_v**-2) * per_square
+    h_along += h_up
+    h_along *= per_square
+    h_along += 1.0  # |h|²/h_n²
+    square = 0.25 * h_along / per_square  # cos² of half the angle between unit vectors
+    cosine = np.minimum(np.sqrt(square), 1.0)
+    inside = np.sqrt(square + (index * index - 1.0))  # Fresnel's, times the index
+    perpendicular = (inside - cosine) / (inside + cosine)
+    parallel = (cosine * (inside + cosine) - 1.0) / (cosine * (inside - cosine) + 1.0)
+    parallel *= parallel
+    parallel += 1.0
+    perpendicular *= perpendicular
+    value = slope_density(slope, material)
+    value *= perpendicular
+    value *= parallel
+    h_along *= h_along
+    value *= h_along
+    value /= (1.0 + first.shadow + second.shadow) * (first.normal * second.normal)
+    value *= 1.0 / (8.0 * pi * alpha_u * alpha_v)
+    value += diffuse_scale(material) * first.through * second.through
+    return np.asarray(value)
+
+
+def brdf_table(first: FloatArray, second: FloatArray, material: Material) -> FloatArray:
+    """(N, M) BRDF [1/sr] between directions (N, 3) and (M, 3) in the frame of the side; 0 at or below its plane."""
+
+    def above(directions: FloatArray) -> tuple[Rays, FloatArray]:
+        along, up, normal = np.ascontiguousarray(directions.T)
+        front = normal > 0.0
+        return rays(along, up, np.where(front, normal, 1.0), material), front.astype(np.float64)
+
+    (one, lit), (other, seen) = above(first), above(second)
+    result = np.empty((len(first), len(second)))
+    for start in range(0, len(first), _ROWS):
+        rows = slice(start, start + _ROWS)
+        result[rows] = brdf(one.at((rows, None)), other, material)
+    if not (lit.all() and seen.all()):
+        result *= lit[:, None] * seen
+    return result

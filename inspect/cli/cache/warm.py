@@ -100,16 +100,6 @@ def _rendered_map() -> None:
     list(radiance_maps(Relief(_small_map(), 50.0), aslant, up, Material()))
 
 
-def _design() -> None:
-    from anisoscope.prediction.predict import predict_design
-    from anisoscope.profiles.ideal import RidgeDesign
-    from anisoscope.sim.light.geometry import Convention, pose_grid
-    from anisoscope.sim.light.material import Material
-
-    poses = pose_grid((0.0, 90.0, 180.0), (0.0,))
-    predict_design(RidgeDesign(100.0, 10.0), Material(), poses, Convention())
-
-
 def _traced_scene() -> None:
     import numpy as np
 
@@ -188,7 +178,6 @@ JOBS: dict[str, Callable[[], None]] = {
     "ridges on height maps": _measured_map,
     "virtual rig": _traced_scene,
     "wave optics": _wave,
-    "predictions of designs": _design,
     "halftones": _halftones,
     "inks": _inks,
     "dots": _dots,

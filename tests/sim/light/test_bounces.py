@@ -7,8 +7,7 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.bounces import direction_grid, interreflection
 from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material, facet_brdf
-from anisoscope.sim.light.two_reflections import brdf_table
+from anisoscope.sim.light.material import Material, brdf_table, facet_brdf
 
 ALONG = np.array([0.0, 1.0, 0.0])
 TABLE = directions(pose_grid((0, 90, 180), (-20, -10, 0, 10, 20)), Convention())
