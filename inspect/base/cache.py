@@ -476,6 +476,12 @@ def source_digest(*modules: str) -> str:
     return _digests().of(*modules)
 
 
+def read_sources(*modules: str) -> None:
+    """Remember the digests of all sources that modules import, so that no later process has to parse them."""
+    _digests().of(*modules)
+    _digests().save()
+
+
 def sources_loaded(*modules: str) -> bool:
     """Whether the sources on disk are those that this process has loaded; see `SourceDigests.loaded`."""
     return _digests().loaded(*modules)

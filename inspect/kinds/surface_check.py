@@ -17,6 +17,7 @@ from anisoscope.diagnosis.signatures import Signatures
 from anisoscope.imaging.deviation_map import LEAST_DEVIATION
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.recipe.surface import MOST_DEVIATION, SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
@@ -173,7 +174,7 @@ def check_recipe(
         HeightMapError, RecipeError: nothing can be predicted.
     """
     advance("prediction", 0, 1)
-    expected = expectation(recipe, light_angle_deg, optics)
+    expected = cached_expectation(recipe, light_angle_deg, optics)
     pairs, budget = _plan(recipe, expected)
     every = cached_signatures(recipe, light_angle_deg, advance, model)
     known = _with_texture(every)

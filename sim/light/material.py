@@ -146,18 +146,13 @@ def fresnel(cosine: FloatArray, index: float) -> FloatArray:
 def slope_density(square: FloatArray, material: Material) -> FloatArray:
     """π·P(r²): density of the slopes of microfacets over that of Beckmann's lobe at its centre, for r² ≥ 0."""
     if material.tail < SHORTEST_TAIL:
-        value = _bell(square)
+        value = np.exp(-square)
     else:
         value = np.exp(-(1.0 + 1.0 / material.tail) * np.log1p(material.tail * square))
     if material.second_lobe is not None:
         weight, width = material.second_lobe
-        value = (1.0 - weight) * value + weight / width**2 * _bell(square / width**2)
+        value = (1.0 - weight) * value + weight / width**2 * np.exp(-square / width**2)
     return np.asarray(value)
-
-
-def _bell(square: FloatArray) -> FloatArray:
-    """exp(−r²), at least 1e-130: smaller numbers slow everything down that they are multiplied with."""
-    return np.asarray(np.exp(-np.minimum(square, 300.0)))
 
 
 def distribution(

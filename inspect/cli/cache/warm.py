@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from anisoscope.base.cache import read_sources
+from anisoscope.base.plugins import installed
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -51,12 +53,20 @@ def warm(
         for done in as_completed(running):
             seconds[running[done]] = done.result()
             advance(running[done], len(seconds), len(names))
+    _read_sources()
     total = perf_counter() - start
     if json_:
         print_json({"jobs": {name: seconds[name] for name in names}, "seconds": total})
     else:
         console().print(f"Kernels are compiled ({total:.0f} s).")
     return 0
+
+
+def _read_sources() -> None:
+    """Parse what keys of the cache are made of: the sources of all commands, and of the kinds of parts."""
+    from anisoscope.record.details import GROUP
+
+    read_sources("anisoscope.cli", *(entry.module for entry in installed(GROUP).values()))
 
 
 def _timed(name: str) -> float:

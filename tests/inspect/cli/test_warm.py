@@ -1,5 +1,6 @@
 """Kernels are compiled by one command, so that no later one has to."""
 
+import json
 import os
 import subprocess
 import sys
@@ -29,7 +30,11 @@ def test_after_warm_no_command_compiles(tmp_path):
         return subprocess.run(
             [sys.executable, "-Im", "anisoscope", *line.split()],
             cwd=tmp_path,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")},
+            env={
+                **os.environ,
+                "NUMBA_CACHE_DIR": str(tmp_path / "kernels"),
+                "ANISOSCOPE_CACHE": str(tmp_path / "cache"),
+            },
             capture_output=True,
             text=True,
             check=False,
@@ -38,7 +43,10 @@ def test_after_warm_no_command_compiles(tmp_path):
     assert run(LATER[0]).returncode == 0
     assert "compiling kernels" in run("profile ridges map.npz").stderr
     assert run("warm --json").returncode == 0
+    sources = json.loads((tmp_path / "cache" / "sources.json").read_text())["files"]
     for line in LATER:
         found = run(line)
         assert found.returncode == 0, (line, found.stderr)
         assert "compiling kernels" not in found.stderr, line
+    assert len(sources) > 500
+    assert json.loads((tmp_path / "cache" / "sources.json").read_text())["files"] == sources
