@@ -1,25 +1,29 @@
 """Plates of square fields, each with ridges of one of several directions, and their height maps.
 
 A plan is a grid of letters, first row at the top (greatest y), ``.`` for a flat field. Each letter is a class: the
-azimuth toward which the large facets of its fields fall, counter-clockwise from +x. Ridges start anew in every field,
-so that all fields of a class are equal where a field holds whole ridges.
+azimuth toward which the large facets of its fields fall, counter-clockwise from +x, and where the fields show greys a
+ridge angle of its own. Ridges start anew in every field, so that all fields of a class are equal where a field holds
+whole ridges. On a plate that leaves a mould every field is an island: four planes rise from a narrow level land at its
+border with the draft of the walls, and cut off what of the ridges is above them.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, sealed
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.patterns import pattern_map
 
 FLAT = "."
-MOST_FIELDS = 256
+MOST_FIELDS = 512
 LEAST_RIDGES = 2.0
+LAND_SHARE = 0.002
+"""Width of the land at the border of a drafted field, over the side of the field."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class Plan:
         rows: one text a row of fields, the first at the top; a letter of ``azimuths_deg`` or ``.`` a field.
         azimuths_deg: azimuth of the facets of every class, by its letter.
         module_mm: side of a field.
+        ridge_angles_deg: ridge angles by class, for those that differ from the design of the plate.
 
     Raises:
         HeightMapError: rows of unequal length, an unknown letter, no field with ridges, or too many fields.
@@ -38,6 +43,7 @@ class Plan:
     rows: tuple[str, ...]
     azimuths_deg: Mapping[str, float]
     module_mm: float
+    ridge_angles_deg: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.rows or not self.rows[0]:
@@ -45,20 +51,26 @@ class Plan:
         if not (np.isfinite(self.module_mm) and self.module_mm > 0.0):
             raise HeightMapError(f"the side of a field must be a positive number of mm, not {self.module_mm}")
         for number, row in enumerate(self.rows, 1):
-            if len(row) != len(self.rows[0]):
-                raise HeightMapError(
-                    f"row {number} of the plan has {len(row)} fields, the first one {len(self.rows[0])}"
-                )
-            for letter in row:
-                if letter != FLAT and letter not in self.azimuths_deg:
-                    known = ", ".join(self.azimuths_deg) or "none"
-                    raise HeightMapError(
-                        f"row {number} of the plan holds {letter!r}, which is no class of direction (known: {known})"
-                    )
+            self._check_row(number, row)
+        unknown = sorted(set(self.ridge_angles_deg) - set(self.azimuths_deg))
+        if unknown:
+            raise HeightMapError(f"a ridge angle is given for {unknown[0]!r}, which is no class of direction")
         if max(len(self.rows), len(self.rows[0])) > MOST_FIELDS:
             raise HeightMapError(f"a plan holds at most {MOST_FIELDS} × {MOST_FIELDS} fields")
-        if all(letter == FLAT for row in self.rows for letter in row):
+        if not set("".join(self.rows)) - {FLAT}:
             raise HeightMapError("no field of the plan has ridges")
+
+    def _check_row(self, number: int, row: str) -> None:
+        if len(row) != len(self.rows[0]):
+            raise HeightMapError(
+                f"row {number} of the plan has {len(row)} fields, the first one {len(self.rows[0])}"
+            )
+        for letter in row:
+            if letter != FLAT and letter not in self.azimuths_deg:
+                known = ", ".join(self.azimuths_deg) or "none"
+                raise HeightMapError(
+                    f"row {number} of the plan holds {letter!r}, which is no class of direction (known: {known})"
+                )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -76,6 +88,11 @@ class Plan:
         """Classes that occur, in the order of ``azimuths_deg``."""
         used = {letter for row in self.rows for letter in row}
         return tuple(letter for letter in self.azimuths_deg if letter in used)
+
+    def design_of(self, letter: str, design: RidgeDesign) -> RidgeDesign:
+        """The ridges of a class: those of the plate, with the ridge angle of the class."""
+        angle = self.ridge_angles_deg.get(letter)
+        return design if angle is None else replace(design, ridge_angle_deg=angle)
 
     def classes(self) -> npt.NDArray[np.int64]:
         """(rows, cols) index of each field in `letters`, −1 for flat ones; first row at the top."""
@@ -100,12 +117,26 @@ class Plan:
                 "needed: take larger fields or a smaller pitch"
             )
 
+    def points(self, pixel_um: float) -> int:
+        """Points along a field of the height map.
+
+        Raises:
+            HeightMapError: they are no whole number.
+        """
+        module_um = 1000.0 * self.module_mm
+        steps = round(module_um / pixel_um) if pixel_um > 0.0 else 0
+        if steps < 1 or abs(steps * pixel_um - module_um) > 1e-6 * module_um:
+            raise HeightMapError(
+                f"fields of {self.module_mm:g} mm are no whole number of pixels of {pixel_um:g} µm: take another pixel"
+            )
+        return steps
+
     def turned(self, quarters: int) -> "Plan":
         """The plan of the plate turned counter-clockwise by quarter turns: places and directions."""
         grid = np.rot90(np.array([list(row) for row in self.rows]), quarters)
         rows = tuple("".join(row) for row in grid.tolist())
         azimuths = {letter: _within(one + 90.0 * quarters) for letter, one in self.azimuths_deg.items()}
-        return Plan(rows, azimuths, self.module_mm)
+        return Plan(rows, azimuths, self.module_mm, self.ridge_angles_deg)
 
 
 def plan_of_modules(dark: npt.NDArray[np.bool_], module_mm: float, azimuths_deg: tuple[float, float]) -> Plan:
@@ -128,27 +159,51 @@ def height_of_field(design: RidgeDesign, module_um: float, azimuth_deg: float, s
     return np.asarray(design.profile(np.add.outer(sin * place, cos * place) + 0.5 * module_um))
 
 
-def plate_map(plan: Plan, design: RidgeDesign, pixel_um: float) -> HeightMap:
+def _highest(module_um: float, steps: int, draft_rad: float) -> FloatArray:
+    """(steps, steps) heights in µm that the draft of its border leaves to a field."""
+    place = np.abs((np.arange(steps) + 0.5) * module_um / steps - 0.5 * module_um)
+    inside = (0.5 - LAND_SHARE) * module_um - np.maximum.outer(place, place)
+    return np.asarray(np.maximum(inside, 0.0) / np.tan(draft_rad))
+
+
+def inner_share(design: RidgeDesign, module_um: float) -> float:
+    """Share of a field that its drafted border leaves to the ridges, whose mean height is half of the greatest."""
+    border = 0.5 * design.height_um * float(np.tan(design.draft_rad)) / module_um
+    return (1.0 - 2.0 * border) ** 2
+
+
+def plate_map(plan: Plan, design: RidgeDesign, pixel_um: float, *, drafted: bool = False) -> HeightMap:
     """Height map of a plate; row index rises with +y, flat fields at half the height of the ridges.
+
+    Args:
+        plan: its fields.
+        design: their ridges; a class may have a ridge angle of its own.
+        pixel_um: of the map.
+        drafted: whether the borders of the fields have the draft of the walls of their ridges.
 
     Raises:
         HeightMapError: fields hold less than two ridges, or a side is no whole number of pixels.
     """
     plan.check_ridges(design.pitch_um)
-    module_um = 1000.0 * plan.module_mm
-    steps = round(module_um / pixel_um)
-    if steps < 1 or abs(steps * pixel_um - module_um) > 1e-6 * module_um:
-        raise HeightMapError(
-            f"fields of {plan.module_mm:g} mm are no whole number of pixels of {pixel_um:g} µm: take another pixel"
-        )
+    module_um, steps = 1000.0 * plan.module_mm, plan.points(pixel_um)
+    designs = {letter: plan.design_of(letter, design) for letter in plan.letters}
     tiles = {
-        letter: height_of_field(design, module_um, plan.azimuths_deg[letter], steps)
-        for letter in plan.letters
+        letter: height_of_field(one, module_um, plan.azimuths_deg[letter], steps)
+        for letter, one in designs.items()
     }
-    tiles[FLAT] = np.full((steps, steps), 0.5 * design.height_um)
-    height = np.block([[tiles[letter] for letter in row] for row in reversed(plan.rows)])
+    tiles[FLAT], designs[FLAT] = np.full((steps, steps), 0.5 * design.height_um), design
+    if drafted:
+        tiles = {
+            letter: np.minimum(one, _highest(module_um, steps, designs[letter].draft_rad))
+            for letter, one in tiles.items()
+        }
+    height = np.empty((plan.shape[0] * steps, plan.shape[1] * steps))
+    for number, row in enumerate(reversed(plan.rows)):
+        for col, letter in enumerate(row):
+            height[number * steps : (number + 1) * steps, col * steps : (col + 1) * steps] = tiles[letter]
+    angles = {"ridge_angles_deg": dict(plan.ridge_angles_deg)} if plan.ridge_angles_deg else {}
     return pattern_map(
-        height,
+        sealed(height),
         pixel_um,
         ideal="plate",
         pitch_um=design.pitch_um,
@@ -156,6 +211,7 @@ def plate_map(plan: Plan, design: RidgeDesign, pixel_um: float) -> HeightMap:
         plan=list(plan.rows),
         facet_azimuths_deg=dict(plan.azimuths_deg),
         module_mm=plan.module_mm,
+        **angles,
     )
 
 
@@ -171,41 +227,3 @@ def read_rows(lines: Sequence[str]) -> tuple[str, ...]:
 def _within(angle_deg: float) -> float:
     """Within (−180, 180]."""
     return 180.0 - (180.0 - angle_deg) % 360.0
-
-
-def map_of_fields(
-    azimuth_deg: FloatArray, ridge_angle_deg: FloatArray, field_um: float, pitch_um: float, pixel_um: float
-) -> HeightMap:
-    """Height map of square fields, each with its own direction and ridge angle; row index rises with +y.
-
-    Args:
-        azimuth_deg: (rows, cols) toward which the facets fall, first row at the top.
-        ridge_angle_deg: (rows, cols).
-        field_um: side of a field.
-        pitch_um: of all ridges.
-        pixel_um: of the map.
-
-    Raises:
-        HeightMapError: fields hold less than two ridges, or a side is no whole number of pixels.
-    """
-    if field_um < LEAST_RIDGES * pitch_um * (1.0 - 1e-9):
-        raise HeightMapError(
-            f"fields of {field_um:g} µm hold {field_um / pitch_um:.1f} ridges of {pitch_um:g} µm, {LEAST_RIDGES:g} are "
-            "needed: take larger fields or a smaller pitch"
-        )
-    steps = round(field_um / pixel_um)
-    if steps < 1 or abs(steps * pixel_um - field_um) > 1e-6 * field_um:
-        raise HeightMapError(
-            f"fields of {field_um:g} µm are no whole number of pixels of {pixel_um:g} µm: take another pixel"
-        )
-    rows, cols = azimuth_deg.shape
-    height = np.empty((rows * steps, cols * steps))
-    tiles: dict[tuple[float, float], FloatArray] = {}
-    for row in range(rows):
-        for col in range(cols):
-            key = float(azimuth_deg[row, col]), float(ridge_angle_deg[row, col])
-            if key not in tiles:
-                tiles[key] = height_of_field(RidgeDesign(pitch_um, key[1]), field_um, key[0], steps)
-            low = (rows - 1 - row) * steps
-            height[low : low + steps, col * steps : (col + 1) * steps] = tiles[key]
-    return pattern_map(height, pixel_um, ideal="picture", pitch_um=pitch_um, field_um=field_um)

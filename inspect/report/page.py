@@ -1,10 +1,16 @@
 """Rendering of pages: templates that extend ``page.html``, strict about undefined names."""
 
+import base64
+import hashlib
+import json
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.language import decimal, language, message, translated
@@ -66,6 +72,32 @@ def ready_template(template: str, filters: Filters | None = None) -> "jinja2.Tem
     environment = _environment(template)
     environment.filters.update(filters or {})
     return environment.get_template(template)
+
+
+def scripted(script: str, data: Mapping[str, Any]) -> dict[str, Any]:
+    """What a template with a script needs: ``data`` as JSON, ``script``, and its ``script_hash`` for the policy.
+
+    Args:
+        script: name of a script of this package.
+        data: finite numbers, texts, and lists and tables of them.
+    """
+    from markupsafe import Markup
+
+    text = json.dumps(data, allow_nan=False)
+    for sign in "<>&":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    source = template_text(script)
+    return {
+        "data": Markup(text),  # noqa: S704 - no character of it can end the element
+        "script": Markup(source),  # noqa: S704 - a file of this package
+        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(source.encode()).digest()).decode(),
+    }
+
+
+def packed(numbers: npt.NDArray[np.generic]) -> str:
+    """Little-endian bytes in base64."""
+    little = numbers.astype(numbers.dtype.newbyteorder("<"))
+    return base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
 
 
 @cache

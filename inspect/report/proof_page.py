@@ -1,12 +1,8 @@
 """Page of a soft proof: one self-contained file with a WebGL 2 view."""
 
 import base64
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +11,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.report.page import write_page
+from anisoscope.report.page import packed, scripted, write_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import MODELS, Model
@@ -118,8 +114,6 @@ def write_proof_page(proof: Proof, path: Path) -> None:
             raise UsageError(
                 f"{ink.name}: the page draws the distribution 'ggx', not {ink.distribution!r}: use --png"
             )
-    from markupsafe import Markup
-
     models = [(key, LABELS[key]) for key in MODELS]
     shapes = [("sphere", "sphere"), ("cylinder", "cylinder"), ("plane", "plane")]
     pictures = [("halftone", "halftone"), ("tones", "continuous tones")]
@@ -135,36 +129,13 @@ def write_proof_page(proof: Proof, path: Path) -> None:
         "illuminants": [(k, one.illuminant.name) for k, one in enumerate(proof.lights)],
         "models": models,
         "roughness": [(key, label) for key, label, _ in proof.roughness],
-        "data": Markup(_json(_data(proof))),  # noqa: S704 - no character of it can end the element
-        "script": Markup(_script()),  # noqa: S704 - a file of this package
-        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(_script().encode()).digest()).decode(),
+        **scripted("proof.js", _data(proof)),
     }
     write_page(path, "proof.html", content)
 
 
-@cache
-def _script() -> str:
-    return (files("anisoscope.report") / "templates" / "proof.js").read_text(encoding="utf-8")
-
-
-def _json(content: dict[str, Any]) -> str:
-    return (
-        json.dumps(content, allow_nan=False)
-        .replace("<", "\\u003c")
-        .replace(">", "\\u003e")
-        .replace("&", "\\u0026")
-    )
-
-
 def _uri(png: bytes) -> str:
     return "data:image/png;base64," + base64.b64encode(png).decode()
-
-
-def _packed(numbers: npt.NDArray[np.generic]) -> str:
-    """Little-endian bytes in base64."""
-    return base64.b64encode(
-        np.ascontiguousarray(numbers.astype(numbers.dtype.newbyteorder("<"))).tobytes()
-    ).decode()
 
 
 def tables(inks: Sequence[Ink], lights: Sequence[ProofLight]) -> Float32:
@@ -185,7 +156,7 @@ def _data(proof: Proof) -> dict[str, Any]:
             {"name": one.illuminant.name, "white": one.white.tolist(), "adapt": one.adapt.ravel().tolist()}
             for one in proof.lights
         ],
-        "tables": _packed(tables(proof.inks, proof.lights)),
+        "tables": packed(tables(proof.inks, proof.lights)),
         "halftone": _uri(proof.halftone_png),
         "tones": _uri(proof.tones_png),
         "aspect": proof.aspect,
@@ -196,7 +167,7 @@ def _data(proof: Proof) -> dict[str, Any]:
         "roughness": [{"key": key, "alpha": alpha} for key, _, alpha in proof.roughness],
         "mesh": None
         if mesh is None
-        else {"vertices": _packed(mesh.vertices), "triangles": _packed(mesh.triangles)},
+        else {"vertices": packed(mesh.vertices), "triangles": packed(mesh.triangles)},
         "selftest": list(proof.selftest or selftest_cases(mesh is not None, len(proof.lights))),
         "selftest_size": SELFTEST_SIZE,
     }

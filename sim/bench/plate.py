@@ -8,7 +8,7 @@ land shows. Nothing of this is shared with the prediction.
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -20,7 +20,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.toml_file import NotNegative, Part, Positive, Share
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import RidgeDesign, Wall, add_facet_roughness, ridges
 from anisoscope.profiles.plates import FLAT, Plan
 
 if TYPE_CHECKING:
@@ -29,9 +29,10 @@ if TYPE_CHECKING:
 Image = npt.NDArray[np.float32]
 
 FieldDefect = Literal["missing", "merged", "direction", "worn", "filled"]
+RidgeAngle = Annotated[float, Field(gt=0.0, lt=45.0)]
 PIXEL_UM = 1.0
 STATES = 10
-"""States of the ridges of a class, among which its fields are drawn."""
+"""States of the ridges of a class."""
 PATHS = 16384
 REFLECTIONS = 5
 POSES_REMEMBERED = 4
@@ -52,15 +53,19 @@ class FieldDefectPart(Part):
 class PlatePart(Part):
     """A plate: its plan, its ridges, how much fields differ (standard deviations), and defects.
 
-    ``edge_radius_um`` is the radius of all crests: a worn plate has a large one. ``misplaced_um`` is the standard
-    deviation of the place of a field along x and y.
+    ``ridge_angles_deg`` gives the ridge angles of classes that differ. ``edge_radius_um`` is the radius of all crests:
+    a worn plate has a large one. ``draft_deg`` is that of the walls, perpendicular to the facets if not given.
+    ``misplaced_um`` is the standard deviation of the place of a field along x and y. ``states`` are the states of the
+    ridges of a class, among which its fields are drawn.
     """
 
     plan: Annotated[tuple[str, ...], Field(min_length=1)]
     facet_azimuths_deg: dict[str, float]
     module_mm: Positive
     pitch_um: Positive = 50.0
-    ridge_angle_deg: Annotated[float, Field(gt=0.0, lt=45.0)] = 10.0
+    ridge_angle_deg: RidgeAngle = 10.0
+    ridge_angles_deg: Annotated[dict[str, RidgeAngle], Field(default_factory=dict)]
+    draft_deg: NotNegative | None = None
     edge_radius_um: NotNegative = 0.0
     height_loss: Share = 0.0
     angle_scatter_deg: NotNegative = 0.1
@@ -69,6 +74,7 @@ class PlatePart(Part):
     misplaced_um: NotNegative = 1.0
     resolved_alpha: NotNegative = 0.03
     correlation_um: Positive = 8.0
+    states: Annotated[int, Field(ge=1)] = STATES
     defects: tuple[FieldDefectPart, ...] = ()
 
     def fields(self) -> Plan:
@@ -77,14 +83,24 @@ class PlatePart(Part):
         Raises:
             HeightMapError: it is none.
         """
-        return Plan(self.plan, self.facet_azimuths_deg, self.module_mm)
+        return Plan(self.plan, self.facet_azimuths_deg, self.module_mm, self.ridge_angles_deg)
+
+    def design(self) -> RidgeDesign:
+        """The ridges of the plate, without scatter.
+
+        Raises:
+            HeightMapError: they are none.
+        """
+        wall: Wall = "perpendicular" if self.draft_deg is None else self.draft_deg
+        return RidgeDesign(self.pitch_um, self.ridge_angle_deg, wall, edge_radius_um=self.edge_radius_um)
 
     @model_validator(mode="after")
     def _is_a_plate(self) -> Self:
         try:
             found = self.fields()
             found.check_ridges(self.pitch_um)
-            RidgeDesign(self.pitch_um, self.ridge_angle_deg, edge_radius_um=self.edge_radius_um)
+            for letter in found.letters:
+                found.design_of(letter, self.design())
         except HeightMapError as problem:
             raise ValueError(str(problem)) from None
         rows, cols = found.shape
@@ -123,10 +139,10 @@ class PlateSample:
         self._part, self._plastic, self._plan = part, plastic, part.fields()
         self._reflections = REFLECTIONS if reflections else 1
         self._seed = int(rng.integers(2**31))
-        count = len(self._plan.letters)
-        self._states = [[self._drawn(rng, number) for number in range(STATES)] for _ in range(count)]
+        designs = [self._plan.design_of(letter, part.design()) for letter in self._plan.letters]
+        self._states = [[self._drawn(one, rng, number) for number in range(part.states)] for one in designs]
         rows, cols = self._plan.shape
-        self._chosen = rng.integers(0, STATES, (rows, cols))
+        self._chosen = rng.integers(0, part.states, (rows, cols))
         self._moved_um = part.misplaced_um * rng.standard_normal((rows, cols, 2))
         self._defects = {(one.row, one.col): one.defect for one in part.defects}
         self._tiles: dict[tuple[object, ...], Image] = {}
@@ -136,7 +152,7 @@ class PlateSample:
         """Another plate of the same plastic and seat: its fields have the same states at other places."""
         found = copy(self)
         rows, cols = self._plan.shape
-        found._chosen = rng.integers(0, STATES, (rows, cols))  # noqa: SLF001 - of its own class
+        found._chosen = rng.integers(0, self._part.states, (rows, cols))  # noqa: SLF001 - of its own class
         found._moved_um = self._part.misplaced_um * rng.standard_normal((rows, cols, 2))  # noqa: SLF001
         found._defects = {(one.row, one.col): one.defect for one in defects}  # noqa: SLF001
         found.__dict__.pop("_shown", None)
@@ -147,16 +163,13 @@ class PlateSample:
         """Size (y, x) of a point of the picture."""
         return PIXEL_UM, PIXEL_UM
 
-    def _drawn(self, rng: np.random.Generator, number: int) -> _State:
+    def _drawn(self, design: RidgeDesign, rng: np.random.Generator, number: int) -> _State:
         part = self._part
-        angle = part.ridge_angle_deg + part.angle_scatter_deg * float(rng.standard_normal())
+        angle = design.ridge_angle_deg + part.angle_scatter_deg * float(rng.standard_normal())
         loss = part.height_loss + part.height_loss_scatter * abs(float(rng.standard_normal()))
         share = 1.0 + part.alpha_scatter_share * float(rng.standard_normal())
-        radius = part.edge_radius_um
-        design = RidgeDesign(
-            part.pitch_um, angle, height_loss=0.0 if radius > 0.0 else min(loss, 0.9), edge_radius_um=radius
-        )
-        return _State(design, share, number)
+        lost = 0.0 if part.edge_radius_um > 0.0 else min(loss, 0.9)
+        return _State(replace(design, ridge_angle_deg=angle, height_loss=lost), share, number)
 
     def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
         """(1, rows, cols) radiance; row index rises with +y."""
@@ -232,11 +245,11 @@ class PlateSample:
         if defect == "missing":
             return tile(_State(None, 1.0, 0), 0.0)
         if defect == "worn":
-            worn = RidgeDesign(design.pitch_um, design.ridge_angle_deg, edge_radius_um=0.2 * design.pitch_um)
-            return tile(_State(worn, 1.0, STATES), azimuths[number])
+            worn = replace(design, height_loss=0.0, edge_radius_um=0.2 * design.pitch_um)
+            return tile(_State(worn, 1.0, self._part.states), azimuths[number])
         if defect == "filled":
-            cut = RidgeDesign(design.pitch_um, design.ridge_angle_deg, height_loss=0.6)
-            return tile(_State(cut, 1.0, STATES + 1), azimuths[number])
+            cut = replace(design, height_loss=0.6, edge_radius_um=0.0)
+            return tile(_State(cut, 1.0, self._part.states + 1), azimuths[number])
         other = azimuths[(number + 1) % len(azimuths)]
         if len(azimuths) == 1:
             other = azimuths[0] + 90.0

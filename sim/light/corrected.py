@@ -50,8 +50,12 @@ def radiance(
         ModelError: fewer than one reflection.
     """
     indirect = indirect_radiance(to_light, to_camera, design, material, bounces)
-    outline = ridge_outline(design, max(material.narrowest_alpha / CHORDS_PER_ALPHA, NARROWEST_CHORD))
-    return _direct_radiance(to_light, to_camera, outline, material) + indirect
+    return _direct_radiance(to_light, to_camera, outline_for(design, material), material) + indirect
+
+
+def outline_for(design: RidgeDesign, material: Material) -> Outline:
+    """The outline of ridges, a rounded crest in chords that are fine enough for the lobe of the plastic."""
+    return ridge_outline(design, max(material.narrowest_alpha / CHORDS_PER_ALPHA, NARROWEST_CHORD))
 
 
 def indirect_radiance(

@@ -6,7 +6,7 @@ import pytest
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.metrology.regions import direction_regions
-from anisoscope.profiles.plates import Plan, plan_of_modules, plate_map, read_rows
+from anisoscope.profiles.plates import Plan, inner_share, plan_of_modules, plate_map, read_rows
 
 AZIMUTHS = {"A": 0.0, "B": -90.0}
 DESIGN = RidgeDesign(50.0, 10.0)
@@ -40,6 +40,20 @@ def test_a_code_becomes_light_and_dark_fields():
     assert read_rows(["# by hand", "A,B", "B;B", ""]) == plan.rows
 
 
+def test_classes_may_have_a_ridge_angle_of_their_own_and_borders_a_draft():
+    plan = Plan(("AB",), AZIMUTHS, 0.2, {"B": 5.0})
+    assert plan.turned(1).ridge_angles_deg == {"B": 5.0}
+    drafted = RidgeDesign(50.0, 10.0, 15.0)
+    sharp, island = (plate_map(plan, drafted, 1.0, drafted=one).height_um for one in (False, True))
+    assert np.ptp(sharp[:, :200]) > 1.9 * np.ptp(sharp[:, 200:])
+    assert np.all(island[[0, -1]] < 0.5)
+    assert np.all(island[:, [0, 199, 200, -1]] < 0.5)
+    assert np.array_equal(island[10:-10, 10:190], sharp[10:-10, 10:190])
+    # the steepest step at the border is that of the draft
+    assert np.abs(np.diff(island[:, 100])).max() < 1.0 / np.tan(np.radians(15.0)) + 1e-9
+    assert inner_share(drafted, 200.0) == pytest.approx(np.mean(island[:, :200] == sharp[:, :200]), abs=0.02)
+
+
 @pytest.mark.parametrize(
     ("make", "match"),
     [
@@ -47,7 +61,11 @@ def test_a_code_becomes_light_and_dark_fields():
         (lambda: Plan(("AB", "A"), AZIMUTHS, 0.2), "row 2 of the plan has 1 fields, the first one 2"),
         (lambda: Plan(("AC",), AZIMUTHS, 0.2), r"row 1 of the plan holds 'C'.* \(known: A, B\)"),
         (lambda: Plan(("..",), AZIMUTHS, 0.2), "no field of the plan has ridges"),
-        (lambda: Plan(("A" * 300,), AZIMUTHS, 0.2), "at most 256 × 256 fields"),
+        (lambda: Plan(("A" * 600,), AZIMUTHS, 0.2), "at most 512 × 512 fields"),
+        (
+            lambda: Plan(("A",), AZIMUTHS, 0.2, {"X": 5.0}),
+            "a ridge angle is given for 'X', which is no class",
+        ),
         (lambda: Plan(("A",), AZIMUTHS, -1.0), "positive number of mm, not -1"),
         (
             lambda: plate_map(Plan(("A",), AZIMUTHS, 0.09), DESIGN, 1.0),

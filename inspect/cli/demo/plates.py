@@ -1,14 +1,25 @@
-"""The files of the demo with plates: a Data Matrix of ridges, good, with three dead fields, and worn."""
+"""Plates on the virtual rig: the demo (a Data Matrix of ridges, good, with three dead fields, and worn), and trials."""
 
+import tomllib
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomli_w
 
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.plates import Plan
+
+if TYPE_CHECKING:
+    from anisoscope.kinds.kind import AnyKind
+    from anisoscope.record.schema import Record
+    from anisoscope.report.inspection_page import Pictures, Sections
 
 PARTS = {"good": "PASS", "dead-fields": "FAIL", "worn": "FAIL"}
 MEGABYTES = 150
@@ -19,6 +30,7 @@ PITCH_UM, RIDGE_ANGLE_DEG = 50.0, 10.0
 MODULE_MM = 0.2
 AZIMUTHS_DEG = {"A": 0.0, "B": -90.0}
 LOBE = {"alpha_along": 0.055, "alpha_across": 0.095, "albedo": 0.2, "index": 1.5}
+KNOWN_PLASTIC = {"u_tail": 0.0, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005}
 RESOLVED_ALPHA = 0.03
 DEAD = ((3, 4), (6, 8), (9, 2))
 WORN_UM = 20.0
@@ -82,10 +94,7 @@ def recipe() -> dict[str, Any]:
             "alpha_across": float(np.hypot(LOBE["alpha_across"], RESOLVED_ALPHA)),
             "albedo": LOBE["albedo"],
             "index": LOBE["index"],
-            "u_tail": 0.0,
-            "u_alpha_share": 0.03,
-            "u_albedo": 0.006,
-            "u_index": 0.005,
+            **KNOWN_PLASTIC,
         },
         "plan": {"file": "plan.csv", "module_mm": MODULE_MM, "facet_azimuths_deg": AZIMUTHS_DEG},
         "code": {"text": TEXT, "symbology": "datamatrix", "read_at_deg": READ_AT_DEG},
@@ -159,3 +168,119 @@ def rig(name: str) -> dict[str, Any]:
     if name != "white-tile":
         found["calibration"] = {"flat": "../../flat.tif"}
     return found
+
+
+MOST_TRIAL_MM, TRIAL_PIXELS, TRIAL_STATES = 8.0, 10, 2
+"""Largest plate of a trial, pixels of the camera along a field, and states of the ridges of a class."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A designed plate as the virtual rig sees it.
+
+    Attributes:
+        radiance: (K, rows, cols) mean radiance of the middle of every field in 1/sr.
+        verdict: of its inspection.
+        report: page of the inspection.
+    """
+
+    radiance: FloatArray
+    verdict: str
+    report: Path
+
+
+def check_trial(plan: Plan) -> None:
+    """Check that the virtual rig takes a plate.
+
+    Raises:
+        UsageError: it is too large.
+    """
+    if max(plan.size_mm) > MOST_TRIAL_MM * (1.0 + 1e-9):
+        raise UsageError(
+            f"a plate of {plan.size_mm[0]:g} mm × {plan.size_mm[1]:g} mm is too large for --trial (at most "
+            f"{MOST_TRIAL_MM:g} mm): take a smaller --field-count"
+        )
+
+
+def photograph(
+    folder: Path, plan: Plan, design: RidgeDesign, lobe: dict[str, float], advance: Advance
+) -> Trial:
+    """Make a toleranced plate, and inspect it on a virtual rig below ``trial/``.
+
+    The recipe is that of the folder, but that the plastic is known as well as that of the demo.
+
+    Args:
+        folder: holds recipe and plan.
+        plan: fields of the plate.
+        design: their ridges.
+        lobe: ``alpha_along``, ``alpha_across`` and ``albedo`` of the plastic.
+        advance: progress.
+
+    Raises:
+        UsageError: the plate is too large, or cannot be measured.
+    """
+    from anisoscope.inspection.run import USUAL, inspect_part
+    from anisoscope.kinds.plates.measurement import field_means
+
+    check_trial(plan)
+    scale = max(plan.size_mm) / 2.4
+    pixel_um = 1000.0 * plan.module_mm / TRIAL_PIXELS
+    place, seen = folder / "trial", list[Any]()
+    usual: Any = FIXTURE
+    markers = [{**one, "x_mm": scale * one["x_mm"], "y_mm": scale * one["y_mm"]} for one in usual["markers"]]
+    fixture = {"marker_mm": scale * usual["marker_mm"], "markers": markers}
+    resolved = (
+        RESOLVED_ALPHA if min(lobe["alpha_along"], lobe["alpha_across"]) > 1.5 * RESOLVED_ALPHA else 0.0
+    )
+    material = lobe | {
+        name: float(np.sqrt(lobe[name] ** 2 - resolved**2)) for name in ("alpha_along", "alpha_across")
+    }
+    table = {
+        "kind": "plate",
+        "size_mm": max(plan.size_mm),
+        "material": material,
+        "plate": {
+            "plan": list(plan.rows),
+            "facet_azimuths_deg": dict(plan.azimuths_deg),
+            "ridge_angles_deg": dict(plan.ridge_angles_deg),
+            "module_mm": plan.module_mm,
+            "pitch_um": design.pitch_um,
+            "draft_deg": float(np.degrees(design.draft_rad)),
+            "edge_radius_um": design.edge_radius_um,
+            "resolved_alpha": resolved,
+            "states": TRIAL_STATES,
+        },
+    }
+    pixels = int(np.ceil(4000.0 * scale / pixel_um))
+    for name, one in (("plate", table), ("white-tile", sample("white-tile", (), np.random.default_rng(0)))):
+        changed_bench = bench(one, 1) | {
+            "sensor": {"rows": pixels, "cols": pixels},
+            "optics": {"pixel_um": pixel_um, "blur_um": 0.8 * pixel_um},
+            "fixture": fixture,
+        }
+        changed_rig = rig(name) | {"fixture": fixture}
+        changed_rig["camera"]["pixel_um"] = pixel_um
+        write_bench(place, name, changed_bench, changed_rig)
+    recipe_table = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
+    recipe_table["material"] |= KNOWN_PLASTIC
+    recipe_table["plan"]["file"] = "../plan.csv"
+    (place / "recipe.toml").write_text(tomli_w.dumps(recipe_table), encoding="utf-8")
+    tile = place / "bench" / "white-tile" / "rig.toml"
+    take_flat(tile, place / "flat.tif", exposure_s=0.006, frames=16, reflectance=0.99)
+
+    def note(kind: "AnyKind", record: "Record", pictures: "Pictures") -> "Sections":
+        seen.extend(pictures.aligned)
+        return USUAL.sections(kind, record, pictures)
+
+    found = inspect_part(
+        place / "recipe.toml",
+        place / "bench" / "plate" / "rig.toml",
+        "TRIAL",
+        place / "inspections",
+        on_progress=advance,
+        methods=replace(USUAL, sections=note),
+    )
+    if not seen:
+        raise UsageError(f"the trial is INVALID: {'; '.join(found.record.reasons)}")
+    radiance = [field_means(one, one.shape[0] // plan.shape[0], 0.7) for one in seen]
+    return Trial(np.array(radiance), str(found.record.verdict), found.report)

@@ -6,22 +6,35 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.design.manufacture import Manufacture, new_folder, plan_text, recipe_of, recipe_text
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.cli.demo.plates import Trial
     from anisoscope.kinds.plates.expectation import ExpectedPlate
     from anisoscope.kinds.plates.recipe import Symbology
     from anisoscope.profiles.plates import Plan
 
-MOST_MESH_POINTS = 4_000_000
-"""Points of a mesh: 400 MB of STL."""
 LIGHT_DEG = 10.0
 
 
-@everyday("out", "symbology", "pitch", "ridge_angle", "module_mm", "plate_mm", "stl", "overwrite", "json_")
+@everyday(
+    "out",
+    "symbology",
+    "pitch",
+    "ridge_angle",
+    "module_mm",
+    "plate_mm",
+    "draft",
+    "manufacture",
+    "trial",
+    "overwrite",
+    "json_",
+)
 def code(
     text: str,
     /,
@@ -46,31 +59,38 @@ def code(
     plate_mm: Annotated[
         float | None, Parameter(help="Side of the plate in mm, which the code must fit; any if not given.")
     ] = None,
+    tool_radius: Annotated[
+        float, Parameter(help="Radius of the tool's tip in µm, that of the crests.")
+    ] = 0.0,
     pixel: Annotated[float, Parameter(help="Pixel size of the height maps in µm.")] = 2.0,
-    stl: Annotated[bool, Parameter(negative="", help="Write part and insert as STL meshes, too.")] = False,
+    manufacture: Manufacture | None = None,
+    trial: Annotated[
+        bool, Parameter(negative="", help="Photograph the plate on the virtual rig, and read the code there.")
+    ] = False,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
     json_: Json = False,
 ) -> int:
     """Make a code of ridges in two directions, which exchange light and dark when the part is turned.
 
-    Writes plan.csv, part.x3p, insert.x3p (mirrored negative, for the mould), with --stl both as STL in mm, and
-    recipe.toml of kind plates; prints the contrast that is predicted and its grade.
+    Writes plan.csv, recipe.toml of kind plates, the height maps part.x3p and insert.x3p (mirrored negative, for the
+    mould) and appearance.html, a page to turn the part under light from any side; on request, bodies of part and insert
+    as STL, and the cuts of the insert. Prints the contrast that is predicted and its grade.
 
     Args:
         text: What the code says.
 
     Examples:
         anisoscope design code A17 --out code
-        anisoscope design code "LOT 7" --symbology qr --pitch 40 --module-mm 0.16 --draft 5 --out qr-code
+        anisoscope design code "LOT 7" --symbology qr --module-mm 0.16 --pitch 40 --draft 5 --stl --out qr-code
     """
+    from anisoscope.cli.demo.plates import check_trial, photograph
     from anisoscope.kinds.plates.expectation import expected_plate
     from anisoscope.kinds.plates.recipe import PlateRecipe
     from anisoscope.kinds.registry import kind_named
-    from anisoscope.profiles.comparison import turned_over
-    from anisoscope.profiles.files.load import write_height_map
     from anisoscope.profiles.ideal import RidgeDesign
-    from anisoscope.profiles.plates import plan_of_modules, plate_map
-    from anisoscope.sim.design.plates import modules_of_code
+    from anisoscope.profiles.plates import plan_of_modules
+    from anisoscope.report.plate_page import write_plate_page
+    from anisoscope.sim.design.plates import check_mould, modules_of_code
 
     azimuths = parse_numbers(facet_azimuths, "--facet-azimuths")
     if len(azimuths) != 2:
@@ -87,77 +107,36 @@ def code(
             f"{plate_mm / len(plan.rows):.3g} mm, or the text shorter"
         )
     wall: Any = "perpendicular" if draft is None else draft
-    design = RidgeDesign(pitch, ridge_angle, wall)
-    surface = plate_map(plan, design, pixel)
-    if stl and surface.height_um.size > MOST_MESH_POINTS:
-        raise UsageError(
-            f"a mesh of {surface.shape[0]} × {surface.shape[1]} points is too large (at most {MOST_MESH_POINTS:,}): "
-            "take a larger --pixel"
-        )
-    maps = {"part": surface, "insert": turned_over(surface)}
-    names = ["plan.csv", "recipe.toml", *(f"{name}.x3p" for name in maps)]
-    names += [f"{name}.stl" for name in maps] if stl else []
-    _check_folder(out, names, overwrite=overwrite)
-    (out / "plan.csv").write_text("".join(f"{','.join(row)}\n" for row in plan.rows), encoding="utf-8")
-    (out / "recipe.toml").write_text(
-        recipe_text(text, symbology, plan, pitch, ridge_angle, draft), encoding="utf-8"
-    )
-    for name in names[2:]:
-        stem, _, _ = name.partition(".")
-        write_height_map(maps[stem], out / name)
+    design = RidgeDesign(pitch, ridge_angle, wall, edge_radius_um=tool_radius)
+    check_mould(design)
+    make = manufacture or Manufacture()
+    make.check(plan, design, pixel)
+    if trial:
+        check_trial(plan)
+    names = ["plan.csv", "recipe.toml", "appearance.html", *make.names()]
+    new_folder(out, names, overwrite=overwrite)
+    make.write(out, plan, design, pixel)
+    (out / "plan.csv").write_text(plan_text(plan), encoding="utf-8")
+    tables = recipe_of(plan, design, f"{symbology} {text} of ridges")
+    tables["code"] = {"text": text, "symbology": symbology, "read_at_deg": [0.0, 90.0]}
+    (out / "recipe.toml").write_text(recipe_text(tables), encoding="utf-8")
     recipe = kind_named("plates").read_recipe(out / "recipe.toml")
     assert isinstance(recipe, PlateRecipe)
     expected = expected_plate(recipe, plan, LIGHT_DEG, cached=True)
-    _print(text, symbology, plan, expected, [out / name for name in names], as_json=json_)
+    ends = float(expected.radiance.min()), float(expected.radiance.max())
+    title, plastic = f"{symbology} {text}", recipe.material.material()
+    write_plate_page(out / "appearance.html", title, plan, design, plastic, LIGHT_DEG, (0.0, 90.0), ends)
+    tried = None
+    if trial:
+        lobe = {
+            "alpha_along": plastic.alpha_along,
+            "alpha_across": plastic.alpha_across,
+            "albedo": plastic.albedo,
+        }
+        with progress("trial", quiet=json_) as advance:
+            tried = photograph(out, plan, design, lobe, advance)
+    _print(text, symbology, plan, expected, out, names, tried, as_json=json_)
     return 0
-
-
-def _check_folder(out: Path, names: list[str], *, overwrite: bool) -> None:
-    """Make the folder.
-
-    Raises:
-        UsageError: files exist, or the folder cannot be made.
-    """
-    existing = [name for name in names if (out / name).exists()]
-    if existing and not overwrite:
-        raise UsageError(f"{out / existing[0]} exists; give another folder, or --overwrite")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise UsageError(f"cannot make the folder {out}: {problem.strerror}") from None
-
-
-def recipe_text(
-    text: str, symbology: str, plan: "Plan", pitch_um: float, ridge_angle_deg: float, draft_deg: float | None
-) -> str:
-    """Text of the recipe of a code; plastic, exposure and tolerances are to be adapted."""
-    import tomli_w
-
-    design: dict[str, Any] = {"ridge_angle_deg": ridge_angle_deg, "u_ridge_angle_deg": 0.1}
-    if draft_deg is not None:
-        design["wall"] = draft_deg
-    tables = {
-        "schema": 1,
-        "kind": "plates",
-        "product": f"{symbology} {text} of ridges",
-        "surface": {"pitch_um": pitch_um, "design": design},
-        "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2},
-        "plan": {
-            "file": "plan.csv",
-            "module_mm": plan.module_mm,
-            "facet_azimuths_deg": dict(plan.azimuths_deg),
-        },
-        "code": {"text": text, "symbology": symbology, "read_at_deg": [0.0, 90.0]},
-        "poses": {"angles_deg": [0.0, 90.0]},
-        "acquisition": {"exposure_s": 0.006},
-        "region": {"size_mm": [round(one, 6) for one in plan.size_mm]},
-        "decision": {"tolerance": 0.4},
-    }
-    head = (
-        "# Recipe of a plate whose code is made of ridges. To be adapted: [material] (its lobe is unmeasured here),\n"
-        "# [acquisition], [decision] and [fields]; `anisoscope recipe check` reads it.\n"
-    )
-    return head + tomli_w.dumps(tables)
 
 
 def _print(
@@ -165,7 +144,9 @@ def _print(
     symbology: "Symbology",
     plan: "Plan",
     expected: "ExpectedPlate",
-    paths: list[Path],
+    out: Path,
+    names: list[str],
+    tried: "Trial | None",
     *,
     as_json: bool,
 ) -> None:
@@ -195,7 +176,8 @@ def _print(
         "modules": plan.shape,
         "size_mm": plan.size_mm,
         "poses": rows,
-        "files": [str(path) for path in paths],
+        "files": [str(out / name) for name in names],
+        "trial": None if tried is None else {"verdict": tried.verdict, "report": str(tried.report)},
     }
     if as_json:
         print_json(content)
@@ -214,6 +196,6 @@ def _print(
             ]
             for one in rows
         ],
-        caption=f"light {LIGHT_DEG:g}° from the camera; grades after ISO/IEC 29158 and 15415; written: "
-        + ", ".join(str(path) for path in paths),
+        caption=f"light {LIGHT_DEG:g}° from the camera; grades after ISO/IEC 29158 and 15415; written in {out}: "
+        f"{', '.join(names)}" + ("" if tried is None else f"; on the virtual rig: {tried.verdict}, {tried.report}"),
     )

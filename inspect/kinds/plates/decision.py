@@ -263,7 +263,8 @@ def _of_poses(expected: ExpectedPlate, measured: MeasuredPlate, recipe: PlateRec
 
 def _share(one: Component, gradient: FloatArray) -> FloatArray:
     """(K,) contribution of a source to every contrast."""
-    return np.asarray(np.sqrt(np.einsum("kn,nm,km->k", gradient, one.covariance(), gradient)))
+    square = np.einsum("kn,nm,km->k", gradient, one.covariance(), gradient)
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))  # rounding of what two classes share
 
 
 def predicted_code(

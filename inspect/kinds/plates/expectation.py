@@ -4,6 +4,7 @@ A class is the ridges of the recipe turned to its azimuth, so that its predictio
 (`anisoscope.prediction.expectation`), and errors of plastic, ridge angle, lamp and seat move all classes together.
 """
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -109,10 +110,16 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
     surface = None if recipe.surface.height_map is None else plate_surface(recipe, plan)
     predict = cached_expectation if cached else expectation
     azimuths = [plan.azimuths_deg[letter] for letter in plan.letters]
-    found = [predict(recipe.of_class(one), light_angle_deg) for one in azimuths]
+    found = [
+        predict(
+            recipe.of_class(plan.azimuths_deg[letter], plan.ridge_angles_deg.get(letter)), light_angle_deg
+        )
+        for letter in plan.letters
+    ]
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     poses = recipe.poses.poses()
     design = recipe.surface.ridge_design()
+    designs = [plan.design_of(letter, design) for letter in plan.letters]
 
     direct = direct_light(recipe, poses, convention)
 
@@ -123,7 +130,10 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
             mirrored,
             np.rot90(places[:, ::-1] if mirrored else places, quarters),
             np.array(
-                [direct(design, (180.0 - one if leaning else one) + 90.0 * quarters) for one in azimuths]
+                [
+                    direct(each, (180.0 - one if leaning else one) + 90.0 * quarters)
+                    for each, one in zip(designs, azimuths, strict=True)
+                ]
             ),
         )
         for mirrored, leaning in ((False, False), (True, False), (True, True))
@@ -144,7 +154,7 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
         _components(found, azimuths),
         np.array([one.per_degree for one in found]),
         lying,
-        _defects(design, azimuths, upright, flat, direct),
+        _defects(designs, azimuths, upright, flat, direct),
         np.exp(flat + level),
         found[0].optics,
         found[0].model if fields is None else "relief",
@@ -208,21 +218,22 @@ def _about_plate(components: tuple[Component, ...], turn_deg: float) -> list[Com
 
 
 def _defects(
-    design: RidgeDesign,
+    designs: list[RidgeDesign],
     azimuths: list[float],
     good: FloatArray,
     flat: FloatArray,
     direct: Callable[[RidgeDesign, float], FloatArray],
 ) -> dict[str, FloatArray]:
     """(C, P) changes of ln L of fields with defects, by name."""
+
+    def changed(**change: float) -> FloatArray:
+        shown = [direct(replace(one, **change), turn) for one, turn in zip(designs, azimuths, strict=True)]
+        return np.array(shown) - good
+
     found = {"missing": np.array([flat - one for one in good])}
-    try:
-        worn = replace(design, edge_radius_um=WORN_SHARE * design.pitch_um)
-        found["worn"] = np.array([direct(worn, one) for one in azimuths]) - good
-    except HeightMapError:  # no facet is left between such crests
-        pass
-    filled = replace(design, height_loss=FILLED_LOSS, edge_radius_um=0.0)
-    found["filled"] = np.array([direct(filled, one) for one in azimuths]) - good
+    with contextlib.suppress(HeightMapError):  # no facet is left between such crests
+        found["worn"] = changed(edge_radius_um=WORN_SHARE * designs[0].pitch_um)
+    found["filled"] = changed(height_loss=FILLED_LOSS, edge_radius_um=0.0)
     if len(azimuths) > 1:
         other = np.roll(good, -1, axis=0)
         found["wrong direction"] = other - good

@@ -14,6 +14,7 @@ from anisoscope.recipe.base import DecisionBase, RecipeBase
 from anisoscope.recipe.surface import MaterialPart, RigUncertainty, ScatterPart, SurfacePart, SurfaceRecipe
 
 Symbology = Literal["datamatrix", "qr"]
+RidgeAngle = Annotated[float, Field(gt=0.0, lt=45.0)]
 IMAGE_LEVELS = 128
 """Grey level below which a pixel of an image is of the second class."""
 
@@ -28,11 +29,13 @@ class PlanPart(Part):
 
     A text file (CSV or plain) has a line a row, a letter a field, the first row at the top; an image has a pixel a
     field, light ones of the first class and dark ones of the second. ``.`` is a flat field. ``facet_azimuths_deg``
-    gives the azimuth toward which the facets of each class fall at stage angle 0, counter-clockwise from +x.
+    gives the azimuth toward which the facets of each class fall at stage angle 0, counter-clockwise from +x;
+    ``ridge_angles_deg`` the ridge angles of classes that differ from the design.
     """
 
     module_mm: Positive
     facet_azimuths_deg: Annotated[dict[str, float], Field(min_length=1, default_factory=_quarter)]
+    ridge_angles_deg: Annotated[dict[str, RidgeAngle], Field(default_factory=dict)]
     rows: tuple[str, ...] = ()
     file: LocalPath | None = None
 
@@ -56,7 +59,7 @@ class PlanPart(Part):
         """
         rows = self.rows if self.file is None else _rows_of(self.file, tuple(self.facet_azimuths_deg))
         try:
-            return Plan(read_rows(rows), self.facet_azimuths_deg, self.module_mm)
+            return Plan(read_rows(rows), self.facet_azimuths_deg, self.module_mm, self.ridge_angles_deg)
         except HeightMapError as problem:
             raise ValueError(str(problem)) from None
 
@@ -168,8 +171,8 @@ class PlateRecipe(RecipeBase):
             raise RecipeError(f"{path}: plan: {problem}") from None
         return found
 
-    def of_class(self, azimuth_deg: float) -> SurfaceRecipe:
-        """The recipe of ridges alone, facets toward an azimuth at stage angle 0."""
+    def of_class(self, azimuth_deg: float, ridge_angle_deg: float | None = None) -> SurfaceRecipe:
+        """The recipe of ridges alone, facets toward an azimuth at stage angle 0, with a ridge angle of their own."""
         poses = self.poses.model_copy(
             update={"facet_azimuth_deg": self.poses.facet_azimuth_deg + azimuth_deg}
         )
@@ -184,5 +187,9 @@ class PlateRecipe(RecipeBase):
             "scatter",
         )
         tables = {name: getattr(self, name) for name in common}
-        tables["surface"] = self.surface.model_copy(update={"height_map": None, "compare": None})
+        surface = self.surface.model_copy(update={"height_map": None, "compare": None})
+        if ridge_angle_deg is not None and surface.design is not None:
+            design = surface.design.model_copy(update={"ridge_angle_deg": ridge_angle_deg})
+            surface = surface.model_copy(update={"design": design})
+        tables["surface"] = surface
         return SurfaceRecipe.model_validate({"schema": 1, "poses": poses, **tables})

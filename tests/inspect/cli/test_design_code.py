@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import pyvista
 
 from anisoscope.kinds.plates.kind import PLATES
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.metrology.regions import direction_regions
+from anisoscope.record.schema import read_record
 from anisoscope.sim.design.plates import modules_of_code
 
 
@@ -25,7 +27,10 @@ def test_a_data_matrix_becomes_part_insert_and_recipe(anisoscope, tmp_path):
     tool = read_height_map(out / "insert.x3p", role="tool")
     np.testing.assert_allclose(tool.height_um, part.height_um, atol=1e-6)
     assert not np.allclose(insert.height_um, part.height_um)
-    assert (out / "part.stl").stat().st_size == (out / "insert.stl").stat().st_size > 30_000_000
+    meshes = [pyvista.read(out / f"{name}.stl").clean() for name in ("part", "insert")]
+    assert all(one.is_manifold and one.n_open_edges == 0 for one in meshes)
+    assert meshes[0].volume + meshes[1].volume == pytest.approx(2.4 * 2.4 * (2.0 + 8.5e-3), rel=1e-4)
+    assert "<title>datamatrix A17, made of ridges" in (out / "appearance.html").read_text(encoding="utf-8")
     # the map shows the modules where the code has them
     regions = direction_regions(part)
     light = int(np.argmin(np.abs(np.array(regions.azimuths_deg))))
@@ -38,6 +43,26 @@ def test_a_data_matrix_becomes_part_insert_and_recipe(anisoscope, tmp_path):
     again = anisoscope("design", "code", "A17", "--out", out)
     assert again.code == 64
     assert "exists; give another folder, or --overwrite" in again.err
+
+
+def test_a_trial_reads_the_code_on_the_virtual_rig(anisoscope, tmp_path):
+    done = anisoscope(
+        "design",
+        "code",
+        "A17",
+        "--pixel",
+        "10",
+        "--draft",
+        "10",
+        "--trial",
+        "--out",
+        tmp_path / "code",
+        "--json",
+    )
+    assert done.code == 0, done.err
+    assert done.json["trial"]["verdict"] == "PASS"
+    (record,) = (tmp_path / "code" / "trial" / "inspections").glob("TRIAL-*")
+    assert read_record(record).details.code.readings == ("A17", "A17")
 
 
 def test_a_qr_code_with_draft_is_read_in_its_predicted_picture(anisoscope, tmp_path):
@@ -58,7 +83,9 @@ def test_a_qr_code_with_draft_is_read_in_its_predicted_picture(anisoscope, tmp_p
         (("--module-mm", "0.09"), 65, "hold 1.8 ridges of 50 µm, 2 are needed"),
         (("--facet-azimuths", "0"), 64, "--facet-azimuths takes two azimuths"),
         (("--pixel", "3"), 65, "no whole number of pixels of 3 µm"),
-        (("--pixel", "1", "--stl"), 64, "take a larger --pixel"),
+        (("--pixel", "0.1"), 64, "a larger --pixel"),
+        (("--draft", "0"), 64, "hold the part in its mould"),
+        (("--path",), 64, "give --tool-radius"),
         (("--ridge-angle", "95"), 65, "ridge angle"),
     ],
 )

@@ -1,9 +1,12 @@
 """``anisoscope design plate``: files that fit each other, and what it refuses."""
 
+import csv
+
 import cv2
 import numpy as np
 import pytest
 
+from anisoscope.kinds.plates.kind import PLATES
 from anisoscope.profiles.files.load import read_height_map
 
 
@@ -17,27 +20,58 @@ def pictures(tmp_path_factory):
     return folder
 
 
-def test_two_pictures_become_a_plate(anisoscope, pictures, tmp_path):
+def test_two_pictures_become_a_plate_and_its_insert(anisoscope, pictures, tmp_path):
+    out = tmp_path / "p"
     done = anisoscope(
-        "design", "plate", pictures / "day.png", pictures / "night.png", "--out", tmp_path / "p", "--json"
-    )
+        "design", "plate", pictures / "day.png", pictures / "night.png", "--out", out, "--stl", "--path", "--npz",
+        "--json",
+    )  # fmt: skip
     assert done.code == 0, done.err
     assert done.json["fields"] == [24, 32]
     assert done.json["size_mm"] == pytest.approx([3.2, 2.4])
-    assert min(done.json["ssim"]) > 0.8
+    assert min(done.json["ssim"]) > 0.85
     assert max(done.json["cross_talk"]) < 0.05
-    surface = read_height_map(tmp_path / "p" / "plate.x3p")
+    assert done.json["white_per_sr"] > 3.0 * done.json["black_per_sr"]
+    assert done.json["cut_length_m"] > 10.0
+    assert sorted(done.json["files"]) == sorted(str(path) for path in out.iterdir())
+    surface = read_height_map(out / "part.x3p")
     assert surface.shape == (24 * 20, 32 * 20)
-    table = np.loadtxt(tmp_path / "p" / "fields.csv", delimiter=",", skiprows=1)
-    assert table.shape == (24 * 32, 4)
+    tool = read_height_map(out / "insert.x3p", role="tool")
+    np.testing.assert_allclose(tool.height_um, surface.height_um, atol=1e-6)
+    np.testing.assert_allclose(read_height_map(out / "part.npz").height_um, surface.height_um, atol=1e-6)
+    with (out / "fields.csv").open() as stream:
+        table = list(csv.DictReader(stream))
+    assert len(table) == 24 * 32
     # the slope of a field on the map is that of the table
-    row, col, azimuth, angle = table[24 * 32 // 2 + 7]
+    field = table[24 * 32 // 2 + 7]
+    row, col, azimuth, angle = (
+        float(field[name]) for name in ("row", "column", "facet_azimuth_deg", "ridge_angle_deg")
+    )
     field = surface.height_um[int(23 - row) * 20 : int(24 - row) * 20, int(col) * 20 : int(col + 1) * 20]
     fall = np.array([np.median(-np.diff(field, axis=1)), np.median(-np.diff(field, axis=0))]) / 5.0
     turn = np.radians(azimuth)
     assert fall @ [np.cos(turn), np.sin(turn)] == pytest.approx(np.tan(np.radians(angle)), rel=0.02)
-    shown = cv2.imread(str(tmp_path / "p" / "predicted-0.png"), cv2.IMREAD_GRAYSCALE)
+    shown = cv2.imread(str(out / "predicted-0.png"), cv2.IMREAD_GRAYSCALE)
     assert np.corrcoef(shown.ravel(), cv2.imread(str(pictures / "day.png"), 0).ravel())[0, 1] > 0.98
+    recipe = PLATES.read_recipe(out / "recipe.toml")
+    plan = recipe.plan.plan()
+    assert plan.shape == (24, 32)
+    assert len(plan.ridge_angles_deg) == done.json["classes"] == 64
+    assert recipe.surface.ridge_design().wall == 10.0
+    assert (out / "insert.nc").read_text().count("M98 P") == 24 * 32
+
+
+def test_greys_for_the_eye_are_darker_for_a_camera(anisoscope, pictures, tmp_path):
+    shown = []
+    for tone in ("linear", "srgb"):
+        done = anisoscope(
+            "design", "plate", pictures / "day.png", "--out", tmp_path / tone, "--tone", tone, "--pixel", "10"
+        )
+        assert done.code == 0, done.err
+        assert "black 0.0" in done.out
+        shown.append(cv2.imread(str(tmp_path / tone / "predicted-0.png"), cv2.IMREAD_GRAYSCALE)[0, 16])
+    assert shown[0] == pytest.approx(128, abs=4)
+    assert shown[1] == pytest.approx(255 * 0.2158, abs=4)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +82,18 @@ def test_two_pictures_become_a_plate(anisoscope, pictures, tmp_path):
         (("night.png", "--angles", "0"), 64, "--angles must name a stage angle a picture"),
         (("night.png", "--pitch", "20"), 64, "--pitch must be 50 µm or more"),
         (("night.png", "--field-um", "80"), 65, "hold 1.6 ridges of 50 µm, 2 are needed"),
+        (
+            ("night.png", "--field-um", "120"),
+            64,
+            "make them 100 or 150 µm wide, so that they hold whole ridges",
+        ),
         (("night.png", "--pixel", "0.1", "--field-count", "200"), 64, "million points is too large"),
+        (("night.png", "--draft", "0.5"), 64, "hold the part in its mould"),
+        (("night.png", "--tool-radius", "400"), 65, "leaves no facet"),
+        (("night.png", "--path", "--tool-half-angle", "15"), 64, "does not reach walls with a draft of 10°"),
+        (("night.png", "--path", "--tool-radius", "0"), 64, "give --tool-radius"),
+        (("night.png", "--stl", "--base-mm", "0"), 64, "--base-mm must be a positive number"),
+        (("night.png", "--trial", "--field-um", "300"), 64, "is too large for --trial (at most 8 mm)"),
     ],
 )
 def test_what_cannot_be_made_is_one_line(anisoscope, pictures, tmp_path, options, code, match):
@@ -59,3 +104,4 @@ def test_what_cannot_be_made_is_one_line(anisoscope, pictures, tmp_path, options
     assert done.code == code
     assert match in done.err
     assert done.err.strip().count("\n") == 0
+    assert not (tmp_path / "p").exists()

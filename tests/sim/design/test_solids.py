@@ -1,0 +1,88 @@
+"""Bodies of plates, read by another program: closed, of the right volume, and the insert fits the part."""
+
+import numpy as np
+import pytest
+import pyvista
+
+from anisoscope.base.errors import UsageError
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.plates import Plan, plate_map
+from anisoscope.sim.design import solids
+from anisoscope.sim.design.solids import Body, field_triangles, outline, write_body
+
+PLAN = Plan(
+    ("ABC", ".DA"), {"A": 0.0, "B": -90.0, "C": 131.0, "D": -45.0}, 0.1, {"B": 5.0, "C": 16.0, "D": 1.0}
+)
+DESIGN = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=1.0)
+BASE_UM = 40.0
+
+
+def edges_twice(triangles):
+    """Whether every edge inside a mesh is used once in each direction; the level border of a field aside."""
+    points = np.round(triangles.reshape(-1, 3), 5)
+    _, number = np.unique(points, axis=0, return_inverse=True)
+    ring = number.reshape(-1, 3)
+    edges = np.concatenate([ring[:, [0, 1]], ring[:, [1, 2]], ring[:, [2, 0]]])
+    one_way = {tuple(edge) for edge in edges.tolist()}
+    assert len(one_way) == len(edges)
+    return [edge for edge in one_way if edge[::-1] not in one_way]
+
+
+@pytest.mark.parametrize("side", ["part", "insert"])
+def test_a_body_is_closed_and_has_the_volume_of_its_height_map(tmp_path, side):
+    body = Body(PLAN, DESIGN, BASE_UM)
+    write_body(body, tmp_path / "body.stl", side)
+    mesh = pyvista.read(tmp_path / "body.stl").clean()
+    assert mesh.n_cells == body.triangle_count
+    assert mesh.n_open_edges == 0
+    assert mesh.is_manifold
+    size = np.array(mesh.bounds).reshape(3, 2)
+    np.testing.assert_allclose(size[:2], [[0.0, 0.3], [0.0, 0.2]], atol=1e-6)
+    surface = plate_map(PLAN, DESIGN, 0.5, drafted=True).height_um
+    highest = 1e-3 * max(float(one[..., 2].max()) for one in body.tiles.values())
+    below = 1e-3 * BASE_UM + (highest if side == "insert" else 0.0)
+    assert size[2] == pytest.approx([-below, highest if side == "part" else 0.0], abs=1e-6)
+    sign = 1.0 if side == "part" else -1.0
+    volume = 0.3 * 0.2 * below + sign * 1e-3 * surface.mean() * 0.3 * 0.2
+    assert mesh.volume == pytest.approx(volume, rel=2e-4)
+
+
+def test_the_insert_is_the_mirrored_negative_of_the_part(tmp_path):
+    body = Body(PLAN, DESIGN, BASE_UM)
+    found = []
+    for side in ("part", "insert"):
+        write_body(body, tmp_path / f"{side}.stl", side)
+        found.append(pyvista.read(tmp_path / f"{side}.stl").clean())
+    rng = np.random.default_rng(1)
+    for x, y in rng.uniform([0.005, 0.005], [0.295, 0.195], (40, 2)):
+        above, _ = found[0].ray_trace([x, y, 1.0], [x, y, -0.01])
+        mirrored, _ = found[1].ray_trace([0.3 - x, y, 1.0], [0.3 - x, y, -0.03])
+        assert above[0, 2] == pytest.approx(-mirrored[0, 2], abs=2e-6)
+
+
+@pytest.mark.parametrize("radius", [0.0, 2.0])
+def test_fields_of_any_direction_are_closed_up_to_their_level_border(radius):
+    side = 100.0
+    for azimuth in (0.0, 1.5, 30.0, 45.0, 90.0, 133.5, 180.0, -45.0, -90.0):
+        for angle in (1.0, 8.0, 16.0):
+            design = RidgeDesign(50.0, angle, 10.0, edge_radius_um=radius)
+            tile = field_triangles(outline(design), design.draft_rad, side, azimuth)
+            assert len(edges_twice(tile)) == 4
+            border = tile[np.abs(tile[..., :2]).max(axis=-1) > 0.5 * side - 1e-6]
+            assert np.all(border[:, 2] == 0.0)
+            normal = np.cross(tile[:, 1] - tile[:, 0], tile[:, 2] - tile[:, 0])
+            assert np.all(normal[:, 2] > 0.0)
+            # no wall is steeper than the draft
+            steepest = np.degrees(np.arctan(normal[:, 2] / np.hypot(normal[:, 0], normal[:, 1]).clip(1e-9)))
+            assert steepest.min() > 10.0 - 1e-3
+            assert 0.5 * normal[:, 2].sum() == pytest.approx(side**2, rel=1e-9)
+
+
+def test_what_cannot_be_made_is_refused(tmp_path, monkeypatch):
+    upright = Body(PLAN, RidgeDesign(50.0, 10.0, "vertical"), BASE_UM)
+    with pytest.raises(UsageError, match="needs a draft"):
+        write_body(upright, tmp_path / "x.stl", "part")
+    monkeypatch.setattr(solids, "MOST_TRIANGLES", 100)
+    with pytest.raises(UsageError, match="million triangles is too large"):
+        write_body(Body(PLAN, DESIGN, BASE_UM), tmp_path / "x.stl", "part")
+    assert not list(tmp_path.iterdir())
