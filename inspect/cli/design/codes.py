@@ -65,7 +65,8 @@ def code(
     pixel: Annotated[float, Parameter(help="Pixel size of the height maps in µm.")] = 2.0,
     manufacture: Manufacture | None = None,
     trial: Annotated[
-        bool, Parameter(negative="", help="Photograph the plate on the virtual rig, and read the code there.")
+        bool,
+        Parameter(negative="", help="Trial on the virtual rig: photograph the plate, and read its code."),
     ] = False,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
     json_: Json = False,

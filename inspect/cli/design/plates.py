@@ -65,9 +65,7 @@ def plate(
     manufacture: Manufacture | None = None,
     trial: Annotated[
         bool,
-        Parameter(
-            negative="", help="Photograph the plate on the virtual rig, and compare that with the pictures."
-        ),
+        Parameter(negative="", help="Trial on the virtual rig: photograph the plate, and compare."),
     ] = False,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
     json_: Json = False,
