@@ -148,7 +148,8 @@ def of_map(made: PlateSample, recipe_: PlateRecipe, expected: ExpectedPlate) -> 
     nominal = Material(*(demo.LOBE[name] for name in ("alpha_along", "alpha_across", "albedo", "index")))
     plan = recipe_.plan.plan()
     azimuths = tuple(plan.azimuths_deg[letter] for letter in plan.letters)
-    grid = FieldGrid(plan.classes(), azimuths, recipe_.surface.ridge_design(), recipe_.fields.interior)
+    ridges = (recipe_.surface.ridge_design(),) * len(azimuths)
+    grid = FieldGrid(plan.classes(), azimuths, ridges, recipe_.fields.interior)
     whole, step = made.height_map(), MAP_STEP * made.pixel_um[0]
     surface = HeightMap(np.ascontiguousarray(whole.height_um[::MAP_STEP, ::MAP_STEP]), step, step, {})
     return predict_fields(surface, grid, nominal, expected.poses, expected.convention)

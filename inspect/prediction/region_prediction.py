@@ -170,13 +170,13 @@ class FieldGrid:
     Attributes:
         classes: (rows, cols) class of every field, -1 for flat ones; first row at the top of the map.
         azimuths_deg: (C,) toward which the facets of the classes lean on the map.
-        ridges: ideal ridges of the fields, for light that reflects more than once.
+        ridges: (C,) ideal ridges of the classes, for light that reflects more than once.
         interior: share of the side of a field over which it is averaged.
     """
 
     classes: npt.NDArray[np.int64]
     azimuths_deg: tuple[float, ...]
-    ridges: RidgeDesign
+    ridges: tuple[RidgeDesign, ...]
     interior: float
 
 
@@ -201,11 +201,11 @@ def predict_fields(
         bounces: largest number of reflections; None follows all.
     """
     found = np.full((len(poses), *fields.classes.shape), np.nan)
-    groove = groove_of_design(fields.ridges, bounces)
     for number, azimuth in enumerate(fields.azimuths_deg):
         mine = fields.classes == number
         if not mine.any():
             continue
+        groove = groove_of_design(fields.ridges[number], bounces)
         frame = replace(convention, facet_azimuth_deg=convention.facet_azimuth_deg + azimuth)
         # facets about edges across x are finer than those about others
         quarters = round(azimuth / 90.0)

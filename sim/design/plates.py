@@ -23,6 +23,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import MOST_FIELDS, Plan, inner_share
+from anisoscope.sim.design.toolpath import Tool
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material
@@ -78,11 +79,11 @@ TRIED = 32
 """Black and white points that are tried."""
 
 
-def check_mould(design: RidgeDesign) -> None:
-    """Check that a part with such ridges leaves its mould.
+def check_mould(design: RidgeDesign, tool: Tool | None = None) -> None:
+    """Check that a part with such ridges leaves its mould, and that a tool cuts the insert.
 
     Raises:
-        UsageError: a draft below 1°.
+        UsageError: a draft below 1°, or a tool that does not reach the walls.
     """
     draft = float(np.degrees(design.draft_rad))
     if draft < LEAST_DRAFT_DEG * (1.0 - 1e-9):
@@ -90,6 +91,8 @@ def check_mould(design: RidgeDesign) -> None:
             f"walls with a draft of {draft:g}° hold the part in its mould, {LEAST_DRAFT_DEG:g}° is needed: give a "
             "larger --draft"
         )
+    if tool is not None:
+        tool.check(design)
 
 
 def check_picture_ridges(design: RidgeDesign, field_um: float) -> None:

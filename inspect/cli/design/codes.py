@@ -91,7 +91,7 @@ def code(
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.profiles.plates import plan_of_modules
     from anisoscope.report.plate_page import write_plate_page
-    from anisoscope.sim.design.plates import check_mould, modules_of_code
+    from anisoscope.sim.design.plates import modules_of_code
 
     azimuths = parse_numbers(facet_azimuths, "--facet-azimuths")
     if len(azimuths) != 2:
@@ -109,7 +109,6 @@ def code(
         )
     wall: Any = "perpendicular" if draft is None else draft
     design = RidgeDesign(pitch, ridge_angle, wall, edge_radius_um=tool_radius)
-    check_mould(design)
     make = manufacture or Manufacture()
     make.check(plan, design, pixel)
     if trial:
@@ -198,5 +197,6 @@ def _print(
             for one in rows
         ],
         caption=f"light {LIGHT_DEG:g}° from the camera; grades after ISO/IEC 29158 and 15415; written in {out}: "
-        f"{', '.join(names)}" + ("" if tried is None else f"; on the virtual rig: {tried.verdict}, {tried.report}"),
+        f"{', '.join(names)}"
+        + ("" if tried is None else f"; on the virtual rig: {tried.verdict}, {tried.report}"),
     )

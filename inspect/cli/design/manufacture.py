@@ -50,6 +50,7 @@ class Manufacture:
             UsageError: a map that is too large, a base without thickness, or a tool that does not cut the ridges.
             HeightMapError: fields that are no whole number of pixels.
         """
+        from anisoscope.sim.design.plates import check_mould
         from anisoscope.sim.design.toolpath import Tool
 
         points = plan.shape[0] * plan.shape[1] * plan.points(pixel_um) ** 2
@@ -60,11 +61,11 @@ class Manufacture:
             )
         if self.stl and not self.base_mm > 0.0:
             raise UsageError(f"--base-mm must be a positive number of mm, not {self.base_mm:g}")
-        if self.path:
-            if not self.feed > 0.0:
-                raise UsageError(f"--feed must be a positive number of mm/min, not {self.feed:g}")
-            for letter in plan.letters:
-                Tool(design.edge_radius_um, self.tool_half_angle).check(plan.design_of(letter, design))
+        if self.path and not self.feed > 0.0:
+            raise UsageError(f"--feed must be a positive number of mm/min, not {self.feed:g}")
+        tool = Tool(design.edge_radius_um, self.tool_half_angle, self.feed) if self.path else None
+        for letter in plan.letters:
+            check_mould(plan.design_of(letter, design), tool)
 
     def write(self, out: Path, plan: "Plan", design: "RidgeDesign", pixel_um: float) -> float | None:
         """Write the files of `names` into a folder, after `check`.

@@ -221,11 +221,17 @@ def plate_signatures(recipe: PlateRecipe, expected: ExpectedPlate) -> Signatures
     light, pitch = expected.convention.light_angle_deg, design.pitch_um
     known = {one.name: one for one in all_causes(design.ridge_angle_deg, pitch)}
 
+    designs = [expected.plan.design_of(letter, design) for letter in expected.plan.letters]
+
     def seen(
-        ridges: RidgeDesign = design, plastic: Material = material, turn: float = 0.0, lamp: float = light
+        ridges: list[RidgeDesign] = designs,
+        plastic: Material = material,
+        turn: float = 0.0,
+        lamp: float = light,
     ) -> FloatArray:
+        classes = zip(ridges, azimuths, strict=True)
         return np.append(
-            np.concatenate([direct(ridges, one + turn, plastic, lamp) for one in azimuths]), turn
+            np.concatenate([direct(each, one + turn, plastic, lamp) for each, one in classes]), turn
         )
 
     def scaled(name: str) -> Callable[[float], FloatArray]:
@@ -237,17 +243,17 @@ def plate_signatures(recipe: PlateRecipe, expected: ExpectedPlate) -> Signatures
         (
             known["ridge-angle"],
             DEGREES,
-            lambda e: seen(replace(design, ridge_angle_deg=design.ridge_angle_deg + e)),
+            lambda e: seen([replace(one, ridge_angle_deg=one.ridge_angle_deg + e) for one in designs]),
         ),
         (
             known["wear"],
             tuple(one * pitch for one in OF_PITCH),
-            lambda e: seen(replace(design, edge_radius_um=max(e, design.edge_radius_um))),
+            lambda e: seen([replace(one, edge_radius_um=max(e, one.edge_radius_um)) for one in designs]),
         ),
         (
             known["incomplete-filling"],
             OF_HEIGHT,
-            lambda e: seen(replace(design, height_loss=e, edge_radius_um=0.0)),
+            lambda e: seen([replace(one, height_loss=e, edge_radius_um=0.0) for one in designs]),
         ),
         (known["roughness-along"], SHARES, scaled("alpha_along")),
         (known["roughness-across"], SHARES, scaled("alpha_across")),

@@ -30,7 +30,9 @@ def fields_by_map(
 ) -> FloatArray:
     """(P, rows, cols) radiance of every field of a plate by its height map, as of `plate_surface`."""
     azimuths = tuple(plan.azimuths_deg[letter] for letter in plan.letters)
-    grid = FieldGrid(plan.classes(), azimuths, recipe.surface.ridge_design(), recipe.fields.interior)
+    design = recipe.surface.ridge_design()
+    ridges = tuple(plan.design_of(letter, design) for letter in plan.letters)
+    grid = FieldGrid(plan.classes(), azimuths, ridges, recipe.fields.interior)
     return predict_fields(
         surface, grid, recipe.material.material(), poses, convention, recipe.surface.bounces
     )

@@ -463,3 +463,14 @@ def test_a_plan_that_is_not_that_of_the_map_is_one_line(folder, with_map, change
     with pytest.raises(HeightMapError, match=match) as problem:
         expected_plate(recipe, recipe.plan.plan(), LIGHT_DEG, cached=True)
     assert "\n" not in str(problem.value)
+
+
+def test_classes_with_a_ridge_angle_of_their_own_are_predicted_with_it(recipe):
+    own = Plan(("ABA", "BAB"), {"A": 0.0, "B": -90.0}, 0.2, {"B": 6.0})
+    found = expected_plate(recipe, own, LIGHT_DEG, cached=True)
+    design = recipe.surface.design.model_copy(update={"ridge_angle_deg": 6.0})
+    other = recipe.model_copy(update={"surface": recipe.surface.model_copy(update={"design": design})})
+    plain = Plan(own.rows, own.azimuths_deg, 0.2)
+    both = [expected_plate(one, plain, LIGHT_DEG, cached=True).radiance for one in (recipe, other)]
+    np.testing.assert_allclose(found.radiance, [both[0][0], both[1][1]], rtol=1e-9)
+    assert not np.allclose(both[0][1], both[1][1], rtol=0.1)
