@@ -64,6 +64,13 @@ def pytest_unconfigure(config):
         shutil.rmtree(config.stash[OWN_CACHE], ignore_errors=True)
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Benchmarks import what they compare with, seconds in every worker: they are collected for `-m benchmark` only."""
+    return (
+        True if collection_path.name == "benchmarks" and "not benchmark" in config.option.markexpr else None
+    )
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):
     """Put the tests with the longest preparations first in the shares that `--dist worksteal` deals out."""

@@ -1,5 +1,7 @@
 """Guards against the traps of a folder named like a module of the standard library."""
 
+import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -58,6 +60,16 @@ def test_no_folder_with_modules_lacks_an_init():
 def test_no_module_of_inspect_bears_a_name_of_the_standard_library():
     names = {path.stem for path in (ROOT / "inspect").glob("*") if path.suffix in ("", ".py")} - {"__main__"}
     assert names & sys.stdlib_module_names == set()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests/benchmarks").glob("*.py")), ids=lambda path: path.stem)
+def test_what_a_benchmark_imports_of_ours_is_there(path):
+    """They run in `make benchmark` only, and what they time may have moved."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("anisoscope"):
+            module = importlib.import_module(node.module)
+            for one in node.names:
+                assert hasattr(module, one.name) or importlib.import_module(f"{node.module}.{one.name}")
 
 
 def test_no_file_has_the_name_of_an_accident():

@@ -101,7 +101,8 @@ def stage_port():
 def guarded_rig(tmp_path_factory, stage_port):
     """A rig whose stage and light outlive the program that drives them."""
     folder, rig = lay_out(tmp_path_factory.mktemp("guarded") / "rig", TILE)
-    rig["stage"] = {"driver": "elliptec", "port": stage_port, "zero_deg": 10.0}
+    patient = {"timeout_s": 5.0}  # the stage's process may have to wait for its turn
+    rig["stage"] = {"driver": "elliptec", "port": stage_port, "zero_deg": 10.0, "options": patient}
     rig["light"] = {"driver": "logged", "options": {"log": "${here}/light.log"}}
     (folder / "rig.toml").write_text(tomli_w.dumps(rig))
     return folder

@@ -63,7 +63,8 @@ def lay_out(virtual_rig):
         changes = dict(rig or {})
         if not calibrated:
             changes["calibration"] = None
-        return virtual_rig(name, bench=bench, rig=changes)
+        sample = {"reflections": True} | bench.get("sample", {})
+        return virtual_rig(name, bench=bench | {"sample": sample}, rig=changes)
 
     return make
 

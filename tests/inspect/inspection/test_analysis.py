@@ -251,8 +251,9 @@ def test_one_tilt_is_not_fitted(make_recipe):
 
 
 def test_rounded_crests_and_a_drafted_wall_are_inspected_and_recorded(virtual_rig):
-    design = {"edge_radius_um": 0.5, "wall": 8.0}
-    rig = virtual_rig(recipe={"surface": {"design": design}, "decision": {"remeasure": 0}})
+    surface = {"design": {"edge_radius_um": 0.5, "wall": 8.0}, "reflections": "all"}
+    bench = {"sample": {"reflections": True}}
+    rig = virtual_rig(recipe={"surface": surface, "decision": {"remeasure": 0}}, bench=bench)
     record = rig.inspect().record
     assert record.verdict == "PASS"
     assert record.optics.groove_wall == 8.0

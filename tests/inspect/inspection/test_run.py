@@ -51,13 +51,17 @@ def from_map(path):
     return {"surface": {"height_map": str(path), "design": None}}
 
 
+REFLECTING = {"surface": {"reflections": "all"}}
+
+
 def same_record(record):
     """All of a record but what the clock says."""
     return record.model_dump(exclude={"created_at", "files", "frames", "inputs", "rig"})
 
 
 def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, reference_map):
-    rig = virtual_rig(recipe=from_map(reference_map), bench={"sample": {"resolved_alpha": 0.03}})
+    recipe = {"surface": from_map(reference_map)["surface"] | REFLECTING["surface"]}
+    rig = virtual_rig(recipe=recipe, bench={"sample": {"resolved_alpha": 0.03, "reflections": True}})
     inspected = rig.inspect("A 1", Methods())
     record = inspected.record
     assert record.verdict == "PASS"
@@ -122,7 +126,8 @@ DEFECTS = {
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_defective_part_fails_for_its_reason(virtual_rig, defect):
     sample, reason = DEFECTS[defect]
-    record = virtual_rig(bench={"sample": sample}).inspect().record
+    bench = {"sample": sample | {"reflections": True}}
+    record = virtual_rig(recipe=REFLECTING, bench=bench).inspect().record
     assert record.verdict == "FAIL"
     assert reason in record.reasons[0]
 

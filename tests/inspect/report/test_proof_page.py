@@ -21,7 +21,7 @@ from anisoscope.sim.proof.render import Extras, adaptation, direction, proof_pic
 from anisoscope.sim.proof.scene import Scene, printed, surface
 
 SECOND = (-15.0, 35.0)
-SMALL = (560, 620)  # a window with a quarter of the pixels to be drawn, here by the processor
+SMALL = (360, 420)  # a window with a tenth of the pixels to be drawn, here by the processor
 EXPOSURE = 2.0
 START = {
     "shape": "sphere", "print": "halftone", "dots": "eye", "zoom": 1, "yaw": 0, "pitch": 0, "illuminant": 0,

@@ -52,7 +52,7 @@ def test_every_fault_that_a_device_can_have_is_in_the_table(case):
 
 def test_a_day_in_the_life(served, case, clock):
     firmware = case.firmware("split", "unsolicited", "garbage", clock=clock)
-    with case.open(served(firmware)) as stage:
+    with case.open(served(firmware), timeout_s=PATIENT_S) as stage:
         assert isinstance(stage, RotationStage)
         assert stage.name == case.stage["name"]
         assert list(stage.limits_deg) == case.stage["limits_deg"]
@@ -162,7 +162,7 @@ def test_after_a_fault_the_next_connection_works(in_process, case, fault, clock)
 
 def test_stop_from_another_thread_ends_the_move(served, case, when_it_turns):
     firmware = case.firmware(time_scale=case.stage.get("unhurried", 5.0))
-    with case.open(served(firmware), margin_s=5.0) as stage:
+    with case.open(served(firmware), margin_s=5.0, timeout_s=PATIENT_S) as stage:
         stage.home()
         stopper = when_it_turns(firmware, stage.stop)
         with pytest.raises(RigError, match="was stopped at"):
