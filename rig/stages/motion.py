@@ -24,7 +24,7 @@ LOST_REFERENCE_TOLERANCES = 10.0
 READING_S = 0.05  # what a motion waits for a reading of another thread
 SAMPLE_S = 0.25
 # A stage that reports motion and gets on by less than this share of its speed for so long does not move.
-STANDSTILL_S, STANDSTILL_SHARE = 3.0, 0.001
+STANDSTILL_S, STANDSTILL_SHARE, STANDSTILL_SAMPLES = 3.0, 0.001, 6
 
 
 class _Underway(Exception):
@@ -302,7 +302,8 @@ class StageBase(ABC):
         while len(self._samples) > 2 and now - self._samples[1][0] >= STANDSTILL_S:
             self._samples.popleft()
         since_s = now - self._samples[0][0]
-        if since_s < STANDSTILL_S:
+        # few samples in a long time: this computer slept, and the next answer may be one of before
+        if since_s < STANDSTILL_S or len(self._samples) < STANDSTILL_SAMPLES:
             return
         least_deg = max(2.0 * self._resolution_deg, STANDSTILL_SHARE * self.rules.velocity_deg_s * since_s)
         places = [place for _, place in self._samples]

@@ -1,25 +1,164 @@
-"""docs/faults.md is what the conformance tests expect, fault by fault; ANISOSCOPE_WRITE_DOCS=1 writes it anew."""
+"""docs/faults.md is what the conformance tests expect, fault by fault; ANISOSCOPE_WRITE_DOCS=1 writes it anew.
+
+Its times are those of the simulated device's clock, with the driver's usual options and the device's usual speed.
+"""
 
 import ast
+import functools
 import itertools
 import os
+import re
+import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from anisoscope.base.clock import VirtualClock
+from anisoscope.base.errors import RigError
+from anisoscope.rig.acquisition.journal import read_journal
+from anisoscope.rig.acquisition.opening import Rig
+from anisoscope.rig.acquisition.plan import Plan, Pose
+from anisoscope.rig.acquisition.runner import run_plan
+from anisoscope.rig.camera import CameraInfo, CameraSettings
+from anisoscope.rig.drivers import open_stage
+from anisoscope.rig.lights.always_on import AlwaysOn
+from anisoscope.rig.rigfile import CameraPart, RigFile, StagePart
 from anisoscope.sim.bench.firmware import faults as faults_module
 from anisoscope.sim.bench.firmware.faults import FaultKind
+from anisoscope.sim.bench.serialports import protocol_sim
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
+ACTIONS = ("home", "move", "inspect")
+LIMIT_S = 8.0
+RIG_ERRORS = (RigError, *RigError.__subclasses__())
+# A board that searches its switches answers nothing: only the time that the search may take at its speed ends it.
+BEYOND = {("grbl", "slow:100000", "home")}
+ACTION = re.compile(r"; (calibrate|check|correct|find|home|let|look|lower|remove|send|unpark|wait)\b")
 HEAD = """# What a driver does when its stage fails
 
 This table is written by the tests that check it (`tests/rig/stages`), on every kind of line: in process, pseudo
-terminal, TCP. Where a class of error stands, the driver raises it within the time that the motion may take, tells the
-stage to stop, and closes the port; no thread is left, and once the fault is gone the next connection works. "goes on":
-the driver copes, and the angle is right. A number after the colon is the fault's parameter, as in
-`anisoscope rig sim zaber --fault stall:47.5`. The times come from distance, velocity and acceleration of the stage:
-1.5 times what the move takes, plus two seconds.
+terminal, TCP. Where a class of error stands, the driver raises it, tells the stage to stop, and closes the port; no
+thread is left, and once the fault is gone the next connection works. "goes on": the driver copes, and the angle is
+right. A number after the colon is the fault's parameter, as in `anisoscope rig sim zaber --fault stall:47.5`.
+
+`rig home` finds the fault from the beginning, over a way of 200°; `rig move` to 90° and an inspection find it after the
+stage was homed, the inspection after its first frame. Class, exit code, and seconds from the command to the error, with
+the usual options and speeds. Undisturbed they take {durations}. The error comes at most {limit:.0f} s later than the
+end would have, but for a Grbl board that is far too slow at its search: it answers nothing meanwhile. Every message
+ends with what to do, and every frame taken before is on disk.
 """
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an action ended with: a class of error (the whole message if it advises nothing) or ""; its time."""
+
+    error: str
+    exit_code: int
+    seconds: float
+    text: str = ""
+
+    def __str__(self):
+        return f"{self.error} {self.exit_code}, {self.seconds:.1f} s" if self.error else "goes on"
+
+
+class Eye:
+    """A camera of a few pixels; at its second frame the fault sets in."""
+
+    info = CameraInfo("eye", "1", 4, 4, 12, 64.0)
+
+    def __init__(self, begin):
+        self._begin, self._frames = begin, 0
+
+    def configure(self, exposure_s, gain):
+        return CameraSettings(exposure_s, gain)
+
+    def grab(self):
+        self._frames += 1
+        if self._frames == 1:
+            self._begin()
+        return np.full((4, 4), 100, np.uint16)
+
+    def close(self):
+        """Nothing is held."""
+
+
+def held_back(firmware):
+    """Take the faults out of a device; gives a function that puts them back."""
+    planner = getattr(firmware, "_planner", None)
+    places = [(firmware.axis, "stall_at_deg", None), (firmware, "_busy_answers", 0)]
+    places += [(planner, "overshoot", 0.0), (planner, "slowness", 1.0)]
+    places = [place for place in places if hasattr(place[0], place[1])]
+    faults, values = dict(firmware.faults), [getattr(owner, name) for owner, name, _ in places]
+    firmware.faults.clear()
+    for owner, name, sound in places:
+        setattr(owner, name, sound)
+
+    def put_back():
+        firmware.faults.update(faults)
+        for (owner, name, _), value in zip(places, values, strict=True):
+            setattr(owner, name, value)
+
+    return put_back
+
+
+def outcome_of(case, fault, action, monkeypatch):
+    """Outcome of an action on a device with a fault ("" has none), by the clock of the device."""
+    clock = VirtualClock()
+    firmware = case.firmware(*filter(None, [fault]), time_scale=1.0, clock=clock, start_deg=200.0)
+    monkeypatch.setattr(protocol_sim, "device_of_url", lambda _: firmware)
+    begun = clock()
+
+    def begin(put_back):
+        nonlocal begun
+        put_back()
+        begun = clock()
+
+    try:
+        put_back = (lambda: None) if action == "home" else held_back(firmware)
+        with open_stage(case.protocol, port="sim://device") as stage:
+            begun = clock() if action == "home" else begun
+            stage.home()
+            if action == "move":
+                begin(put_back)
+                stage.move_to(90.0)
+                stage.position_deg()
+            elif action == "inspect":
+                inspect(stage, lambda: begin(put_back))
+    except RigError as error:
+        advised = ACTION.search(str(error)) is not None
+        return Outcome(
+            type(error).__name__ if advised else str(error), error.exit_code, clock() - begun, str(error)
+        )
+    return Outcome("", 0, clock() - begun)
+
+
+def inspect(stage, begin):
+    """Photograph two poses; an error leaves the frames of before."""
+    file = RigFile(
+        schema=1,
+        name="table",
+        stage=StagePart(driver="elliptec", zero_deg=10.0),
+        camera=CameraPart(driver="eye", pixel_um=1.0),
+        light={"driver": "none"},
+    )
+    plan = Plan(
+        (Pose(0.0, 0.0), Pose(80.0, 0.0)),
+        exposure_s=0.01,
+        gain=1.0,
+        frames_per_pose=1,
+        dark_frames=0,
+        settle_s=0.0,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            run_plan(plan, Rig(stage, Eye(begin), AlwaysOn(lambda _: None), file), Path(folder))
+        except RigError:
+            kept = {f"frames/{path.name}" for path in Path(folder).glob("frames/*.tif")}
+            assert {line.name for line in read_journal(Path(folder)).frames} == kept != set()
+            raise
 
 
 def meanings():
@@ -35,27 +174,58 @@ def meanings():
     return found
 
 
-def cell(case, fault):
+STANDS_STILL = "does not get on"
+
+
+def cell(case, fault, outcomes):
     expected = case.error_of(fault)
-    return "goes on" if expected is None else f"{expected[0].__name__}: {expected[1]}".replace("|", "\\|")
+    if expected is None:
+        return "–"
+    texts = [outcomes[case.protocol, fault, action].text for action in ACTIONS]
+    found = [part for part in (expected[1], STANDS_STILL) if any(re.search(part, text) for text in texts)]
+    return found[0].replace("|", "\\|")
 
 
-def table_of(cases):
-    told = meanings()
-    lines = [HEAD]
+def table_of(cases, outcomes, undisturbed):
+    sentences = meanings()
+    durations = "; ".join(
+        f"{name} {', '.join(f'{found[action].seconds:.1f} s' for action in ACTIONS)}"
+        for name, found in undisturbed.items()
+    )
+    lines = [HEAD.format(durations=durations, limit=LIMIT_S)]
+    head = ["| stage | fault | message has | home | move | inspect |", "|---|---|---|---|---|---|"]
     for kind in FaultKind:
-        lines += [f"## {kind}", "", told[kind], "", "| stage | fault | driver |", "|---|---|---|"]
+        lines += [f"## {kind}", "", sentences[kind], "", *head]
         for case in cases.values():
             rows = [fault for fault in case.faults if fault.partition(":")[0] == str(kind)]
-            lines += [f"| {case.protocol} | `{fault}` | {cell(case, fault)} |" for fault in rows]
+            for fault in rows:
+                found = " | ".join(str(outcomes[case.protocol, fault, action]) for action in ACTIONS)
+                lines.append(f"| {case.protocol} | `{fault}` | {cell(case, fault, outcomes)} | {found} |")
             if not rows:
-                lines.append(f"| {case.protocol} | – | a device of this protocol cannot have it |")
+                lines.append(f"| {case.protocol} | – | a device of this protocol cannot have it | | | |")
         lines.append("")
     return "\n".join(lines)
 
 
-def test_the_page_of_faults_is_true(all_cases):
-    text = table_of(all_cases)
+def test_the_page_of_faults_is_true_and_errors_come_in_time(all_cases, monkeypatch):
+    outcome = functools.partial(outcome_of, monkeypatch=monkeypatch)
+    undisturbed = {
+        name: {action: outcome(case, "", action) for action in ACTIONS} for name, case in all_cases.items()
+    }
+    outcomes = {
+        (name, fault, action): outcome(case, fault, action)
+        for name, case in all_cases.items()
+        for fault in case.faults
+        for action in ACTIONS
+    }
+    late = {
+        (name, fault, action)
+        for (name, fault, action), found in outcomes.items()
+        if found.error and found.seconds > undisturbed[name][action].seconds + LIMIT_S
+    }
+    assert late == BEYOND
+    assert {found.error for found in outcomes.values()} <= {"", *(kind.__name__ for kind in RIG_ERRORS)}
+    text = table_of(all_cases, outcomes, undisturbed)
     if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
         PAGE.write_text(text, encoding="utf-8")
     if not PAGE.exists() or PAGE.read_text(encoding="utf-8") != text:
