@@ -155,6 +155,10 @@ COMMANDS = {
             "Design surfaces: diffractive steps, depths, dots, patterns and masks, and codes made of ridges.",
         ),
         "ink": ("ink.ink:app", "Fit, show, halftone and soft-proof structural-colour inks."),
+        "bsdf": (
+            "bsdf.bsdf:app",
+            "Exchange reflectance with renderers and instruments: export, import, fit, show.",
+        ),
         "fit": ("fit.fit:app", "Fit the parameters of the reflectance models to measured values."),
     },
     "Research": {

@@ -13,6 +13,8 @@ from anisoscope.base.csv_style import CsvReader
 from anisoscope.base.csv_table import Table, read_table, read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notation import contrast_name
+from anisoscope.bsdf.directions_table import COLUMNS, STEEPEST_DEG, sampled
+from anisoscope.bsdf.formats import is_reflectance_file, read_reflectance
 from anisoscope.experiment.experiment import PAIRS_DEG, RIDGE_ANGLES_DEG, STAGE_DEG, TILTS_DEG, combinations
 from anisoscope.fit.problem import RATIOS, Kind, Problem, Readings, Scene
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -215,8 +217,6 @@ def experiment_problem(
     return Problem(scene, readings, values, free)
 
 
-COLUMNS = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg", "value")
-STEEPEST_DEG = 89.0
 _SAME = 1e-6
 
 
@@ -268,13 +268,17 @@ def read_brdf(path: Path, wavelength_nm: float | None = None) -> BrdfTable:
     """Read ``theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value[,u][,wavelength_nm]``, values in 1/sr.
 
     Args:
-        path: the CSV file.
+        path: the CSV file, or a gridded file of `bsdf.formats`, which is sampled (`bsdf.directions_table.sampled`).
         wavelength_nm: which rows are taken, where the file has several wavelengths.
 
     Raises:
         UsageError: the file cannot be read or used.
     """
-    table = read_table(path, (COLUMNS,), ("u", "wavelength_nm"), above_zero=("u",))
+    if is_reflectance_file(path):
+        grid = sampled(read_reflectance(path))
+        table = Table(grid.columns, grid.rows, tuple(range(2, 2 + len(grid.rows))), path)
+    else:
+        table = read_table(path, (COLUMNS,), ("u", "wavelength_nm"), above_zero=("u",))
     for name in ("theta_i_deg", "theta_o_deg"):
         bad = (table.column(name) < 0.0) | (table.column(name) > STEEPEST_DEG)
         if bad.any():

@@ -341,7 +341,8 @@ def brdf(
     """Compare a measured BRDF with a model, and fit material and ridge angle to it.
 
     Args:
-        table: CSV: theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value[,u][,wavelength_nm], in the sample's frame.
+        table: CSV: theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value[,u][,wavelength_nm], in the sample's frame; or RGL
+            .bsdf, MERL, Klems XML, Zemax.
 
     Examples:
         anisoscope fit brdf brdf.csv --ridge-angle 8 --fit

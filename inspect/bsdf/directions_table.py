@@ -1,0 +1,257 @@
+"""Reflectance at single pairs of directions: tables of instruments, brought into the form that `fit brdf` reads.
+
+Read are CSV files whose columns are named by a mapping, and ASTM E2387-style ASCII: lines of keywords,
+``NUM_POINTS n``, ``VARS theta_i,phi_i,theta_s,phi_s,…`` with angles in radians, then numbers. A gridded reflectance is
+sampled.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_style import CsvReader, csv_text, number_text
+from anisoscope.base.csv_table import read_text
+from anisoscope.base.errors import UsageError
+from anisoscope.bsdf.formats import compared_directions
+from anisoscope.bsdf.reflectance import Reflectance
+
+ANGLES = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg")
+COLUMNS = (*ANGLES, "value")
+OPTIONAL = ("u", "wavelength_nm")
+Quantity = Literal["brdf", "radiance", "factor"]
+STEEPEST_DEG = 89.0
+_RADIANS = np.pi * 1.0001
+_LARGEST = 1e6
+_ASTM = {"theta_i": ANGLES[0], "phi_i": ANGLES[1], "theta_s": ANGLES[2], "phi_s": ANGLES[3],
+         "theta_r": ANGLES[2], "phi_r": ANGLES[3]}  # fmt: skip
+_COLOURS = {"r": 650.0, "g": 550.0, "b": 450.0}
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionsTable:
+    """N values of a BRDF.
+
+    Attributes:
+        columns: COLUMNS, and those of OPTIONAL that are known.
+        rows: (N, columns) angles in degrees, θ in 0 to 90, values in 1/sr.
+        remarks: what was done to the numbers.
+    """
+
+    columns: tuple[str, ...]
+    rows: FloatArray
+    remarks: tuple[str, ...] = ()
+
+    def column(self, name: str) -> FloatArray:
+        """(N,) numbers."""
+        return np.asarray(self.rows[:, self.columns.index(name)])
+
+    def csv(self) -> str:
+        """The text of a CSV file."""
+        return csv_text([self.columns, *([number_text(f"{x:.9g}") for x in row] for row in self.rows)])
+
+
+def read_mapped(
+    path: Path, mapping: Mapping[str, str], *, radians: bool = False, quantity: Quantity = "brdf"
+) -> DirectionsTable:
+    """Read a CSV file with a header.
+
+    Args:
+        path: the file.
+        mapping: our columns to names of the header, or to a number that holds for all rows; ours by themselves are
+            taken where the header has them.
+        radians: angles are in radians.
+        quantity: "brdf" in 1/sr; "radiance": BRDF × cos θi; "factor": π × BRDF, ratios to a perfect white.
+
+    Raises:
+        UsageError: a column that is missing, a line that cannot be used, or angles in another unit.
+    """
+    unknown = set(mapping) - {*COLUMNS, *OPTIONAL}
+    if unknown:
+        raise UsageError(f"--columns: {min(unknown)!r} is none of {', '.join((*COLUMNS, *OPTIONAL))}")
+    reader = CsvReader(read_text(path), path)
+    header = [name.strip() for name in next(reader, [])]
+    sources: dict[str, int | float] = {}
+    for name in (*COLUMNS, *OPTIONAL):
+        text = mapping.get(name, name)
+        if text in header:
+            sources[name] = header.index(text)
+        elif name in mapping and _is_number(text):
+            sources[name] = float(text)
+        elif name in COLUMNS or name in mapping:
+            raise UsageError(
+                f"{path}, line 1: no column {text!r} (there are {', '.join(header)}): name it with --columns "
+                f"{name}=COLUMN, or give a number for all rows"
+            )
+    rows = []
+    for fields in reader:
+        if not any(field.strip() for field in fields):
+            continue
+        place = f"{path}, line {reader.line_num}"
+        if len(fields) != len(header):
+            raise UsageError(f"{place}: {len(header)} values expected, {len(fields)} found")
+        row = [
+            source if isinstance(source, float) else _number(reader.with_point(fields[source]), name, place)
+            for name, source in sources.items()
+        ]
+        rows.append(row)
+    if not rows:
+        raise UsageError(f"{path}: no values follow the header")
+    return _checked(path, tuple(sources), np.array(rows), radians=radians, quantity=quantity)
+
+
+def is_astm(path: Path) -> bool:
+    """Whether a text file declares its columns in a line ``VARS``."""
+    try:
+        with path.open("rb") as stream:
+            return re.search(rb"^VARS\b", stream.read(16384), re.MULTILINE) is not None
+    except OSError:
+        return False
+
+
+def read_astm(path: Path, *, radians: bool = True, quantity: Quantity = "brdf") -> DirectionsTable:
+    """Read ASTM E2387-style ASCII; columns r, g, b become 650, 550 and 450 nm, a number its wavelength.
+
+    Raises:
+        UsageError: columns that are not known, another number of points, or a line that cannot be used.
+    """
+    lines = read_text(path).splitlines()
+    at = next((n for n, line in enumerate(lines) if line.startswith("VARS")), None)
+    if at is None:
+        raise UsageError(f"{path}: no line VARS names the columns")
+    names = [name.lower() for name in re.split(r"[,\s]+", lines[at][4:].strip()) if name]
+    angles = [_ASTM.get(name) for name in names]
+    if not set(ANGLES) <= set(angles):
+        raise UsageError(
+            f"{path}, line {at + 1}: VARS must name theta_i, phi_i, theta_s and phi_s, not {', '.join(names)}"
+        )
+    values = [n for n, name in enumerate(names) if _ASTM.get(name) is None]
+    if not values:
+        raise UsageError(f"{path}, line {at + 1}: VARS names no value")
+    numbers, places = [], []
+    for number, line in enumerate(lines[at + 1 :], at + 2):
+        fields = [field for field in re.split(r"[,\s]+", line.strip()) if field]
+        if not fields or line.lstrip().startswith("#"):
+            continue
+        if len(fields) != len(names):
+            raise UsageError(f"{path}, line {number}: {len(names)} values expected, {len(fields)} found")
+        numbers.append(
+            [
+                _number(field, name, f"{path}, line {number}")
+                for field, name in zip(fields, names, strict=True)
+            ]
+        )
+        places.append(number)
+    stated = next((line.split()[1] for line in lines[:at] if re.match(r"NUM_POINTS\s+\d+", line)), None)
+    if not numbers or (stated is not None and int(stated) != len(numbers)):
+        raise UsageError(
+            f"{path}: {len(numbers)} points, NUM_POINTS says {stated}: the file is cut off or damaged"
+        )
+    data = np.array(numbers)
+    order = [angles.index(name) for name in ANGLES]
+    nm = [_wavelength(names[n]) for n in values]
+    parts, columns = [], COLUMNS if nm == [None] else (*COLUMNS, "wavelength_nm")
+    if None in nm and len(nm) > 1:
+        raise UsageError(
+            f"{path}, line {at + 1}: of several values each must be a wavelength in nm, or R, G and B"
+        )
+    for n, wavelength in zip(values, nm, strict=True):
+        tail = [] if wavelength is None else [np.full(len(data), wavelength)]
+        parts.append(np.column_stack([data[:, order], data[:, n], *tail]))
+    return _checked(path, columns, np.concatenate(parts), radians=radians, quantity=quantity)
+
+
+def sampled(reflectance: Reflectance, count: int = 2000) -> DirectionsTable:
+    """Values of a reflectance on ``count`` pairs: directions to 60° and half vectors to 30° from the normal."""
+    light, camera = compared_directions()
+    step = max(1, len(light) // max(count, 1))
+    light, camera = light[::step], camera[::step]
+    value = reflectance.evaluate(light, camera)
+    angles = np.column_stack([_degrees(light), _degrees(camera)])
+    nm = reflectance.wavelengths_nm
+    if not nm:
+        return DirectionsTable(COLUMNS, np.column_stack([angles, value[:, 0]]))
+    blocks = [np.column_stack([angles, value[:, n], np.full(len(angles), one)]) for n, one in enumerate(nm)]
+    return DirectionsTable((*COLUMNS, "wavelength_nm"), np.concatenate(blocks))
+
+
+def _degrees(vectors: FloatArray) -> FloatArray:
+    theta = np.arctan2(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])
+    return np.degrees(np.stack([theta, np.arctan2(vectors[:, 1], vectors[:, 0])], axis=-1))
+
+
+def _checked(
+    path: Path, columns: tuple[str, ...], rows: FloatArray, *, radians: bool, quantity: Quantity
+) -> DirectionsTable:
+    """Angles in degrees, θ not negative, values as a BRDF; what cannot be is refused."""
+    place = {name: n for n, name in enumerate(columns)}
+    rows, remarks = _in_degrees(path, rows, [place[name] for name in ANGLES], radians=radians)
+    if "wavelength_nm" in place and rows[:, place["wavelength_nm"]].max() < 20.0:
+        raise UsageError(f"{path}: wavelength_nm looks like µm: give nm, 1000 times larger")
+    factor = np.ones(len(rows))
+    if quantity == "radiance":
+        factor = 1.0 / np.cos(np.radians(rows[:, place[ANGLES[0]]]))
+        remarks.append("values divided by cos θi")
+    elif quantity == "factor":
+        factor = np.full(len(rows), 1.0 / np.pi)
+        remarks.append("values divided by π")
+    for name in ("value", "u"):
+        if name in place:
+            rows[:, place[name]] *= factor
+    largest = float(np.abs(rows[:, place["value"]]).max())
+    if largest > _LARGEST:
+        raise UsageError(f"{path}: a value of {largest:.3g}/sr is no reflectance: are these counts?")
+    return DirectionsTable(columns, rows, tuple(remarks))
+
+
+def _in_degrees(
+    path: Path, rows: FloatArray, angles: list[int], *, radians: bool
+) -> tuple[FloatArray, list[str]]:
+    """Rows with angles in degrees and θ from 0 to STEEPEST_DEG, and what was done."""
+    remarks = []
+    largest = float(np.abs(rows[:, angles]).max())
+    if radians:
+        rows[:, angles] = np.degrees(rows[:, angles])
+        remarks.append("angles converted from radians")
+    elif 0.0 < largest <= _RADIANS and len(rows) > 1:
+        raise UsageError(
+            f"{path}: no angle exceeds {largest:.3g}: these look like radians: add --angle-unit rad"
+        )
+    for name, tilt, azimuth in ((ANGLES[0], *angles[:2]), (ANGLES[2], *angles[2:])):
+        flipped = rows[:, tilt] < 0.0
+        rows[flipped, azimuth] += 180.0
+        rows[flipped, tilt] *= -1.0
+        if flipped.any():
+            remarks.append(f"{np.count_nonzero(flipped)} negative {name} stand at the azimuth + 180°")
+        if np.any(rows[:, tilt] > 180.0):
+            raise UsageError(
+                f"{path}: {name} reaches {rows[:, tilt].max():g}°: angles from the normal are expected"
+            )
+    steep = np.any(rows[:, angles[::2]] > STEEPEST_DEG, axis=1)
+    if steep.all():
+        raise UsageError(f"{path}: no row lies within {STEEPEST_DEG:g}° of the normal")
+    if steep.any():
+        remarks.append(f"{np.count_nonzero(steep)} rows beyond {STEEPEST_DEG:g}° from the normal left out")
+    return rows[~steep], remarks
+
+
+def _wavelength(name: str) -> float | None:
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)(?:nm)?", name)
+    return float(found[1]) if found else _COLOURS.get(name)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return np.isfinite(float(text)).item()
+    except ValueError:
+        return False
+
+
+def _number(text: str, name: str, place: str) -> float:
+    if not _is_number(text):
+        raise UsageError(f"{place}: {name} is not a number: {text!r}")
+    return float(text)

@@ -1,0 +1,1 @@
+"""``anisoscope bsdf``."""

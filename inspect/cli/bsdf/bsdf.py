@@ -1,0 +1,279 @@
+"""``anisoscope bsdf``: reflectance to and from renderers and instruments."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, Group, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console, print_table
+
+if TYPE_CHECKING:
+    from anisoscope.bsdf.reflectance import Reflectance
+
+SOURCE = Group("Surface", help="One of --ridge-angle, --ink and --table.", sort_key=10)
+
+app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, fit, show.")
+app.command("anisoscope.cli.fit.fit:brdf", name="fit")
+
+
+@Parameter(name="*", group=SOURCE)
+@dataclass(frozen=True)
+class SourceOptions:
+    """What reflects."""
+
+    ridge_angle: Annotated[
+        float | None, Parameter(help="Ridges along y of this angle; 0 is a flat surface.")
+    ] = None
+    ink: Annotated[str | None, Parameter(help="Structural-colour ink: file *.toml, or a name.")] = None
+    table: Annotated[Path | None, Parameter(help="File of another format: RGL, MERL, Klems, Zemax.")] = None
+    material: Annotated[
+        Path | None, Parameter(help="Of the ridges: file of calibrate material, in place of the four below.")
+    ] = None
+    alpha_along: Annotated[float, Parameter(help="Of the ridges: Beckmann roughness along.")] = 0.06
+    alpha_across: Annotated[float, Parameter(help="Of the ridges: Beckmann roughness across.")] = 0.10
+    albedo: Annotated[float, Parameter(help="Of the ridges: diffuse albedo of the plastic.")] = 0.2
+    index: Annotated[float, Parameter(help="Of the ridges: refractive index of the plastic.")] = 1.5
+    pitch: Annotated[float, Parameter(help="Of the ridges: pitch in µm.")] = 100.0
+    height_loss: Annotated[float, Parameter(help="Of the ridges: share of the height that is missing.")] = 0.0
+    bounces: Annotated[
+        int, Parameter(help="Of the ridges: reflections between facets; 2 takes thirty times as long.")
+    ] = 1
+
+    def reflectance(self) -> "Reflectance":
+        """The surface.
+
+        Raises:
+            UsageError: none or several surfaces, or a file that cannot be used.
+        """
+        from anisoscope.bsdf import reflectance as known
+        from anisoscope.bsdf.formats import read_reflectance
+
+        given = [self.ridge_angle is not None, self.ink is not None, self.table is not None]
+        if sum(given) != 1:
+            raise UsageError("say what reflects: one of --ridge-angle, --ink and --table")
+        if self.table is not None:
+            return read_reflectance(self.table)
+        if self.ink is not None:
+            from anisoscope.sim.materials.inks import find_ink
+
+            return known.of_ink(find_ink(self.ink))
+        from anisoscope.profiles.ideal import RidgeDesign
+        from anisoscope.sim.light.material import Material
+
+        assert self.ridge_angle is not None
+        if self.bounces < 1:
+            raise UsageError(f"--bounces must be 1 or more, not {self.bounces}")
+        if self.material is None:
+            plastic = Material(self.alpha_along, self.alpha_across, self.albedo, self.index)
+        else:
+            from anisoscope.recipe.material_file import read_material_file
+
+            plastic = read_material_file(self.material).material.material()
+        design = RidgeDesign(self.pitch, self.ridge_angle, height_loss=self.height_loss)
+        name = "flat plastic" if self.ridge_angle == 0.0 else f"ridges of {self.ridge_angle:g}°"
+        return known.of_ridges(design, plastic, self.bounces, name)
+
+
+@app.command
+def export(
+    target: Path,
+    /,
+    *,
+    source: SourceOptions | None = None,
+    format_: Annotated[
+        Literal["rgl", "merl", "zemax", "klems"] | None,
+        Parameter(
+            name="--format", help="Format; by the extension .bsdf (RGL), .binary (MERL), .xml (Klems)."
+        ),
+    ] = None,
+    wavelength: Annotated[float | None, Parameter(help="Keep one wavelength in nm.")] = None,
+    nodes: Annotated[
+        str | None,
+        Parameter(help="RGL: inclinations and azimuths of the light, and side of the square: 24,37,48."),
+    ] = None,
+    scene: Annotated[Path | None, Parameter(help="RGL: also write a scene *.xml for Mitsuba.")] = None,
+    scene_shape: Annotated[Literal["sphere", "plate"], Parameter(help="Shape in the scene.")] = "sphere",
+    overwrite: OverwriteOption = False,
+    json_: Json = False,
+) -> int:
+    """Write the reflectance of ridges, an ink or a file as RGL .bsdf, MERL, Zemax or Klems XML.
+
+    The file is read back and compared; what the format does not hold is printed.
+
+    Args:
+        target: file to write.
+
+    Examples:
+        anisoscope bsdf export ridges.bsdf --ridge-angle 10 --scene ridges.xml
+        anisoscope bsdf export red.bsdf --ink synthetic-red
+        anisoscope bsdf export plastic.binary --ridge-angle 0 --alpha-along 0.1 --alpha-across 0.1
+    """
+    from anisoscope.bsdf.formats import export as write
+    from anisoscope.bsdf.formats import format_of
+    from anisoscope.bsdf.mitsuba_scene import write_scene
+    from anisoscope.bsdf.rgl import Resolution
+
+    source = source or SourceOptions()
+    name = format_ or format_of(target)
+    if name != "rgl" and (nodes is not None or scene is not None):
+        raise UsageError(f"--{'nodes' if nodes is not None else 'scene'} belongs to RGL .bsdf files")
+    check_suffix(scene, "--scene", ".xml")
+    check_new((target, scene), overwrite=overwrite)
+    resolution = None
+    if nodes is not None:
+        numbers = parse_numbers(nodes, "--nodes", "24,37,48")
+        if len(numbers) != 3 or any(n != int(n) for n in numbers):
+            raise UsageError(f"--nodes takes three whole numbers, such as 24,37,48, not {nodes!r}")
+        resolution = Resolution(*(int(n) for n in numbers))
+    surface = source.reflectance()
+    if wavelength is not None:
+        surface = surface.at(wavelength)
+    with progress(target.name, quiet=json_) as advance:
+        done = write(surface, target, name, resolution, advance)
+    if scene is not None:
+        write_scene(scene, target, scene_shape)
+    if json_:
+        print_json({"file": str(target), "format": done.format, "bytes": done.size, "rms": done.rms,
+                    "losses": list(done.losses), "scene": None if scene is None else str(scene)})  # fmt: skip
+        return 0
+    _line(f"{target}: {surface.name}, {done.format}, {done.size / 1e6:.3g} MB")
+    _line(f"read back: {done.rms:.2%} rms off, directions to 60° and half vectors to 30° from the normal")
+    for loss in done.losses:
+        _line(f"lost: {loss}")
+    if scene is not None:
+        _line(f"{scene}: mitsuba -m scalar_spectral {scene}")
+    return 0
+
+
+@app.command
+def show(
+    file: Path,
+    /,
+    *,
+    json_: Json = False,
+) -> int:
+    """Show what a reflectance file holds: wavelengths, albedo, and whether it is reciprocal and positive.
+
+    Args:
+        file: RGL .bsdf, MERL, Klems XML or Zemax, identified by its content.
+
+    Examples:
+        anisoscope bsdf show ridges.bsdf
+    """
+    from anisoscope.bsdf.formats import read_reflectance
+    from anisoscope.bsdf.reflectance import WATCHED_DEG, physics_of
+
+    found = read_reflectance(file)
+    physics = physics_of(found)
+    nm = found.wavelengths_nm
+    if json_:
+        print_json({"file": str(file), "name": found.name, "wavelengths_nm": list(nm), "isotropic": found.isotropic,
+                    "albedo": dict(zip((f"{deg:g}" for deg in WATCHED_DEG), physics.albedo, strict=True)),
+                    "reciprocity_rms": physics.reciprocity_rms, "negative_share": physics.negative_share,
+                    "anisotropy": physics.anisotropy,
+                    "warnings": [*found.notes, *physics.warnings()]})  # fmt: skip
+        return 0
+    waves = "one value for all light" if not nm else f"{nm[0]:g} nm" if len(nm) == 1 else (
+        f"{len(nm)}, {nm[0]:g} to {nm[-1]:g} nm"
+    )  # fmt: skip
+    rows = [
+        ["wavelengths", waves],
+        *(
+            [f"albedo, light at {deg:g}°", f"{value:.4g}"]
+            for deg, value in zip(WATCHED_DEG, physics.albedo, strict=True)
+        ),
+        ["change by a quarter turn, rms", f"{physics.anisotropy:.2%}"],
+        ["light and camera exchanged, rms", f"{physics.reciprocity_rms:.2%}"],
+    ]
+    print_table(found.name, ["quantity", "value"], rows)
+    for warning in (*found.notes, *physics.warnings()):
+        _line(f"warning: {warning}")
+    return 0
+
+
+@app.command(name="import")
+def import_(
+    file: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="CSV file to write: one row a pair of directions, for bsdf fit.")],
+    columns: Annotated[
+        str | None,
+        Parameter(
+            help="CSV: our columns by those of the file or by numbers: theta_i_deg=AOI,phi_i_deg=0,value=BRDF."
+        ),
+    ] = None,
+    angle_unit: Annotated[
+        Literal["deg", "rad"] | None,
+        Parameter(help="Angles of the file; E2387 ASCII rad, CSV deg by default."),
+    ] = None,
+    quantity: Annotated[
+        Literal["brdf", "radiance", "factor"],
+        Parameter(
+            help="Values: BRDF in 1/sr, BRDF × cos θi (CCBRDF), or ratios to a perfect white (π × BRDF)."
+        ),
+    ] = "brdf",
+    count: Annotated[int, Parameter(help="Of a gridded file: pairs of directions to sample.")] = 2000,
+    overwrite: OverwriteOption = False,
+    json_: Json = False,
+) -> int:
+    """Turn an instrument's table or a renderer's file into the table that bsdf fit reads.
+
+    Args:
+        file: CSV with a header, ASTM E2387-style ASCII (a line VARS), RGL .bsdf, MERL, Klems XML or Zemax.
+
+    Examples:
+        anisoscope bsdf import gonio.csv --columns theta_i_deg=AOI,phi_i_deg=0,theta_o_deg=Det,phi_o_deg=180 --out t.csv
+        anisoscope bsdf import chrome.binary --out chrome.csv
+    """
+    from anisoscope.base.atomic_write import write_text
+    from anisoscope.bsdf import directions_table as tables
+    from anisoscope.bsdf.formats import is_reflectance_file, read_reflectance
+
+    check_suffix(out, "--out", ".csv")
+    check_new((out,), overwrite=overwrite)
+    if not 1 <= count <= 1_000_000:
+        raise UsageError(f"--count takes 1 to 1000000, not {count}")
+    gridded = is_reflectance_file(file)
+    if columns is not None and (gridded or tables.is_astm(file)):
+        raise UsageError("--columns belongs to CSV files; this one names its own")
+    if gridded and (angle_unit is not None or quantity != "brdf"):
+        raise UsageError("--angle-unit and --quantity belong to tables; this format states its own units")
+    if gridded:
+        table = tables.sampled(read_reflectance(file), count)
+    elif tables.is_astm(file):
+        table = tables.read_astm(file, radians=angle_unit != "deg", quantity=quantity)
+    else:
+        mapping = _mapping(columns)
+        table = tables.read_mapped(file, mapping, radians=angle_unit == "rad", quantity=quantity)
+    write_text(out, table.csv())
+    negative = int((table.column("value") < 0.0).sum())
+    answer: dict[str, Any] = {"file": str(out), "rows": len(table.rows), "columns": list(table.columns),
+                              "negative": negative, "remarks": list(table.remarks)}  # fmt: skip
+    if json_:
+        print_json(answer)
+        return 0
+    _line(f"{out}: {len(table.rows)} rows ({', '.join(table.columns)})")
+    for remark in table.remarks:
+        _line(remark)
+    if negative:
+        _line(f"warning: {negative} of {len(table.rows)} values are negative")
+    return 0
+
+
+def _mapping(text: str | None) -> dict[str, str]:
+    pairs = [] if text is None else [part.partition("=") for part in text.split(",")]
+    for name, sign, column in pairs:
+        if not (name.strip() and sign and column.strip()):
+            raise UsageError(f"--columns takes NAME=COLUMN, comma-separated, not {text!r}")
+    return {name.strip(): column.strip() for name, _, column in pairs}
+
+
+def _line(text: str) -> None:
+    console().print(text, markup=False, highlight=False, soft_wrap=True)
