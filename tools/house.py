@@ -30,7 +30,10 @@ KIND_IN_TEXT = re.compile(r"wafer|print", re.IGNORECASE)
 VERB_NAME = re.compile(r"^_?print(_(?!causes|recipe|expectation|record|model|prints|kind)|$)|_and_print$")
 OF_LIBRARIES = {"print_svg"}  # matplotlib's
 FRAGMENT_LINES = 120
-TABLES = {"anisoscope.profiles.files.formats"}  # modules that list plug-ins, each in a module of its own
+TABLES = {
+    "anisoscope.bsdf.formats",
+    "anisoscope.profiles.files.formats",
+}  # modules that list plug-ins, each in a module of its own
 KERNELS = re.compile(r"kernels$")
 _LAYOUT = {
     tokenize.COMMENT,

@@ -12,6 +12,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.bsdf.klems import read_klems, write_klems
 from anisoscope.bsdf.merl import RGB_NM, is_merl, read_merl, write_merl
+from anisoscope.bsdf.mitsuba_scene import Shape, write_scene
 from anisoscope.bsdf.reflectance import Reflectance, hemisphere, shuffled
 from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
 from anisoscope.bsdf.tensor_file import MAGIC as TENSOR_MAGIC
@@ -66,8 +67,17 @@ def export(
     name: FormatName,
     resolution: Resolution | None = None,
     on_progress: Advance = silent,
+    scene: tuple[Path, Shape] | None = None,
 ) -> Exported:
     """Write a reflectance, read the file back, and compare.
+
+    Args:
+        reflectance: what is written.
+        path: the file.
+        name: its format.
+        resolution: of an RGL file.
+        on_progress: called with what is being done, steps done and steps in all.
+        scene: scene for Mitsuba to write as well, and the shape in it; of an RGL file.
 
     Raises:
         UsageError: the format cannot hold it, or the file would be huge.
@@ -86,6 +96,8 @@ def export(
     if name == "rgl":
         write_rgl(reflectance, path, resolution, on_progress)
         reader = read_rgl
+        if scene is not None:
+            write_scene(scene[0], path, scene[1])
     elif name == "merl":
         write_merl(reflectance, path)
         reader = read_merl

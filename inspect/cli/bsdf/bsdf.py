@@ -116,7 +116,6 @@ def export(
     """
     from anisoscope.bsdf.formats import export as write
     from anisoscope.bsdf.formats import format_of
-    from anisoscope.bsdf.mitsuba_scene import write_scene
     from anisoscope.bsdf.rgl import Resolution
 
     source = source or SourceOptions()
@@ -135,9 +134,8 @@ def export(
     if wavelength is not None:
         surface = surface.at(wavelength)
     with progress(target.name, quiet=json_) as advance:
-        done = write(surface, target, name, resolution, advance)
-    if scene is not None:
-        write_scene(scene, target, scene_shape)
+        drawn = None if scene is None else (scene, scene_shape)
+        done = write(surface, target, name, resolution, advance, drawn)
     if json_:
         print_json({"file": str(target), "format": done.format, "bytes": done.size, "rms": done.rms,
                     "losses": list(done.losses), "scene": None if scene is None else str(scene)})  # fmt: skip
