@@ -181,7 +181,7 @@ def sampled(reflectance: Reflectance, count: int = 2000) -> DirectionsTable:
 
 def _degrees(vectors: FloatArray) -> FloatArray:
     theta = np.arctan2(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])
-    return np.degrees(np.stack([theta, np.arctan2(vectors[:, 1], vectors[:, 0])], axis=-1))
+    return np.asarray(np.degrees(np.stack([theta, np.arctan2(vectors[:, 1], vectors[:, 0])], axis=-1)))
 
 
 def _checked(
@@ -221,7 +221,7 @@ def _in_degrees(
         raise UsageError(
             f"{path}: no angle exceeds {largest:.3g}: these look like radians: add --angle-unit rad"
         )
-    for name, tilt, azimuth in ((ANGLES[0], *angles[:2]), (ANGLES[2], *angles[2:])):
+    for name, tilt, azimuth in ((ANGLES[0], angles[0], angles[1]), (ANGLES[2], angles[2], angles[3])):
         flipped = rows[:, tilt] < 0.0
         rows[flipped, azimuth] += 180.0
         rows[flipped, tilt] *= -1.0
@@ -246,7 +246,7 @@ def _wavelength(name: str) -> float | None:
 
 def _is_number(text: str) -> bool:
     try:
-        return np.isfinite(float(text)).item()
+        return abs(float(text)) < float("inf")
     except ValueError:
         return False
 

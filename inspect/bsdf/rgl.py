@@ -242,7 +242,7 @@ class _Warp:
         )
 
         def mean(array: FloatArray, *place: Any) -> FloatArray:  # noqa: ANN401 - indices
-            return sum(weight * array[(slice_, *place)] for slice_, weight in corners)  # type: ignore[return-value]
+            return np.asarray(sum(weight * array[(slice_, *place)] for slice_, weight in corners))
 
         left = (1.0 - y) * mean(value, row, col) + y * mean(value, row + 1, col)
         right = (1.0 - y) * mean(value, row, col + 1) + y * mean(value, row + 1, col + 1)
@@ -347,7 +347,7 @@ def _projected_areas(normals: _Plane, *, isotropic: bool) -> FloatArray:
     v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, _AREAS[1]), indexing="ij")
     lights = _vectors(*_angles(np.stack([u.ravel(), v.ravel()], axis=-1), 0.0))
     found = np.array([np.sum(weight * np.maximum(normal @ light, 0.0)) for light in lights])
-    return np.maximum(found, 1e-12).reshape(rows, _AREAS[1])
+    return np.asarray(np.maximum(found, 1e-12).reshape(rows, _AREAS[1]))
 
 
 def _density_of_normals(normals: _Plane, light: FloatArray, turn: float) -> FloatArray:
@@ -428,4 +428,4 @@ def _between(nodes: FloatArray, at: FloatArray) -> tuple[npt.NDArray[np.intp], F
 def _root(first: FloatArray, second: FloatArray, area: FloatArray) -> FloatArray:
     """Where a density that runs linearly from ``first`` to ``second`` over a cell has gathered ``area``, in 0 to 1."""
     discriminant = np.sqrt(np.maximum(first**2 + 2.0 * (second - first) * area, 0.0))
-    return np.clip(2.0 * area / np.maximum(first + discriminant, 1e-30), 0.0, 1.0)
+    return np.asarray(np.clip(2.0 * area / np.maximum(first + discriminant, 1e-30), 0.0, 1.0))

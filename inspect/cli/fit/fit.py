@@ -49,13 +49,13 @@ def show(
 
 
 def _rows(fitted: "Fit", brdf: "tuple[BrdfTable, Reciprocity] | None") -> list[dict[str, float | None]]:
-    from anisoscope.fit.table import COLUMNS
+    from anisoscope.bsdf.directions_table import ANGLES
     from anisoscope.fit.text import rows_as_json
 
     rows = rows_as_json(fitted)
     if brdf is None:
         return rows
-    angles = [dict(zip(COLUMNS[:4], map(float, row), strict=True)) for row in brdf[0].angles_deg]
+    angles = [dict(zip(ANGLES, map(float, row), strict=True)) for row in brdf[0].angles_deg]
     return [
         {"line": line, **place, **row} for line, place, row in zip(brdf[0].lines, angles, rows, strict=True)
     ]
