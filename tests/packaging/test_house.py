@@ -122,7 +122,7 @@ def test_no_module_is_a_fragment_of_its_only_importer(found):
 
 
 def test_a_plug_in_of_a_table_is_no_fragment():
-    (table,) = house.TABLES
+    table = min(house.TABLES)
     package = table.rpartition(".")[0]
     graph = {table: {f"{package}.one"}, f"{package}.main": {f"{package}.two"}, f"{package}.one": set()}
     graph |= {f"{package}.two": set()}
