@@ -55,7 +55,7 @@ def format_of(path: Path) -> FormatName:
     found = _SUFFIXES.get(path.suffix.lower())
     if found is None:
         raise UsageError(
-            f"{path}: .bsdf is RGL, .binary MERL, .xml Klems; name the format of another extension with --format "
+            f"{path}: .bsdf is RGL, .binary MERL, .xml Klems; name the format of another extension with --file-format "
             "(Zemax' files end in .bsdf as well)"
         )
     return found

@@ -368,9 +368,12 @@ def _mirrored(
     facing = normal @ light
     camera = 2.0 * facing[:, None] * normal - light
     low = camera[:, 2] < _NEAR_HORIZON
-    flat = np.hypot(camera[:, 0], camera[:, 1])
-    shrink = np.sqrt(1.0 - _NEAR_HORIZON**2) / np.maximum(flat, 1e-12)
-    camera[low, :2] *= shrink[low, None]
+    # Toward the horizon; where that is straight below, the normal says which way.
+    toward = camera[low, :2]
+    flat = np.hypot(toward[:, 0], toward[:, 1])
+    toward = np.where((flat > _NEAR_HORIZON)[:, None], toward, normal[low, :2])
+    length = np.maximum(np.hypot(toward[:, 0], toward[:, 1]), 1e-12)
+    camera[low, :2] = toward / length[:, None] * np.sqrt(1.0 - _NEAR_HORIZON**2)
     camera[low, 2] = _NEAR_HORIZON
     value = reflectance.evaluate(np.broadcast_to(light, camera.shape).copy(), camera)
     return value * camera[:, 2:], 4.0 * np.maximum(facing, 0.0)

@@ -16,10 +16,10 @@ from anisoscope.cli.tables import console, print_table
 if TYPE_CHECKING:
     from anisoscope.bsdf.reflectance import Reflectance
 
-SOURCE = Group("Surface", help="One of --ridge-angle, --ink and --table.", sort_key=10)
+SOURCE = Group("Surface", help="One of --ridge-angle, --ink and --from-file.", sort_key=10)
 
 app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, fit, show.")
-app.command("anisoscope.cli.fit.fit:brdf", name="fit")
+app.command("anisoscope.cli.fit.fit:reflectance", name="fit")
 
 
 @Parameter(name="*", group=SOURCE)
@@ -28,10 +28,12 @@ class SourceOptions:
     """What reflects."""
 
     ridge_angle: Annotated[
-        float | None, Parameter(help="Ridges along y of this angle; 0 is a flat surface.")
+        float | None, Parameter(help="Ridges along y: ridge angle in degrees; 0 is a flat surface.")
     ] = None
     ink: Annotated[str | None, Parameter(help="Structural-colour ink: file *.toml, or a name.")] = None
-    table: Annotated[Path | None, Parameter(help="File of another format: RGL, MERL, Klems, Zemax.")] = None
+    from_file: Annotated[Path | None, Parameter(help="File of another format: RGL, MERL, Klems, Zemax.")] = (
+        None
+    )
     material: Annotated[
         Path | None, Parameter(help="Of the ridges: file of calibrate material, in place of the four below.")
     ] = None
@@ -54,11 +56,11 @@ class SourceOptions:
         from anisoscope.bsdf import reflectance as known
         from anisoscope.bsdf.formats import read_reflectance
 
-        given = [self.ridge_angle is not None, self.ink is not None, self.table is not None]
+        given = [self.ridge_angle is not None, self.ink is not None, self.from_file is not None]
         if sum(given) != 1:
-            raise UsageError("say what reflects: one of --ridge-angle, --ink and --table")
-        if self.table is not None:
-            return read_reflectance(self.table)
+            raise UsageError("say what reflects: one of --ridge-angle, --ink and --from-file")
+        if self.from_file is not None:
+            return read_reflectance(self.from_file)
         if self.ink is not None:
             from anisoscope.sim.materials.inks import find_ink
 
@@ -89,7 +91,7 @@ def export(
     format_: Annotated[
         Literal["rgl", "merl", "zemax", "klems"] | None,
         Parameter(
-            name="--format", help="Format; by the extension .bsdf (RGL), .binary (MERL), .xml (Klems)."
+            name="--file-format", help="Format; by the extension .bsdf (RGL), .binary (MERL), .xml (Klems)."
         ),
     ] = None,
     wavelength: Annotated[float | None, Parameter(help="Keep one wavelength in nm.")] = None,
@@ -211,13 +213,13 @@ def import_(
         Literal["deg", "rad"] | None,
         Parameter(help="Angles of the file; E2387 ASCII rad, CSV deg by default."),
     ] = None,
-    quantity: Annotated[
+    values_are: Annotated[
         Literal["brdf", "radiance", "factor"],
         Parameter(
             help="Values: BRDF in 1/sr, BRDF × cos θi (CCBRDF), or ratios to a perfect white (π × BRDF)."
         ),
     ] = "brdf",
-    count: Annotated[int, Parameter(help="Of a gridded file: pairs of directions to sample.")] = 2000,
+    pairs: Annotated[int, Parameter(help="Of a gridded file: pairs of directions to sample.")] = 2000,
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -236,20 +238,20 @@ def import_(
 
     check_suffix(out, "--out", ".csv")
     check_new((out,), overwrite=overwrite)
-    if not 1 <= count <= 1_000_000:
-        raise UsageError(f"--count takes 1 to 1000000, not {count}")
+    if not 1 <= pairs <= 1_000_000:
+        raise UsageError(f"--pairs takes 1 to 1000000, not {pairs}")
     gridded = is_reflectance_file(file)
     if columns is not None and (gridded or tables.is_astm(file)):
         raise UsageError("--columns belongs to CSV files; this one names its own")
-    if gridded and (angle_unit is not None or quantity != "brdf"):
-        raise UsageError("--angle-unit and --quantity belong to tables; this format states its own units")
+    if gridded and (angle_unit is not None or values_are != "brdf"):
+        raise UsageError("--angle-unit and --values-are belong to tables; this format states its own units")
     if gridded:
-        table = tables.sampled(read_reflectance(file), count)
+        table = tables.sampled(read_reflectance(file), pairs)
     elif tables.is_astm(file):
-        table = tables.read_astm(file, radians=angle_unit != "deg", quantity=quantity)
+        table = tables.read_astm(file, radians=angle_unit != "deg", quantity=values_are)
     else:
         mapping = _mapping(columns)
-        table = tables.read_mapped(file, mapping, radians=angle_unit == "rad", quantity=quantity)
+        table = tables.read_mapped(file, mapping, radians=angle_unit == "rad", quantity=values_are)
     write_text(out, table.csv())
     negative = int((table.column("value") < 0.0).sum())
     answer: dict[str, Any] = {"file": str(out), "rows": len(table.rows), "columns": list(table.columns),

@@ -366,6 +366,38 @@ def brdf(
     return show(_fit(problem, json_), f"BRDF of {table.name}", json_, html, (read, reciprocity(read)))
 
 
+def reflectance(
+    table: Path,
+    /,
+    *,
+    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees; 0 is a flat surface.")],
+    fit: Annotated[bool, Parameter(negative="", help="Fit; otherwise only compare.")] = False,
+    free: Annotated[str | None, Parameter(help="Free parameters with --fit, as in fit ridges.")] = None,
+    wavelength: Annotated[float | None, Parameter(help="Wavelength in nm, of a file with several.")] = None,
+    options: ModelOptions | None = None,
+    json_: Json = False,
+    html: HtmlOption = None,
+) -> int:
+    """Compare a reflectance file or table with a model, and fit material and ridge angle to it, as fit brdf.
+
+    Args:
+        table: file of bsdf import, or RGL .bsdf, MERL, Klems XML, Zemax.
+
+    Examples:
+        anisoscope bsdf fit table.csv --ridge-angle 0 --fit
+    """
+    return brdf(
+        table,
+        ridge_angle=ridge_angle,
+        fit=fit,
+        free=free,
+        wavelength=wavelength,
+        options=options,
+        json_=json_,
+        html=html,
+    )
+
+
 def _at_most_one(json_: bool, html: Path | None) -> None:
     if json_ and html is not None:
         raise UsageError("--json and --html exclude each other")

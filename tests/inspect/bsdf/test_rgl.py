@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.bsdf.reflectance import of_ridges
+from anisoscope.bsdf.reflectance import albedo, of_ridges
 from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
 from anisoscope.bsdf.tensor_file import read_tensors, write_tensors
 from anisoscope.profiles.ideal import RidgeDesign
@@ -153,3 +153,12 @@ def test_refused_before_the_work(tmp_path, surfaces):
         Resolution(1, 37, 32)
     with pytest.raises(UsageError, match="nothing is reflected"):
         write_rgl(surfaces.lambertian(0.0), tmp_path / "x.bsdf")
+
+
+def test_the_horizon_stays_dark(tmp_path, surfaces):
+    """Normals that would mirror light below the horizon must not bring the lobe back: the albedo shows it."""
+    flat = of_ridges(RidgeDesign(100.0, 0.0), Material(0.1, 0.1))
+    write_rgl(flat, tmp_path / "flat.bsdf", Resolution(16, 5, 32))
+    found = read_rgl(tmp_path / "flat.bsdf")
+    for theta in (0.0, 1.0, 40.0):
+        assert albedo(found, theta)[0] == pytest.approx(albedo(flat, theta)[0], rel=0.02)

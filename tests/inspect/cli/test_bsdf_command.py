@@ -29,7 +29,7 @@ def test_show(anisoscope, flat):
 def test_what_goes_out_comes_in(anisoscope, flat, tmp_path):
     """Roughness of an exported surface, fitted to the file itself and to the table made of it."""
     fits = [flat, tmp_path / "table.csv"]
-    done = anisoscope("bsdf", "import", flat, "--out", fits[1], "--count", "300", "--json")
+    done = anisoscope("bsdf", "import", flat, "--out", fits[1], "--pairs", "300", "--json")
     assert (done.code, done.json["negative"]) == (0, 0)
     with fits[1].open(encoding="utf-8", newline="") as stream:
         assert len(list(csv.DictReader(stream))) == done.json["rows"]
@@ -50,7 +50,7 @@ def test_what_a_format_loses_is_printed(anisoscope, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("export", "x.bsdf"), "one of --ridge-angle, --ink and --table"),
+        (("export", "x.bsdf"), "one of --ridge-angle, --ink and --from-file"),
         (("export", "x.bsdf", "--ridge-angle", "10", "--ink", "synthetic-red"), "one of --ridge-angle"),
         (("export", "x.binary", "--ridge-angle", "10"), "isotropic surfaces only"),
         (("export", "x.txt", "--ridge-angle", "10"), "name the format of another extension"),
