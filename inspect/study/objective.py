@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
-from anisoscope.base.errors import UsageError
+from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.prediction.reflections import Groove
 from anisoscope.profiles.ideal import RidgeDesign, Wall
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
@@ -126,6 +127,8 @@ class Scoring:
         quantile: score this quantile of the sample instead, 0 to 0.5.
         samples: size of the sample, a power of two.
         seed: of the sample's scrambling.
+        bounces: largest number of reflections; 1 is direct light, "all" follows them to the end. Light that reflects
+            more often is that of the nominal part in the nominal poses: its scatter is small.
     """
 
     contrast: Kind = "difference"
@@ -140,6 +143,7 @@ class Scoring:
     quantile: float | None = None
     samples: int = 64
     seed: int = 1
+    bounces: int | Literal["all"] = 1
 
     def __post_init__(self) -> None:
         if self.samples < 8 or self.samples & (self.samples - 1):
@@ -148,6 +152,8 @@ class Scoring:
             raise UsageError(f"the quantile must lie above 0 and up to 0.5, not {self.quantile:g}")
         if not 0.0 <= self.z < float("inf"):
             raise UsageError(f"z must be 0 or more, not {self.z:g}")
+        if self.bounces != "all" and self.bounces < 1:
+            raise UsageError(f"light reflects at least once, not {self.bounces} times")
         if self.score == "snr" and self.tolerances is None and not self.noise.present:
             raise UsageError("a signal-to-noise ratio needs noise (--noise) or tolerances (--robust)")
         if self.score == "snr" and self.quantile is not None:
@@ -298,7 +304,23 @@ def _aimed(scoring: Scoring, errors: dict[str, FloatArray], number: int) -> tupl
 
 def _scored(parts: Sequence[Part], scoring: Scoring) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Score, mean contrast and standard deviation of D parts, (D,) each; NaN where no part can be manufactured."""
-    return _summary(_radiance(parts, *_sample(scoring)), scoring)
+    radiance = _radiance(parts, *_sample(scoring))
+    if scoring.bounces != 1:
+        radiance = radiance + np.array([_reflections(one, scoring) for one in parts])[:, None]
+    return _summary(radiance, scoring)
+
+
+def _reflections(part: Part, scoring: Scoring) -> FloatArray:
+    """(P,) light of the nominal part in 1/sr that reflects more than once; 0 where it cannot be manufactured."""
+    try:
+        design = RidgeDesign(
+            part.pitch, part.ridge_angle, part.wall, part.height_loss, edge_radius_um=part.edge_radius
+        )
+        groove = Groove(design, None if scoring.bounces == "all" else scoring.bounces)
+        material = Material(part.alpha_along, part.alpha_across, part.albedo, part.index)
+        return groove.light(*directions(scoring.poses, scoring.convention), material)
+    except AnisoscopeError:
+        return np.zeros(len(scoring.poses))
 
 
 def _summary(radiance: FloatArray, scoring: Scoring) -> tuple[FloatArray, FloatArray, FloatArray]:

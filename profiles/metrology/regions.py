@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.heightmap import HeightMap
@@ -332,6 +331,8 @@ def _at_borders(
     one_sided: bool,
 ) -> Labels:
     """The labels with borders where the slopes of the points themselves change, not where means of them do."""
+    from scipy import ndimage  # noqa: PLC0415 - slow to import
+
     fall_x, fall_y = _falls(surface, LOCAL)
     vote = fall_x + 1j * fall_y
     vote /= np.maximum(np.abs(vote), FLAT_SLOPE)
@@ -391,6 +392,8 @@ def _smoothed(values: Any, sigma: float) -> Any:  # noqa: ANN401 - real or compl
 
 def _classes(turned: npt.NDArray[np.complexfloating], certain: npt.NDArray[np.bool_]) -> FloatArray:
     """(C,) modes of the angles of the mean votes in degrees, the largest share first."""
+    from scipy import ndimage  # noqa: PLC0415 - slow to import
+
     if certain.sum() < LEAST_SHARE * certain.size:
         return np.zeros(0)
     angle = np.degrees(np.angle(turned[certain]))
@@ -430,6 +433,8 @@ def _grown(classes: Labels, window: float) -> tuple[Labels, npt.NDArray[np.intp]
     Regions and bridges narrower than the window are left out first: at the corners of a checkerboard fields of one
     direction touch. What is left grows until it fills the map.
     """
+    from scipy import ndimage  # noqa: PLC0415 - slow to import
+
     if classes.any():  # walls, where votes disagree, are of the class about them
         nearest = ndimage.distance_transform_edt(classes == 0, return_distances=False, return_indices=True)
         classes = classes[tuple(nearest)]
@@ -456,6 +461,8 @@ def _regions(
     one_sided: bool,
 ) -> DirectionRegions:
     """Regions from the first row on, classes in the order of their areas."""
+    from scipy import ndimage  # noqa: PLC0415 - slow to import
+
     points = np.bincount(labels.ravel(), minlength=len(class_of))
     areas = np.bincount(class_of[1:], points[1:], minlength=len(centres))
     order = [int(n) for n in np.argsort(-areas, kind="stable") if areas[n] > 0]

@@ -44,6 +44,7 @@ def scoring_text(scoring: "Scoring") -> str:
     pairs = ", ".join(f"{a:g}° / {b:g}°" for a, b in scoring.pairs_deg)
     tilts = ", ".join(f"{t:g}°" for t in scoring.tilts_deg)
     text = f"{scoring.over} |{scoring.contrast}| [{CONTRAST_UNITS[scoring.contrast]}], pairs {pairs}, tilts {tilts}"
+    text += ", direct light" if scoring.bounces == 1 else f", {scoring.bounces} reflections"
     if scoring.score == "snr":
         text += ", over its standard deviation"
     if scoring.tolerances is not None:
@@ -271,6 +272,12 @@ def optimise(
     ] = None,
     samples: Annotated[int, Parameter(help="Parts in the sample of tolerances, a power of two.")] = 64,
     seed: Annotated[int, Parameter(help="Seed of the sample.")] = 1,
+    bounces: Annotated[
+        int | Literal["all"],
+        Parameter(
+            help="Most reflections; 1: direct light; 2 holds most of what 'all' adds, in a tenth of its time."
+        ),
+    ] = 1,
     light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
     tilt_plane: Annotated[
         Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
@@ -284,7 +291,7 @@ def optimise(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Find the ridge design with the most contrast, nominal or under tolerances, in direct light.
+    """Find the ridge design with the most contrast, nominal or under tolerances.
 
     The box of --vary is searched on a grid, then refined at the highest maxima. The pitch matters only if something
     has an absolute size (--edge-radius, or a tolerance of it).
@@ -319,6 +326,7 @@ def optimise(
         quantile,
         samples,
         seed,
+        bounces,
     )
     directions(scoring.poses, scoring.convention)
     bounds = _bounds(vary)

@@ -36,6 +36,16 @@ def test_nominal_score_is_the_predicted_contrast(kind):
     assert score(part, replace(asked, over="worst")).score == pytest.approx(min(each), rel=1e-3)
 
 
+@pytest.mark.parametrize("bounces", [2, "all"])
+def test_with_reflections_the_score_is_that_of_the_prediction(bounces):
+    poses, count = pose_grid((0.0, 90.0), (0.0,)), None if bounces == "all" else bounces
+    predicted = predict_design(RidgeDesign(100.0, 7.0), Material(), poses, Convention(), bounces=count)
+    part, asked = Part(ridge_angle=7.0), Scoring("log_ratio", bounces=bounces)
+    found = score(part, asked).score
+    assert found == pytest.approx(abs(predicted.contrasts[0].log_ratio), rel=1e-3)
+    assert abs(found / score(part, replace(asked, bounces=1)).score - 1.0) > 0.005
+
+
 @pytest.mark.parametrize("kind", ["difference", "michelson", "log_ratio"])
 def test_slopes_are_derivatives(kind):
     first, second, step = np.array([0.3]), np.array([0.1]), 1e-6
