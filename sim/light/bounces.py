@@ -30,6 +30,7 @@ FieldArray = npt.NDArray[np.float32]
 
 ANGLES = 24
 ELEVATIONS = 64
+HALF = ELEVATIONS // 2
 CELLS = 12
 DIRECTIONS = ANGLES * ELEVATIONS
 NARROWEST = 0.05  # roughness below which the grid would miss a lobe; such lobes are widened to this
@@ -45,13 +46,14 @@ class DirectionGrid:
         sides: for each side (D, 3) unit vectors from it toward the other side, in its own frame.
         weight: (D,) solid angles in sr.
         ratio: (ANGLES,) distance from the foot on the second side over that on the first.
-        scatter: for each side (D, D): field that arrives → field that leaves, [in, out].
+        scatter: for each side, field that arrives → field that leaves, [in, out], on the lower half of the elevations:
+            of the part of the field that is even in the elevation, and of the odd part; both (D/2, D/2).
     """
 
     sides: tuple[FloatArray, FloatArray]
     weight: FloatArray
     ratio: FloatArray
-    scatter: tuple[FieldArray, FieldArray]
+    scatter: tuple[tuple[FieldArray, ...], ...]
 
 
 def widened(material: Material) -> Material:
@@ -60,7 +62,7 @@ def widened(material: Material) -> Material:
     return replace(material, alpha_along=along, alpha_across=across)
 
 
-@lru_cache(maxsize=3)  # about 20 MB each
+@lru_cache(maxsize=3)  # about 10 MB each
 def direction_grid(opening: float, material: Material) -> DirectionGrid:
     """The grid for a groove of an opening angle [rad]; both sides are of the same material."""
     node, node_weight = np.polynomial.legendre.leggauss(ANGLES)
@@ -71,23 +73,24 @@ def direction_grid(opening: float, material: Material) -> DirectionGrid:
     phi_weight = 0.5 * np.pi * (0.5 + 1.5 * x**2) * x_weight * np.cos(phi)
     sides = tuple(_fan(angle, phi, sign) for angle, sign in ((chi, 1.0), (np.pi - opening - chi, -1.0)))
     weight = np.outer(chi_weight, phi_weight).ravel()
-    below = sides[0].reshape(ANGLES, ELEVATIONS, 3)[:, : ELEVATIONS // 2].reshape(-1, 3)
-    arriving = below[:, 2] * weight.reshape(ANGLES, ELEVATIONS)[:, : ELEVATIONS // 2].ravel()
-    half = brdf_table(below, sides[0], material)
-    half = np.multiply(half, arriving[:, None], dtype=np.float32, casting="same_kind")
-    half = half.reshape(ANGLES, ELEVATIONS // 2, ANGLES, ELEVATIONS)
-    first = np.concatenate(
-        [half, half[:, ::-1, :, ::-1]], axis=1
-    )  # elevations above are those below, mirrored
-    # the second side's fan is the first one's, mirrored and with its angles in reverse
-    scatter = first, np.ascontiguousarray(first[::-1, :, ::-1])
-    ratio = np.sin(chi) / np.sin(np.pi - opening - chi)
-    return DirectionGrid(
-        (sides[0], sides[1]),
-        weight,
-        ratio,
-        (scatter[0].reshape(DIRECTIONS, DIRECTIONS), scatter[1].reshape(DIRECTIONS, DIRECTIONS)),
+    below = sides[0].reshape(ANGLES, ELEVATIONS, 3)[:, :HALF].reshape(-1, 3)
+    arriving = below[:, 2] * weight.reshape(ANGLES, ELEVATIONS)[:, :HALF].ravel()
+    sent = np.multiply(
+        brdf_table(below, sides[0], material), arriving[:, None], dtype=np.float32, casting="same_kind"
     )
+    sent = sent.reshape(ANGLES, HALF, ANGLES, ELEVATIONS)
+    # to directions in the same half of the elevations, and in the other
+    same, other = sent[..., :HALF], sent[..., : HALF - 1 : -1]
+    # the second side's fan is the first one's, mirrored and with its angles in reverse
+    scatter = tuple(
+        tuple(
+            np.ascontiguousarray(one[turn, :, turn]).reshape(ANGLES * HALF, -1)
+            for one in (same + other, same - other)
+        )
+        for turn in (slice(None), slice(None, None, -1))
+    )
+    ratio = np.sin(chi) / np.sin(np.pi - opening - chi)
+    return DirectionGrid((sides[0], sides[1]), weight, ratio, scatter)
 
 
 def _fan(angle: FloatArray, phi: FloatArray, sign: float) -> FloatArray:
@@ -143,7 +146,15 @@ class Groove:
 
     def reflected(self, side: int, field: FieldArray) -> FieldArray:
         """(P, CELLS, D) field that arrives at ``side`` → field that leaves it."""
-        return np.asarray((field.reshape(-1, DIRECTIONS) @ self.grid.scatter[side]).reshape(field.shape))
+        rows = field.reshape(-1, ANGLES, ELEVATIONS)
+        below, above = rows[..., :HALF], rows[..., : HALF - 1 : -1]
+        even, odd = (
+            (part.reshape(len(rows), -1) @ scatter).reshape(below.shape)
+            for part, scatter in zip((below + above, below - above), self.grid.scatter[side], strict=True)
+        )
+        left = np.empty_like(rows)
+        left[..., :HALF], left[..., : HALF - 1 : -1] = 0.5 * (even + odd), 0.5 * (even - odd)
+        return left.reshape(field.shape)
 
     def carried(self, side: int, field: FieldArray) -> FieldArray:
         """(P, CELLS, D) field that leaves ``side`` → field that arrives at the other side."""

@@ -291,10 +291,11 @@ def optimise(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Find the ridge design with the most contrast, nominal or under tolerances.
+    """Find the ridge design with the most contrast, nominal or under tolerances, in direct light.
 
-    The box of --vary is searched on a grid, then refined at the highest maxima. The pitch matters only if something
-    has an absolute size (--edge-radius, or a tolerance of it).
+    The box of --vary is searched on a grid, then refined at the highest maxima. --bounces adds light that ridges
+    reflect onto each other. The pitch matters only if something has an absolute size (--edge-radius, or a tolerance of
+    it).
 
     Examples:
         anisoscope optimise --vary ridge_angle=3:20

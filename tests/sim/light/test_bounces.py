@@ -4,7 +4,7 @@ import pytest
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.bounces import direction_grid, interreflection
+from anisoscope.sim.light.bounces import Groove, interreflection
 from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material, brdf_table, facet_brdf
@@ -246,11 +246,12 @@ def test_the_brdf_between_directions_is_that_of_a_facet(lobe):
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_the_grid_scatters_as_the_brdf_between_its_directions(side):
-    material = Material(0.1, 0.2, 0.3, tail=0.4)
-    grid, chosen = direction_grid(1.2, material), np.arange(5, 1536, 61)
-    ways = grid.sides[side]
-    expected = brdf_table(ways[chosen], ways, material) * (ways[:, 2] * grid.weight)[chosen, None]
-    np.testing.assert_allclose(grid.scatter[side][chosen], expected, rtol=1e-5)
+    groove = Groove((1.0, 0.5), 1.2, Material(0.1, 0.2, 0.3, tail=0.4))
+    ways = groove.grid.sides[side]
+    field = np.random.default_rng(1).random((1, 2, len(ways)), dtype=np.float32)
+    arriving = field * (ways[:, 2] * groove.grid.weight)
+    expected = arriving @ brdf_table(ways, ways, groove.material)
+    np.testing.assert_allclose(groove.reflected(side, field), expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize(
