@@ -164,7 +164,7 @@ optimum.part.index optimum.part.pitch optimum.part.ridge_angle optimum.part.wall
 scoring scoring.contrast scoring.convention scoring.convention.facet_azimuth_deg
 scoring.convention.light_angle_deg scoring.convention.rotation_sense scoring.convention.tilt_plane
 scoring.noise scoring.noise.floor scoring.noise.share scoring.over scoring.pairs_deg scoring.quantile
-scoring.samples scoring.score scoring.seed scoring.tilts_deg scoring.tolerances scoring.z unit
+scoring.samples scoring.bounces scoring.score scoring.seed scoring.tilts_deg scoring.tolerances scoring.z unit
 """
 SPC = """
 skipped source studies studies.capability studies.capability.confidence studies.capability.count
