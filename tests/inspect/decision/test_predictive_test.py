@@ -173,7 +173,7 @@ def test_p_values_of_good_parts_of_a_known_plastic_are_uniform(tilts, mean):
     """Where reflections are as modelled; what is stated for errors of their model makes p of tilted poses larger."""
     rules = recipe(tilts, u_tail=0.0, u_alpha_share=0.05, u_albedo=0.006, u_index=0.0)
     stated = rules.surface.model_copy(
-        update={"design": DesignPart(ridge_angle_deg=10.0, u_ridge_angle_deg=0.1)}
+        update={"design": DesignPart(ridge_angle_deg=10.0, u_ridge_angle_deg=0.1, edge_radius_um=0.0)}
     )
     rig = rules.uncertainty.model_copy(update={"light_angle_deg": 0.0})
     rules = rules.model_copy(update={"surface": stated, "uncertainty": rig})
