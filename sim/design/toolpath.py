@@ -219,8 +219,15 @@ def write_gcode(path: InsertPath, file: Path) -> None:
             ]
         lines.append(f"G0 Z{SAFE_MM:.{DIGITS}f}")
     lines += ["M5", "M30"]
-    for number, (letter, cuts) in enumerate(path.passes.items(), FIRST_PROGRAM):
-        lines += [f"O{number}", f"(class {letter})", "G91", *_moves(cuts, tool), "G90", "M99"]
+    for number, cuts in enumerate(path.passes.values(), FIRST_PROGRAM):
+        lines += [
+            f"O{number}",
+            f"(class {number - FIRST_PROGRAM + 1} of the tables)",
+            "G91",
+            *_moves(cuts, tool),
+            "G90",
+            "M99",
+        ]
     _write(file, [*lines, "%"])
 
 
@@ -246,6 +253,6 @@ def _moves(cuts_um: FloatArray, tool: Tool) -> list[str]:
 
 def _write(path: Path, lines: list[str]) -> None:
     try:
-        path.write_text("\n".join(lines) + "\n", encoding="ascii")
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None

@@ -38,7 +38,7 @@ def photographs():
 
 
 def traced(path, stage_deg):
-    """(FIELDS, FIELDS) radiance of the fields of a body, first row at the top; the plate stays, light and rig turn."""
+    """(FIELDS, FIELDS) radiance of the fields of a body, first row at the top; it stays, and the light turns."""
     mitsuba.set_variant(VARIANT)
     body = pyvista.read(path)
     points = np.asarray(body.points, dtype=np.float32)
@@ -64,7 +64,7 @@ def traced(path, stage_deg):
     around, lean = np.radians(-stage_deg), np.radians(LIGHT_DEG)
     way = [-np.sin(lean) * np.cos(around), -np.sin(lean) * np.sin(around), -np.cos(lean)]
     frame = np.eye(4)
-    frame[:3, 0], frame[:3, 1], frame[:3, 2] = [half, 0, 0], [0, half, 0], [0, 0, -1]
+    frame[:3, 0], frame[:3, 1], frame[:3, 2] = [-half, 0, 0], [0, half, 0], [0, 0, -1]  # its x points left
     frame[:3, 3] = [half, half, 1.0]
     scene = {
         "type": "scene",
@@ -88,7 +88,6 @@ def traced(path, stage_deg):
         },
     }
     picture = np.array(mitsuba.render(mitsuba.load_dict(scene), seed=1))[..., 0]
-    # rows of the film run against the second column of its frame
     return picture.reshape(FIELDS, PIXELS, FIELDS, PIXELS).mean(axis=(1, 3))
 
 

@@ -5,6 +5,7 @@ import csv
 import cv2
 import numpy as np
 import pytest
+import skimage.data
 
 from anisoscope.kinds.plates.kind import PLATES
 from anisoscope.profiles.files.load import read_height_map
@@ -105,3 +106,17 @@ def test_what_cannot_be_made_is_one_line(anisoscope, pictures, tmp_path, options
     assert match in done.err
     assert done.err.strip().count("\n") == 0
     assert not (tmp_path / "p").exists()
+
+
+@pytest.mark.soak
+def test_a_trial_shows_both_pictures_on_the_virtual_rig(anisoscope, tmp_path):
+    for name, one in (("a.png", skimage.data.camera()), ("b.png", skimage.data.astronaut()[..., 1])):
+        cv2.imwrite(str(tmp_path / name), one)
+    done = anisoscope(
+        "design", "plate", tmp_path / "a.png", tmp_path / "b.png", "--field-count", "32", "--trial",
+        "--out", tmp_path / "plate", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert min(done.json["camera"]["ssim"]) > 0.8
+    assert max(done.json["camera"]["cross_talk"]) < 0.1
+    assert done.json["trial"]["verdict"] != "INVALID"

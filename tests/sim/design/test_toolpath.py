@@ -13,7 +13,7 @@ from anisoscope.sim.design.solids import Body
 from anisoscope.sim.design.toolpath import SCALLOP_UM, Tool, insert_path, write_gcode, write_passes
 
 DRAFT, TIP = 10.0, 1.5
-PLAN = Plan(("AB", "CA"), {"A": 0.0, "B": -90.0, "C": 131.0}, 0.1, {"B": 5.0, "C": 16.0})
+PLAN = Plan(("AB", "ĀA"), {"A": 0.0, "B": -90.0, "Ā": 131.0}, 0.1, {"B": 5.0, "Ā": 16.0})
 DESIGN = RidgeDesign(50.0, 10.0, DRAFT, edge_radius_um=TIP)
 TOOL = Tool(TIP, DRAFT)
 
@@ -66,6 +66,7 @@ class Machine:
 def cuts(path, tmp_path_factory):
     file = tmp_path_factory.mktemp("path") / "insert.nc"
     write_gcode(path, file)
+    assert file.read_text(encoding="ascii").count("M98") == 4
     machine = Machine()
     found = 1000.0 * machine.run(file.read_text())
     assert machine.place[2] == pytest.approx(1.0)
@@ -121,9 +122,9 @@ def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(cuts):
 
 def test_tables_say_the_same_as_the_program(path, cuts, tmp_path):
     write_passes(path, tmp_path / "passes.csv", tmp_path / "fields.csv")
-    with (tmp_path / "passes.csv").open() as stream:
+    with (tmp_path / "passes.csv").open(encoding="utf-8") as stream:
         passes = list(csv.DictReader(stream))
-    with (tmp_path / "fields.csv").open() as stream:
+    with (tmp_path / "fields.csv").open(encoding="utf-8") as stream:
         fields = list(csv.DictReader(stream))
     assert len(fields) == 4
     found = []

@@ -1,0 +1,51 @@
+"""``design plate`` of 256 × 256 fields with all its files: less than a minute, less than two gigabytes."""
+
+import json
+import os
+import subprocess
+import sys
+
+import cv2
+import pytest
+import skimage.data
+
+pytestmark = pytest.mark.benchmark
+FIELDS, LONGEST_S, MOST_KB = 256, 60.0, 2e6
+
+
+def test_a_plate_of_256_fields_a_side(bench, tmp_path):
+    pictures = {
+        "a.png": skimage.data.camera(),
+        "b.png": cv2.cvtColor(skimage.data.astronaut(), cv2.COLOR_RGB2GRAY),
+    }
+    for name, one in pictures.items():
+        cv2.imwrite(str(tmp_path / name), one)
+    command = [
+        sys.executable,
+        "-Im",
+        "anisoscope",
+        "design",
+        "plate",
+        *pictures,
+        "--field-count",
+        str(FIELDS),
+    ]
+    command += ["--stl", "--path", "--out", "plate", "--overwrite", "--json"]
+
+    def designed():
+        with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+            content = json.loads(process.stdout.read())
+            _, status, used = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        assert process.returncode == 0
+        return content, used
+
+    found = bench.compare(
+        f"{FIELDS} × {FIELDS} fields, two pictures", {"design plate": designed}, 1, warm=False
+    )
+    content, used = found["design plate"].result
+    bench.note(f"{1e-6 * used.ru_maxrss:.2f} GB at most; SSIM {min(content['ssim']):.3f} and more")
+    assert content["fields"] == [FIELDS, FIELDS]
+    assert min(content["ssim"]) > 0.8
+    assert used.ru_utime + used.ru_stime < LONGEST_S
+    assert used.ru_maxrss < MOST_KB
