@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.parallel import one_blas_thread
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, row_blocks, sampled
 
@@ -333,7 +334,8 @@ def find_period(surface: HeightMap) -> Period:
         HeightMapError: nothing was measured.
     """
     if surface not in _found:  # maps do not change, and what is done with one often asks for its period again
-        _found[surface] = _period(surface)
+        with one_blas_thread():
+            _found[surface] = _period(surface)
     return _found[surface]
 
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.base.parallel import one_blas_thread
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.material import SHORTEST_TAIL, Material, Rays, brdf, brdf_table, rays, rays_to
 from anisoscope.sim.light.ridge_profile import ridge_polyline, sharp_groove, visible_shares
@@ -460,10 +461,11 @@ def _more_often(
     groove = Groove(lengths, opening, material)
     total = np.zeros(len(light.local[0]))
     views = [light.local, camera.local, light.visible, camera.visible]
-    for start in range(0, len(total), BATCH):
-        part = slice(start, start + BATCH)
-        facing = [(view[0][part], view[1][part]) for view in views]
-        total[part] = higher_reflections(groove, facing[0], facing[1], facing[2], facing[3], bounces)
+    with one_blas_thread():
+        for start in range(0, len(total), BATCH):
+            part = slice(start, start + BATCH)
+            facing = [(view[0][part], view[1][part]) for view in views]
+            total[part] = higher_reflections(groove, facing[0], facing[1], facing[2], facing[3], bounces)
     return total
 
 
