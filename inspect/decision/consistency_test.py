@@ -82,7 +82,8 @@ def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray
         covariance: (N, m, m) of the independent errors, of full rank.
     """
     blocks = [slice(first, first + _TOGETHER) for first in range(0, len(deviation), _TOGETHER)]
-    return np.concatenate([_nearest_lobe(lobes, deviation[one], covariance[one]) for one in blocks])
+    found = [_nearest_lobe(lobes, deviation[one], covariance[one]) for one in blocks]
+    return np.concatenate([np.zeros(0), *found])
 
 
 def _nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> FloatArray:

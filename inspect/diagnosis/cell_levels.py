@@ -21,16 +21,16 @@ HIGHEST = 80
 
 @dataclass(frozen=True, eq=False)
 class CellLevels:
-    """How many cells of a contrast map deviate to which levels.
+    """To which levels the cells of a contrast map deviate.
 
     Attributes:
         levels: (U, 3, pairs) of cells that are alike: deviation of the cell from its line, of the line from the same
             flank of other ridges, and of the cell from these; in `STEP`, rounded down, at most `HIGHEST`.
-        count: (U,) number of cells.
+        places: (cell rows, cell cols) which of them every cell is.
     """
 
     levels: npt.NDArray[np.uint8]
-    count: npt.NDArray[np.int64]
+    places: npt.NDArray[np.uint16]
 
     @classmethod
     def of(cls, ratios: FloatArray) -> "CellLevels":
@@ -39,12 +39,15 @@ class CellLevels:
         each = np.stack([alone, np.broadcast_to(whole - alone, alone.shape), whole])
         levels = np.minimum(np.abs(each) / STEP, HIGHEST).astype(np.uint8)
         pairs = len(ratios)
-        found, count = np.unique(levels.reshape(3 * pairs, -1).T, axis=0, return_counts=True)
-        return cls(found.reshape(-1, 3, pairs), count)
+        found, places = np.unique(levels.reshape(3 * pairs, -1).T, axis=0, return_inverse=True)
+        return cls(found.reshape(-1, 3, pairs), places.reshape(ratios.shape[1:]).astype(np.uint16))
+
+    def deviating(self, thresholds: Sequence[float] | FloatArray) -> npt.NDArray[np.bool_]:
+        """(cell rows, cell cols) True where a cell deviates in some pair, by (pairs,) thresholds."""
+        least = np.clip(np.rint(np.asarray(thresholds) / STEP), 1, HIGHEST)
+        alone, line, whole = (self.levels[:, k] >= least for k in range(3))
+        return np.asarray(np.any(np.where(line, whole, alone), axis=1)[self.places])
 
     def share(self, thresholds: Sequence[float] | FloatArray) -> float:
         """Share of the cells that deviate in some pair, by (pairs,) thresholds."""
-        least = np.clip(np.rint(np.asarray(thresholds) / STEP), 1, HIGHEST)
-        alone, line, whole = (self.levels[:, k] >= least for k in range(3))
-        deviates = np.any(np.where(line, whole, alone), axis=1)
-        return float(self.count[deviates].sum() / self.count.sum())
+        return float(self.deviating(thresholds).mean())

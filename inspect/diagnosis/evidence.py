@@ -7,6 +7,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.tangents import Tangents
+from anisoscope.imaging.defect_regions import MarkForm
 from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.second_order import Response
@@ -34,6 +35,7 @@ class Evidence:
         learnt: scatter learnt from golden parts if the deviation is from their mean, or None.
         share_relative: relative standard uncertainty of a share of deviating cells that a signature predicts.
         share_floor: standard uncertainty of any such share.
+        form: of the cells that deviate, or None.
         pitch: by how much the pitch that was measured in the pictures is off, and its standard uncertainty, in the
             unit of the cause "pitch"; None where it was not measured.
     """
@@ -49,6 +51,13 @@ class Evidence:
     share_relative: float = SHARE_RELATIVE
     share_floor: float = SHARE_FLOOR
     pitch: tuple[float, float] | None = None
+    form: MarkForm | None = None
+
+    @property
+    def data(self) -> int:
+        """Number of data."""
+        more = (self.share is not None) + (self.pitch is not None) + 2 * (self.form is not None)
+        return len(self.deviation) + more
 
     def share_variance(self, shares: FloatArray) -> FloatArray:
         """(E,) variances of the share against the (E,) shares that causes predict."""
@@ -207,6 +216,20 @@ def background_of(max_share: float) -> tuple[float, float]:
     (JCGM 100:2008, 4.3.9, one side of it).
     """
     return max_share / 3.0, float(max_share / np.sqrt(18.0))
+
+
+def background_of_parts(shares: Sequence[float]) -> tuple[float, float]:
+    """Share of deviating cells on good parts, and its uncertainty for one more, from golden parts.
+
+    The scatter between parts is that of theirs, with `SHARE_FLOOR` as a prior worth two parts (scaled inverse χ²;
+    Gelman et al., Bayesian Data Analysis, 3.3).
+
+    Args:
+        shares: of golden parts, one or more.
+    """
+    found, count = np.asarray(shares, dtype=np.float64), len(shares)
+    squares = 2.0 * SHARE_FLOOR**2 + float(np.sum((found - found.mean()) ** 2))
+    return float(found.mean()), float(np.sqrt(squares / (count + 1.0) * (1.0 + 1.0 / count)))
 
 
 def whitening(covariance: FloatArray) -> FloatArray:

@@ -27,6 +27,12 @@ PLASTIC_SPREADS = {"roughness-along": 0.3, "roughness-across": 0.3, "colour": 0.
 """Standard deviations by which another plastic and another lamp differ: shares, and degrees."""
 FAMILY = 0.015
 """Standard deviation of ln L of every pose that a lobe with a tail leaves of a real one."""
+FORM_GROUPS = 20.0
+"""How many groups of cells a predicted form of the marks is worth: real marks have other forms than the model's."""
+FORM_OF_GOOD = (0.7, 0.4)
+"""Form of the few cells that deviate on good parts."""
+_LEAST_BACKGROUND = 0.001
+_ODD = 0.05  # share of the cells of a mark that lie otherwise than its form says
 _STEPS_OF_PLASTIC = 8
 Act = tuple[Signature, FloatArray]
 """A cause and its (E,) extents."""
@@ -74,7 +80,12 @@ def unspecific(evidence: Evidence, spread: float) -> Fitted:
     covariance = evidence.good + spread**2 * np.eye(poses)
     chi2, size = _quadratic(covariance[None], evidence.deviation[None])
     cost = _minus_two_ln(chi2, evidence) + size
-    for off, more in (_share_costs(evidence, np.zeros(1), 0.0, spread / 3.0), _pitch_costs(evidence, 0.0)):
+    unknown = np.full((1, 2), np.nan)
+    for off, more in (
+        _share_costs(evidence, np.zeros(1), 0.0, spread / 3.0),
+        _form_costs(evidence, np.ones(1), unknown, 0.0),
+        _pitch_costs(evidence, 0.0),
+    ):
         chi2, cost = chi2 + off, cost + more
     return Fitted(0.0, float("inf"), float(chi2[0]), float(cost[0]))
 
@@ -274,9 +285,55 @@ def joint_costs(acting: Sequence[Act], evidence: Evidence, *, as_input: bool = F
     for signature, extents in acting:
         guessed = guessed + signature.cause.guessed * np.abs(extents)
         percent = percent + (extents if signature.cause.name == PITCH else 0.0)
-    for off, more in (_share_costs(evidence, shares, guessed), _pitch_costs(evidence, percent)):
+    for off, more in (
+        _share_costs(evidence, shares, guessed),
+        _form_costs(evidence, shares, _form_of(acting, len(shares)), guessed),
+        _pitch_costs(evidence, percent),
+    ):
         chi2, cost = chi2 + off, cost + more
     return chi2, cost
+
+
+def _form_of(acting: Sequence[Act], count: int) -> FloatArray:
+    """(E, 2) form of the cells that deviate by causes that act together, each by its share; NaN where it is unknown."""
+    total, weights = np.zeros((count, 2)), np.zeros((count, 1))
+    for signature, extents in acting:
+        _, share = signature.at(extents)
+        known = np.where(share > 0.0, share, 0.0)[:, None]
+        total = total + np.where(known > 0.0, known * signature.form_at(extents), 0.0)
+        weights = weights + known
+    return np.asarray(np.where(weights > 0.0, total / np.maximum(weights, 1e-12), 0.0))
+
+
+def _form_costs(
+    evidence: Evidence, shares: FloatArray, forms: FloatArray, guessed: float | FloatArray
+) -> Costs:
+    """(E,) −2 ln of the likelihood of the form of the deviating cells, above its least, and with the normalisation.
+
+    The groups of cells are draws of the form that cause and background have together, beta-binomial with a form that is
+    known as from `FORM_GROUPS` groups; where a form is unknown or a texture was guessed any other is as likely.
+    """
+    seen = evidence.form
+    if seen is None:
+        return np.zeros(1), np.zeros(1)
+    from scipy.special import betaln  # noqa: PLC0415 - start-up time
+
+    background = max(evidence.background, _LEAST_BACKGROUND)
+    weight = (shares / (shares + background))[:, None]
+    expected = _within(weight * forms + (1.0 - weight) * np.array(FORM_OF_GOOD))
+    hits = seen.groups * np.array([seen.in_line, seen.along])
+
+    def density(share: FloatArray) -> FloatArray:
+        a, b = FORM_GROUPS * share, FORM_GROUPS * (1.0 - share)
+        return np.asarray(np.exp(betaln(hits + a, seen.groups - hits + b) - betaln(a, b)))
+
+    any_form = np.exp(betaln(hits + 1.0, seen.groups - hits + 1.0))
+    other = np.where(np.asarray(guessed) > 0.0, OTHER_TEXTURE, 0.0)[..., None]
+    known = (1.0 - other) * density(expected) + other * any_form
+    found = np.where(np.isfinite(expected), known, any_form)
+    best = density(_within(hits / seen.groups))
+    cost = -2.0 * np.sum(np.log(np.maximum(found, 1e-300)), axis=-1)
+    return cost + 2.0 * float(np.sum(np.log(best))), cost
 
 
 def _joint(
@@ -333,6 +390,11 @@ def _pitch_costs(evidence: Evidence, percent: float | FloatArray) -> Costs:
     measured, u = evidence.pitch
     chi2 = np.square((np.atleast_1d(percent) - measured) / u)
     return chi2, chi2
+
+
+def _within(share: FloatArray) -> FloatArray:
+    """Shares as real marks have them: of none of them all or no cells are alike."""
+    return np.asarray(_ODD + (1.0 - 2.0 * _ODD) * share)
 
 
 def _minus_two_ln(chi2: FloatArray, evidence: Evidence) -> FloatArray:
@@ -433,7 +495,11 @@ def _with_tail(
     chi2 = float(squared[0]) + float(extents @ prior @ extents)
     cost = float(_minus_two_ln(np.array([chi2]), evidence)[0] + size[0])
     cost += float(np.linalg.slogdet(curvature)[1]) + 2.0 * float(np.sum(np.log(spread)))
-    for off, more in (_share_costs(evidence, np.zeros(1), 0.0), _pitch_costs(evidence, 0.0)):
+    for off, more in (
+        _share_costs(evidence, np.zeros(1), 0.0),
+        _form_costs(evidence, np.zeros(1), np.zeros((1, 2)), 0.0),
+        _pitch_costs(evidence, 0.0),
+    ):
         chi2, cost = chi2 + float(off[0]), cost + float(more[0])
     names = (*(one.cause.name for one in acting), tail.cause.name)
     return FittedPlastic(names, extents, np.sqrt(np.diag(np.linalg.inv(curvature))), chi2, cost)

@@ -14,10 +14,18 @@ from anisoscope.decision.decision import Decision
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.discriminating_poses import advice_for
-from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
+from anisoscope.diagnosis.evidence import (
+    Evidence,
+    against,
+    background_of,
+    background_of_parts,
+    covariance_of,
+    inputs_of,
+)
 from anisoscope.diagnosis.likelihood import PITCH
 from anisoscope.diagnosis.ranking import NOTHING, PLASTIC, Diagnosis, bare_title, diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
+from anisoscope.imaging.defect_regions import form_of
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.quality_gates import measured_pitch
 from anisoscope.prediction.expectation import Expectation
@@ -86,8 +94,13 @@ def evidence_of(
     if (area := decision.area) is not None:
         mean, u = background_of(area.max_share)
         found = replace(found, share=area.share, u_share=area.u, background=mean, u_background=u)
+    if decision.deviating is not None:
+        found = replace(found, form=form_of(decision.deviating))
     if golden is None:
         return found
+    if found.share is not None and (shares := golden.area_shares(recipe.area)):
+        mean, u = background_of_parts(shares)
+        found = replace(found, background=mean, u_background=u, share_floor=0.0)
     golden_deviations = np.array([part.log_radiance for part in golden.parts]) - predicted
     return against(found, golden_deviations, scale_share)
 

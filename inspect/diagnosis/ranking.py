@@ -104,7 +104,7 @@ def diagnose(known: Signatures, evidence: Evidence, *, together: bool = True) ->
     Returns:
         The diagnosis; without any deviation "nothing" comes first.
     """
-    data = len(evidence.deviation) + (evidence.share is not None) + (evidence.pitch is not None)
+    data = evidence.data
     good = nothing(evidence)
     rows = [_Hypothesis((), good, good.cost, good.cost, 0)]
     rows += [_single(signature, evidence, data) for signature in known.found]

@@ -130,6 +130,8 @@ def _packed(found: Signatures) -> bytes:
             f"change{number}": one.change,
             f"share{number}": one.share,
         }
+        if one.forms is not None:
+            arrays[f"forms{number}"] = one.forms
         if one.tangents is not None:
             arrays |= {f"tangents{number}": one.tangents.slope, f"at{number}": one.tangents.extents}
     buffer = io.BytesIO()
@@ -143,17 +145,18 @@ def _packed_levels(name: str, levels: tuple[CellLevels, ...]) -> dict[str, np.nd
         return {}
     return {
         name: np.concatenate([one.levels for one in levels]),
-        f"{name}-count": np.concatenate([one.count for one in levels]),
-        f"{name}-size": np.array([len(one.count) for one in levels]),
+        f"{name}-places": np.stack([one.places for one in levels]),
+        f"{name}-size": np.array([len(one.levels) for one in levels]),
     }
 
 
 def _unpacked_levels(name: str, stored: Mapping[str, np.ndarray]) -> tuple[CellLevels, ...] | None:
     if name not in stored:
         return None
-    ends = np.cumsum(stored[f"{name}-size"])[:-1]
-    levels, counts = np.split(stored[name], ends), np.split(stored[f"{name}-count"], ends)
-    return tuple(CellLevels(one, count) for one, count in zip(levels, counts, strict=True))
+    levels = np.split(stored[name], np.cumsum(stored[f"{name}-size"])[:-1])
+    return tuple(
+        CellLevels(one, places) for one, places in zip(levels, stored[f"{name}-places"], strict=True)
+    )
 
 
 def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signatures:
@@ -169,6 +172,7 @@ def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signa
                 stored[f"share{n}"],
                 Tangents(stored[f"at{n}"], stored[f"tangents{n}"]) if f"at{n}" in stored else None,
                 _unpacked_levels(f"levels{n}", stored),
+                stored.get(f"forms{n}"),
             )
             for n, (name, doubt) in enumerate(zip(header["names"], header["doubts"], strict=True))
         ]

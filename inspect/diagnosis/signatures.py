@@ -24,6 +24,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, TAIL, Cause, all_causes, tail_cause
 from anisoscope.diagnosis.cell_levels import CellLevels
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
+from anisoscope.imaging.defect_regions import MarkForm, form_of
 from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_thresholds
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.prediction.expectation import nominal_shape, part_uncertainty
@@ -79,6 +80,8 @@ class Signature:
         tangents: response to the inputs of the prediction along the cause; None: as on the good part.
         levels: of the cells of the contrast map at every extent; None where the recipe states its threshold, or where
             no map was predicted.
+        forms: (S, 2) `MarkForm.in_line` and ``along`` of the deviating cells; NaN where none deviates, None without a
+            map.
     """
 
     cause: Cause
@@ -87,6 +90,7 @@ class Signature:
     share: FloatArray
     tangents: Tangents | None = None
     levels: tuple[CellLevels, ...] | None = None
+    forms: FloatArray | None = None
 
     @cached_property
     def _curve(self) -> "PchipInterpolator":
@@ -110,17 +114,26 @@ class Signature:
         found = self._curve(np.clip(extent, *self.bounds))
         return found[..., :-1], found[..., -1]
 
+    def form_at(self, extent: float | FloatArray) -> FloatArray:
+        """(…, 2) form of the deviating cells at extents, linear between those computed; NaN where it is unknown."""
+        at = np.asarray(extent, dtype=np.float64)
+        if self.forms is None or not (known := np.isfinite(self.forms[:, 0])).any():
+            return np.full((*at.shape, 2), np.nan)
+        columns = [np.interp(at, self.extents[known], column[known]) for column in self.forms.T]
+        return np.stack(columns, axis=-1)
+
     def of(self, poses: Sequence[int]) -> "Signature":
         """That of some of the poses, by their numbers."""
         tangents = self.tangents and self.tangents.of(poses)
-        return replace(self, change=self.change[:, list(poses)], tangents=tangents, levels=None)
+        return replace(self, change=self.change[:, list(poses)], tangents=tangents, levels=None, forms=None)
 
     def by_thresholds(self, good_share: float, thresholds: Sequence[float]) -> "Signature":
         """The same with the shares that (pairs,) thresholds of a part give, beyond that of the good part."""
         if self.levels is None:
             return self
-        shares = [max(one.share(thresholds) - good_share, 0.0) for one in self.levels]
-        return replace(self, share=np.array(shares))
+        maps = [one.deviating(thresholds) for one in self.levels]
+        shares = [max(float(one.mean()) - good_share, 0.0) for one in maps]
+        return replace(self, share=np.array(shares), forms=_forms([form_of(one) for one in maps]))
 
     def slope(self, extent: float) -> tuple[FloatArray, float]:
         """(P,) derivative of the change and derivative of the share with respect to the extent."""
@@ -259,6 +272,12 @@ class _Look:
     share: float | None = None
     levels: CellLevels | None = None
     thresholds: tuple[float, ...] | None = None
+    form: MarkForm | None = None
+
+
+def _forms(found: Sequence[MarkForm | None]) -> FloatArray:
+    """(S, 2) of forms; NaN for none."""
+    return np.array([(np.nan, np.nan) if one is None else (one.in_line, one.along) for one in found])
 
 
 def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False) -> Signature:
@@ -287,7 +306,9 @@ def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False
     shares = [max((own if look.share is None else look.share) - own, 0.0) for look in looks.values()]
     known = tuple(look.levels for look in looks.values() if look.levels is not None)
     levels = known if len(known) == len(looks) else None
-    return Signature(cause, np.array(list(looks)), np.array(changes), np.array(shares), tangents, levels)
+    forms = _forms([look.form for look in looks.values()]) if with_map and profile is None else None
+    extents = np.array(list(looks))
+    return Signature(cause, extents, np.array(changes), np.array(shares), tangents, levels, forms)
 
 
 class _Scene:
@@ -448,15 +469,18 @@ class _Scene:
         means, cells = radiance_of_cells(relief, to_light, to_camera, material, side)
         return _Look(means + indirect, *self._deviating(cells + indirect[:, None, None]))
 
-    def _deviating(self, cells: FloatArray) -> tuple[float, CellLevels | None, tuple[float, ...]]:
-        """Share of deviating cells, their levels where the thresholds are those of every part, and the thresholds."""
+    def _deviating(
+        self, cells: FloatArray
+    ) -> tuple[float, CellLevels | None, tuple[float, ...], MarkForm | None]:
+        """Share of deviating cells, levels where the thresholds are those of every part, thresholds, and form."""
         assert self.cell_deviation is not None
         safe = np.maximum(cells, 1e-6)
         ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
         thresholds = cell_thresholds(ratios, self.cell_deviation)
         found = CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
         levels = CellLevels.of(ratios) if self.cell_deviation == "auto" else None
-        return float(np.mean(found.deviating())), levels, tuple(map(float, thresholds))
+        over = found.deviating()
+        return float(np.mean(over)), levels, tuple(map(float, thresholds)), form_of(over)
 
 
 def _profile(design: RidgeDesign) -> HeightMap:

@@ -5,6 +5,7 @@ The chance is an upper bound: on a good part every cell deviates independently w
 have (fixed polyplets; OEIS A006770). q is the tail of the map's own scatter, or the share found on good parts.
 """
 
+from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -112,6 +113,36 @@ def _region(inside: Cells, deviation: FloatArray, grid: Grid, chance: float) -> 
         deviation=deviation[inside].mean(),
         p_value=chance_of_a_group(len(rows), inside.size, chance),
     )
+
+
+@dataclass(frozen=True)
+class MarkForm:
+    """Form of all deviating cells of a map together, which separates marks of one total area.
+
+    Attributes:
+        groups: number of groups of touching cells.
+        in_line: share of the cells in those two neighbouring columns of a pitch that hold most: scratches and burrs
+            are at the crests, dust is anywhere.
+        along: share of the cells with a deviating neighbour along the ridge: burrs extend along it.
+    """
+
+    groups: int
+    in_line: float
+    along: float
+
+
+def form_of(over: Cells) -> MarkForm | None:
+    """Form of the (cell rows, cell cols) deviating cells of a map; None where none deviates."""
+    cells = int(np.count_nonzero(over))
+    if not cells:
+        return None
+    columns = np.bincount(np.arange(over.shape[1]) % CELLS_PER_PITCH, over.sum(axis=0), CELLS_PER_PITCH)
+    neighbour = np.zeros_like(over)
+    neighbour[1:] |= over[:-1]
+    neighbour[:-1] |= over[1:]
+    count, _ = cv2.connectedComponents(over.astype(np.uint8), connectivity=8)
+    in_line = float((columns + np.roll(columns, -1)).max()) / cells
+    return MarkForm(count - 1, in_line, np.count_nonzero(over & neighbour) / cells)
 
 
 def kind_of(inside: Cells) -> Kind:

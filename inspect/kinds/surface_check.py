@@ -245,12 +245,12 @@ def _marks(causes: tuple[Separability, ...]) -> str:
     for one in causes:
         if one.group != "area":
             continue
-        if one.detection_extent is None:
-            found.append(f"no {one.cause}")
-        elif one.unit:
-            found.append(f"{one.cause} from {one.detection_extent:.2g} {one.unit}")
-        else:
-            found.append(f"{one.cause} from {100.0 * one.detection_extent:.2g} %")
+        name, extent = one.cause.replace("-", " "), one.detection_extent
+        if extent is None:
+            found.append(f"no {name}")
+            continue
+        size = float(f"{extent if one.unit else 100.0 * extent:.2g}")
+        found.append(f"{name} from {size:g} {one.unit.replace('1/', 'per ') or '%'}")
     return ", ".join(found)
 
 

@@ -10,6 +10,10 @@ from anisoscope.base.errors import UsageError
 Results = dict[str, Any]
 
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
+CAUSES_BEGIN, CAUSES_END = "<!-- causes: begin -->", "<!-- causes: end -->"
+SEPARABLE = 80.0
+"""Per cent of the parts for which the ideal observer names the right cause, from which on a defect is separable."""
+DIAGNOSED = ("first", "tied", "interval", "separable")
 RULES = {
     "plastic-0": "prediction, plastic never measured",
     "calibrated-0": "prediction, plastic calibrated, without `[scatter]`",
@@ -50,6 +54,89 @@ def numbers_of(found: Results) -> Results:
     plan["worlds"] = found["plan"]["photographed"]
     plan |= {key: size[key] for key in ("golden", "good", "bad")}
     return {"plan": plan, "cases": cases, "rendered": found["rendered"]}
+
+
+def causes_of(found: Results) -> Results:
+    """Numbers of a study's diagnosis: per cent of every world, by recipe and class; None where nothing was counted."""
+    plan = {key: found["plan"][key] for key in ("rigs", "seed")} | {"worlds": list(found["worlds"])}
+    recipes = list(next(iter(found["worlds"].values())))
+    counted: Results = {recipe: {} for recipe in recipes}
+    for by in found["worlds"].values():
+        for recipe in recipes:
+            for one in by[recipe]["classes"]:
+                rates = counted[recipe].setdefault(one["title"], {key: [] for key in DIAGNOSED})
+                for key in DIAGNOSED:
+                    told = one["diagnosis"][key]
+                    rates[key].append(round(100.0 * told["rate"], 1) if told["of"] else None)
+    parts = max(
+        one["diagnosis"]["first"]["of"]
+        for by in found["worlds"].values()
+        for one in by[recipes[0]]["classes"]
+    )
+    return {"plan": plan | {"parts": parts}, "counted": counted}
+
+
+def causes_block(numbers: Results) -> str:
+    """Markdown of the diagnosis, from the stored numbers."""
+    plan, counted = numbers["plan"], numbers["counted"]
+    recipes = list(counted)
+    titles = list(counted[recipes[0]])
+    keys = ("first", "tied", "interval")
+    rows = [
+        [
+            title,
+            *(" / ".join(_over_worlds(counted[recipe][title][key]) for key in keys) for recipe in recipes),
+        ]
+        for title in titles
+    ]
+    ideal = [
+        [title, *(_over_worlds(counted[recipe][title]["separable"]) for recipe in recipes)]
+        for title in titles
+        if any(_known(counted[recipe][title]["separable"]) for recipe in recipes)
+    ]
+    intro = (
+        f"{plan['rigs']} rigs in each of {len(plan['worlds'])} worlds, {plan['parts']} parts of a class, seed "
+        f"{plan['seed']}. Per cent of all worlds, and in brackets of the world where it is least."
+    )
+    lines = [f"- **{recipe}**: {_of_separable(counted[recipe])}" for recipe in recipes]
+    return "\n\n".join(
+        [
+            intro,
+            _table("right cause first / among the ties / severity within its interval", recipes, rows),
+            _table("right cause first for the ideal observer", recipes, ideal),
+            "\n".join(lines),
+        ]
+    )
+
+
+def _known(values: list[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _over_worlds(values: list[float | None]) -> str:
+    """Mean over the worlds, and the least of them."""
+    known = _known(values)
+    return f"{sum(known) / len(known):.0f} ({min(known):.0f})" if known else "–"
+
+
+def _of_separable(classes: Results) -> str:
+    """What holds of the classes that the ideal observer separates."""
+    shown = [
+        (title, rates)
+        for title, rates in classes.items()
+        if (known := _known(rates["separable"])) and sum(known) / len(known) >= SEPARABLE
+    ]
+    if not shown:
+        return "no defect is separable"
+    means = [
+        sum(every := [value for _, rates in shown for value in _known(rates[key])]) / len(every)
+        for key in ("first", "tied", "interval")
+    ]
+    return (
+        f"separable are {', '.join(title for title, _ in shown)}; of these the right cause is first in "
+        f"{means[0]:.0f} %, among the ties in {means[1]:.0f} %, and {means[2]:.0f} % of the severities are within "
+        "their intervals"
+    )
 
 
 def _rate(results: Results) -> list[float]:
@@ -206,14 +293,23 @@ def with_results(page: str, numbers: Results) -> str:
     Raises:
         UsageError: the page has no such marks.
     """
-    if page.count(BEGIN) != 1 or page.count(END) != 1:
-        raise UsageError(f"the page must have one line {BEGIN} and one {END}: the results come between them")
-    before, _, rest = page.partition(BEGIN)
-    return f"{before}{BEGIN}\n\n{block_of(numbers)}\n\n{END}{rest.partition(END)[2]}"
+    page = _between(page, BEGIN, END, block_of(numbers))
+    if "causes" in numbers and CAUSES_BEGIN in page:
+        page = _between(page, CAUSES_BEGIN, CAUSES_END, causes_block(numbers["causes"]))
+    return page
+
+
+def _between(page: str, begin: str, end: str, block: str) -> str:
+    if page.count(begin) != 1 or page.count(end) != 1:
+        raise UsageError(f"the page must have one line {begin} and one {end}: the results come between them")
+    before, _, rest = page.partition(begin)
+    return f"{before}{begin}\n\n{block}\n\n{end}{rest.partition(end)[2]}"
 
 
 def write_results(path: Path, found: Results) -> None:
     """Write the results of a study into a Markdown page, and its numbers next to it (``.json``).
+
+    A study with a diagnosis writes only its causes where the page has marks for them: it may be a smaller one.
 
     Raises:
         UsageError: the page is missing or has no marks.
@@ -223,6 +319,11 @@ def write_results(path: Path, found: Results) -> None:
         page = path.read_text(encoding="utf-8")
     except OSError as problem:
         raise UsageError(f"{path} cannot be read: {problem.strerror}") from problem
-    numbers = numbers_of(found)
+    stored = path.with_suffix(".json")
+    before = json.loads(stored.read_text(encoding="utf-8")) if stored.is_file() else {}
+    if before and found["plan"]["diagnosed"] and found["worlds"] and CAUSES_BEGIN in page:
+        numbers = before | {"causes": causes_of(found)}
+    else:
+        numbers = numbers_of(found) | ({"causes": before["causes"]} if "causes" in before else {})
     write_text(path, with_results(page, numbers))
-    write_text(path.with_suffix(".json"), json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")
+    write_text(stored, json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")

@@ -133,7 +133,7 @@ def ideal_scores(
 
 
 def nearest_curves(
-    values: FloatArray, scatter: FloatArray, curves: Sequence[FloatArray]
+    values: FloatArray, scatter: FloatArray, curves: Sequence[FloatArray], costs: Sequence[FloatArray]
 ) -> npt.NDArray[np.int_]:
     """The curve that an observer who knows the scatter of good parts finds nearest to each part.
 
@@ -141,13 +141,17 @@ def nearest_curves(
         values: (N, k) contrasts of parts from the mean of good ones.
         scatter: (k, k) covariance of good parts.
         curves: (E, k) changes by every cause over its extents.
+        costs: (E,) −2 ln of the prior probability of the extents of every cause.
 
     Returns:
-        (N,) numbers of the curves: the causes of maximum likelihood, all as probable beforehand.
+        (N,) numbers of the curves: the causes of maximum posterior probability.
     """
     root = np.linalg.inv(np.linalg.cholesky(scatter))
     at = values @ root.T
-    least = [np.min(np.sum((at[:, None] - (curve @ root.T)[None]) ** 2, axis=-1), axis=1) for curve in curves]
+    least = [
+        np.min(np.sum((at[:, None] - (curve @ root.T)[None]) ** 2, axis=-1) + cost, axis=1)
+        for curve, cost in zip(curves, costs, strict=True)
+    ]
     return np.asarray(np.argmin(least, axis=0))
 
 

@@ -213,7 +213,7 @@ def suggest(
     listed = ", ".join(f"[{stage:g}, {tilt:g}]" for stage, tilt in found.poses)
     reached = [(n, frames) for n, frames in sorted(found.frames.items()) if frames is not None]
     enough = (
-        f"every defect is found in {power:.0%} of parts with "
+        f"every defect{' of --defect' if defect else ''} is found in {power:.0%} of parts with "
         + ", or ".join(f"{n} golden parts and {frames} frames per pose" for n, frames in reached)
         if reached
         else f"no exposure and no golden parts reach {power:.0%}: good parts differ as the defects do. Allow more "

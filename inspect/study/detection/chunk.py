@@ -25,6 +25,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache, Entry
 from anisoscope.base.errors import MeasurementError, Saturated
 from anisoscope.calibration.white_reference import make_reference
+from anisoscope.imaging.defect_regions import MarkForm, form_of
 from anisoscope.imaging.deviation_map import judge_area
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, linearise, stack
 from anisoscope.imaging.pose_radiance import Measured, drift_error, measure
@@ -33,6 +34,7 @@ from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
 from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose
 from anisoscope.study.detection.product import (
     BY_NAME,
@@ -45,6 +47,7 @@ from anisoscope.study.detection.product import (
     MARKER_ERROR_PX,
     NONLINEARITY,
     PITCH_UM,
+    POSES,
     RECIPES,
     SEEN,
     VIEWS,
@@ -439,7 +442,6 @@ def _computed(task: ChunkTask) -> list[Row]:
     rig, rows = draw_rig(rng), []
     uncertainty, expected = recipe_of("tilted", task.size).uncertainty, whole_expectation(task.size)
     full_well, electrons = task.size.sensor.full_well_e, task.size.optics.electrons * EXPOSURE_S
-    nan = {"share": np.nan, "u_share": np.nan, "cells": 0}
     for kind, count in task.size.counts.items():
         for _ in range(0 if kind in BY_NAME and BY_NAME[kind].local else count):
             part, extent = draw(BY_NAME.get(kind), rng)
@@ -480,7 +482,7 @@ def _computed(task: ChunkTask) -> list[Row]:
                     "log_radiance": np.log(radiance),
                     "error": np.full(len(SEEN), np.nan),
                     "own": np.array([components[source] for source in MEASURED_SOURCES]),
-                    "areas": dict.fromkeys(RECIPES, nan),
+                    "areas": {name: _no_area(name) for name in RECIPES},
                 }
             )
     return rows
@@ -520,20 +522,34 @@ def _area_of(measured: Measured, size: Size, name: RecipeName) -> Row:
         cells=measured.cells[chosen],
         cell_noise=measured.cell_noise[chosen],
     )
-    area, _ = judge_area(seen, recipe.poses.poses(), recipe.area, recipe.decision.coverage)
+    area, over = judge_area(seen, recipe.poses.poses(), recipe.area, recipe.decision.coverage)
     assert area is not None
-    return {"share": area.share, "u_share": area.u, "cells": area.cells}
+    assert over is not None
+    form = form_of(over) or MarkForm(0, 0.0, 0.0)
+    return {
+        "share": area.share,
+        "u_share": area.u,
+        "cells": area.cells,
+        "thresholds": np.array(area.cell_deviations),
+        **asdict(form),
+    }
+
+
+def _no_area(name: RecipeName) -> Row:
+    """The same of a part whose cells are not known."""
+    pairs = len(consecutive_pairs(POSES[name]))
+    form = {"groups": 0, "in_line": 0.0, "along": 0.0}
+    return {"share": np.nan, "u_share": np.nan, "cells": 0, "thresholds": np.full(pairs, np.nan), **form}
 
 
 def _invalid_row(reason: str) -> Row:
     """Row of a part with an INVALID measurement."""
     nan = np.full(len(SEEN), np.nan)
-    area = {"share": np.nan, "u_share": np.nan, "cells": 0}
     return {
         "valid": False,
         "reason": reason,
         "log_radiance": nan,
         "error": nan,
         "own": np.full((len(MEASURED_SOURCES), len(SEEN)), np.nan),
-        "areas": dict.fromkeys(RECIPES, area),
+        "areas": {name: _no_area(name) for name in RECIPES},
     }

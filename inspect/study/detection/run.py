@@ -30,11 +30,19 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import chi2_tail, log_basis
 from anisoscope.decision.consistency_test import OF_THE_RIG, contrast_scatter, distances
 from anisoscope.decision.predictive_test import Scatter, predictive_test
-from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
+from anisoscope.diagnosis.evidence import (
+    Evidence,
+    against,
+    background_of,
+    background_of_parts,
+    covariance_of,
+    inputs_of,
+)
 from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.fit.lobe import POSE_NOISE, Scan, coupon, coupon_poses, fit_lobe
+from anisoscope.imaging.defect_regions import MarkForm
 from anisoscope.inspection.material_calibration import residual_test
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, Expectation, expectation
@@ -92,8 +100,8 @@ from anisoscope.study.statistics import (
 from anisoscope.study.sweep import Workers, sweep
 
 Results = dict[str, Any]
-Curves = Mapping[str, FloatArray]
-"""(E, P) changes of ln L of the poses of a recipe along every cause, in one world."""
+Curves = Mapping[str, tuple[FloatArray, FloatArray]]
+"""(E, P) changes of ln L of the poses of a recipe along every cause in one world, and (E,) −2 ln of their priors."""
 
 COVERAGE = 1.959964
 LEVEL = 0.01
@@ -288,7 +296,10 @@ def results_of(
     rigs = {kind: columns["rig"][judge.numbers(kind)] for kind in kinds}
     known = None
     if diagnosed:
-        curves = {cause: curve[:, list(judge.chosen)] for cause, curve in curves_of(world, folder).items()}
+        chosen = list(judge.chosen)
+        curves = {
+            cause: (curve[:, chosen], cost) for cause, (curve, cost) in curves_of(world, folder).items()
+        }
         known = signatures_of(rendered_as(world), name, size, seed), curves
     return {
         "invalid": int(np.count_nonzero(~valid)),
@@ -413,7 +424,8 @@ def _separable(kind: str, judge: Judge, curves: Curves, rigs: npt.NDArray[np.int
     near = nearest_curves(
         off[judge.numbers(kind)],
         np.cov(off[usual], rowvar=False),
-        [curve @ basis.T for curve in curves.values()],
+        [curve @ basis.T for curve, _ in curves.values()],
+        [cost for _, cost in curves.values()],
     )
     return _rate(rate(near == names.index(BY_NAME[kind].cause), rigs))
 
@@ -449,7 +461,17 @@ def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | N
     found = Evidence(off[row], covariance, inputs=inputs)
     if np.isfinite(share):
         found = replace(found, share=share, u_share=u_share, background=mean, u_background=u)
-    return found if golden is None else against(found, off[list(golden)], scale)
+        marks = {
+            key: judge.columns[f"areas/{name}/{key}"][row].item() for key in ("groups", "in_line", "along")
+        }
+        found = replace(found, form=MarkForm(**marks) if marks["groups"] else None)
+    if golden is None:
+        return found
+    shares = judge.columns[f"areas/{name}/share"][list(golden)]
+    if np.isfinite(share) and np.isfinite(shares).any():
+        mean, u = background_of_parts(shares[np.isfinite(shares)].tolist())
+        found = replace(found, background=mean, u_background=u, share_floor=0.0)
+    return against(found, off[list(golden)], scale)
 
 
 def true_extents(kind: str, columns: Columns, rows: npt.NDArray[np.int_], size: Size) -> FloatArray:
@@ -475,7 +497,9 @@ def _diagnosis(
     for number, row in enumerate(rows):
         mates = golden[all_rigs[golden] == all_rigs[row]]
         chosen = mates[golden_of(int(all_rigs[row]), number, DIAGNOSED_WITH, len(mates))]
-        found = diagnose(known, evidence(judge, name, int(row), [int(one) for one in chosen]))
+        thresholds = judge.columns[f"areas/{name}/thresholds"][row]
+        own = known.by_thresholds(None if np.isnan(thresholds).any() else thresholds.tolist())
+        found = diagnose(own, evidence(judge, name, int(row), [int(one) for one in chosen]))
         ties = {one.cause for one in found.ties}
         names.append(found.causes[0].cause)
         first.append(names[-1] == cause)
@@ -489,11 +513,11 @@ def _diagnosis(
                 and not (high is not None and truth[number] > high)
             )
     most, counts = np.unique(names, return_counts=True)
-    own = rigs[: len(rows)]
+    rig = rigs[: len(rows)]
     return {
-        "first": _rate(rate(np.array(first), own)),
-        "tied": _rate(rate(np.array(tied), own)),
-        "wrong": _rate(rate(np.array(wrong), own)),
+        "first": _rate(rate(np.array(first), rig)),
+        "tied": _rate(rate(np.array(tied), rig)),
+        "wrong": _rate(rate(np.array(wrong), rig)),
         "interval": _rate(rate(np.array(held, dtype=bool))),
         "named": [[str(most[k]), int(counts[k])] for k in np.argsort(-counts)[:3]],
     }

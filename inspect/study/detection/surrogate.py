@@ -68,6 +68,7 @@ _STATES = {
     "light-angle": ([6], 5.0),
 }
 """Causes that a state describes: its columns, and how far it goes in `UNITS`."""
+_POSITIONS = ("seating-x", "seating-y", "light-angle")
 _SQUARES = tuple((a, b) for a in range(len(UNITS)) for b in range(a + 1))
 _LEAST = 1e-9
 
@@ -276,10 +277,11 @@ def indirect_of_groove(
     return corrected.indirect_radiance(*sides, design, material)
 
 
-def curves_of(world: World, folder: Path | None = None) -> dict[str, FloatArray]:
-    """(E, P) changes of ln L of the poses along every cause that is uniform along the ridges, in one world.
+def curves_of(world: World, folder: Path | None = None) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """(E, P) changes of ln L along every cause that is uniform along the ridges, and (E,) −2 ln of their priors.
 
     Over `CURVE` extents; between 0 and the extent of a class ln L of worn and of lower ridges is taken as linear.
+    Positions of part and lamp have the prior of a diagnosis, Cauchy's distribution of their standard uncertainty.
 
     Args:
         world: the world.
@@ -287,12 +289,14 @@ def curves_of(world: World, folder: Path | None = None) -> dict[str, FloatArray]
     """
     good = surrogate_of(SurrogateTask(world, GOOD, 0.0, folder))
     usual = _log_means(good, np.zeros((1, len(UNITS))))
-    found = {}
+    found, priors = {}, {}
     for cause, (columns, most) in _STATES.items():
         extents = np.linspace(-most, most, CURVE)
         states = np.zeros((CURVE, len(UNITS)))
         states[:, columns] = extents[:, None]
         found[cause] = _log_means(good, states) - usual
+        if cause in _POSITIONS:
+            priors[cause] = 2.0 * np.log1p(extents**2)
     for kind in (
         "ridge-angle",
         "roughness",
@@ -307,7 +311,7 @@ def curves_of(world: World, folder: Path | None = None) -> dict[str, FloatArray]
         own = surrogate_of(SurrogateTask(world, kind, BY_NAME[kind].extent, folder))
         change = _log_means(own, np.zeros((1, len(UNITS)))) - usual
         found[BY_NAME[kind].cause] = np.linspace(0.0, 2.0, CURVE)[:, None] * change
-    return found
+    return {cause: (curve, priors.get(cause, np.zeros(len(curve)))) for cause, curve in found.items()}
 
 
 def _log_means(own: Surrogate, states: FloatArray) -> FloatArray:

@@ -203,6 +203,7 @@ def test_the_nearest_lobe_is_that_of_a_search_over_the_tail_and_all_inputs(rng):
         lobes = LobeDoubt(tails, shifts, responses, 0.2, u)
         deviations = 0.05 * rng.normal(size=(4, 6))
         together = nearest_lobe(lobes, deviations, np.broadcast_to(covariance, (4, 6, 6)))
+        assert nearest_lobe(lobes, deviations[:0], np.zeros((0, 6, 6))).shape == (0,)
         for deviation, found in zip(deviations, together, strict=True):
 
             def distance(at, lobes=lobes, deviation=deviation):

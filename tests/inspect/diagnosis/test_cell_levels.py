@@ -9,7 +9,7 @@ from anisoscope.decision.decision import decide
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
 from anisoscope.diagnosis.cell_levels import CellLevels
 from anisoscope.diagnosis.part_diagnosis import explain
-from anisoscope.diagnosis.signature_cache import cached_signatures
+from anisoscope.diagnosis.signature_cache import _packed, _unpacked, cached_signatures
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_map
 from anisoscope.imaging.pose_radiance import Measured
@@ -110,7 +110,7 @@ def test_texture_seen_off_the_mirror_direction_is_no_defect():
     assert shares[0.02]["auto"] > 0.03
 
 
-def test_levels_give_the_share_of_every_threshold(rng):
+def test_levels_give_the_share_and_the_form_of_every_threshold(rng):
     ratios = rng.normal(0.0, 0.06, (3, 8, 40))
     ratios[1, :, 17] += 0.2  # a line off its neighbours
     levels = CellLevels.of(ratios)
@@ -118,3 +118,19 @@ def test_levels_give_the_share_of_every_threshold(rng):
         each = np.array(thresholds)
         direct = CellMap(ratios, cell_deviations(ratios, each), each).deviating()
         assert levels.share(thresholds) == pytest.approx(direct.mean())
+        np.testing.assert_array_equal(levels.deviating(thresholds), direct)
+
+
+def test_signatures_state_the_form_of_their_marks_by_the_thresholds_of_a_part(recipe):
+    """Burrs are at the crests and extend along them; dust is anywhere. Stored signatures say the same."""
+    known = signatures(recipe, LIGHT_DEG, names=("burrs", "dust"))
+    again = _unpacked(_packed(known), recipe, PLASTIC_CAUSES)
+    for found in (known, again):
+        burrs, dust = found.by_thresholds([0.1, 0.1]).found
+        at_crests, along = burrs.form_at(0.05)
+        anywhere, alone = dust.form_at(200.0)
+        assert at_crests > 0.9
+        assert anywhere < 0.7
+        assert along > 0.6
+        assert alone < 0.3
+    assert np.isnan(known.by_thresholds([2.0, 2.0]).found[1].form_at(20.0)).all()  # nothing deviates so much

@@ -13,6 +13,7 @@ from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.imaging.defect_regions import MarkForm
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
@@ -186,6 +187,25 @@ def test_marks_in_the_map_tell_twins_apart(rng):
     d = 0.5 * slope
     assert diagnose(found, Evidence(d, V, 0.1, 0.005)).causes[0].cause == "spots"
     assert diagnose(found, Evidence(d, V, 0.0, 0.005)).causes[0].cause == "smooth"
+
+
+def test_the_form_of_marks_tells_twins_of_one_area_apart(rng):
+    V, slope = covariance(rng), rng.normal(size=len(POSES))
+    forms = {"crests": (1.0, 0.8), "anywhere": (0.55, 0.1)}
+    found = known(
+        *(replace(line(name, slope, share=0.2), forms=np.full((5, 2), form)) for name, form in forms.items())
+    )
+    d = 0.5 * slope
+    alone = diagnose(found, Evidence(d, V, 0.1, 0.005))
+    assert {one.cause for one in alone.ties} == set(forms)
+    for name, (in_line, along) in forms.items():
+        seen = Evidence(d, V, 0.1, 0.005, form=MarkForm(40, in_line, along))
+        assert seen.data == len(POSES) + 3
+        result = diagnose(found, seen)
+        assert [one.cause for one in result.ties] == [name]
+        assert result.unexplained_p > 0.05
+    few = diagnose(found, Evidence(d, V, 0.1, 0.005, form=MarkForm(2, 1.0, 0.8)))
+    assert {one.cause for one in few.ties} == set(forms)  # of two groups of cells the form is hardly known
 
 
 def test_a_doubted_signature_is_believed_as_far_as_it_is_known():

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from anisoscope.diagnosis.causes import Cause
-from anisoscope.diagnosis.evidence import Evidence, Inputs, against, root_of
+from anisoscope.diagnosis.evidence import (
+    SHARE_FLOOR,
+    Evidence,
+    Inputs,
+    against,
+    background_of_parts,
+    root_of,
+)
 from anisoscope.diagnosis.likelihood import PITCH, fit_extent
 from anisoscope.diagnosis.ranking import BELIEVABLE, NOTHING, OTHER, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
@@ -225,3 +232,11 @@ def test_the_pitch_in_the_pictures_decides_about_a_wrong_pitch():
     wrong = diagnose(causes, replace(part, pitch=(0.49, 0.02)))
     assert [one.cause for one in wrong.ties] == [PITCH]
     assert wrong.causes[0].u < 0.02
+
+
+def test_the_background_of_marks_is_that_of_the_golden_parts_as_far_as_they_show_it(rng):
+    mean, u = background_of_parts([0.01])
+    assert (mean, u) == (0.01, pytest.approx(np.sqrt(2.0) * SHARE_FLOOR))
+    many = 0.01 + 0.001 * rng.standard_normal(4000)
+    mean, u = background_of_parts(many)
+    assert (mean, u) == (pytest.approx(0.01, abs=1e-4), pytest.approx(0.001, rel=0.05))

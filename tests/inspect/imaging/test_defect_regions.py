@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from anisoscope.imaging.defect_regions import chance_of_a_cell, chance_of_a_group, find_regions, kind_of
+from anisoscope.imaging.defect_regions import (
+    MarkForm,
+    chance_of_a_cell,
+    chance_of_a_group,
+    find_regions,
+    form_of,
+    kind_of,
+)
 from anisoscope.imaging.deviation_map import cell_deviations, cell_thresholds
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.recipe.surface import AreaPart
@@ -123,3 +130,15 @@ def test_cells_of_every_pair_are_judged_by_their_own_scatter(rng):
     assert cell_thresholds(ratios, 0.25).tolist() == [0.25, 0.25, 0.25]
     assert cell_thresholds(ratios, "auto") == pytest.approx([0.05, 0.1, 1.5], rel=0.05)
     assert cell_thresholds(ratios, "auto", noise=0.05) == pytest.approx([0.2, 0.2, 1.5], rel=0.05)
+
+
+def test_the_form_of_marks_tells_what_keeps_to_a_place_of_the_pitch_and_extends_along_it(rng):
+    over = np.zeros((28, 100), dtype=bool)
+    assert form_of(over) is None
+    over[3:6, 3] = over[3:6, 4] = over[10:12, 47] = True  # the raster cuts the crests between columns 3 and 4
+    assert form_of(over) == MarkForm(2, 1.0, 1.0)
+    over[20, 10] = over[20, 53] = True
+    assert form_of(over) == MarkForm(4, 0.8, 0.8)
+    anywhere = form_of(rng.random((200, 400)) < 0.02)
+    assert anywhere.in_line == pytest.approx(0.5, abs=0.04)
+    assert anywhere.along == pytest.approx(0.04, abs=0.015)

@@ -141,7 +141,9 @@ def test_the_nearest_curve_is_named_as_often_as_its_distance_says(rng):
     scatter = np.array([[4.0, 0.0], [0.0, 1.0]])
     curves = [np.outer(np.linspace(0.0, 3.0, 61), one) for one in ([2.0, 0.0], [0.0, 1.0])]
     parts = rng.multivariate_normal([4.0, 0.0], scatter, 4000)
-    right = np.mean(nearest_curves(parts, scatter, curves) == 0)
+    even, unlikely = np.zeros(61), np.full(61, 1e6)
+    assert np.all(nearest_curves(parts, scatter, curves, [unlikely, even]) == 1)
+    right = np.mean(nearest_curves(parts, scatter, curves, [even, even]) == 0)
     off = rng.standard_normal((400000, 2)) + np.array([2.0, 0.0])
     ends = np.clip(off, 0.0, 3.0)
     to = [(off[:, 1 - k] ** 2 + (off[:, k] - ends[:, k]) ** 2) for k in range(2)]
@@ -161,7 +163,12 @@ def test_curves_of_a_world_pass_through_its_classes(tmp_path, monkeypatch):
         return Surrogate(direct, np.zeros((len(VIEWS), 2), dtype=bool), indirect)
 
     monkeypatch.setattr(detection_surrogate, "surrogate_of", polynomial)
-    found = curves_of("same", tmp_path)
+    both = curves_of("same", tmp_path)
+    found = {cause: curve for cause, (curve, _) in both.items()}
+    assert both["seating-y"][1].max() == pytest.approx(
+        2.0 * np.log(26.0)
+    )  # at five scales of Cauchy's distribution
+    assert not both["wear"][1].any()
     assert {"wear", "incomplete-filling", "ridge-angle", "seating-y", "colour"} <= set(found)
     assert found["wear"].shape[1] == len(SEEN)
     assert np.abs(found["wear"][:, 0] - 0.2).min() < 0.01
