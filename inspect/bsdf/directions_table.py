@@ -171,7 +171,7 @@ def sampled(reflectance: Reflectance, count: int = 2000) -> DirectionsTable:
     step = max(1, len(light) // max(count, 1))
     light, camera = light[::step], camera[::step]
     value = reflectance.evaluate(light, camera)
-    angles = np.column_stack([_degrees(light), _degrees(camera)])
+    angles = np.column_stack([polar_degrees(light), polar_degrees(camera)])
     nm = reflectance.wavelengths_nm
     if not nm:
         return DirectionsTable(COLUMNS, np.column_stack([angles, value[:, 0]]))
@@ -179,7 +179,8 @@ def sampled(reflectance: Reflectance, count: int = 2000) -> DirectionsTable:
     return DirectionsTable((*COLUMNS, "wavelength_nm"), np.concatenate(blocks))
 
 
-def _degrees(vectors: FloatArray) -> FloatArray:
+def polar_degrees(vectors: FloatArray) -> FloatArray:
+    """(N, 2) θ and φ in degrees of (N, 3) unit vectors."""
     theta = np.arctan2(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])
     return np.asarray(np.degrees(np.stack([theta, np.arctan2(vectors[:, 1], vectors[:, 0])], axis=-1)))
 

@@ -32,11 +32,10 @@ from anisoscope.fit.lobe import (
     planned,
     ridged,
 )
-from anisoscope.fit.table import read_readings
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.job import Job, prepare
-from anisoscope.inspection.manifest import begin
+from anisoscope.inspection.manifest import Manifest, begin
 from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.kinds.registry import kind_of
 from anisoscope.prediction.expectation import Expectation
@@ -46,6 +45,7 @@ from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.material_file import (
     CovariancePart,
     LobePart,
@@ -149,6 +149,24 @@ def scan_setup(
         RecipeError, RigFileError, HeightMapError: a file.
     """
     rig = read_rig(rig_path)
+    recipe = None if recipe_path is None else kind_of(recipe_path).read_recipe(recipe_path)
+    return setup_of(rig, recipe, name, tilt_deg=tilt_deg, step_deg=step_deg, poses=poses)
+
+
+def setup_of(
+    rig: RigFile,
+    recipe: RecipeBase | None,
+    name: SpecimenName,
+    *,
+    tilt_deg: float = 20.0,
+    step_deg: float | None = None,
+    poses: tuple[Pose, ...] | None = None,
+) -> Setup:
+    """The same of files that were read.
+
+    Raises:
+        UsageError: as for `scan_setup`.
+    """
     optics = Optics(rig.light.half_angle_deg or 0.0, rig.camera.half_angle_deg or 0.0)
     step = step_deg if step_deg is not None else (2.5 if name == "coupon" else 10.0)
     if not (0.0 < tilt_deg <= 60.0 and 0.5 <= step <= tilt_deg):
@@ -157,13 +175,12 @@ def scan_setup(
         )
     scanned = poses or (coupon_poses if name == "coupon" else part_poses)(tilt_deg, step)
     check_poses_suffice(scanned)
-    if recipe_path is None:
+    if recipe is None:
         if name == "part":
             raise UsageError("--part needs --recipe FILE with its design or height map")
         return Setup(coupon(optics), Material(), scanned, Convention(rig.light.angle_deg), rig, None)
-    recipe = kind_of(recipe_path).read_recipe(recipe_path)
     if not isinstance(recipe, SurfaceRecipe):
-        raise UsageError(f"{recipe_path}: a material is calibrated with the recipe of a plastic surface")
+        raise UsageError(f"{recipe.product}: a scan needs the recipe of a plastic surface")
     convention = Convention(rig.light.angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     material = recipe.material.material()
     recipe = _scanning(recipe.deciding(), scanned, name)
@@ -237,30 +254,56 @@ def scan_specimen(
         RigFileError, RigError: the rig.
         MeasurementError: the pictures cannot be used, or a calibration does not hold.
     """
+    assert setup.recipe is not None
+    job = replace(prepare(recipe_path, rig_path, SERIAL), recipe=setup.recipe, reference=None)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        here = rig_path.resolve().parent
+        plan = job.plan()
+        manifest = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
+        serial = photograph(job, manifest, folder, on_progress)
+        on_progress("measurement", 0, 1)
+        measured = measure_scan(setup, job, manifest, folder)
+    own = [one.relative**2 for one in measured.components if not one.shared]
+    return Scan(setup.poses, setup.convention, measured.radiance, np.sqrt(np.sum(own, axis=0))), serial
+
+
+def photograph(job: Job, manifest: Manifest, folder: Path, on_progress: Advance = silent) -> str:
+    """Take the frames of a scan that its folder lacks; returns the serial number of the camera.
+
+    Raises:
+        RigFileError, RigError: the rig.
+        CalibrationError: the flat was taken with another camera.
+    """
 
     def report(now: Progress) -> None:
         on_progress(now.text, now.done, now.total)
 
-    assert setup.recipe is not None
-    job = replace(prepare(recipe_path, rig_path, SERIAL), recipe=setup.recipe, reference=None)
-    plan = job.plan()
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        with open_rig(job.rig) as rig:
-            check_plan(plan, rig)
-            serial = rig.camera.info.serial
-            if job.white.camera != serial:
-                raise CalibrationError(
-                    f"the flat was taken with camera {job.white.camera}, this is {serial}: take a new one with "
-                    "`anisoscope calibrate flat`"
-                )
-            here = rig_path.resolve().parent
-            manifest = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
-            run_plan(plan, rig, folder, on_progress=report)
-        on_progress("measurement", 0, 1)
-        expected = _expected(setup)
-        _, measured, _ = measure_frames(manifest.began, job, expected, read_frames(folder, manifest))
-    return _scan_of(setup, job, measured), serial
+    assert manifest.plan is not None
+    with open_rig(job.rig) as rig:
+        check_plan(manifest.plan, rig)
+        serial = rig.camera.info.serial
+        if job.white.camera != serial:
+            raise CalibrationError(
+                f"the flat was taken with camera {job.white.camera}, this is {serial}: take a new one with "
+                "`anisoscope calibrate flat`"
+            )
+        run_plan(manifest.plan, rig, folder, on_progress=report)
+    return serial
+
+
+def measure_scan(setup: Setup, job: Job, manifest: Manifest, folder: Path) -> Measured:
+    """Radiances of the poses of a scan from the frames of its folder.
+
+    Raises:
+        MeasurementError: the pictures cannot be used, or a calibration does not hold.
+    """
+    measured: Measured
+    _, measured, _ = measure_frames(manifest.began, job, _expected(setup), read_frames(folder, manifest))
+    reason = job.kind.drift_error(measured, job.recipe)
+    if reason:
+        raise CalibrationError(reason)
+    return measured
 
 
 def _expected(setup: Setup) -> Expectation:
@@ -283,30 +326,6 @@ def _expected(setup: Setup) -> Expectation:
         None,
         setup.convention,
     )
-
-
-def _scan_of(setup: Setup, job: Job, measured: Measured) -> Scan:
-    reason = job.kind.drift_error(measured, job.recipe)
-    if reason:
-        raise CalibrationError(reason)
-    own = [one.relative**2 for one in measured.components if not one.shared]
-    noise = np.sqrt(np.sum(own, axis=0))
-    return Scan(setup.poses, setup.convention, measured.radiance, noise)
-
-
-def read_scan(path: Path) -> tuple[tuple[Pose, ...], FloatArray, FloatArray]:
-    """Poses, radiances in any unit and their relative noise from a table ``stage_deg,tilt_deg,value[,u]``.
-
-    Raises:
-        UsageError: the file cannot be read or used.
-    """
-    poses, readings = read_readings(path, "exposure")
-    if readings.kind != "exposure":
-        raise UsageError(f"{path} holds contrasts: a material needs exposures (stage_deg,tilt_deg,value[,u])")
-    noise = np.zeros(len(poses))
-    if readings.noise_known:
-        noise = np.sqrt(np.diag(readings.covariance)) / np.maximum(np.abs(readings.value), 1e-300)
-    return poses, readings.value, noise
 
 
 def calibrate_material(

@@ -216,6 +216,13 @@ def virtual_rig(tmp_path, flat) -> Callable[..., VirtualRig]:
     return lambda name="part", **changes: lay_out_rig(tmp_path / name, flat, **changes)
 
 
+@pytest.fixture(scope="module")
+def virtual_rigs(tmp_path_factory, flat) -> Callable[..., VirtualRig]:
+    """As `virtual_rig`, of rigs that all tests of a module use."""
+    folder = tmp_path_factory.mktemp("rigs")
+    return lambda name="part", **changes: lay_out_rig(folder / name, flat, **changes)
+
+
 @pytest.fixture(scope="session")
 def small_wafer_rig() -> Callable[[dict], dict]:
     """``small_wafer_rig(table)``: a rig or bench file of the demo's wafers with 512 × 512 pixels of 8 µm."""

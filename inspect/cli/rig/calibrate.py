@@ -348,10 +348,10 @@ def material(
     from anisoscope.inspection.material_calibration import (
         calibrate_material,
         plan_scan,
-        read_scan,
         scan_setup,
         scan_specimen,
     )
+    from anisoscope.inspection.reflectance_scan import read_scan
 
     if coupon == part:
         raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")

@@ -49,6 +49,7 @@ for _motion in ("home", "move", "jog", "stop"):
     _register(f"anisoscope.cli.rig.motion:{_motion}", _move)
 _register("anisoscope.cli.rig.hold:hold", _move)
 _register("anisoscope.cli.rig.markers:markers", _set_up)
+_register("anisoscope.cli.rig.scan:scan", _set_up)
 for _check in ("commission", "check"):
     _register(f"anisoscope.cli.rig.commission:{_check}", _set_up)
 app.command(

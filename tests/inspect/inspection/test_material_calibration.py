@@ -9,8 +9,9 @@ import tomli_w
 from anisoscope.base.errors import UsageError
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.fit.lobe import Scan, coupon_poses
-from anisoscope.inspection.material_calibration import calibrate_material, plan_scan, read_scan, scan_setup
+from anisoscope.inspection.material_calibration import calibrate_material, plan_scan, scan_setup
 from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.reflectance_scan import read_scan
 from anisoscope.recipe.material_file import read_material_file
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid

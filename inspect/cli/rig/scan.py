@@ -1,0 +1,115 @@
+"""``anisoscope rig scan``: the rig as a goniometer."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console, print_table
+
+if TYPE_CHECKING:
+    from anisoscope.inspection.reflectance_scan import ScanResult, ScanSettings
+
+_MOVE_S = 2.0
+
+
+@everyday("rig", "recipe", "out", "coupon", "part", "resume", "max_tilt", "dry_run", "json_")
+def scan(
+    *,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")] = None,
+    recipe: Annotated[
+        Path | None, Parameter(name=["--recipe", "-r"], help="Recipe with region, exposure and surface.")
+    ] = None,
+    out: Annotated[Path | None, Parameter(help="New folder for frames, table and budget.")] = None,
+    coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
+    part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
+    resume: Annotated[Path | None, Parameter(help="Go on with the interrupted scan of this folder.")] = None,
+    max_tilt: Annotated[float, Parameter(help="Largest tilt in degrees, either way.")] = 20.0,
+    stages: Annotated[int, Parameter(help="Number of stage angles.")] = 24,
+    tilts: Annotated[int, Parameter(help="Number of tilts.")] = 13,
+    exposure: Annotated[
+        float | None, Parameter(help="Shortest exposure in seconds; that of the recipe by default.")
+    ] = None,
+    dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
+    json_: Json = False,
+) -> int:
+    """Measure the BRDF of a coupon or a part over stage and tilt, with the uncertainty of every value.
+
+    Poses are dense where facets mirror the light. Writes brdf.csv for bsdf fit, readings.csv for calibrate material
+    --readings, and budget.json. The stage homes and turns: keep its path free.
+
+    Examples:
+        anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan
+        anisoscope rig scan --resume scan
+    """
+    from anisoscope.inspection.reflectance_scan import begin_scan, planned_scan, resume_scan
+
+    if resume is not None:
+        if rig or recipe or out or coupon or part:
+            raise UsageError("--resume goes on with what the folder says: leave the other options out")
+        with progress("scan", quiet=json_) as advance:
+            return _show(resume_scan(resume, advance), resume, as_json=json_)
+    if coupon == part:
+        raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
+    if rig is None or recipe is None:
+        raise UsageError("a scan needs --rig FILE and --recipe FILE")
+    specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
+    if exposure is not None and not 0.0 < exposure < float("inf"):
+        raise UsageError(f"--exposure takes a positive number of seconds, not {exposure:g}")
+    if dry_run:
+        job, settings = planned_scan(
+            rig, recipe, specimen, tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure
+        )
+        return _show_plan(settings, job.recipe.acquisition.frames_per_pose, as_json=json_)
+    if out is None:
+        raise UsageError("--out FOLDER says where the scan goes; --dry-run prints the plan only")
+    with progress("scan", quiet=json_) as advance:
+        found = begin_scan(
+            rig, recipe, specimen, out,
+            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, on_progress=advance,
+        )  # fmt: skip
+    return _show(found, out, as_json=json_)
+
+
+def _show_plan(settings: "ScanSettings", frames: int, *, as_json: bool) -> int:
+    poses = len(settings.angles_deg) * len(settings.tilts_deg)
+    seconds = poses * (_MOVE_S + frames * settings.exposure_s * (1.0 + sum(settings.brackets)))
+    if as_json:
+        print_json(settings.model_dump(mode="json", by_alias=True) | {"poses": poses, "seconds": seconds})
+        return 0
+    for name, angles in (("stage", settings.angles_deg), ("tilt", settings.tilts_deg)):
+        _line(f"{len(angles)} {name} angles: " + ", ".join(f"{angle:g}" for angle in angles))
+    exposures = ", ".join(f"{settings.exposure_s * one:g}" for one in (1.0, *settings.brackets))
+    _line(f"{poses} poses, exposures {exposures} s, about {seconds / 60.0:.0f} min")
+    return 0
+
+
+def _show(found: "ScanResult", folder: Path, *, as_json: bool) -> int:
+    import numpy as np
+
+    rms = {name: float(np.sqrt(np.mean(part**2))) for name, part in found.budget.items()}
+    if as_json:
+        print_json({"folder": str(folder), "poses": len(found.poses), "u_rms": rms,
+                    "u_median": float(np.median(found.u)), "u_largest": float(found.u.max()),
+                    "brdf": [float(found.brdf.min()), float(found.brdf.max())]})  # fmt: skip
+        return 0
+    rows = [
+        [name, f"{100.0 * value:.2f}", f"{100.0 * found.budget[name].max():.2f}"]
+        for name, value in rms.items()
+    ]
+    rows.append(["combined", f"{100.0 * np.sqrt(np.mean(found.u**2)):.2f}", f"{100.0 * found.u.max():.2f}"])
+    print_table("Uncertainty (k = 1)", ["source", "rms [%]", "largest [%]"], rows)
+    _line(
+        f"{folder / 'brdf.csv'}: {len(found.poses)} rows, {found.brdf.min():.3g} to {found.brdf.max():.3g} 1/sr; "
+        f"median u {np.median(found.u):.2%}"
+    )
+    return 0
+
+
+def _line(text: str) -> None:
+    console().print(text, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,344 @@
+"""The rig as a goniometer: a coupon or a ridged part photographed over stage and tilt, as a table of its BRDF with u.
+
+Photographs and radiances are those of `calibrate material` (`inspection.material_calibration`); added here are the
+places of the poses, a folder from which the scan can be resumed, and the budget of every value (JCGM 100:2008): noise,
+flicker, flat, linearity, drift, stray light and registration as of an inspection, the scale of the white tile, and the
+angles, through the slopes of the scanned lobe itself.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.csv_style import csv_text, number_text
+from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.bsdf.directions_table import COLUMNS, DirectionsTable, polar_degrees
+from anisoscope.fit.table import read_readings
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.inspection.folder import sweep, working_in
+from anisoscope.inspection.frames import check_frames, missing_frames
+from anisoscope.inspection.job import Job, prepare
+from anisoscope.inspection.manifest import Manifest, begin, reopen
+from anisoscope.inspection.material_calibration import Setup, measure_scan, photograph, setup_of
+from anisoscope.record.schema import Particulars
+from anisoscope.rig.acquisition.journal import read_journal
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+
+SETTINGS, TABLE, READINGS, BUDGET = "scan.json", "brdf.csv", "readings.csv", "budget.json"
+BRACKETS = (4.0, 16.0)
+"""Exposures that a recipe without brackets gets: a lobe spans more than one frame."""
+_FINE_STAGE, _FINE_TILT = 2.5, 0.5
+_SPREAD = 0.4  # share of the poses that are spread evenly, whatever the lobe
+
+
+class ScanSettings(BaseModel):
+    """What is scanned; ``scan.json`` of the folder."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    specimen: Literal["coupon", "part"]
+    angles_deg: tuple[float, ...]
+    tilts_deg: tuple[float, ...]
+    exposure_s: float
+    brackets: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _some_poses(self) -> Self:
+        if not self.angles_deg or not self.tilts_deg:
+            raise ValueError("no poses")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class ScanResult:
+    """A scan that was measured.
+
+    Attributes:
+        poses: P poses.
+        to_light: (P, 3) unit vectors in the frame of the sample.
+        to_camera: (P, 3).
+        brdf: (P,) in 1/sr.
+        budget: relative standard uncertainties (P,) by their source.
+    """
+
+    poses: tuple[Pose, ...]
+    to_light: FloatArray
+    to_camera: FloatArray
+    brdf: FloatArray
+    budget: dict[str, FloatArray]
+
+    @property
+    def u(self) -> FloatArray:
+        """(P,) relative standard uncertainty."""
+        return np.sqrt(np.sum([part**2 for part in self.budget.values()], axis=0))
+
+    def table(self) -> DirectionsTable:
+        """The rows that `fit brdf` reads."""
+        angles = np.column_stack([polar_degrees(self.to_light), polar_degrees(self.to_camera)])
+        rows = np.column_stack([angles, self.brdf, self.brdf * self.u])
+        return DirectionsTable((*COLUMNS, "u"), rows)
+
+
+def planned_poses(
+    convention: Convention,
+    ridge_angle_deg: float,
+    alpha: float,
+    *,
+    tilt_deg: float = 20.0,
+    stages: int = 24,
+    tilts: int = 13,
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Stage angles and tilts of a scan, dense where facets mirror the light into the camera.
+
+    A share of the poses is spread evenly; the others follow the largest value of the lobe, exp(−(tan δ/α)²) with the
+    angle δ between half vector and facet, over the other axis.
+
+    Args:
+        convention: of the rig.
+        ridge_angle_deg: of the facets; 0 for a coupon.
+        alpha: about the roughness.
+        tilt_deg: largest tilt, either way.
+        stages: number of stage angles.
+        tilts: number of tilts.
+
+    Raises:
+        UsageError: fewer than four stage angles or three tilts, or a tilt that is none.
+    """
+    if not (4 <= stages <= 144 and 3 <= tilts <= 161 and 0.0 < tilt_deg <= 60.0):
+        raise UsageError(
+            f"a scan takes 4 to 144 stage angles, 3 to 161 tilts and a tilt to 60°, not {stages}, {tilts} and "
+            f"{tilt_deg:g}°"
+        )
+    turn = np.arange(0.0, 360.0, _FINE_STAGE)
+    tilt = np.arange(-tilt_deg, tilt_deg + 0.5 * _FINE_TILT, _FINE_TILT)
+    light, camera = directions(pose_grid(tuple(turn), tuple(tilt)), convention)
+    half = light + camera
+    theta = np.radians(ridge_angle_deg)
+    cosine = half @ [np.sin(theta), 0.0, np.cos(theta)] / np.linalg.norm(half, axis=1)
+    lobe = np.exp(-np.minimum((1.0 / cosine**2 - 1.0) / alpha**2, 50.0)).reshape(len(tilt), len(turn))
+    return _dense(turn, lobe.max(axis=0), stages, closed=True), _dense(
+        tilt, lobe.max(axis=1), tilts, closed=False
+    )
+
+
+def _dense(fine: FloatArray, weight: FloatArray, count: int, *, closed: bool) -> tuple[float, ...]:
+    """``count`` of the fine angles, spaced by the density of a weight mixed with an even one."""
+    density = _SPREAD / fine.size + (1.0 - _SPREAD) * weight / weight.sum()
+    if count >= fine.size:
+        return tuple(fine.tolist())
+    steps = 0.5 * (density[1:] + density[:-1])
+    whole = np.concatenate([[0.0], np.cumsum(steps)])
+    end = whole[-1] + 0.5 * (density[0] + density[-1]) if closed else whole[-1]
+    wanted = np.linspace(0.0, end, count, endpoint=not closed)
+    at = np.abs(whole[None, :] - wanted[:, None]).argmin(axis=1)
+    return tuple(fine[np.unique(at)].tolist())
+
+
+def begin_scan(
+    rig_path: Path,
+    recipe_path: Path,
+    specimen: Literal["coupon", "part"],
+    folder: Path,
+    *,
+    tilt_deg: float = 20.0,
+    stages: int = 24,
+    tilts: int = 13,
+    exposure_s: float | None = None,
+    on_progress: Advance = silent,
+) -> ScanResult:
+    """Scan into a new folder.
+
+    Args:
+        rig_path: rig file.
+        recipe_path: recipe with region and exposure, of a part with its surface.
+        specimen: what lies on the stage.
+        folder: it must not exist, or be empty.
+        tilt_deg: largest tilt.
+        stages: number of stage angles.
+        tilts: number of tilts.
+        exposure_s: shortest exposure; that of the recipe by default.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        UsageError: a folder that holds files, or a plan that makes no sense.
+        RecipeError, RigFileError, CalibrationError: a file.
+        RigError: the rig, or a pose beyond its travel.
+        MeasurementError: the pictures cannot be used.
+    """
+    job, settings = planned_scan(
+        rig_path, recipe_path, specimen, tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise UsageError(f"{folder} holds files: name a new folder, or `rig scan --resume {folder}`")
+    except OSError as problem:
+        raise RecordError(f"cannot make {folder}: {problem.strerror or problem}") from problem
+    job, setup = _scanning(job, settings)
+    with working_in(folder), _resumable(folder):
+        plan = job.plan()
+        here = rig_path.resolve().parent
+        write_text(folder / SETTINGS, settings.model_dump_json(by_alias=True, indent=2) + "\n")
+        manifest = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
+        photograph(job, manifest, folder, on_progress)
+        return _measured(folder, job, setup, manifest, on_progress)
+
+
+def planned_scan(
+    rig_path: Path,
+    recipe_path: Path,
+    specimen: Literal["coupon", "part"],
+    *,
+    tilt_deg: float = 20.0,
+    stages: int = 24,
+    tilts: int = 13,
+    exposure_s: float | None = None,
+) -> tuple[Job, ScanSettings]:
+    """The job and the poses of a scan; nothing moves. Arguments and errors as for `begin_scan`."""
+    job = prepare(recipe_path, rig_path, "scan")
+    recipe = job.surface_recipe
+    angle, surface = 0.0, recipe.surface
+    if specimen == "part":
+        if surface.design is None:
+            raise UsageError(f"{recipe_path}: --part needs a recipe whose surface is a design")
+        angle = surface.design.ridge_angle_deg
+    convention = Convention(job.rig.light.angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+    material = recipe.material.material()
+    alpha = float(np.sqrt(material.alpha_along * material.alpha_across))
+    angles, all_tilts = planned_poses(convention, angle, alpha, tilt_deg=tilt_deg, stages=stages, tilts=tilts)
+    acquisition = recipe.acquisition
+    return job, ScanSettings(
+        specimen=specimen,
+        angles_deg=angles,
+        tilts_deg=all_tilts,
+        exposure_s=acquisition.exposure_s if exposure_s is None else exposure_s,
+        brackets=acquisition.brackets or BRACKETS,
+    )
+
+
+def resume_scan(folder: Path, on_progress: Advance = silent) -> ScanResult:
+    """Go on with a scan that was interrupted: frames of its folder are not taken again.
+
+    Raises:
+        RecordError: no scan began here, or a file is missing or was changed.
+        RigError, CalibrationError, MeasurementError: as for `begin_scan`.
+    """
+    try:
+        settings = ScanSettings.model_validate_json((folder / SETTINGS).read_bytes())
+    except OSError as problem:
+        raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
+    except ValidationError as problem:
+        raise RecordError(f"{folder / SETTINGS} is damaged: {problem.errors()[0]['msg']}") from problem
+    with working_in(folder), _resumable(folder):
+        manifest, job = reopen(folder)
+        check_frames(folder)
+        sweep(folder)
+        job, setup = _scanning(job, settings)
+        if missing_frames(manifest, read_journal(folder)) > 0:
+            photograph(job, manifest, folder, on_progress)
+        return _measured(folder, job, setup, manifest, on_progress)
+
+
+@contextmanager
+def _resumable(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except (AnisoscopeError, KeyboardInterrupt) as error:
+        if (folder / SETTINGS).exists():
+            error.add_note(f"`anisoscope rig scan --resume {folder}` goes on from here")
+        raise
+
+
+def _scanning(job: Job, settings: ScanSettings) -> tuple[Job, Setup]:
+    """The job with the poses and exposures of a scan."""
+    setup = setup_of(
+        job.rig, job.recipe, settings.specimen, poses=pose_grid(settings.angles_deg, settings.tilts_deg)
+    )
+    assert setup.recipe is not None
+    exposures = {"exposure_s": settings.exposure_s, "brackets": settings.brackets}
+    recipe = setup.recipe.model_copy(
+        update={"acquisition": setup.recipe.acquisition.model_copy(update=exposures)}
+    )
+    return replace(job, recipe=recipe, reference=None), replace(setup, recipe=recipe)
+
+
+def _measured(folder: Path, job: Job, setup: Setup, manifest: Manifest, on_progress: Advance) -> ScanResult:
+    """Measure the frames of a folder, and write its table, its readings and its budget."""
+    on_progress("measurement", 0, 1)
+    found = _result(job, setup, measure_scan(setup, job, manifest, folder))
+    on_progress("measurement", 1, 1)
+    write_text(folder / TABLE, found.table().csv())
+    rows = [
+        [number_text(f"{x:.9g}") for x in (pose.stage_deg, pose.tilt_deg, value, value * u)]
+        for pose, value, u in zip(found.poses, found.brdf * found.to_light[:, 2], found.u, strict=True)
+    ]
+    write_text(folder / READINGS, csv_text([("stage_deg", "tilt_deg", "value", "u"), *rows]))
+    budget = {
+        "unit": "relative standard uncertainty of each row of brdf.csv, k = 1",
+        "sources": {name: part.tolist() for name, part in found.budget.items()},
+        "combined": found.u.tolist(),
+    }
+    write_text(folder / BUDGET, json.dumps(budget, indent=1) + "\n")
+    return found
+
+
+def _result(job: Job, setup: Setup, measured: Measured) -> ScanResult:
+    light, camera = directions(setup.poses, setup.convention)
+    budget = {one.source: np.abs(one.relative) for one in measured.components if one.source != "stage angle"}
+    uncertainty = job.surface_recipe.uncertainty
+    budget["scale of the white tile"] = np.full(len(light), uncertainty.scale_share)
+    by_stage, by_tilt = log_slopes(setup.poses, measured.radiance)
+    budget["stage angle"] = np.abs(by_stage) * uncertainty.stage_deg
+    budget["tilt and seating"] = np.abs(by_tilt) * uncertainty.seating_tilt_deg
+    # The half vector turns by half of what the light does, in a plane across that of the tilt.
+    across = np.hypot(by_tilt, by_stage / np.maximum(_tangent(light, camera), 0.02))
+    budget["light angle"] = 0.5 * across * uncertainty.light_angle_deg
+    return ScanResult(setup.poses, light, camera, measured.radiance / light[:, 2], budget)
+
+
+def _tangent(light: FloatArray, camera: FloatArray) -> FloatArray:
+    """(P,) tangent of the angle between half vector and normal: how far a turn of the stage moves it."""
+    half = light + camera
+    return np.asarray(np.hypot(half[:, 0], half[:, 1]) / half[:, 2])
+
+
+def log_slopes(poses: tuple[Pose, ...], radiance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(P,) change of ln L per degree of the stage and of the tilt, from the neighbours in a full grid of poses.
+
+    Args:
+        poses: every stage angle at every tilt, stage angles running fastest.
+        radiance: (P,).
+    """
+    stage = np.array(sorted({pose.stage_deg for pose in poses}))
+    tilt = np.array(sorted({pose.tilt_deg for pose in poses}))
+    table = np.log(np.maximum(radiance, 1e-12)).reshape(len(tilt), len(stage))
+    around = np.concatenate([stage[-1:] - 360.0, stage, stage[:1] + 360.0])
+    wrapped = np.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
+    by_stage = np.gradient(wrapped, around, axis=1)[:, 1:-1]
+    by_tilt = np.gradient(table, tilt, axis=0) if len(tilt) > 1 else np.zeros_like(table)
+    return by_stage.ravel(), by_tilt.ravel()
+
+
+def read_scan(path: Path) -> tuple[tuple[Pose, ...], FloatArray, FloatArray]:
+    """Poses, radiances in any unit and their relative noise from a table ``stage_deg,tilt_deg,value[,u]``.
+
+    Raises:
+        UsageError: the file cannot be read or used.
+    """
+    poses, readings = read_readings(path, "exposure")
+    if readings.kind != "exposure":
+        raise UsageError(f"{path} holds contrasts: a material needs exposures (stage_deg,tilt_deg,value[,u])")
+    noise = np.zeros(len(poses))
+    if readings.noise_known:
+        noise = np.sqrt(np.diag(readings.covariance)) / np.maximum(np.abs(readings.value), 1e-300)
+    return poses, readings.value, noise
