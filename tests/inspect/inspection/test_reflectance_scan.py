@@ -80,9 +80,6 @@ def test_every_value_lies_within_its_uncertainty(scanned):
     bias = value / truth(poses) - 1.0
     assert np.max(np.abs(bias) / (u / value)) < 2.0
     assert abs(np.mean(bias)) < 0.01
-    print(
-        f"largest u {np.max(u / value):.2%}, bias rms {np.sqrt(np.mean(bias**2)):.2%}, most {np.max(np.abs(bias) / (u / value)):.2f} u"
-    )
 
 
 def test_the_budget_names_what_the_uncertainty_is_made_of(scanned):
