@@ -181,7 +181,7 @@ def begin_scan(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise UsageError(f"{folder} holds files: name a new folder, or `rig scan --resume {folder}`")
+            raise UsageError(f"{folder} holds files: name a new folder, or `rig scan --continue {folder}`")
     except OSError as problem:
         raise RecordError(f"cannot make {folder}: {problem.strerror or problem}") from problem
     job, setup = _scanning(job, settings)
@@ -255,7 +255,7 @@ def _resumable(folder: Path) -> Iterator[None]:
         yield
     except (AnisoscopeError, KeyboardInterrupt) as error:
         if (folder / SETTINGS).exists():
-            error.add_note(f"`anisoscope rig scan --resume {folder}` goes on from here")
+            error.add_note(f"`anisoscope rig scan --continue {folder}` goes on from here")
         raise
 
 

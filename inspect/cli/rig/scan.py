@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _MOVE_S = 2.0
 
 
-@everyday("rig", "recipe", "out", "coupon", "part", "resume", "max_tilt", "dry_run", "json_")
+@everyday("rig", "recipe", "out", "coupon", "part", "continue_", "max_tilt", "dry_run", "json_")
 def scan(
     *,
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")] = None,
@@ -28,8 +28,10 @@ def scan(
     out: Annotated[Path | None, Parameter(help="New folder for frames, table and budget.")] = None,
     coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
     part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
-    resume: Annotated[Path | None, Parameter(help="Go on with the interrupted scan of this folder.")] = None,
-    max_tilt: Annotated[float, Parameter(help="Largest tilt in degrees, either way.")] = 20.0,
+    continue_: Annotated[
+        Path | None, Parameter(name="--continue", help="Continue the interrupted scan of this folder.")
+    ] = None,
+    max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
     stages: Annotated[int, Parameter(help="Number of stage angles.")] = 24,
     tilts: Annotated[int, Parameter(help="Number of tilts.")] = 13,
     exposure: Annotated[
@@ -45,15 +47,15 @@ def scan(
 
     Examples:
         anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan
-        anisoscope rig scan --resume scan
+        anisoscope rig scan --continue scan
     """
     from anisoscope.inspection.reflectance_scan import begin_scan, planned_scan, resume_scan
 
-    if resume is not None:
+    if continue_ is not None:
         if rig or recipe or out or coupon or part:
-            raise UsageError("--resume goes on with what the folder says: leave the other options out")
+            raise UsageError("--continue goes on with what the folder says: leave the other options out")
         with progress("scan", quiet=json_) as advance:
-            return _show(resume_scan(resume, advance), resume, as_json=json_)
+            return _show(resume_scan(continue_, advance), continue_, as_json=json_)
     if coupon == part:
         raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
     if rig is None or recipe is None:

@@ -109,12 +109,12 @@ def test_a_scan_goes_on_where_it_was_interrupted(scanned, anisoscope, tmp_path):
     for name in ("brdf.csv", "readings.csv", "budget.json"):
         (folder / name).unlink()
     frames = sorted(path.name for path in (folder / "frames").iterdir())
-    done = anisoscope("rig", "scan", "--resume", folder)
+    done = anisoscope("rig", "scan", "--continue", folder)
     assert done.code == 0, done.err
     assert (folder / "brdf.csv").read_text() == (out / "brdf.csv").read_text()
     assert sorted(path.name for path in (folder / "frames").iterdir()) == frames
     (folder / "scan.json").write_text("{}")
-    assert anisoscope("rig", "scan", "--resume", folder).code == 74
+    assert anisoscope("rig", "scan", "--continue", folder).code == 74
 
 
 def test_poses_are_dense_where_the_coupon_mirrors():
@@ -149,7 +149,7 @@ def test_slopes_come_from_the_scan():
         (("--coupon", "--stages", 2), "4 to 144 stage angles", 64),
         (("--coupon", "--max-tilt", 58, "--stages", 4, "--tilts", 3), "reaches", 78),
         (("--coupon", "--exposure", -1), "positive number of seconds", 64),
-        (("--resume", "nothing"), "leave the other options out", 64),
+        (("--continue", "nothing"), "leave the other options out", 64),
     ],
 )
 def test_bad_input(coupon_rig, anisoscope, tmp_path, changes, words, code):
