@@ -80,7 +80,7 @@ class ScanResult:
     @property
     def u(self) -> FloatArray:
         """(P,) relative standard uncertainty."""
-        return np.sqrt(np.sum([part**2 for part in self.budget.values()], axis=0))
+        return np.asarray(np.sqrt(np.sum([part**2 for part in self.budget.values()], axis=0)))
 
     def table(self) -> DirectionsTable:
         """The rows that `fit brdf` reads."""
@@ -324,8 +324,8 @@ def log_slopes(poses: tuple[Pose, ...], radiance: FloatArray) -> tuple[FloatArra
     table = np.log(np.maximum(radiance, 1e-12)).reshape(len(tilt), len(stage))
     around = np.concatenate([stage[-1:] - 360.0, stage, stage[:1] + 360.0])
     wrapped = np.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
-    by_stage = np.gradient(wrapped, around, axis=1)[:, 1:-1]
-    by_tilt = np.gradient(table, tilt, axis=0) if len(tilt) > 1 else np.zeros_like(table)
+    by_stage = np.asarray(np.gradient(wrapped, around, axis=1))[:, 1:-1]
+    by_tilt = np.asarray(np.gradient(table, tilt, axis=0)) if len(tilt) > 1 else np.zeros_like(table)
     return by_stage.ravel(), by_tilt.ravel()
 
 
