@@ -23,6 +23,8 @@ from anisoscope.commissioning.selftest import STEPS
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.discriminating_poses import TILTS_DEG
 from anisoscope.diagnosis.ranking import bare_title
+from anisoscope.kinds.plates.causes import FIELD_TITLES
+from anisoscope.kinds.plates.kind import RULE as PLATE_RULE
 from anisoscope.kinds.prints.decision import NOT_JUDGED
 from anisoscope.kinds.prints.missing_ink import MISSING_TITLE
 from anisoscope.kinds.registry import kind_named
@@ -69,6 +71,10 @@ SENTENCES = {
     "inspect/commissioning/commissioning.py": ("_notes",),
     "inspect/kinds/surface.py": ("predicted_cells", "comparable_means", "summary", "unlike_text"),
     "inspect/kinds/wafers/kind.py": ("predicted_cells", "comparable_means"),
+    "inspect/kinds/plates/kind.py": ("finding", "code_lines", "grade_lines", "conclude"),
+    "inspect/kinds/plates/decision.py": ("_verdict", "_of_fields", "_together", "contrast_text"),
+    "inspect/kinds/plates/field_judgement.py": ("fields_text", "places_text", "_field_text"),
+    "inspect/kinds/plates/measurement.py": ERRORS,
     "inspect/kinds/prints/kind.py": ("finding", "diagnose"),
     "inspect/kinds/prints/decision.py": ("_together", "_combine", "_of_area"),
     "inspect/kinds/prints/quantities.py": ("sentence", "colour"),
@@ -126,6 +132,11 @@ FURTHER = (
     *("film of the flakes: spectra shifted by", "share of {name} in the ink", "spots, share of the area"),
     *("form of the lobe, 0 as in the recipe, 1 the other distribution", MISSING_TITLE),
     *("curled sheet, change of tilt across the region", "like the {count} golden prints", NOT_JUDGED),
+    *("missing", "merged", "wrong direction", "worn", "filled", "unlike any known defect", PLATE_RULE),
+    *FIELD_TITLES.values(),
+    *("cell contrast", "minimum reflectance", "cell modulation", "fixed pattern damage", "not read"),
+    *("axial non-uniformity", "grid non-uniformity", "unused error correction", "row, column", "class"),
+    *("ln ratio", "looks like", "fields that deviate", "The fields are at {places}"),
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
 )
 """Names that reach the page or the console from data."""
@@ -217,7 +228,7 @@ def _tables() -> Iterator[str]:
         yield from (words for _, words in names)
     yield from (*NUMBER_WORDS.values(), " and ".join(f"{tilt:g}°" for tilt in TILTS_DEG))
     yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
-    for name in ("ridges", "wafers", "prints"):
+    for name in ("ridges", "wafers", "prints", "plates"):
         for key, words in kind_named(name).cause_words.items():
             yield key.replace("-", " ")
             yield from filter(None, (words.more, words.less, words.either, words.action, words.region))

@@ -1,6 +1,7 @@
 """Plates with tolerances, photographed and judged by the hundred: rates of false alarms, of defects found, of grades.
 
-    python tools/plate_campaign.py FOLDER [--plates 1000] [--seed 1] [--summary]
+    python tools/plate_campaign.py FOLDER [--plates 1000] [--seed 1]
+    python tools/plate_campaign.py FOLDER --summary
 
 Every plate is a Data Matrix of ridges whose fields differ in ridge angle, roughness, height and place. A batch of
 ``LOT`` plates shares plastic, seat and the states of its ridges, which the path tracer renders once. The pictures go
@@ -11,6 +12,8 @@ A line of JSON a plate is appended to ``plates.jsonl``; a run goes on where an e
 
 import argparse
 import json
+import sys
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,9 +24,11 @@ import numpy as np
 from anisoscope.base.errors import MeasurementError
 from anisoscope.cli.demo import plates as demo
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.registration.placement import Placement, View
+from anisoscope.imaging.registration.placement import Grid, Placement, View
+from anisoscope.kinds.plates.code_grades import OVERALL
+from anisoscope.kinds.plates.decision import PlateDecision, decide_plate, predicted_code
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
-from anisoscope.kinds.plates.measurement import measure_plate
+from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate
 from anisoscope.kinds.plates.recipe import PlateRecipe
 from anisoscope.prediction.region_prediction import FieldGrid, predict_fields
 from anisoscope.profiles.heightmap import HeightMap
@@ -160,18 +165,94 @@ def rounded(values: np.ndarray) -> list[Any]:
     return np.array([float(f"{one:.6g}") for one in values.ravel()]).reshape(values.shape).tolist()
 
 
+def judged(
+    row: dict[str, Any], recipe_: PlateRecipe, expected: ExpectedPlate
+) -> tuple[PlateDecision, tuple[tuple[str | None, ...], tuple[int, ...]] | None]:
+    """The verdict on a plate by the design; readings and overall grades that its height map predicts, or None."""
+    fields = np.array(row["radiance"])
+    seen = MeasuredPlate(
+        fields,
+        np.array(row["u_place"]),
+        np.array(row["noise"]),
+        (),
+        Grid((0.0, 0.0), 0.01, fields.shape[1:]),
+        0.0,
+        row["alike"],
+        tuple(row["texts"]),
+    )
+    decided = decide_plate(expected, seen, recipe_)
+    if "map" not in row:
+        return decided, None
+    readings, grades = predicted_code(replace(expected, fields=np.array(row["map"])), "datamatrix")
+    return decided, (readings, tuple(one[0].grade for one in grades))
+
+
+def summary(rows: list[dict[str, Any]], recipe_: PlateRecipe, expected: ExpectedPlate) -> dict[str, str]:
+    """Rates over the plates, each with its count."""
+    counts: dict[str, list[bool]] = {}
+
+    def count(name: str, *, holds: bool) -> None:
+        counts.setdefault(name, []).append(holds)
+
+    for row in rows:
+        kind = row["kind"]
+        if "invalid" in row:
+            count(f"{kind}: INVALID", holds=True)
+            continue
+        decided, of_map_ = judged(row, recipe_, expected)
+        fields = {(one.row, one.col): one for one in decided.details.fields}
+        own = fields.pop(tuple(row["field"][0]), None) if row["field"] else None
+        false = any(one.significant for one in fields.values())
+        count(f"a good field deviates significantly (level {recipe_.decision.alpha / 2:g})", holds=false)
+        if kind == "good":
+            count("good: FAIL", holds=decided.verdict == "FAIL")
+            count("good: INCONCLUSIVE", holds=decided.verdict == "INCONCLUSIVE")
+            count("good: classes deviate significantly", holds=decided.p_value < recipe_.decision.alpha / 2)
+        else:
+            count(f"{kind}: found", holds=own is not None and (own.significant or own.verdict == "FAIL"))
+            count(f"{kind}: named right", holds=own is not None and own.looks_like == NAMES[kind])
+        if of_map_ is None:
+            continue
+        readings, predicted = of_map_
+        count("decode of picture and of predicted picture agree", holds=readings == tuple(row["texts"]))
+        for pose in range(len(predicted)):
+            grades = [one for one in decided.details.code.grades if one.parameter == OVERALL]
+            count(
+                "predicted overall grade within half a grade",
+                holds=abs(grades[pose].measured_grade - predicted[pose]) <= 0.5,
+            )
+    return {
+        name: f"{sum(held)} of {len(held)} ({np.mean(held):.1%})" for name, held in sorted(counts.items())
+    }
+
+
+NAMES = {
+    "missing": "missing",
+    "direction": "wrong direction",
+    "merged": "merged",
+    "filled": "filled",
+    "worn": "worn",
+}
+
+
 def main() -> None:
     """Make the plates that are missing."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--plates", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--summary", action="store_true", help="judge the plates there are, and print rates")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     path = given.folder / "plates.jsonl"
     done = len(path.read_text(encoding="utf-8").splitlines()) if path.is_file() else 0
     recipe_ = recipe(demo.READ_AT_DEG)
     expected = expected_plate(recipe_, recipe_.plan.plan(), LIGHT_DEG, cached=True)
+    if given.summary:
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        for name, value in summary(rows, recipe_, expected).items():
+            sys.stdout.write(f"{name}: {value}\n")
+        return
     with path.open("a", encoding="utf-8") as stream:
         for number in range(done, given.plates):
             stream.write(json.dumps(plate(number, given.seed, recipe_, expected)) + "\n")

@@ -29,6 +29,7 @@ import lzma
 import sys
 import tarfile
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -217,16 +218,32 @@ def window(pose: Pose) -> tuple[slice, slice]:
     )
 
 
-class Tracer:
-    """Mitsuba's path tracer on the mesh of one part."""
+@dataclass(frozen=True)
+class Eye:
+    """Lens and sensor that look at what is traced."""
 
-    def __init__(self, part: Part) -> None:
+    optics: OpticsPart
+    sensor: SensorPart
+
+
+EYE = Eye(OPTICS, SENSOR)
+
+
+class Tracer:
+    """Mitsuba's path tracer on a height field of rough plastic.
+
+    Args:
+        x, y: (N,) and (M,) places of the nodes in µm about the axis.
+        height: (M, N) in µm.
+        alpha, albedo: of the plastic.
+    """
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, height: np.ndarray, alpha: float, albedo: float) -> None:
         import drjit  # noqa: PLC0415 - the optional extra
         import mitsuba  # noqa: PLC0415
 
         mitsuba.set_variant(VARIANT)
         self.mi, self.dr = mitsuba, drjit
-        x, y, height = mesh(part)
         self.mean_um, self.top_um = float(height.mean()), float(height.max()) + 1.0
         rows, cols = height.shape
         points = np.stack([*np.meshgrid(x, y), height], axis=-1)
@@ -240,8 +257,8 @@ class Tracer:
         properties = mitsuba.Properties()
         properties["bsdf"] = mitsuba.load_dict(
             {
-                "type": "roughplastic", "distribution": "beckmann", "alpha": part.alpha, "int_ior": INDEX,
-                "ext_ior": 1.0, "nonlinear": True, "diffuse_reflectance": part.albedo,
+                "type": "roughplastic", "distribution": "beckmann", "alpha": alpha, "int_ior": INDEX,
+                "ext_ior": 1.0, "nonlinear": True, "diffuse_reflectance": albedo,
             }
         )  # fmt: skip
         properties["face_normals"] = True
@@ -252,10 +269,18 @@ class Tracer:
         parameters.update()
         self.shape = shape
 
-    def radiance(self, pose: Pose, part: Part, samples: int, seed: int) -> np.ndarray:
-        """(rows, cols) radiance in 1/sr of the window of a pose under unit irradiance; ``samples`` rays a pixel."""
+    def radiance(
+        self,
+        pose: Pose,
+        seating_deg: tuple[float, float],
+        samples: int,
+        seeds: tuple[int, int],
+        inside: tuple[slice, slice],
+        eye: Eye = EYE,
+    ) -> np.ndarray:
+        """(rows, cols) radiance in 1/sr of a window of the sensor under unit irradiance; ``samples`` rays a pixel."""
         mi, dr = self.mi, self.dr
-        seat = seating_rotation(*part.seating_deg)
+        seat = seating_rotation(*seating_deg)
         to_light, to_camera = (
             side[0] @ seat for side in directions((pose,), Convention(light_angle_deg=LIGHT_DEG))
         )
@@ -267,15 +292,15 @@ class Tracer:
             }
         )
         integrator = mi.load_dict({"type": "path", "max_depth": DEPTH, "rr_depth": DEPTH + 1})
-        rows, cols = window(pose)
+        rows, cols = inside
         grid = np.stack(
             np.meshgrid(np.arange(cols.start, cols.stop), np.arange(rows.start, rows.stop)), axis=-1
         )
         shape = grid.shape[:2]
         pixels = np.repeat(grid.reshape(-1, 2), samples, axis=0).astype(np.float64)
-        rng = np.random.default_rng([SEED, part.seed, 2, seed])
+        rng = np.random.default_rng([SEED, seeds[0], 2, seeds[1]])
         pixels += rng.random(pixels.shape) - 0.5
-        affine = pixel_from_mm(OPTICS, SENSOR, pose.stage_deg, pose.tilt_deg)
+        affine = pixel_from_mm(eye.optics, eye.sensor, pose.stage_deg, pose.tilt_deg)
         um = 1000.0 * (pixels - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
         # parallel rays that meet the plane of the mean height there
         lift = (self.top_um - self.mean_um) / to_camera[2]
@@ -285,7 +310,7 @@ class Tracer:
             mi.Vector3f(*(-to_camera).tolist()),
         )
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(1000 * part.seed + seed, len(um))
+        sampler.seed(1000 * seeds[0] + seeds[1], len(um))
         found = integrator.sample(scene, sampler, ray)[0]
         dr.eval(found)
         values = np.array(found).ravel().reshape(-1, samples).mean(axis=1)
@@ -294,11 +319,16 @@ class Tracer:
 
 def traced(part: Part, passes: int, samples: int) -> dict[str, np.ndarray]:
     """Radiance of every pose, ``pose0`` …, and (P,) relative standard errors of their means."""
-    tracer = Tracer(part)
+    tracer = Tracer(*mesh(part), part.alpha, part.albedo)
     found, errors = {}, []
     for number, pose in enumerate(POSES):
         runs = np.array(
-            [tracer.radiance(pose, part, samples, number * passes + one) for one in range(passes)]
+            [
+                tracer.radiance(
+                    pose, part.seating_deg, samples, (part.seed, number * passes + one), window(pose)
+                )
+                for one in range(passes)
+            ]
         )
         found[f"pose{number}"] = runs.mean(axis=0).astype(np.float32)
         means = runs.mean(axis=(1, 2))
@@ -307,53 +337,67 @@ def traced(part: Part, passes: int, samples: int) -> dict[str, np.ndarray]:
     return {**found, "error": np.array(errors)}
 
 
-def frame(radiance: np.ndarray | None, pose: Pose, rng: np.random.Generator) -> np.ndarray:
+def frame(
+    radiance: np.ndarray | None,
+    pose: Pose,
+    rng: np.random.Generator,
+    inside: tuple[slice, slice],
+    fixture: dict[str, Any] = FIXTURE,
+    eye: Eye = EYE,
+) -> np.ndarray:
     """(rows, cols) counts of one frame; without a part its dark frame."""
-    black = np.full((SENSOR.rows, SENSOR.cols), SENSOR.black_level)
+    sensor = eye.sensor
+    black = np.full((sensor.rows, sensor.cols), sensor.black_level)
     if radiance is None:
         return black.astype(np.uint16)
     cosine = float(directions((pose,), Convention(light_angle_deg=LIGHT_DEG))[0][0, 2])
-    around = image_of_fixture(Fixture.model_validate(FIXTURE), OPTICS, SENSOR, pose.stage_deg, pose.tilt_deg)
+    around = image_of_fixture(
+        Fixture.model_validate(fixture), eye.optics, sensor, pose.stage_deg, pose.tilt_deg
+    )
     electrons = around.astype(np.float64) / np.pi * cosine * ELECTRONS_PER_RADIANCE
-    inside = window(pose)
     signal = radiance * ELECTRONS_PER_RADIANCE
     electrons[inside] = signal + np.sqrt(np.maximum(signal, 0.0)) * rng.standard_normal(signal.shape)
-    counts = np.rint(black + electrons / SENSOR.gain_e_per_dn)
-    return np.clip(counts, 0, 2**SENSOR.bit_depth - 1).astype(np.uint16)
+    counts = np.rint(black + electrons / sensor.gain_e_per_dn)
+    return np.clip(counts, 0, 2**sensor.bit_depth - 1).astype(np.uint16)
+
+
+Shot = tuple[str, str, Pose, np.ndarray | None, int]
+"""Kind and file of a frame, its pose, what was traced, and whether it repeats the first pose."""
+
+
+def write_frames(
+    folder: Path,
+    shots: Sequence[Shot],
+    rng: np.random.Generator,
+    window_of: Callable[[Pose], tuple[slice, slice]],
+    fixture: dict[str, Any] = FIXTURE,
+    eye: Eye = EYE,
+) -> None:
+    """Frames and their table, ``frames.csv``."""
+    columns = "file,kind,stage_deg,tilt_deg,exposure_s,gain,bit_depth,black_level,again"
+    with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(columns.split(","))
+        for kind, name, pose, radiance, again in shots:
+            _write_png(folder / name, frame(radiance, pose, rng, window_of(pose), fixture, eye))
+            table.writerow(
+                [
+                    name, kind, f"{pose.stage_deg:g}", f"{pose.tilt_deg:g}", EXPOSURE_S, 1.0, eye.sensor.bit_depth,
+                    eye.sensor.black_level, again,
+                ]
+            )  # fmt: skip
 
 
 def write_part(part: Part, found: dict[str, np.ndarray], folder: Path) -> None:
     """The folder of a part: frames, their table, and the height map."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng([SEED, part.seed, 3])
-    shots: list[tuple[str, str, Pose, np.ndarray | None, int]] = [("dark", "dark.png", POSES[0], None, 0)]
+    shots: list[Shot] = [("dark", "dark.png", POSES[0], None, 0)]
     for number, pose in enumerate(POSES):
         name = f"{number}_{pose.stage_deg:03.0f}_{pose.tilt_deg:+03.0f}.png"
         shots.append(("sample", name, pose, found[f"pose{number}"], 0))
     shots.append(("sample", "again.png", POSES[0], found["pose0"], 1))
-    with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(
-            [
-                "file",
-                "kind",
-                "stage_deg",
-                "tilt_deg",
-                "exposure_s",
-                "gain",
-                "bit_depth",
-                "black_level",
-                "again",
-            ]
-        )
-        for kind, name, pose, radiance, again in shots:
-            _write_png(folder / name, frame(radiance, pose, rng))
-            table.writerow(
-                [
-                    name, kind, f"{pose.stage_deg:g}", f"{pose.tilt_deg:g}", EXPOSURE_S, 1.0, SENSOR.bit_depth,
-                    SENSOR.black_level, again,
-                ]
-            )  # fmt: skip
+    write_frames(folder, shots, rng, window)
     counts = np.rint(height_map(part) * 1000.0 / NM_PER_COUNT)
     _write_png(folder / "map.png", np.clip(counts + 1000.0, 0, 65535).astype(np.uint16))
 
@@ -362,32 +406,42 @@ def _write_png(path: Path, counts: np.ndarray) -> None:
     path.write_bytes(cv2.imencode(".png", counts, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
 
 
-def write_rig(folder: Path) -> None:
+def write_rig(folder: Path, fixture: dict[str, Any] = FIXTURE, eye: Eye = EYE) -> None:
     """Rig file, and the white reference of an even tile on the same camera."""
     electrons = TILE / np.pi * np.cos(np.radians(LIGHT_DEG)) * ELECTRONS_PER_RADIANCE
-    level = round(SENSOR.black_level + electrons / SENSOR.gain_e_per_dn)
+    level = round(eye.sensor.black_level + electrons / eye.sensor.gain_e_per_dn)
 
     def even(kind: str, counts: float) -> Frame:
-        image = np.full((SENSOR.rows, SENSOR.cols), counts, dtype=np.uint16)
+        image = np.full((eye.sensor.rows, eye.sensor.cols), counts, dtype=np.uint16)
         return Frame(
-            image, kind, SENSOR.bit_depth, SENSOR.black_level, EXPOSURE_S, 1.0, 0.0, 0.0, 0.0, "", "mitsuba"
+            image,
+            kind,
+            eye.sensor.bit_depth,
+            eye.sensor.black_level,
+            EXPOSURE_S,
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+            "",
+            "mitsuba",
         )  # type: ignore[arg-type]
 
     white = make_reference(
         stack(even("flat", level) for _ in range(2)),
-        stack(even("dark", SENSOR.black_level) for _ in range(2)),
+        stack(even("dark", eye.sensor.black_level) for _ in range(2)),
         reflectance=TILE,
         light_cosine=float(np.cos(np.radians(LIGHT_DEG))),
         camera="mitsuba",
-        full_scale=2**SENSOR.bit_depth - 1,
+        full_scale=2**eye.sensor.bit_depth - 1,
     )
     write_reference(folder / "white-reference.tif", white)
     rig = {
         "schema": 1,
         "name": "Mitsuba 3",
-        "camera": {"pixel_um": OPTICS.pixel_um},
+        "camera": {"pixel_um": eye.optics.pixel_um},
         "light": {"angle_deg": LIGHT_DEG},
-        "fixture": FIXTURE,
+        "fixture": fixture,
         "calibration": {"flat": "white-reference.tif"},
     }
     (folder / "rig.toml").write_text(tomli_w.dumps(rig), encoding="utf-8")

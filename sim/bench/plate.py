@@ -1,9 +1,10 @@
 """A plate of fields with ridges of several directions on the virtual rig.
 
-Every field shows ridges that the path tracer has rendered in the frame of the ridges: with their own ridge angle,
-roughness and height loss, drawn from a few states of each class, and turned to the direction of the field. Between the
-fields nothing is exchanged: no shadow and no reflection crosses a border. Where a field stands off its place the flat
-land shows. Nothing of this is shared with the prediction.
+Every field shows ridges that the path tracer has rendered in the frame of the ridges, turned to the direction of the
+field. Ten states of each class, with their own ridge angle, roughness and height loss, are rendered; a field is a
+mixture of them with their mean and covariance, to first order a state of its own. Between the fields nothing is
+exchanged: no shadow and no reflection crosses a border. Where a field stands off its place the flat land shows. Nothing
+of this is shared with the prediction.
 """
 
 from collections.abc import Callable
@@ -32,7 +33,7 @@ FieldDefect = Literal["missing", "merged", "direction", "worn", "filled"]
 RidgeAngle = Annotated[float, Field(gt=0.0, lt=45.0)]
 PIXEL_UM = 1.0
 STATES = 10
-"""States of the ridges of a class."""
+"""States of the ridges of a class that are rendered; every field is a mixture of its own about their mean."""
 PATHS = 16384
 REFLECTIONS = 5
 POSES_REMEMBERED = 4
@@ -142,7 +143,7 @@ class PlateSample:
         designs = [self._plan.design_of(letter, part.design()) for letter in self._plan.letters]
         self._states = [[self._drawn(one, rng, number) for number in range(part.states)] for one in designs]
         rows, cols = self._plan.shape
-        self._chosen = rng.integers(0, part.states, (rows, cols))
+        self._mixtures = _mixtures(rng, (rows, cols, part.states))
         self._moved_um = part.misplaced_um * rng.standard_normal((rows, cols, 2))
         self._defects = {(one.row, one.col): one.defect for one in part.defects}
         self._tiles: dict[tuple[object, ...], Image] = {}
@@ -152,7 +153,7 @@ class PlateSample:
         """Another plate of the same plastic and seat: its fields have the same states at other places."""
         found = copy(self)
         rows, cols = self._plan.shape
-        found._chosen = rng.integers(0, self._part.states, (rows, cols))  # noqa: SLF001 - of its own class
+        found._mixtures = _mixtures(rng, (rows, cols, self._part.states))  # noqa: SLF001 - of its own class
         found._moved_um = self._part.misplaced_um * rng.standard_normal((rows, cols, 2))  # noqa: SLF001
         found._defects = {(one.row, one.col): one.defect for one in defects}  # noqa: SLF001
         found.__dict__.pop("_shown", None)
@@ -238,10 +239,16 @@ class PlateSample:
         """Picture of one field, with its defect."""
         number = int(classes[row, col])
         azimuths = [self._plan.azimuths_deg[letter] for letter in self._plan.letters]
-        state = self._states[number][int(self._chosen[row, col])]
-        defect = self._defects.get((row, col))
-        design = state.design
+        defect, weights = self._defects.get((row, col)), self._mixtures[row, col]
+        design = self._states[number][int(np.argmax(weights))].design
         assert design is not None
+
+        def mixed(azimuth_deg: float) -> Image:
+            found = weights[0] * tile(self._states[number][0], azimuth_deg)
+            for weight, state in zip(weights[1:], self._states[number][1:], strict=True):
+                found += weight * tile(state, azimuth_deg)
+            return np.asarray(found, dtype=np.float32)
+
         if defect == "missing":
             return tile(_State(None, 1.0, 0), 0.0)
         if defect == "worn":
@@ -254,13 +261,13 @@ class PlateSample:
         if len(azimuths) == 1:
             other = azimuths[0] + 90.0
         if defect == "direction":
-            return tile(state, other)
+            return mixed(other)
         if defect == "merged":
-            both = tile(state, azimuths[number]).copy()
+            both = mixed(azimuths[number])
             half = both.shape[1] // 2
-            both[:, half:] = tile(state, other)[:, half:]
+            both[:, half:] = mixed(other)[:, half:]
             return both
-        return tile(state, azimuths[number])
+        return mixed(azimuths[number])
 
     def _surface(self, state: _State, azimuth_deg: float, side: int) -> HeightMap:
         """Height map of the ridges of a field in their own frame, larger than the field."""
@@ -294,6 +301,17 @@ class PlateSample:
             seed=self._seed,
         )
         return _turned(tracer.radiance(into @ to_light, into @ to_camera), azimuth_deg, side)
+
+
+def _mixtures(rng: np.random.Generator, shape: tuple[int, int, int]) -> npt.NDArray[np.float32]:
+    """(rows, cols, states) weights of the states that fields are made of: their sum is 1.
+
+    What is linear in the states, such as the ridge angle, has their mean and covariance: fields scatter normally.
+    """
+    count = shape[2]
+    drawn = rng.standard_normal(shape)
+    drawn -= drawn.mean(axis=2, keepdims=True)
+    return np.asarray(1.0 / count + drawn / np.sqrt(max(count - 1.0, 1.0)), dtype=np.float32)
 
 
 def _turned(values: FloatArray | Image, azimuth_deg: float, side: int) -> Image:

@@ -523,8 +523,9 @@ def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
     distinct = len({marker.id for marker in found})
     if distinct < MIN_MARKERS:
         raise RegistrationError(
-            f"only {distinct} of {len(known)} fixture markers are seen (at least {MIN_MARKERS} needed): "
-            "check that the light is on, the lens is clear and in focus, and the fixture is the one in the rig file"
+            f"only {distinct} of {len(known)} fixture markers are seen (at least {MIN_MARKERS} needed): check that "
+            "the light is on, nothing covers them, the lens is clear and in focus, and the fixture is the one in the "
+            "rig file"
         )
     middle = ((image.shape[1] - 1) / 2.0, (image.shape[0] - 1) / 2.0)
     agreed = agree(found, known, float(np.cos(np.radians(tilt_deg))), middle)

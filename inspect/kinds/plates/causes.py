@@ -93,7 +93,9 @@ def explain_plate(
         decided: the verdict.
     """
     fields = field_causes(decided.details.fields)
-    off = any(one.verdict != "PASS" for one in decided.details.contrasts)
+    of_classes = [one.verdict for one in decided.details.contrasts]
+    failed = any(one.verdict == "FAIL" for one in decided.details.fields)
+    off = "FAIL" in of_classes or ("INCONCLUSIVE" in of_classes and not failed)
     whole = None
     if off or decided.p_value < recipe.decision.alpha / TESTS:
         whole = _of_plate(recipe, expected, measured, decided)
@@ -103,22 +105,11 @@ def explain_plate(
         return DiagnosisRecord(says=_listed(fields), causes=_ranked(fields))
     if not fields:
         return whole
-    best = whole.causes[0]
-    both = CauseRecord(
-        cause=f"{fields[0].cause}+{best.cause}",
-        title=f"{fields[0].title} and {best.title}",
-        unit="",
-        severity=0.0,
-        u=None,
-        weight=best.weight,
-        chi2=best.chi2,
-        at_bound=False,
-        tie=True,
-        components=(fields[0], best.components[0] if best.components else _component(best)),
-    )
+    best, *others = whole.causes
+    other = best.components[0] if best.components else _component(best)
     return DiagnosisRecord(
         says=f"{_listed(fields)}; {whole.says}",
-        causes=(both, *whole.causes),
+        causes=(_together(fields[0], other, best.weight), *others),
         unexplained_p=whole.unexplained_p,
         tells=whole.tells,
     )
@@ -132,16 +123,17 @@ def field_causes(fields: tuple[FieldRecord, ...]) -> tuple[ComponentRecord, ...]
     return tuple(
         ComponentRecord(
             cause=name,
-            title=_TITLES[name],
+            title=FIELD_TITLES[name],
             unit="",
             severity=float(names.count(name)),
-            u=None,
+            u=0.0,
+            interval=(float(names.count(name)),) * 2,
         )
         for name in counted
     )
 
 
-_TITLES = {
+FIELD_TITLES = {
     "fields-missing": "fields without ridges",
     "fields-merged": "fields that run into each other",
     "fields-wrong-direction": "fields with ridges of another direction",
@@ -152,13 +144,13 @@ _TITLES = {
 
 
 def _listed(fields: tuple[ComponentRecord, ...]) -> str:
-    return ", ".join(f"{one.severity:.0f} {one.title}" for one in fields)
+    return ", ".join(f"{one.title}: {one.severity:.0f}" for one in fields)
 
 
 def _ranked(fields: tuple[ComponentRecord, ...]) -> tuple[CauseRecord, ...]:
     """Causes for the record; each explains its own fields, so that none excludes another."""
     total = sum(one.severity for one in fields)
-    return tuple(
+    found = tuple(
         CauseRecord(
             **one.model_dump(),
             weight=one.severity / total,
@@ -167,6 +159,23 @@ def _ranked(fields: tuple[ComponentRecord, ...]) -> tuple[CauseRecord, ...]:
             tie=number == 0,
         )
         for number, one in enumerate(fields)
+    )
+    return found if len(found) == 1 else (_together(fields[0], fields[1], 1.0), *found[2:])
+
+
+def _together(one: ComponentRecord, other: ComponentRecord, weight: float) -> CauseRecord:
+    """Two causes that both act."""
+    return CauseRecord(
+        cause=f"{one.cause}+{other.cause}",
+        title=f"{one.title} and {other.title}",
+        unit="",
+        severity=0.0,
+        u=None,
+        weight=weight,
+        chi2=0.0,
+        at_bound=False,
+        tie=True,
+        components=(one, other),
     )
 
 

@@ -51,11 +51,6 @@ class Lying:
     classes: npt.NDArray[np.int64]
     ln: FloatArray
 
-    @property
-    def turned_text(self) -> str:
-        """How it is turned, after a noun."""
-        return f" turned by {90 * self.quarters}°" if self.quarters else ""
-
 
 @dataclass(frozen=True, eq=False)
 class ExpectedPlate:

@@ -21,11 +21,12 @@ TESTS = 2
 """Tests that share the level of the recipe: classes, and fields."""
 NEAR = 0.5
 """Distance from the change of a defect, in shares of the deviation, up to which a field looks like it."""
-LEAST_EXTENT, MOST_EXTENT = 0.4, 1.6
-"""Range of the extent of a defect, relative to the one that is predicted."""
-DOUBT = 0.2
+EXTENTS = {"worn": (0.4, 1.6), "filled": (0.4, 1.1), "merged": (0.4, 1.1)}
+"""Ranges of the extents of defects, relative to the predicted ones; others are of one extent."""
+DOUBT = 0.1
 """Relative uncertainty of the predicted change of ln L by a defect."""
 LISTED = 3
+UNLIKE = "unlike any known defect"
 
 
 def banded(size: float, tolerance: float, guard: float) -> Verdict:
@@ -150,10 +151,11 @@ def looks_like(off: FloatArray, defects: dict[str, FloatArray], scatter: Scatter
     """
     known = np.isfinite(off)
     own = 1e-4 * np.eye(off.size) if scatter is None else scatter.covariance
-    apart, extents = dict[str, float](), np.linspace(LEAST_EXTENT, MOST_EXTENT, 25)
+    apart = dict[str, float]()
     for name, change in defects.items():
         doubted = (own + np.diag((DOUBT * change) ** 2))[np.ix_(known, known)]
         inverse = np.linalg.inv(doubted)
+        extents = np.linspace(*EXTENTS.get(name, (1.0, 1.0)), 25)
         left = off[known] - extents[:, None] * change[known]
         left = np.vstack([left, off[known]])
         size = np.einsum("np,pq,nq->n", left, inverse, left)
@@ -183,4 +185,5 @@ def places_text(fields: list[FieldRecord]) -> str:
 
 
 def _field_text(one: FieldRecord) -> str:
-    return f"row {one.row + 1}, column {one.col + 1} ({one.looks_like or 'unlike any known defect'})"
+    looks = one.looks_like or UNLIKE
+    return f"row {one.row + 1}, column {one.col + 1} ({looks})"

@@ -31,7 +31,6 @@ from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
 
 PLAN = "plan"
-FIELD_FINDINGS = tuple(one.more.partition("{size}")[0] for one in FIELD_WORDS.values())
 RULE = (
     "FAIL where a contrast between classes or poses is out of its tolerance by more than the guard band, where more "
     "fields deviate from their class than the recipe allows, or where the code is not read"
@@ -178,11 +177,13 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
     def conclude(self, record: Record) -> ConclusionRecord:
         """The verdict in plain words, with the places of the fields that fail."""
         found, details = super().conclude(record), record.details
-        if not isinstance(details, PlateDetails) or not found.finding.startswith(FIELD_FINDINGS):
+        causes = () if record.diagnosis is None else record.diagnosis.causes[:1]
+        names = [one.cause for cause in causes for one in (cause.components or (cause,))]
+        fields = [one for one in getattr(details, "fields", ()) if one.verdict == "FAIL"]
+        if record.verdict != "FAIL" or not fields or not names or not set(names) <= FIELD_WORDS.keys():
             return found
-        dead = [one for one in details.fields if one.verdict == "FAIL"]
-        first, mark, rest = found.finding.removesuffix(".").partition(". ")
-        return found.model_copy(update={"finding": f"{first} ({places_text(dead)}){mark}{rest}."})
+        places = places_text(fields)
+        return found.model_copy(update={"finding": f"{found.finding} The fields are at {places}."})
 
     def nominal(self, record: Record) -> Mapping[str, float]:
         """The ridge angle of the design."""
@@ -259,10 +260,11 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         if dead and (worst.tolerance is None or abs(worst.measured - worst.predicted) < worst.tolerance):
             return fields_text(dead)
         if found.code is not None and found.code.unread and worst.verdict != "FAIL":
-            return f"The code is not read as {found.code.text!r}"
+            text = repr(found.code.text)
+            return f"The code is not read as {text}"
         off, spread = worst.measured - worst.predicted, 2.0 * worst.u
         if worst.tolerance is None:
-            return f"Largest deviation: {worst.name} is off by {off:+.3f} ± {spread:.2f}"
+            return f"Largest deviation: {worst.name} is off by {off:+.3f} ± {spread:.2f} (no tolerance set)"
         return f"Largest deviation: {worst.name} is off by {off:+.3f} ± {spread:.2f} (tolerance ±{worst.tolerance:g})"
 
     def pictures(
@@ -340,7 +342,8 @@ def code_lines(found: PlateDetails) -> tuple[str, ...]:
     code, lines = found.code, []
     if code is not None:
         read = ", ".join("not read" if one is None else repr(one) for one in code.readings)
-        lines.append(f"{code.symbology} at the poses in turn: {read}")
+        kind = code.symbology
+        lines.append(f"{kind} at the poses in turn: {read}")
         lines += grade_lines(code)
     if found.powers:
         powers = ", ".join(f"{one.defect} {one.power:.0%}" for one in found.powers)
@@ -356,17 +359,18 @@ def grade_rows(code: CodeRecord) -> list[tuple[str, list[GradeRecord]]]:
 
 def grade_lines(code: CodeRecord) -> list[str]:
     """Overall grade of every pose, and the parameters that bound it."""
-    lines = []
+    lines = list[str]()
     for stage in dict.fromkeys(one.stage_deg for one in code.grades):
         parts = {one.parameter: one for one in code.grades if one.stage_deg == stage}
         if OVERALL not in parts:  # a record of an earlier version
             continue
         whole = parts.pop(OVERALL)
-        weak = [f"{one.parameter} {one.measured:.2f}" for one in parts.values() if one.measured_grade < 4]
-        by = f"; below 4: {', '.join(weak)}" if weak else ""
-        lines.append(
-            f"at {stage:g}°: overall grade {whole.measured_grade} (predicted {whole.predicted_grade}){by}"
-        )
+        grade, due = whole.measured_grade, whole.predicted_grade
+        weak = ", ".join(one.parameter for one in parts.values() if one.measured_grade < 4)
+        if weak:
+            lines.append(f"at {stage:g}°: overall grade {grade}, predicted {due}, bounded by {weak}")
+        else:
+            lines.append(f"at {stage:g}°: overall grade {grade}, predicted {due}")
     return lines
 
 

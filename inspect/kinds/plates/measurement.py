@@ -35,6 +35,8 @@ UNLIKE_SHARE = 0.35
 LEAST_SCATTER = 0.05
 """Scatter of ln L over the fields of a plan below which there is nothing to correlate with."""
 MOST_MISSING = 0.02
+APERTURES = 0.35, 0.5, 0.7
+"""Sides of the squares over which pictures are averaged before they are read, in fields; the first reading counts."""
 MOST_SHIFT, MOST_TURN_DEG = 0.25, 2.0
 """Shift in fields, and turn against the fixture, beyond which a plate does not lie in its seat."""
 
@@ -197,13 +199,14 @@ def check_plan(radiance: FloatArray, expected: ExpectedPlate) -> float:
     best = min(others, key=lambda one: _distance(seen, one), default=right)
     closest = _distance(seen, best)
     if closest < min(distance - CLOSER, FITS) and _alike(seen, best) >= ALIKE:
+        turned = 90 * best.quarters
         if best.mirrored:
             raise MeasurementError(
-                f"the fields are those of the plan mirrored{best.turned_text} (mean distance of ln L "
+                f"the fields are those of the plan mirrored and turned by {turned}° (mean distance of ln L "
                 f"{closest:.2f}, as planned {distance:.2f}): the plan is mirrored, or is that of the mould"
             )
         raise MeasurementError(
-            f"the plate lies{best.turned_text} (mean distance of ln L {closest:.2f}, as it should lie "
+            f"the plate lies turned by {turned}° (mean distance of ln L {closest:.2f}, as it should lie "
             f"{distance:.2f}): seat it as the recipe says"
         )
     if alike >= ALIKE:
@@ -256,6 +259,10 @@ def read_code(picture: Image, recipe: PlateRecipe, points: int) -> str | None:
     if recipe.code is None:
         return None
     known = np.nan_to_num(picture, nan=float(np.nanmedian(picture)))
-    # ridges are finer than modules: what is read is the mean over a good part of a module
-    grey = np.asarray(cv2.blur(known, (max(1, points // 3),) * 2), dtype=np.float32)
-    return read_picture(grey, recipe.code.symbology)
+    # ridges are finer than modules: what is read are means over a good part of a module, as with larger apertures
+    for share in APERTURES:
+        grey = np.asarray(cv2.blur(known, (max(1, round(share * points)),) * 2), dtype=np.float32)
+        found = read_picture(grey, recipe.code.symbology)
+        if found is not None:
+            return found
+    return None
