@@ -250,12 +250,19 @@ class Reciprocity:
         rms_share: rms difference of the two values of a pair, as a share of their mean; None without pairs.
         worst_share: largest of them.
         worst_lines: the two lines of that pair.
+        p_value: probability of such differences or larger ones by the stated uncertainties alone; None without them.
+        negative: number of rows with a negative value.
+        negative_p_value: probability of such values or lower ones by the stated uncertainties alone, of surfaces that
+            reflect nothing there; None without them, or without negative rows.
     """
 
     pairs: int
     rms_share: float | None
     worst_share: float | None
     worst_lines: tuple[int, int] | None
+    p_value: float | None = None
+    negative: int = 0
+    negative_p_value: float | None = None
 
 
 def unit_vectors(theta_deg: FloatArray, phi_deg: FloatArray) -> FloatArray:
@@ -326,7 +333,9 @@ def reciprocity(table: BrdfTable) -> Reciprocity:
     backward = np.hstack([table.to_camera, table.to_light])
     keys = {tuple(np.round(row / _SAME).astype(int).tolist()): number for number, row in enumerate(forward)}
     value = table.readings.value
+    u = np.sqrt(np.diag(table.readings.covariance)) if table.readings.noise_known else None
     found: list[tuple[float, tuple[int, int]]] = []
+    z = []
     for number, row in enumerate(backward):
         other = keys.get(tuple(np.round(row / _SAME).astype(int).tolist()))
         if other is None or other <= number:
@@ -334,8 +343,19 @@ def reciprocity(table: BrdfTable) -> Reciprocity:
         mean = 0.5 * (value[number] + value[other])
         share = float((value[number] - value[other]) / mean) if mean else 0.0
         found.append((share, (table.lines[number], table.lines[other])))
+        if u is not None:
+            z.append(float((value[number] - value[other]) / np.hypot(u[number], u[other])))
+    below = value < 0.0
+    low = None if u is None else _p_value(value[below] / u[below])
     if not found:
-        return Reciprocity(0, None, None, None)
+        return Reciprocity(0, None, None, None, None, int(below.sum()), low)
     worst, lines = max(found, key=lambda pair: abs(pair[0]))
     rms = float(np.sqrt(np.mean([share**2 for share, _ in found])))
-    return Reciprocity(len(found), rms, abs(worst), lines)
+    return Reciprocity(len(found), rms, abs(worst), lines, _p_value(np.array(z)), int(below.sum()), low)
+
+
+def _p_value(z: FloatArray) -> float | None:
+    """Probability of a sum of squares as large as that of standard normal deviates; None of none."""
+    from scipy.stats import chi2  # noqa: PLC0415 - slow to import
+
+    return float(chi2.sf(float(np.sum(z**2)), z.size)) if z.size else None

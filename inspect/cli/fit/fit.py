@@ -68,12 +68,19 @@ def _brdf_as_json(table: "BrdfTable", pairs: "Reciprocity") -> dict[str, Any]:
 
 
 def _reciprocity_words(pairs: "Reciprocity") -> str:
+    negative = ""
+    if pairs.negative:
+        by_noise = (
+            "" if pairs.negative_p_value is None else f" (by noise alone p = {pairs.negative_p_value:.2g})"
+        )
+        negative = f" {pairs.negative} rows are negative{by_noise}."
     if not pairs.pairs or pairs.rms_share is None or pairs.worst_share is None or pairs.worst_lines is None:
-        return "Reciprocity: no row is measured in both directions."
+        return f"Reciprocity: no row is measured in both directions.{negative}"
     one, other = pairs.worst_lines
+    by_noise = "" if pairs.p_value is None else f"; by noise alone p = {pairs.p_value:.2g}"
     return (
         f"Reciprocity: {pairs.pairs} rows measured in both directions differ by {100 * pairs.rms_share:.2g} % rms, at "
-        f"most {100 * pairs.worst_share:.2g} % (lines {one} and {other})."
+        f"most {100 * pairs.worst_share:.2g} % (lines {one} and {other}){by_noise}.{negative}"
     )
 
 

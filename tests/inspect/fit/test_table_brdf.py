@@ -106,6 +106,17 @@ def test_reciprocity_of_the_table_and_of_the_model(table, rng):
     assert reciprocity(read_brdf(table(np.column_stack([angles, value[:12]])))).pairs == 0
 
 
+def test_what_noise_explains_of_a_table_that_is_not_physical(table):
+    """One pair 3σ/√2 apart: χ² = 4.5 of one degree of freedom; one value 2 u below 0."""
+    rows = [[10, 0, 20, 180, 0.5, 0.1], [20, 180, 10, 0, 0.2, 0.1], [40, 0, 50, 90, -0.2, 0.1]]
+    found = reciprocity(read_brdf(table(rows, HEADER + ",u")))
+    assert (found.pairs, found.negative) == (1, 1)
+    assert found.p_value == pytest.approx(0.033895, rel=1e-4)
+    assert found.negative_p_value == pytest.approx(0.045500, rel=1e-4)
+    without = reciprocity(read_brdf(table([row[:5] for row in rows])))
+    assert (without.p_value, without.negative, without.negative_p_value) == (None, 1, None)
+
+
 def test_one_wavelength_at_a_time(table):
     header = HEADER + ",wavelength_nm,u"
     rows = [[0, 0, 10, 0, 0.5, 450, 0.1], [0, 0, 20, 0, 0.4, 550, 0.1], [0, 0, 30, 0, 0.3, 450, 0.2]]
