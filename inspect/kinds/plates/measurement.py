@@ -21,7 +21,7 @@ Image = npt.NDArray[np.float32]
 
 LEAST_PIXELS = 8
 """Camera pixels along the side of a field."""
-ALIKE = 0.5
+ALIKE = 0.8
 """Correlation with the plan below which a plate is another one."""
 CLOSER = 0.1
 """By how much ln L of another position of the plate must fit better, on average over the fields."""
