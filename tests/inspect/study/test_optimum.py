@@ -95,7 +95,10 @@ def test_robust_search_repeats_and_does_not_depend_on_who_computes():
     bounds = {"ridge_angle": (3.0, 12.0)}
     one, two = (optimum(Part(), bounds, scoring, workers) for workers in (Workers(), Workers(2)))
     assert one.part == two.part
-    assert one.slices == two.slices
+    # the albedo of a lobe comes from arrays or from the compiled kernel: equal to 1e-11
+    for mine, other in zip(one.slices, two.slices, strict=True):
+        assert (mine.name, mine.values) == (other.name, other.values)
+        assert mine.scores == pytest.approx(other.scores, rel=1e-9)
     assert one.slices[0].sampling_sd > 0.0
     assert one.scored.score < one.nominal.score
 
