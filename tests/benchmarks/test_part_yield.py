@@ -22,6 +22,8 @@ RECIPE = RidgeRecipe.model_validate(
         "decision": {"tolerance": 0.6},
     }
 )
+TRIM = "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_"
+"""At Dask's 64 kB every block of our arrays faults its pages in again, in all processes started after the cluster."""
 SEED = itertools.count(1)
 """Every call draws other parts: predictions of the same ones are remembered."""
 
@@ -42,8 +44,9 @@ def test_parts_through_prediction_measurement_and_verdict(bench):
 
 def test_one_process_two_and_a_cluster(bench):
     distributed = pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
+    dask = pytest.importorskip("dask", reason="comes with the extra [cluster]")
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
-    with distributed.LocalCluster(**options) as cluster:
+    with dask.config.set({TRIM: 2**28}), distributed.LocalCluster(**options) as cluster:
         ways = {
             "one process": Workers(1),
             "two processes": Workers(2),

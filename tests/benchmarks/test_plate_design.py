@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -11,6 +12,13 @@ import skimage.data
 
 pytestmark = pytest.mark.benchmark
 FIELDS, LONGEST_S, MOST_KB = 256, 60.0, 2e6
+# The memory that wait4 reports of a process begins with that of the process which started it.
+TELLING = """
+import atexit, pathlib, sys
+from anisoscope.__main__ import main
+atexit.register(lambda: sys.stderr.write(pathlib.Path("/proc/self/status").read_text()))
+main()
+"""
 
 
 def test_a_plate_of_256_fields_a_side(bench, tmp_path):
@@ -20,32 +28,24 @@ def test_a_plate_of_256_fields_a_side(bench, tmp_path):
     }
     for name, one in pictures.items():
         cv2.imwrite(str(tmp_path / name), one)
-    command = [
-        sys.executable,
-        "-Im",
-        "anisoscope",
-        "design",
-        "plate",
-        *pictures,
-        "--field-count",
-        str(FIELDS),
-    ]
+    command = [sys.executable, "-Ic", TELLING, "design", "plate", *pictures, "--field-count", str(FIELDS)]
     command += ["--stl", "--path", "--out", "plate", "--overwrite", "--json"]
 
     def designed():
-        with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
-            content = json.loads(process.stdout.read())
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        with subprocess.Popen(command, cwd=tmp_path, **pipes) as process:
+            content, said = json.loads(process.stdout.read()), process.stderr.read()
             _, status, used = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
-        assert process.returncode == 0
-        return content, used
+        assert process.returncode == 0, said
+        return content, used, int(re.search(r"VmHWM:\s*(\d+) kB", said)[1])
 
     found = bench.compare(
         f"{FIELDS} × {FIELDS} fields, two pictures", {"design plate": designed}, 1, warm=False
     )
-    content, used = found["design plate"].result
-    bench.note(f"{1e-6 * used.ru_maxrss:.2f} GB at most; SSIM {min(content['ssim']):.3f} and more")
+    content, used, peak_kb = found["design plate"].result
+    bench.note(f"{1e-6 * peak_kb:.2f} GB at most; SSIM {min(content['ssim']):.3f} and more")
     assert content["fields"] == [FIELDS, FIELDS]
     assert min(content["ssim"]) > 0.8
     assert used.ru_utime + used.ru_stime < LONGEST_S
-    assert used.ru_maxrss < MOST_KB
+    assert peak_kb < MOST_KB
