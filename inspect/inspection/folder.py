@@ -14,6 +14,7 @@ from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 from anisoscope.rig.acquisition.writer import FRAMES
 
 JOB = "job.json"
+SCAN = "scan.json"  # of a reflectance scan, which is no inspection
 INPUTS = "inputs"
 LONGEST_NAME = 160
 

@@ -24,16 +24,17 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.bsdf.directions_table import COLUMNS, DirectionsTable, polar_degrees
 from anisoscope.fit.table import read_readings
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.inspection.folder import sweep, working_in
+from anisoscope.inspection.folder import SCAN, sweep, working_in
 from anisoscope.inspection.frames import check_frames, missing_frames
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import Manifest, begin, reopen
 from anisoscope.inspection.material_calibration import Setup, measure_scan, photograph, setup_of
 from anisoscope.record.schema import Particulars
-from anisoscope.rig.acquisition.journal import read_journal
+from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
+from anisoscope.rig.rigfile import check_arm
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
 
-SETTINGS, TABLE, READINGS, BUDGET = "scan.json", "brdf.csv", "readings.csv", "budget.json"
+TABLE, READINGS, BUDGET = "brdf.csv", "readings.csv", "budget.json"
 BRACKETS = (4.0, 16.0)
 """Exposures that a recipe without brackets gets: a lobe spans more than one frame."""
 _FINE_STAGE, _FINE_TILT = 2.5, 0.5
@@ -188,7 +189,7 @@ def begin_scan(
     with working_in(folder), _resumable(folder):
         plan = job.plan()
         here = rig_path.resolve().parent
-        write_text(folder / SETTINGS, settings.model_dump_json(by_alias=True, indent=2) + "\n")
+        write_text(folder / SCAN, settings.model_dump_json(by_alias=True, indent=2) + "\n")
         manifest = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
         photograph(job, manifest, folder, on_progress)
         return _measured(folder, job, setup, manifest, on_progress)
@@ -216,6 +217,7 @@ def planned_scan(
     material = recipe.material.material()
     alpha = float(np.sqrt(material.alpha_along * material.alpha_across))
     angles, all_tilts = planned_poses(convention, angle, alpha, tilt_deg=tilt_deg, stages=stages, tilts=tilts)
+    check_arm(job.rig, all_tilts)
     acquisition = recipe.acquisition
     return job, ScanSettings(
         specimen=specimen,
@@ -234,11 +236,11 @@ def resume_scan(folder: Path, on_progress: Advance = silent) -> ScanResult:
         RigError, CalibrationError, MeasurementError: as for `begin_scan`.
     """
     try:
-        settings = ScanSettings.model_validate_json((folder / SETTINGS).read_bytes())
+        settings = ScanSettings.model_validate_json((folder / SCAN).read_bytes())
     except OSError as problem:
         raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
     except ValidationError as problem:
-        raise RecordError(f"{folder / SETTINGS} is damaged: {problem.errors()[0]['msg']}") from problem
+        raise RecordError(f"{folder / SCAN} is damaged: {problem.errors()[0]['msg']}") from problem
     with working_in(folder), _resumable(folder):
         manifest, job = reopen(folder)
         check_frames(folder)
@@ -254,7 +256,7 @@ def _resumable(folder: Path) -> Iterator[None]:
     try:
         yield
     except (AnisoscopeError, KeyboardInterrupt) as error:
-        if (folder / SETTINGS).exists():
+        if (folder / JOURNAL).exists():
             error.add_note(f"`anisoscope rig scan --continue {folder}` goes on from here")
         raise
 

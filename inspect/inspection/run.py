@@ -15,7 +15,7 @@ from anisoscope.base.errors import CalibrationError, RecordError, RigError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.linearisation import check_size
-from anisoscope.inspection.folder import add_resume_hint, new_folder, sweep, working_in
+from anisoscope.inspection.folder import SCAN, add_resume_hint, new_folder, sweep, working_in
 from anisoscope.inspection.frames import check_frames, missing_frames, read_frames
 from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
@@ -237,6 +237,8 @@ def resume_part(
         RigError, CalibrationError: as for `inspect_part`.
     """
     folder = folder.resolve()
+    if (folder / SCAN).exists():
+        raise RecordError(f"{folder} holds a scan: `anisoscope rig scan --continue {folder}` goes on with it")
     if (folder / RECORD_NAME).exists():
         raise RecordError(
             f"{folder}: this inspection is finished; there is nothing to resume{_report_hint(folder)}"

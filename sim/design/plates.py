@@ -31,6 +31,8 @@ from anisoscope.sim.light.material import Material
 Symbology = Literal["datamatrix", "qr"]
 QUIET = {"datamatrix": 1, "qr": 4}
 """Width of the quiet zone in modules."""
+SHOWN = 40
+"""Characters of a text that a message repeats."""
 FORMATS = {"datamatrix": "DataMatrix", "qr": "QRCode"}
 
 
@@ -52,7 +54,8 @@ def modules_of_code(text: str, symbology: Symbology, quiet: int | None = None) -
         barcode = library.create_barcode(text, getattr(library.BarcodeFormat, FORMATS[symbology]))
         dark = np.asarray(barcode.to_image(scale=1)) < 128
     except (ValueError, RuntimeError) as problem:
-        raise UsageError(f"{text!r} cannot be written as {symbology}: {problem}") from problem
+        shown = repr(text) if len(text) <= SHOWN else f"{text[:SHOWN]!r} … ({len(text)} characters)"
+        raise UsageError(f"{shown} cannot be written as {symbology}: {problem}") from problem
     rows, cols = np.nonzero(dark)
     symbol = dark[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
     return np.pad(symbol, QUIET[symbology] if quiet is None else quiet)

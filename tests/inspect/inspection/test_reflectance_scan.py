@@ -2,9 +2,11 @@
 
 import json
 import shutil
+import tomllib
 
 import numpy as np
 import pytest
+import tomli_w
 
 from anisoscope.base.errors import UsageError
 from anisoscope.calibration.pictures import take_flat
@@ -115,6 +117,35 @@ def test_a_scan_goes_on_where_it_was_interrupted(scanned, anisoscope, tmp_path):
     assert sorted(path.name for path in (folder / "frames").iterdir()) == frames
     (folder / "scan.json").write_text("{}")
     assert anisoscope("rig", "scan", "--continue", folder).code == 74
+
+
+def test_frames_that_a_scan_lacks_are_taken(scanned, anisoscope, tmp_path):
+    out, _ = scanned
+    folder = tmp_path / "scan"
+    shutil.copytree(out, folder)
+    for name in ("brdf.csv", "readings.csv", "budget.json"):
+        (folder / name).unlink()
+    journal = folder / "frames.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(lines[: len(lines) // 2]))
+    refused = anisoscope("resume", folder)
+    assert (refused.code, "rig scan --continue" in refused.err) == (74, True)
+    done = anisoscope("rig", "scan", "--continue", folder)
+    assert done.code == 0, done.err
+    found, before = (read_brdf(place / "brdf.csv").readings.value for place in (folder, out))
+    np.testing.assert_allclose(found, before, rtol=0.02)
+
+
+def test_a_rig_without_a_tilt_is_refused_before_a_folder_is_made(coupon_rig, anisoscope, tmp_path):
+    text = coupon_rig.rig.read_text(encoding="utf-8")
+    fixed = coupon_rig.rig.with_name("fixed.toml")
+    table = tomllib.loads(text)
+    del table["tilt"]
+    fixed.write_text(tomli_w.dumps(table), encoding="utf-8")
+    arguments = ("--coupon", "-g", fixed, "-r", coupon_rig.recipe, "--out", tmp_path / "scan", *FEW)
+    done = anisoscope("rig", "scan", *arguments)
+    assert (done.code, "is fixed at 0°" in done.err, "--continue" in done.err) == (69, True, False)
+    assert not (tmp_path / "scan").exists()
 
 
 def test_poses_are_dense_where_the_coupon_mirrors():
