@@ -74,19 +74,19 @@ def ready_template(template: str, filters: Filters | None = None) -> "jinja2.Tem
     return environment.get_template(template)
 
 
-def scripted(script: str, data: Mapping[str, Any]) -> dict[str, Any]:
+def scripted(data: Mapping[str, Any], *scripts: str) -> dict[str, Any]:
     """What a template with a script needs: ``data`` as JSON, ``script``, and its ``script_hash`` for the policy.
 
     Args:
-        script: name of a script of this package.
         data: finite numbers, texts, and lists and tables of them.
+        scripts: names of scripts of this package, which become one.
     """
     from markupsafe import Markup
 
     text = json.dumps(data, allow_nan=False)
     for sign in "<>&":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
-    source = template_text(script)
+    source = "\n".join(map(template_text, scripts))
     return {
         "data": Markup(text),  # noqa: S704 - no character of it can end the element
         "script": Markup(source),  # noqa: S704 - a file of this package

@@ -64,7 +64,7 @@ def write_plate_page(
             ("black and white", f"{ends[0]:.4g} and {ends[1]:.4g} 1/sr"),
             ("model", "direct light, rays, light and eye far away; rims of the fields are dark"),
         ),
-        **scripted("plate.js", _data(plan, design, material, light_angle_deg, stages_deg, ends)),
+        **scripted(_data(plan, design, material, light_angle_deg, stages_deg, ends), "webgl.js", "plate.js"),
     }  # fmt: skip
     write_page(path, "plate.html", content)
 

@@ -129,7 +129,7 @@ def write_proof_page(proof: Proof, path: Path) -> None:
         "illuminants": [(k, one.illuminant.name) for k, one in enumerate(proof.lights)],
         "models": models,
         "roughness": [(key, label) for key, label, _ in proof.roughness],
-        **scripted("proof.js", _data(proof)),
+        **scripted(_data(proof), "webgl.js", "proof.js"),
     }
     write_page(path, "proof.html", content)
 

@@ -1,19 +1,13 @@
-"use strict";
 (() => {
-const DATA = JSON.parse(document.getElementById("data").textContent);
-const $ = id => document.getElementById(id);
-const rad = degrees => degrees * Math.PI / 180;
-const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const FIELDS = new Uint16Array(bytes(DATA.fields).buffer);
 const TRANSMITTANCE = new Float64Array(bytes(DATA.transmittance).buffer);
 const FLAT = 0xffff;
 
 // The reflectance of a class: rough plastic on every facet of its outline, with the visible shares of the profile.
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-function erfc(x) { // of x >= 0, within 1.2e-7 of its value (Numerical Recipes, Chebyshev)
-  const t = 1 / (1 + 0.5 * x);
-  const c = [-1.26551223, 1.00002368, 0.37409196, 0.09678418, -0.18628806, 0.27886807, -1.13520398, 1.48851587, -0.82215223, 0.17087277];
-  return t * Math.exp(-x * x + c.reduceRight((sum, one) => one + t * sum, 0));
+function erfc(x) { // of x >= 0, within 1.5e-7 (Abramowitz and Stegun, 7.1.26)
+  const t = 1 / (1 + 0.3275911 * x);
+  return Math.exp(-x * x) * t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))));
 }
 function lambda(alphaTan) {
   const a = 1 / Math.max(alphaTan, 1e-9);
@@ -126,17 +120,7 @@ void main() {
   if (mode == 1) value = value <= 0.0031308 ? 12.92 * value : 1.055 * pow(value, 1.0 / 2.4) - 0.055;
   pixel = vec4(mix(ground, vec3(value), sum.a), 1.0);
 }`;
-const program = gl.createProgram();
-for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-  const shader = gl.createShader(kind);
-  gl.shaderSource(shader, text);
-  gl.compileShader(shader);
-  if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-  gl.attachShader(program, shader);
-}
-gl.linkProgram(program);
-if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
-const place = {}, u = name => place[name] ??= gl.getUniformLocation(program, name);
+const {made: program, at: u} = linked(gl, VERTEX, FRAGMENT);
 function texture(unit) {
   gl.activeTexture(gl.TEXTURE0 + unit);
   gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());

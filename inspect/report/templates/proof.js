@@ -1,10 +1,4 @@
-"use strict";
 (() => {
-const DATA = JSON.parse(document.getElementById("data").textContent);
-const $ = id => document.getElementById(id);
-const rad = degrees => degrees * Math.PI / 180;
-
-const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const floats = text => new Float32Array(bytes(text).buffer);
 
 const SHARED = `#version 300 es
@@ -158,21 +152,6 @@ if (!gl) {
 }
 document.body.dataset.webgl = "there";
 
-function program(vertex, fragment) {
-  const made = gl.createProgram();
-  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-    gl.attachShader(made, shader);
-  }
-  gl.linkProgram(made);
-  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
-  const places = {};
-  return {made, at: name => places[name] ??= gl.getUniformLocation(made, name)};
-}
-
 function texture(unit) {
   const made = gl.createTexture();
   gl.activeTexture(gl.TEXTURE0 + unit);
@@ -209,10 +188,10 @@ const table = floats(DATA.tables), wide = new Float32Array(rows * 256 * 4);
 for (let i = 0; i < rows * 256; i++) wide.set(table.subarray(3 * i, 3 * i + 3), 4 * i);
 gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 256, rows, 0, gl.RGBA, gl.FLOAT, wide);
 
-const shapes = program(FULL, SHAPES), empty = gl.createVertexArray();
+const shapes = linked(gl, FULL, SHAPES), empty = gl.createVertexArray();
 let mesh = null, mesh_array = null, mesh_count = 0;
 if (DATA.mesh) {
-  mesh = program(CORNERS, MESH);
+  mesh = linked(gl, CORNERS, MESH);
   mesh_array = gl.createVertexArray();
   gl.bindVertexArray(mesh_array);
   gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
