@@ -347,7 +347,7 @@ def test_the_short_route_measures_what_the_bench_and_inspect_measure(virtual_rig
     }
     told = recipe_of("standard", size).material
     material = {"alpha_along": told.alpha_along, "alpha_across": told.alpha_across}
-    rig = virtual_rig(recipe={"material": material, "decision": {"tolerance": 5.0}}, bench={"sample": sample})
+    rig = virtual_rig(recipe={"material": material, "decision": {"tolerance": 2.0}}, bench={"sample": sample})
     inspected = rig.inspect(methods=undiagnosed)
     assert inspected.record.verdict != "INVALID", inspected.record.reasons
     full = np.log([pose.measured for pose in inspected.record.poses])
