@@ -42,19 +42,19 @@ class RotaryAxis:
         self._top_deg_s = velocity_deg_s
         self._stalled = False
 
-    def start_move(self, target_deg: float, speed_factor: float = 1.0) -> None:
-        """Start from wherever the motor is, toward a target angle, at a share of the top speed."""
+    def start_move(self, target_deg: float, speed_factor: float = 1.0, now: float | None = None) -> None:
+        """Start from wherever the motor is at a time of the clock (by default: now), at a share of the top speed."""
         with self._lock:
-            self.stop()
+            self.stop(now)
             end_deg = self._obstacle_before(target_deg)
             self._stalled = end_deg is not None
             self._to_deg = target_deg if end_deg is None else end_deg
             self._top_deg_s = self.velocity_deg_s * speed_factor
 
-    def stop(self) -> None:
-        """Stop at once, where the motor is (a piezo motor holds without power)."""
+    def stop(self, now: float | None = None) -> None:
+        """Stop at once, where the motor is at a time of the clock (a piezo motor holds without power)."""
         with self._lock:
-            now = self.clock()
+            now = self.clock() if now is None else now
             here_deg, self._load_deg = self.position(now), self.load_deg(now)
             self._from_deg = self._to_deg = here_deg
             self._since = now

@@ -56,12 +56,13 @@ class Stepper:
 
     def go(self, target_steps: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
         """Send the pulses to a position; speed and acceleration of the load in degrees."""
-        self.stop()
-        away = target_steps - self._pulses.position()
+        now = self.axis.clock()  # one time for both: the load must not lag behind its pulses
+        self._stop_at(now)
+        away = target_steps - self._pulses.position(now)
         for what, scale in ((self.axis, 1.0), (self._pulses, self._steps_per_deg)):
             what.velocity_deg_s, what.acceleration_deg_s2 = speed_deg_s * scale, acceleration_deg_s2 * scale
-        self._pulses.start_move(target_steps)
-        self.axis.start_move(self.axis.position() + away / self._steps_per_deg)
+        self._pulses.start_move(target_steps, now=now)
+        self.axis.start_move(self.axis.position(now) + away / self._steps_per_deg, now=now)
 
     def search(self, speed_deg_s: float, acceleration_deg_s2: float) -> None:
         """Start for the reference: one move that ends pulled off the switch."""
@@ -70,8 +71,11 @@ class Stepper:
 
     def stop(self) -> None:
         """Stop where it is."""
-        self._pulses.stop()
-        self.axis.stop()
+        self._stop_at(self.axis.clock())
+
+    def _stop_at(self, now: float) -> None:
+        self._pulses.stop(now)
+        self.axis.stop(now)
 
 
 class Planner:

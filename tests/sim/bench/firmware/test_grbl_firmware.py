@@ -1,11 +1,14 @@
 """The board's bytes, against the interface description of Grbl 1.1."""
 
+import itertools
+
 import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.firmware.grbl import GrblFirmware
+from anisoscope.sim.bench.firmware.grbl_motion import Stepper
 from anisoscope.sim.bench.firmware.grbl_settings import BELT, NATIVE_USB, UNO
 
 BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
@@ -318,3 +321,14 @@ def test_building():
             build("grbl", wrong)
     with pytest.raises(UsageError, match="cannot have"):
         build("grbl", mounts, faults=("wrong-address",))
+
+
+def test_load_follows_its_pulses_on_a_busy_computer():
+    times = itertools.accumulate(itertools.cycle([5e-3] + 6 * [1e-5]))
+    axis = RotaryAxis(clock=lambda: next(times))
+    stepper = Stepper(axis, 10.0)
+    for target in range(10, 210, 10):
+        stepper.go(target, 430.0, 4000.0)
+        while stepper.busy:
+            pass
+    assert (stepper.steps, axis.position()) == (200, pytest.approx(20.0, abs=1e-9))
