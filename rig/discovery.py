@@ -7,6 +7,7 @@ Source: Linux kernel, drivers/usb/serial/ftdi_sio_ids.h (Newport 104d), the list
 2939, Arduino 2341 and 2a03, WCH 1a86, Silicon Labs 10c4), Thorlabs APT protocol manual (0403:faf0).
 """
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from serial.tools import list_ports
@@ -123,15 +124,29 @@ def probe(port: str, may_be: tuple[str, ...] = ()) -> Answer:
         Transport(port).close()
     except NotConnected as error:
         return Answer(problem=str(error))
-    problem = f"nobody answered as {', '.join(drivers)} does"
+    answer, silent = _ask(port, drivers, stages)
+    if silent and answer.problem:
+        # what came may be the late answer to a driver that had given up: a busy computer, a slow adapter
+        second, _ = _ask(port, silent, stages)
+        answer = second if second.driver else answer
+    return (
+        answer
+        if answer.driver or answer.problem
+        else Answer(problem=f"nobody answered as {', '.join(drivers)} does")
+    )
+
+
+def _ask(port: str, drivers: Sequence[str], stages: Collection[str]) -> tuple[Answer, list[str]]:
+    """The answer to the first driver that knows its device, or what went wrong; and the drivers that heard nothing."""
+    silent, problem = [], ""
     for name in drivers:
         try:
-            return Answer(name, _identify(name, port, is_stage=name in stages))
+            return Answer(name, _identify(name, port, is_stage=name in stages)), silent
         except (NotConnected, RigFileError):  # silent; or a driver that needs more than a port
-            continue
+            silent.append(name)
         except AnisoscopeError as error:
             problem = f"something answered, but not as {name} does: {error}"
-    return Answer(problem=problem)
+    return Answer(problem=problem), silent
 
 
 def _identify(name: str, port: str, *, is_stage: bool) -> str:

@@ -82,3 +82,32 @@ def test_something_else_is_said_to_be_something_else():
 
 def test_a_port_that_does_not_open_says_why():
     assert "there is no port /dev/nonesuch" in probe("/dev/nonesuch").problem
+
+
+class LateAnswers:
+    """A device whose answers to the first driver come while the second one asks."""
+
+    def __init__(self, device):
+        self.device, self.clock, self.connections, self.late = device, device.clock, 0, b""
+
+    def connect(self):
+        self.connections += 1
+        self.device.connect()
+
+    def write(self, data):
+        self.device.write(data)
+
+    def read(self):
+        answer = self.device.read()
+        if self.connections <= 2:  # the probe opens the port, then the first driver does
+            self.late += answer
+            return b""
+        late, self.late = self.late, b""
+        return late + answer
+
+
+def test_a_late_answer_does_not_hide_a_device():
+    with TcpServer(LateAnswers(build("elliptec", [Mount(RotaryAxis())]))) as server:
+        answer = probe(server.url, ("elliptec", "zaber"))
+        assert server.firmware.connections > 3
+    assert (answer.driver, answer.device) == ("elliptec", "ELL14 11400517")
