@@ -138,7 +138,8 @@ def probe(port: str, may_be: tuple[str, ...] = ()) -> Answer:
 
 def _ask(port: str, drivers: Sequence[str], stages: Collection[str]) -> tuple[Answer, list[str]]:
     """The answer to the first driver that knows its device, or what went wrong; and the drivers that heard nothing."""
-    silent, problem = [], ""
+    silent: list[str] = []
+    problem = ""
     for name in drivers:
         try:
             return Answer(name, _identify(name, port, is_stage=name in stages)), silent
