@@ -1,18 +1,12 @@
 # ruff: noqa: ANN401 - pypylon has no types
 """Basler cameras, by the maker's pypylon (``pip install 'anisoscope[basler]'``).
 
-Every frame is an acquisition of its own: started, triggered by software and stopped when the frame is asked
-for, so that a frame from before the last change of exposure, gain or pose cannot come. Automatic functions are
-off, gamma is 1, and what is set is read back.
-
-Settings go by their names in the node map (GenICam SFNC, with the older GigE names). What a camera does not have is
-passed over; what it has is set and read back.
+Every frame is an acquisition of its own: started, triggered by software and stopped when the frame is asked for.
+Settings go by the names of GenICam; see `anisoscope.rig.cameras.genicam`.
 """
 
 import contextlib
 import importlib
-import logging
-import math
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import CameraError, NotConnected, RigFileError
-from anisoscope.rig.camera import CameraInfo, CameraSettings
+from anisoscope.rig.camera import CameraInfo
+from anisoscope.rig.cameras.genicam import Features, GenicamCamera, Value, assign, check_options, prepare
+from anisoscope.rig.cameras.pixelformats import FORMATS
 
 
 def load_pylon() -> Any:
@@ -98,109 +94,67 @@ def _called(device: Any) -> str:
     return f"{device.GetModelName()} {device.GetSerialNumber()}" + (f" '{name}'" if name else "")
 
 
-_MOSAICS = {"BayerRG": "rggb", "BayerGR": "grbg", "BayerGB": "gbrg", "BayerBG": "bggr"}
-BITS = {f"{kind}{bits}": bits for kind in ("Mono", *_MOSAICS) for bits in (12, 10, 8)}
-FILTERS = {name: _MOSAICS.get(name.rstrip("0128"), "mono") for name in BITS}
-"""Colour filters by pixel format; the letters of a Bayer format are the first two pixels of the picture."""
-EXPOSURE_TOLERANCE = 0.05
-GAIN_TOLERANCE_DB = 0.2
 _BLACK_LEVEL_BITS = 12
-_LOG = logging.getLogger(__name__)
-
-# Everything that bends the curve of counts against light, or that changes by itself.
-_PLAIN: tuple[tuple[str, str | float | bool], ...] = (
-    ("ExposureAuto", "Off"),
-    ("GainAuto", "Off"),
-    ("BalanceWhiteAuto", "Off"),
-    ("BslBlackLevelAuto", "Off"),
-    ("ExposureMode", "Timed"),
-    ("GammaEnable", False),
-    ("Gamma", 1.0),
-    ("LUTEnable", False),
-    ("DigitalShift", 0),
-    ("BslContrast", 0.0),
-    ("BslBrightness", 0.0),
-    ("BslSharpnessEnhancement", 0.0),
-    ("BslNoiseReduction", 0.0),
-    ("AcquisitionFrameRateEnable", False),
-)
 
 
-def prepare(device: Any, pixel_format: str, size: tuple[int, int]) -> str:
-    """Set up single frames of raw counts; `size` is (rows, cols), 0 for all. Returns the pixel format.
+class PylonFeatures:
+    """The features of a device of pypylon; see `anisoscope.rig.cameras.genicam.Features`."""
 
-    Raises:
-        CameraError: the camera refuses a setting.
-    """
-    for name, value in _PLAIN:
-        _set(device, name, value)
-    used = _set_pixel_format(device, pixel_format)
-    coloured = FILTERS[used] != "mono"
-    if coloured:
-        _set_even_white(device)
-    _set_size(device, size, even=coloured)
-    _set(device, "AcquisitionMode", "Continuous")
-    selector = _node(device, "TriggerSelector")
-    if selector is not None:
-        for choice in selector.Symbolics:
-            selector.Value = choice
-            _set(device, "TriggerMode", "Off")
-        _set(device, "TriggerSelector", "FrameStart")
-    _set(device, "TriggerSource", "Software", needed=True)
-    _set(device, "TriggerMode", "On", needed=True)
-    return used
+    def __init__(self, device: Any) -> None:
+        self._device, self._genicam = device, load_genicam()
 
+    def _node(self, name: str) -> Any:
+        try:
+            node = getattr(self._device, name)
+        except (AttributeError, self._genicam.LogicalErrorException):
+            return None
+        return node if self._genicam.IsReadable(node) else None
 
-def set_exposure(device: Any, exposure_s: float) -> float:
-    """Set the exposure; returns what the camera took, in seconds.
+    def readable(self, name: str) -> bool:
+        """Whether there is such a feature and it can be read now."""
+        return self._node(name) is not None
 
-    Raises:
-        CameraError: out of range, or the camera took another one by more than 5 %.
-    """
-    node = _node(device, "ExposureTime") or _node(device, "ExposureTimeAbs")
-    if node is None:
-        raise CameraError("the camera has no node for its exposure time")
-    low_s, high_s = node.Min * 1e-6, node.Max * 1e-6
-    if not low_s <= exposure_s <= high_s:
-        raise CameraError(f"the exposure must lie between {low_s:g} s and {high_s:g} s, not {exposure_s:g} s")
-    node.Value = exposure_s * 1e6
-    real_s = float(node.Value) * 1e-6
-    if abs(real_s - exposure_s) > EXPOSURE_TOLERANCE * exposure_s:
-        raise CameraError(f"an exposure of {exposure_s:g} s was asked for, the camera took {real_s:g} s")
-    return real_s
+    def writable(self, name: str) -> bool:
+        """Whether it can be set now."""
+        return bool(self._genicam.IsWritable(getattr(self._device, name)))
 
+    def get(self, name: str) -> Value:
+        """Its value; of an enumeration the name of the entry."""
+        value: Value = getattr(self._device, name).Value
+        return value
 
-def set_gain(device: Any, gain: float) -> float:
-    """Set the gain, a factor; returns the factor that the camera took. Nodes of gain count in dB.
+    def set(self, name: str, value: Value) -> None:
+        """Set it, without reading it back."""
+        getattr(self._device, name).Value = value
 
-    Raises:
-        CameraError: out of range, or the camera took another one by more than 0.2 dB.
-    """
-    _set(device, "GainSelector", "All")
-    node = _node(device, "Gain") or _node(device, "GainAbs")
-    if node is None:
-        raise CameraError("the camera has no node for its gain in dB")
-    low, high = _factor(node.Min), _factor(node.Max)
-    requested_db = 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
-    slack_db = 1e-6
-    if not node.Min - slack_db <= requested_db <= node.Max + slack_db:
-        raise CameraError(f"the gain must lie between {low:.4g} and {high:.4g}, not {gain:g}")
-    node.Value = min(max(requested_db, node.Min), node.Max)
-    real_db = float(node.Value)
-    if abs(real_db - requested_db) > GAIN_TOLERANCE_DB:
-        raise CameraError(f"a gain of {requested_db:.2f} dB was asked for, the camera took {real_db:.2f} dB")
-    return _factor(real_db)
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Least and largest value of a number."""
+        node = getattr(self._device, name)
+        return node.Min, node.Max
+
+    def step(self, name: str) -> int:
+        """Distance of the values of a whole number."""
+        return int(getattr(self._device, name).Inc)
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        """Names of the entries of an enumeration; empty for anything else."""
+        node = self._node(name)
+        return tuple(getattr(node, "Symbolics", ()))
+
+    def execute(self, name: str) -> None:
+        """Execute a command."""
+        getattr(self._device, name).Execute()
 
 
-def read_black_level(device: Any, pixel_format: str) -> float:
+def read_black_level(features: Features, pixel_format: str) -> float:
     """Counts of a pixel without light, as the camera states them (in counts of 12 bits); 0 if it does not."""
-    node = _node(device, "BlackLevel") or _node(device, "BlackLevelAbs")
-    if node is None:
-        return 0.0
-    return float(node.Value) * 2.0 ** (BITS[pixel_format] - _BLACK_LEVEL_BITS)
+    for name in ("BlackLevel", "BlackLevelAbs"):
+        if features.readable(name):
+            return float(features.get(name)) * 2.0 ** (FORMATS[pixel_format].bits - _BLACK_LEVEL_BITS)
+    return 0.0
 
 
-def show_image_file(device: Any, path: Path) -> None:
+def show_image_file(features: Features, path: Path) -> None:
     """Make the maker's emulated camera show a picture; it is read again for every frame.
 
     Raises:
@@ -208,112 +162,22 @@ def show_image_file(device: Any, path: Path) -> None:
     """
     if not path.is_file():
         raise RigFileError(f"camera.options.image_file: there is no file {path}")
-    if _node(device, "ImageFilename") is None:
+    if not features.readable("ImageFilename"):
         raise RigFileError(
             "camera.options.image_file: only the emulated camera shows a file; this one is real"
         )
-    _set(device, "TestImageSelector", "Off")
-    _set(device, "ImageFilename", str(path.resolve()), needed=True)
-    _set(device, "ImageFileMode", "On", needed=True)
+    assign(features, "TestImageSelector", "Off")
+    assign(features, "ImageFilename", str(path.resolve()), needed=True)
+    assign(features, "ImageFileMode", "On", needed=True)
 
 
-def _factor(gain_db: float) -> float:
-    return float(10.0 ** (gain_db / 20.0))
-
-
-def _node(device: Any, name: str) -> Any:
-    """A node that can be read, or None."""
-    genicam = load_genicam()
-
-    try:
-        node = getattr(device, name)
-    except (AttributeError, genicam.LogicalErrorException):
-        return None
-    return node if genicam.IsReadable(node) else None
-
-
-def _set(device: Any, name: str, value: str | float | bool, *, needed: bool = False) -> None:
-    genicam = load_genicam()
-
-    node = _node(device, name)
-    if node is None:
-        if needed:
-            raise CameraError(f"the camera has no setting {name}; it cannot be used")
-        return
-    if node.Value == value:
-        return
-    if isinstance(value, str) and hasattr(node, "Symbolics") and value not in node.Symbolics:
-        if needed:
-            raise CameraError(f"the camera does not know {name} = {value}; it cannot be used")
-        return
-    if not genicam.IsWritable(node):
-        raise CameraError(f"{name} stands at {node.Value} and cannot be set to {value}")
-    node.Value = value
-    if node.Value != value:
-        raise CameraError(f"{name} = {value} was asked for, the camera took {node.Value}")
-
-
-def _set_pixel_format(device: Any, pixel_format: str) -> str:
-    offered = device.PixelFormat.Symbolics
-    target: list[str] = [pixel_format] + (["Mono8"] if FILTERS[pixel_format] == "mono" else [])
-    for candidate in target:
-        if candidate in offered:
-            if candidate != pixel_format:
-                _LOG.warning("the camera has no %s: %s is used", pixel_format, candidate)
-            _set(device, "PixelFormat", candidate, needed=True)
-            return candidate
-    raise CameraError(
-        f"the camera has no {' nor '.join(dict.fromkeys(target))}, only {', '.join(offered)}; choose one of "
-        f"{', '.join(BITS)}"
-    )
-
-
-def _set_even_white(device: Any) -> None:
-    """Counts as they are read out: no colour amplified against another."""
-    for name in ("LightSourcePreset", "BslLightSourcePreset", "LightSourceSelector"):
-        _set(device, name, "Off")
-    selector = _node(device, "BalanceRatioSelector")
-    if selector is not None:
-        for choice in selector.Symbolics:
-            selector.Value = choice
-            _set(device, "BalanceRatio", 1.0)
-            _set(device, "BalanceRatioAbs", 1.0)
-
-
-def _set_size(device: Any, size: tuple[int, int], *, even: bool) -> None:
-    """Set the size; `even` keeps the offset even, so that the mosaic begins with the same filter."""
-    for name, offset, requested in (("Height", "OffsetY", size[0]), ("Width", "OffsetX", size[1])):
-        _set(device, offset, 0)
-        node = getattr(device, name)
-        target = requested or node.Max
-        if not node.Min <= target <= node.Max or (target - node.Min) % node.Inc:
-            raise RigFileError(
-                f"camera.options.{name.lower()}: must lie between {node.Min} and {node.Max} in steps of "
-                f"{node.Inc}, not {target}"
-            )
-        _set(device, name, target, needed=True)
-        shift = _node(device, offset)
-        if requested and shift is not None:
-            middle, step = shift.Max // 2, math.lcm(shift.Inc, 2 if even else 1)
-            _set(device, offset, middle - middle % step)
-
-
-class BaslerCamera:
-    """A Basler camera that takes single frames.
-
-    Attributes:
-        failed_buffers: frames that came incomplete, or not at all, since the camera was opened.
-    """
+class BaslerCamera(GenicamCamera):
+    """A Basler camera that takes single frames."""
 
     def __init__(self, pylon: Any, device: Any, info: CameraInfo, *, retries: int, timeout_s: float) -> None:
-        self.info = info
-        self.failed_buffers = 0
+        super().__init__(PylonFeatures(device), info, retries=retries, timeout_s=timeout_s)
         self._pylon = pylon
         self._device = device
-        self._retries = retries
-        self._timeout_s = timeout_s
-        self._settings: CameraSettings | None = None
-        self._name = f"{info.model} {info.serial}"
 
     @classmethod
     def open(
@@ -327,6 +191,7 @@ class BaslerCamera:
         black_level: float | None = None,
         retries: int = 3,
         timeout_s: float = 2.0,
+        features: str = "",
         image_file: str | Path = "",
     ) -> "BaslerCamera":
         """Connect to a camera.
@@ -341,6 +206,7 @@ class BaslerCamera:
             black_level: counts of a pixel without light; read from the camera if not given.
             retries: how often a frame that came incomplete is asked for again.
             timeout_s: seconds to wait for a frame beyond its exposure.
+            features: further features by name, as ``ReverseX=1``.
             image_file: picture that the maker's emulated camera shows (TIFF or PNG, 16 bits left-justified).
 
         Raises:
@@ -348,83 +214,37 @@ class BaslerCamera:
             NotConnected: no such camera, or in use elsewhere.
             CameraError: pypylon is not installed, or the camera refuses a setting.
         """
-        if pixel_format not in BITS:
-            raise RigFileError(
-                "camera.options.pixel_format: expected Mono12, Mono10, Mono8 or the raw format of a colour camera, "
-                f"such as BayerRG12, not '{pixel_format}'"
-            )
-        if retries < 0 or timeout_s <= 0.0:
-            raise RigFileError("camera.options: retries must be 0 or more, and timeout_s above 0")
+        check_options(pixel_format, retries, timeout_s)
         pylon = load_pylon()
         device = pylon.InstantCamera(find_device(pylon, serial, name))
         try:
             with _sdk_errors(device, "the camera"):
                 device.Open()
+                settings = PylonFeatures(device)
                 if image_file:
-                    show_image_file(device, Path(image_file))
-                used = prepare(device, pixel_format, (height, width))
-                level = read_black_level(device, used) if black_level is None else black_level
+                    show_image_file(settings, Path(image_file))
+                used = prepare(settings, pixel_format, (height, width), features)
+                level = read_black_level(settings, used) if black_level is None else black_level
             found = device.GetDeviceInfo()
             info = CameraInfo(
                 model=str(found.GetModelName()),
                 serial=str(found.GetSerialNumber()),
                 rows=int(device.Height.Value),
                 cols=int(device.Width.Value),
-                bit_depth=BITS[used],
+                bit_depth=FORMATS[used].bits,
                 black_level=level,
-                filters=FILTERS[used],
+                filters=FORMATS[used].filters,
             )
         except BaseException:
             _close(device)
             raise
         return cls(pylon, device, info, retries=retries, timeout_s=timeout_s)
 
-    def configure(self, exposure_s: float, gain: float) -> CameraSettings:
-        """Set exposure in seconds and gain as a factor; returns what the camera reports afterwards.
+    def _errors(self) -> contextlib.AbstractContextManager[None]:
+        return _sdk_errors(self._device, self._name)
 
-        Raises:
-            CameraError: outside of the camera's range, or the camera took something else.
-            NotConnected: the camera has gone.
-        """
-        self._settings = None
-        with _sdk_errors(self._device, self._name):
-            self._settings = CameraSettings(
-                set_exposure(self._device, exposure_s), set_gain(self._device, gain)
-            )
-        return self._settings
-
-    def grab(self) -> npt.NDArray[np.uint16]:
-        """Take a frame, (rows, cols) counts.
-
-        Raises:
-            CameraError: ``configure`` was not called, or no complete frame came in 1 + `retries` attempts.
-            NotConnected: the camera has gone.
-        """
-        if self._settings is None:
-            raise CameraError("the camera was asked for a frame before exposure and gain were set")
-        reason = ""
-        with _sdk_errors(self._device, self._name):
-            for attempt in range(1, self._retries + 2):
-                counts, reason = self._attempt(self._settings.exposure_s)
-                if counts is not None:
-                    return counts
-                self.failed_buffers += 1
-                _LOG.warning(
-                    "%s: attempt %d of %d gave no frame: %s (%d since the camera was opened)",
-                    self._name,
-                    attempt,
-                    self._retries + 1,
-                    reason,
-                    self.failed_buffers,
-                )
-                if self._device.IsCameraDeviceRemoved():
-                    break
-        if self._device.IsCameraDeviceRemoved():
-            raise NotConnected(f"{self._name} was unplugged")
-        raise CameraError(
-            f"{self._name}: no complete frame in {self._retries + 1} attempts: {reason}; "
-            "check cable, hub and network load"
-        )
+    def _is_gone(self) -> bool:
+        return bool(self._device.IsCameraDeviceRemoved())
 
     def close(self) -> None:
         """Disconnect; closing twice is fine."""

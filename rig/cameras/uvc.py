@@ -16,6 +16,7 @@ control of the UVC driver); DirectShow and Media Foundation count in powers of t
 import contextlib
 import logging
 import math
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -195,6 +196,8 @@ def cv2_capture(backend: Backend) -> Callable[[int | str, int], Capture]:
         raise RigFileError(
             f"camera.options.backend: {backend.name} is not on this computer; there is: {names}"
         )
+    if "OPENCV_LOG_LEVEL" not in os.environ:  # it writes to the terminal what our errors say in one line
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     return cast("Callable[[int | str, int], Capture]", cv2.VideoCapture)
 
 

@@ -178,10 +178,9 @@ def test_the_black_level_is_read_from_the_camera(shown):
     device.BlackLevel.Value = 64.0
     real = BaslerCamera.open(serial=SECOND, image_file=shown, width=COLS, height=ROWS)
     try:
-        from anisoscope.rig.cameras.basler import read_black_level
-
-        assert read_black_level(device, "Mono12") == 64.0
-        assert read_black_level(device, "Mono8") == 4.0
+        features = basler.PylonFeatures(device)
+        assert basler.read_black_level(features, "Mono12") == 64.0
+        assert basler.read_black_level(features, "Mono8") == 4.0
     finally:
         real.close()
         device.Close()

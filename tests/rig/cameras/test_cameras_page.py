@@ -29,7 +29,13 @@ def test_examples_of_rig_files(example):
 
 
 def test_there_are_examples_of_every_driver():
-    assert {tomllib.loads(example)["camera"]["driver"] for example in EXAMPLES} == {"basler", "uvc", "folder"}
+    assert {tomllib.loads(example)["camera"]["driver"] for example in EXAMPLES} == {
+        "aravis",
+        "basler",
+        "folder",
+        "gentl",
+        "uvc",
+    }
 
 
 def test_the_table_of_columns_is_whole():

@@ -428,3 +428,15 @@ def test_opencv_reads_pictures_from_files(make, tmp_path):
             camera.grab()
     finally:
         camera.close()
+
+
+def test_what_opencv_says_of_a_missing_camera_does_not_reach_the_terminal(capfd, monkeypatch):
+    monkeypatch.delenv("OPENCV_LOG_LEVEL", raising=False)
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_WARNING)
+    try:
+        with pytest.raises(NotConnected, match="there is no camera 77"):
+            open_camera("uvc", device=77, backend="v4l2")
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    assert capfd.readouterr().err == ""

@@ -1,0 +1,111 @@
+"""Pixel formats of GenICam cameras that hold raw counts, by their names, and the counts in their bytes.
+
+Source: GenICam Pixel Format Naming Convention 2.4 (names; layout "p": a stream of bits, least significant first) and
+GigE Vision 1.2 (layout "Packed": two pixels in three bytes, the middle one holds the low bits of both).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.errors import CameraError
+
+_MOSAICS = {"Mono": "mono", "BayerRG": "rggb", "BayerGR": "grbg", "BayerGB": "gbrg", "BayerBG": "bggr"}
+
+
+@dataclass(frozen=True)
+class PixelFormat:
+    """A pixel format of raw counts.
+
+    Attributes:
+        name: its name, such as Mono12Packed.
+        bits: bits of a count.
+        packing: "" for counts in whole bytes, "Packed" for GigE Vision's layout, "p" for the stream of bits.
+        filters: the colour filters; see `anisoscope.rig.bayer`. The letters of a Bayer format are the first two pixels.
+    """
+
+    name: str
+    bits: int
+    packing: str
+    filters: str
+
+    def size(self, pixels: int) -> int:
+        """Bytes of so many pixels.
+
+        Raises:
+            CameraError: they do not fill whole bytes.
+        """
+        bits = {"": 8 if self.bits <= 8 else 16, "Packed": 12, "p": self.bits}[self.packing] * pixels
+        if bits % 8:
+            raise CameraError(f"{self.name}: rows must fill whole bytes; choose a width that 4 divides")
+        return bits // 8
+
+
+def _formats() -> dict[str, PixelFormat]:
+    packings = {8: ("",), 10: ("", "Packed", "p"), 12: ("", "Packed", "p"), 14: ("",), 16: ("",)}
+    return {
+        f"{kind}{bits}{packing}": PixelFormat(f"{kind}{bits}{packing}", bits, packing, filters)
+        for kind, filters in _MOSAICS.items()
+        for bits in packings
+        for packing in packings[bits]
+    }
+
+
+FORMATS = _formats()
+
+
+def choose(wanted: str, offered: tuple[str, ...]) -> str:
+    """The format to use: the one that is wanted, the same counts in another layout, or for grey ones Mono8.
+
+    Raises:
+        CameraError: the camera offers none of these.
+    """
+    asked = FORMATS[wanted]
+    alike = [name for name, one in FORMATS.items() if (one.bits, one.filters) == (asked.bits, asked.filters)]
+    last = ["Mono8"] if asked.filters == "mono" else []
+    for name in dict.fromkeys([wanted, *alike, *last]):
+        if name in offered:
+            return name
+    raise CameraError(
+        f"the camera has no {' nor '.join(dict.fromkeys([wanted, *last]))}, only {', '.join(offered)}; choose one of "
+        f"{', '.join(name for name in offered if name in FORMATS) or 'its raw formats: it has none that is known'}"
+    )
+
+
+def counts_of(data: bytes | memoryview, shape: tuple[int, int], name: str) -> npt.NDArray[np.uint16]:
+    """(rows, cols) counts, right-justified, of the bytes of a picture.
+
+    Raises:
+        CameraError: there are more or fewer bytes than the picture has.
+    """
+    form = FORMATS[name]
+    rows, cols = shape
+    expected = rows * form.size(cols)
+    raw = np.frombuffer(data, np.uint8)
+    if raw.size != expected:
+        raise CameraError(f"a picture of {cols} × {rows} in {name} has {expected} bytes; {raw.size} came")
+    if form.packing == "":
+        counts = raw if form.bits == 8 else raw.view("<u2")
+        return counts.astype(np.uint16).reshape(shape)
+    out = np.empty(rows * cols, np.uint16)
+    if form.packing == "Packed":
+        first, low, second = (raw[i::3].astype(np.uint16) for i in range(3))
+        short = form.bits - 8
+        mask = (1 << short) - 1
+        out[0::2] = first << short | low & mask
+        out[1::2] = second << short | low >> 4 & mask
+        return out.reshape(shape)
+    group = _bytes_of_a_group(form.bits)
+    pixels = group * 8 // form.bits
+    columns = [raw[i::group].astype(np.uint32) for i in range(group)]
+    for pixel in range(pixels):
+        start = pixel * form.bits
+        byte, shift = divmod(start, 8)
+        out[pixel::pixels] = (columns[byte] | columns[byte + 1] << 8) >> shift & ((1 << form.bits) - 1)
+    return out.reshape(shape)
+
+
+def _bytes_of_a_group(bits: int) -> int:
+    """Bytes after which a stream of bits begins anew with a whole byte."""
+    return int(np.lcm(bits, 8)) // 8

@@ -1,0 +1,35 @@
+"""A rig inspects for weeks in one process: memory, open files and threads stay what they were."""
+
+import gc
+import shutil
+import threading
+
+import numpy as np
+import psutil
+import pytest
+
+WARM = 50  # inspections after which everything is loaded and cached
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("count", [500, 10_000])
+def test_inspections_one_after_another_cost_no_memory_files_or_threads(virtual_rig, plain, count):
+    rig, process = virtual_rig(), psutil.Process()
+    memory, handles, threads, verdicts = [], [], [], set()
+    for number in range(WARM + count):
+        verdicts.add(rig.inspect(f"S-{number}", methods=plain).record.verdict)
+        shutil.rmtree(rig.out)
+        if number >= WARM and (number - WARM) % (count // 100) == 0:
+            gc.collect()
+            memory.append(process.memory_info().rss)
+            handles.append(process.num_fds())
+            threads.append((process.num_threads(), threading.active_count()))
+    print(  # noqa: T201 - numbers for whoever runs a campaign
+        f"{count} inspections: memory {min(memory) / 1e6:.0f} to {max(memory) / 1e6:.0f} MB, "
+        f"files {set(handles)}, threads {set(threads)}"
+    )
+    assert verdicts == {"PASS"}
+    first, last = np.median(memory[:25]), np.median(memory[-25:])
+    assert last / first < 1.05, f"memory grew from {first / 1e6:.0f} to {last / 1e6:.0f} MB"
+    assert len(set(handles)) == 1, f"open files: {sorted(set(handles))}"
+    assert len(set(threads)) == 1, f"threads: {sorted(set(threads))}"
