@@ -1,5 +1,6 @@
 """How Sphinx builds the site from the pages of this folder: make docs."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -33,3 +34,14 @@ def setup(app: Sphinx) -> None:
     """Write the reference before Sphinx looks for pages."""
     app.add_lexer("csv", TextLexer)
     app.connect("builder-inited", lambda started: write_reference(Path(started.srcdir) / "reference"))
+    app.connect("builder-inited", write_papers)
+
+
+def write_papers(app: Sphinx) -> None:
+    """Write the page of the papers into the site; a row that differs from its paper ends the build."""
+    if app.builder.format != "html":
+        return
+    page = Path(app.outdir) / "papers.html"
+    page.parent.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "anisoscope", "-q", "research", "papers", "--html", str(page)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)

@@ -34,6 +34,7 @@ app.command("anisoscope.cli.design.masks:mask")
 app.command("anisoscope.cli.design.masks:height")
 app.command("anisoscope.cli.design.codes:code")
 app.command("anisoscope.cli.design.plates:plate")
+app.command("anisoscope.cli.design.resolution:resolution")
 
 
 @Parameter(name="*")

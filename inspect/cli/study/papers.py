@@ -1,0 +1,92 @@
+"""``anisoscope research papers``: every figure and table of the three papers, as printed and as computed here."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_table
+
+FOOT = (
+    "Compared by number: the paper prints a value. By order: it prints or states which is larger. By shape: it states "
+    "how a curve behaves. Rows that are not reproduced say why."
+)
+
+
+def papers(
+    *,
+    only: Annotated[
+        Literal["levin", "luongo", "pranovich"] | None, Parameter(help="One of the papers.")
+    ] = None,
+    html: Annotated[Path | None, Parameter(help="Write one page with all pictures to this file.")] = None,
+    json_: Json = False,
+) -> int:
+    """Compute every figure and table of the three papers and compare it with what is printed.
+
+    Exit code 1 if a row that can be compared differs.
+
+    Examples:
+        anisoscope research papers --html papers.html
+        anisoscope research papers --only luongo
+    """
+    from anisoscope.study.papers import levin, luongo, pranovich
+
+    if html is not None and html.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--html {html}: a page is named *.html")
+    chosen = [one for one in (levin.PAPER, luongo.PAPER, pranovich.PAPER) if only in (None, one.key)]
+    total = sum(len(one.makers) for one in chosen)
+    found = []
+    with progress("papers", quiet=json_) as advance:
+        for paper in chosen:
+            rows = []
+            for make in paper.makers:
+                advance(paper.key, sum(len(done) for _, done in found) + len(rows), total)
+                rows.append(make())
+            found.append((paper, rows))
+    every = [row for _, rows in found for row in rows]
+    counted = [row for row in every if row.holds is not None]
+    agreeing = sum(bool(row.holds) for row in counted)
+    summary = (
+        f"{agreeing} of {len(counted)} rows that can be compared agree; {len(every) - len(counted)} are drawings, "
+        "photographs or data that are not published"
+    )
+    if html is not None:
+        from anisoscope.report.page import write_page
+
+        content = {
+            "title": "The three papers, repeated", "subtitle": summary + ".", "papers": found, "foot": FOOT,
+        }  # fmt: skip
+        write_page(html, "papers.html", content)
+    if json_:
+        print_json(
+            {
+                "agree": agreeing, "compared": len(counted),
+                "papers": [
+                    {"paper": paper.key, "source": paper.source, "rows": [fields_of(row) for row in rows]}
+                    for paper, rows in found
+                ],
+            }
+        )  # fmt: skip
+    else:
+        for paper, rows in found:
+            print_table(
+                paper.title,
+                ["in the paper", "printed", "here", "result"],
+                [
+                    [row.label, row.printed, row.ours, _result(row.holds)]
+                    for row in rows
+                ],
+            )  # fmt: skip
+        sys.stdout.write(summary + "\n")
+        if html is not None:
+            sys.stdout.write(f"written: {html}\n")
+    return 0 if agreeing == len(counted) else 1
+
+
+def _result(holds: bool | None) -> str:
+    return "–" if holds is None else "agrees" if holds else "differs"
