@@ -11,6 +11,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.predict.angular_map import MAP_DEFAULTS, MAP_GROUP, MapOptions
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
@@ -363,7 +364,7 @@ DEFAULT_ALBEDO, DEFAULT_INDEX = 0.2, 1.5
 
 @everyday(
     *("recipe", "ridge_angle", "pitch", "alpha_along", "alpha_across", "albedo", "index", "light_angle"),
-    *("angles", "tilts", "pixel", "json_", "waves", "sizes", "uncertainties"),
+    *("angles", "tilts", "pixel", "json_", "waves", "sizes", "over_directions", "uncertainties"),
 )
 def predict(
     height_map: Path | None = None,
@@ -441,6 +442,7 @@ def predict(
     ] = "lobe",
     waves: Annotated[WaveOptions, Parameter(name="*", group=WAVE_GROUP)] = WAVE_DEFAULTS,
     sizes: Annotated[OpticsOptions, Parameter(name="*", group=OPTICS_GROUP)] = OPTICS_DEFAULTS,
+    over_directions: Annotated[MapOptions, Parameter(name="*", group=MAP_GROUP)] = MAP_DEFAULTS,
     uncertainties: Annotated[UncertaintyOptions, Parameter(name="*", group=GROUP)] = DEFAULTS,
     json_: Json = False,
 ) -> int:
@@ -451,11 +453,20 @@ def predict(
 
     Examples:
         anisoscope predict --ridge-angle 10 --tilts=-10,0,10
-        anisoscope predict part.x3p --pitch 100
         anisoscope predict --recipe recipe.toml
+        anisoscope predict wafer.x3p --map lobe.png --map-colour d65
     """
     given = locals()
     given = {name: given[name] for name in _defaults()}
+    if over_directions != MAP_DEFAULTS:
+        from anisoscope.cli.predict.angular_map import Blur, write_angular_map
+
+        _check_map_alone(given)
+        nm = None if waves.wavelengths is None else light_of(waves.wavelengths).wavelengths_um
+        blur = Blur(optics_of(sizes), alpha_across, alpha_along)
+        return write_angular_map(
+            height_map, over_directions, nm, blur, waves.interpolate, pixel, role, as_json=json_
+        )
     if recipe is not None:
         _check_recipe_alone(given)
         return _predict_recipe(recipe, light_angle, as_json=json_, covariance=uncertainties.covariance)
@@ -541,6 +552,36 @@ def predict(
     return 0
 
 
+_WITH_A_MAP = (
+    *(
+        "height_map",
+        "alpha_along",
+        "alpha_across",
+        "pixel",
+        "role",
+        "waves",
+        "sizes",
+        "over_directions",
+        "json_",
+    ),
+)
+
+
+def _check_map_alone(given: "Mapping[str, object]") -> None:
+    """Refuse options that a map over all directions does not have.
+
+    Raises:
+        UsageError: one of them is given.
+    """
+    defaults = _defaults()
+    for name, value in given.items():
+        if name not in _WITH_A_MAP and value != defaults[name]:
+            raise UsageError(
+                "--map takes a height map, wavelengths, lamp and lens, and roughness: "
+                f"leave --{name.replace('_', '-')} out"
+            )
+
+
 _WITH_A_RECIPE = ("recipe", "light_angle", "json_")
 
 
@@ -613,7 +654,7 @@ CACHED = "printed-predictions"
 """Kind of entry in the cache."""
 READERS = ("SurfaceTopography",)
 """What reads height maps besides the readers of this package."""
-_NOT_PREDICTED = ("recipe", "spectrum", "json_")
+_NOT_PREDICTED = ("recipe", "spectrum", "over_directions", "json_")
 """Options that change nothing in the numbers of a prediction from the cache."""
 
 

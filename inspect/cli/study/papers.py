@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -11,6 +11,9 @@ from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from anisoscope.study.papers.rows import Paper, Row
 
 FOOT = (
     "Compared by number: the paper prints a value. By order: it prints or states which is larger. By shape: it states "
@@ -40,17 +43,17 @@ def papers(
         raise UsageError(f"--html {html}: a page is named *.html")
     chosen = [one for one in (levin.PAPER, luongo.PAPER, pranovich.PAPER) if only in (None, one.key)]
     total = sum(len(one.makers) for one in chosen)
-    found = []
+    found: list[tuple[Paper, list[Row]]] = []
     with progress("papers", quiet=json_) as advance:
         for paper in chosen:
-            rows = []
+            rows: list[Row] = []
             for make in paper.makers:
                 advance(paper.key, sum(len(done) for _, done in found) + len(rows), total)
                 rows.append(make())
             found.append((paper, rows))
     every = [row for _, rows in found for row in rows]
     counted = [row for row in every if row.holds is not None]
-    agreeing = sum(bool(row.holds) for row in counted)
+    agreeing = sum(row.holds is True for row in counted)
     summary = (
         f"{agreeing} of {len(counted)} rows that can be compared agree; {len(every) - len(counted)} are drawings, "
         "photographs or data that are not published"

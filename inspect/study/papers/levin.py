@@ -5,6 +5,8 @@ from functools import cache
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.prediction.angular import AngularTask, angular_reflectance
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.report.study_page import Chart, Curve, chart_uri
 from anisoscope.sim.design.antimirror import AntiMirror
 from anisoscope.sim.design.appearance import mirrored_dots, pattern_under, screen, spectral_density
@@ -67,7 +69,7 @@ def anti_mirror(
 
 
 def _sample(design: DesignFile, dot_um: float = DOT_UM) -> tuple[FloatArray, FloatArray]:
-    """Heights of one random dot and its (161, 161) density over |h| ≤ 0.2."""
+    """Heights of one random dot and its (161, 161) BRDF for light from above, |h| ≤ 0.2."""
     levels = np.asarray(design.depths.levels_um)
     points = round(dot_um / design.grid_um)
     assert not isinstance(design.model, MirrorModel)
@@ -75,16 +77,15 @@ def _sample(design: DesignFile, dot_um: float = DOT_UM) -> tuple[FloatArray, Flo
     labels = random_dot(
         design.model, levels.size, points, design.grid_um, design.min_width_um, np.random.default_rng(SEED)
     )
-    surface = WaveSurface.of(levels[labels], design.grid_um, cells=True)
-    found = angular_map(surface, UM, Window(Extent("rect", UM / COHERENCE_UM)))
-    line = np.linspace(-REACH, REACH, 161)
-    y, x = np.meshgrid(line, line, indexing="ij")
-    return levels[labels], found.at(x, y)
+    task = AngularTask((NM,), reach=2.0 * REACH, lamp_half_angle_deg=0.9)
+    found = angular_reflectance(HeightMap(levels[labels], design.grid_um, design.grid_um), task, stepped=True)
+    return levels[labels], found.brdf[0]
 
 
 def _window_picture(heights: FloatArray, caption: str) -> tuple[str, str]:
-    part = heights[:128, :128]
-    return picture((part - part.min()) / max(float(np.ptp(part)), 1e-9), caption)
+    part = np.asarray(heights[:128, :128], dtype=np.float64)
+    grey = (part - part.min()) / max(float(np.ptp(part)), 1e-9)
+    return picture(np.asarray(grey, dtype=np.float64), caption)
 
 
 def fig_1() -> Row:
@@ -101,7 +102,7 @@ def fig_1() -> Row:
     side, above = (float(each[0] / each[1]) for _, each in views)
     top = max(float(each.max()) for _, each in views)
     pictures = [
-        picture(np.kron(one / top, np.ones((4, 4))) ** (1 / 2.2), words)
+        picture(np.asarray(np.kron(one / top, np.ones((4, 4))) ** (1 / 2.2)), words)
         for (one, _), words in zip(views, ("lamp along x, h = 0.06", "lamp along y, h = 0.06"), strict=True)
     ]
     return Row(
@@ -189,7 +190,7 @@ def fig_4() -> Row:
     heights = sampling.steps_profile(
         sampling.Widths((2.0, 3.0, 5.0), (0.5, 0.3, 0.2)), (0.0, 0.125), 256, 0.25, rng
     )
-    x = np.arange(256) * 0.25
+    x = np.asarray(np.arange(256) * 0.25, dtype=np.float64)
     chart = Chart("", "x [µm]", "height [nm]", (Curve("", x, 1e3 * heights),), points=False)
     return Row(
         "Fig. 4", "drawing: steps of random widths and heights",
@@ -275,12 +276,12 @@ def fig_7() -> Row:
         pictures.append(
             density_picture(observed, f"({letter}) {shape} steps of {widths[0]:g} × {widths[1]:g} µm")
         )
-    for many, width in ((2, 2.0), (3, 2.0), (4, 2.0), (2, 4.0)):
+    for count, width in ((2, 2.0), (3, 2.0), (4, 2.0), (2, 4.0)):
         f = np.linspace(0.0, 0.5 / width, 4001)
-        line = AntiMirror((many, many), (width, width), many * many if many == 3 else 2).density(
+        line = AntiMirror((count, count), (width, width), count * count if count == 3 else 2).density(
             f, np.zeros(1), np.inf
         )[0]
-        constants.append(2.0 * float(f[int(np.argmax(line > 0.5 * line.max()))]) * many * width)
+        constants.append(2.0 * float(f[int(np.argmax(line > 0.5 * line.max()))]) * count * width)
     spread = float(np.ptp(constants) / np.mean(constants))
     return Row(
         "Fig. 7", "anti-mirrors of m_x × m_y steps: no light in the mirror direction",

@@ -242,7 +242,7 @@ def fig_7() -> Row:
 
 
 def fig_8() -> Row:
-    """Photograph beside rendering: extras switched on."""
+    """Renderings with and without highlight, scattering and second light."""
     where = surface(Scene("cylinder", yaw_deg=20.0, pitch_deg=10.0), 256, 256)
     inks = [synthetic_ink(name) for name in SYNTHETIC]
     dots = halftoned()

@@ -10,6 +10,7 @@ Without the padding the far edges of the dot would interfere, which spoils weak 
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -45,19 +46,21 @@ class AngularMap:
     wavelength_um: float
     h_z: float
 
-    def at(self, h_x: FloatArray, h_y: FloatArray | None = None) -> FloatArray:
-        """Density at (N,) half vectors, linear between the bins; 0 beyond what the pixels resolve."""
-        from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - slow to import
+    def at(self, h_x: FloatArray, h_y: FloatArray | None = None, order: Literal[1, 3] = 1) -> FloatArray:
+        """Density at (N,) half vectors, by splines of an order between the bins; 0 beyond what the pixels resolve."""
+        from scipy.ndimage import map_coordinates  # noqa: PLC0415 - slow to import
 
         x = 2.0 * np.asarray(h_x, dtype=np.float64) / self.wavelength_um
-        if self.frequency_y.size == 1:
-            line = np.asarray(self.density[0], dtype=np.float64)
-            return np.asarray(np.interp(x, self.frequency_x, line, left=0.0, right=0.0))
         y = 2.0 * np.asarray(0.0 if h_y is None else h_y, dtype=np.float64) / self.wavelength_um
-        grid = RegularGridInterpolator(
-            (self.frequency_y, self.frequency_x), self.density, bounds_error=False, fill_value=0.0
-        )
-        return np.asarray(grid(np.stack(np.broadcast_arrays(y, x), axis=-1)))
+        places = []
+        for value, axis in ((y, self.frequency_y), (x, self.frequency_x)):
+            step = float(axis[1] - axis[0]) if axis.size > 1 else np.inf
+            places.append((value - axis[0]) / step)
+        both = np.stack(np.broadcast_arrays(*places))
+        density = np.asarray(self.density, dtype=np.float64)
+        if self.frequency_y.size == 1:
+            both, density = both[1:], density[0]
+        return np.asarray(map_coordinates(density, both, order=order, mode="constant"))
 
 
 def angular_map(
@@ -91,6 +94,64 @@ def angular_map(
         if not surface.is_profile:
             density *= (np.sinc(fy * surface.pixel_y_um) ** 2).astype(np.float32)[:, None]
     return AngularMap(fx, fy, density, wavelength_um, h_z)
+
+
+PHASE_STEP = 0.25
+"""Rms change of the phase in radians from one h_z to the next, between which densities are interpolated."""
+
+MOST_RUNGS = 64
+BYTES_A_POINT = 20
+MOST_BYTES = 6 * 2**30
+
+
+class DensityLadder:
+    """Densities over directions whose h_z differ: angular maps at several h_z, linear in between.
+
+    The phase of the wave is proportional to h_z·z: the deeper the surface, the more maps a range of h_z takes.
+
+    Args:
+        surface: the heights.
+        wavelength_um: of the light.
+        window: what blurs.
+        h_z: smallest and largest z component of the half vectors to come.
+
+    Raises:
+        ModelError: more maps than 64, or more memory than 6 GB: the message says how much.
+    """
+
+    def __init__(
+        self, surface: WaveSurface, wavelength_um: float, window: Window, h_z: tuple[float, float]
+    ) -> None:
+        rows, cols = surface.shape
+        padded = PADDING * cols * (1 if rows == 1 else PADDING * rows)
+        if padded * BYTES_A_POINT > MOST_BYTES:
+            raise ModelError(
+                f"a map of {cols} × {rows} pixels takes {padded * BYTES_A_POINT / 2**30:.1f} GB for all directions, at "
+                f"most {MOST_BYTES / 2**30:g} GB are taken: crop it (anisoscope profile crop) or resample it"
+            )
+        rms = float(surface.height_um.std())
+        step = PHASE_STEP * wavelength_um / (4.0 * np.pi * max(rms, 1e-9))
+        count = 1 + int(np.ceil(max(h_z[1] - h_z[0], 0.0) / step))
+        if count > MOST_RUNGS:
+            raise ModelError(
+                f"heights of {rms:.3g} µm rms need {count} maps of h_z for these directions, at most {MOST_RUNGS} are "
+                "computed: take a smaller range of directions, or a longer wavelength"
+            )
+        self.surface, self.wavelength_um, self.window = surface, wavelength_um, window
+        self.h_z = np.linspace(h_z[0], h_z[1], count) if count > 1 else np.array([0.5 * (h_z[0] + h_z[1])])
+
+    def at(self, h_x: FloatArray, h_y: FloatArray, h_z: FloatArray) -> FloatArray:
+        """Density in µm² (of a profile: µm) at (…) half vectors; each map is computed when it is due, then dropped."""
+        x, y, z = np.broadcast_arrays(h_x, h_y, h_z)
+        found = np.zeros(x.shape)
+        place = np.interp(z, self.h_z, np.arange(self.h_z.size))
+        for number, rung in enumerate(self.h_z):
+            weight = np.clip(1.0 - np.abs(place - number), 0.0, 1.0)
+            due = weight > 0.0
+            if due.any():
+                spread = angular_map(self.surface, self.wavelength_um, self.window, float(rung))
+                found[due] += weight[due] * spread.at(x[due], y[due], order=3)
+        return found
 
 
 def wave(surface: WaveSurface, cycles_per_um: float) -> npt.NDArray[np.complex64]:
