@@ -37,11 +37,13 @@ def papers(
         anisoscope research papers --html papers.html
         anisoscope research papers --only luongo
     """
-    from anisoscope.study.papers import levin, luongo, pranovich
+    from anisoscope.study.papers.levin import PAPER as LEVIN
+    from anisoscope.study.papers.luongo import PAPER as LUONGO
+    from anisoscope.study.papers.pranovich import PAPER as PRANOVICH
 
     if html is not None and html.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--html {html}: a page is named *.html")
-    chosen = [one for one in (levin.PAPER, luongo.PAPER, pranovich.PAPER) if only in (None, one.key)]
+    chosen = [one for one in (LEVIN, LUONGO, PRANOVICH) if only in (None, one.key)]
     total = sum(len(one.makers) for one in chosen)
     found: list[tuple[Paper, list[Row]]] = []
     with progress("papers", quiet=json_) as advance:
