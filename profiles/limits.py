@@ -3,7 +3,6 @@
 A file holds a table for every parameter: ``[Sa]`` with ``min``, ``max`` or both, in the unit of the parameter's table.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from anisoscope.base.errors import ConfigError, HeightMapError
+from anisoscope.base.toml_table import read_toml
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,7 @@ def read_limits(path: Path) -> dict[str, Limit]:
         LimitsError: not readable, no limits, or a table with anything but min ≤ max.
     """
     found: dict[str, Limit] = {}
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise LimitsError(f"{path}: cannot be read as TOML ({reason})") from None
-    for name, table in tables.items():
+    for name, table in read_toml(path, LimitsError).items():
         if not isinstance(table, dict) or not table or set(table) - {"min", "max"}:
             raise LimitsError(f"{path}: [{name}] takes min, max or both, such as max = 0.4")
         bounds = [table.get("min"), table.get("max")]

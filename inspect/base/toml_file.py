@@ -3,7 +3,6 @@
 import difflib
 import json
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from types import UnionType
@@ -14,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 
 from anisoscope.base.errors import ConfigError, RecipeError, RigFileError
+from anisoscope.base.toml_table import read_toml
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 _FILES = {".csv", ".toml"}
@@ -74,7 +74,7 @@ def read_toml_model(
     Raises:
         ConfigError: as `error`; the file is missing, is no TOML, or does not hold what the model wants.
     """
-    data = _load(path, error)
+    data = read_toml(path, error)
     _check_not_swapped(path, data, error)
     try:
         filled = _substitute(data, substitutions or {}, ())
@@ -116,19 +116,6 @@ def one_line(problem: ValidationError, model: type[BaseModel]) -> str:
 
 class _UnknownPlaceholder(Exception):
     pass
-
-
-def _load(path: Path, error: type[ConfigError]) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise error(f"{path}: there is no such file") from None
-    except UnicodeDecodeError:
-        raise error(f"{path}: not a text file in UTF-8") from None
-    except OSError as problem:
-        raise error(f"{path}: cannot be read: {problem.strerror}") from problem
-    except tomllib.TOMLDecodeError as problem:
-        raise error(f"{path}: not valid TOML: {problem}") from None
 
 
 def _substitute(value: object, known: Mapping[str, str], key: tuple[str | int, ...]) -> object:

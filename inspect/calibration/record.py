@@ -219,7 +219,7 @@ def read_calibration(path: Path, kind: Kind, picture: Path | None = None) -> Cal
         raise CalibrationError(f"the {kind} calibration {target} does not exist: {advice(kind)}") from None
     except OSError as error:
         raise CalibrationError(f"{target} cannot be read: {error.strerror}: {advice(kind)}") from error
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise CalibrationError(
             f"{target} is no record of a calibration ({reason}): {advice(kind)}"

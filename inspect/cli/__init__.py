@@ -256,21 +256,9 @@ def _notes(error: BaseException | None) -> list[str]:
 
 def _crash(error: Exception, arguments: list[str]) -> str:
     """Write the traceback of an error that no command foresaw to a file, and name both in one line."""
-    import tempfile
-    import traceback
+    from anisoscope.base.crash import crash_line
 
-    lines = ["anisoscope " + " ".join(map(str, arguments)), f"version {_version()}", ""]
-    content = "\n".join([*lines, "".join(traceback.format_exception(error))])
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", prefix="anisoscope-crash-", suffix=".log", delete=False
-        ) as file:
-            file.write(content)
-        where = f"the details are in {file.name}; report it with that file"
-    except OSError:
-        where = "run the command again with --debug, and report it with what that prints"
-    kind = type(error).__name__
-    return "; ".join([f"internal error ({kind}: {error}): this is no verdict; {where}", *_notes(error)])
+    return "; ".join([crash_line(error, "anisoscope " + " ".join(map(str, arguments))), *_notes(error)])
 
 
 def run(arguments: list[str]) -> int:

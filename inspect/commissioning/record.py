@@ -174,6 +174,6 @@ def read_commissioning(path: Path) -> Commissioning:
         raise CalibrationError(f"{path}: there is no such file: {advice}") from None
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror}") from error
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise CalibrationError(f"{path} is no record of a commissioning ({reason}): {advice}") from error

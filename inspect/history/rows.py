@@ -130,7 +130,7 @@ def seal_of(folder: Path) -> str:
         return str(seal) if seal else sha256_of(path)
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
-    except (ValueError, AttributeError) as error:
+    except (ValueError, RecursionError, AttributeError) as error:
         raise RecordError(f"{path} is damaged: it is no record") from error
 
 

@@ -1,11 +1,11 @@
 """Kinds of parts by name. Entry points name them, so that a third party's kind registers like a built-in one."""
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
-from anisoscope.base.errors import RecipeError, RecordError, UsageError
+from anisoscope.base.errors import ConfigError, RecipeError, RecordError, UsageError
 from anisoscope.base.plugins import installed
+from anisoscope.base.toml_table import read_toml
 from anisoscope.kinds.kind import AnyKind, Kind, NewRecipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -98,6 +98,6 @@ def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
 def _table(path: Path) -> dict[str, Any]:
     """What is in the file; what is wrong with it shows when the recipe is read."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
+        return read_toml(path)
+    except ConfigError:
         return {}

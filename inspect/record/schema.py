@@ -518,7 +518,7 @@ def _content_of(path: Path) -> tuple[Any, bool]:
         content = json.loads(text)
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:  # damaged, or nested thousands deep
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
     seal = content.pop("seal", None) if isinstance(content, dict) else None
     if seal is not None and seal != _seal_of(text, str(seal)):

@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from anisoscope.base.crash import crash_line
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import AnisoscopeError, ConfigError, RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
@@ -473,8 +474,12 @@ class Watch:
             signature = signature_of(arrival.path)
             if not self._is_due(arrival.name, signature):
                 continue
-            if self._at_rest(arrival.name, signature):
+            if not self._at_rest(arrival.name, signature):
+                continue
+            try:
                 self._take(arrival, signature)
+            except Exception as error:  # noqa: BLE001 - what is wrong with one part must not stop the line
+                self._complain(arrival.name, signature, crash_line(error, f"watch, at {arrival.path}"))
         for names in (self.arriving, self.bad):
             for name in names.keys() - listed:
                 del names[name]

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict
 
 from anisoscope.base.errors import RecipeError, RigFileError
 from anisoscope.base.toml_file import NameOrFile, read_toml_model
+from anisoscope.base.toml_table import MOST_BYTES, read_toml
 
 
 class Inner(BaseModel):
@@ -83,3 +84,24 @@ def test_the_caller_chooses_the_error(tmp_path):
         read_toml_model(tmp_path / "none.toml", Outer, error=RecipeError)
     with pytest.raises(RecipeError, match="cannot be read"):
         read_toml_model(tmp_path, Outer, error=RecipeError)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a = " + "[" * 100_000, "nested more than 32 deep"),
+        ("a = " + "[" * 33 + "]" * 33, "nested more than 32 deep"),
+        ("[" + ".".join("a" * 40) + "]", "nested more than 32 deep"),
+        ("a = " + "{a = " * 5000 + "1" + "}" * 5000, "nested more than 32 deep"),
+        ("# " + "x" * MOST_BYTES, "more than 4 MiB"),
+    ],
+    ids=["open", "lists", "tables", "inline tables", "size"],
+)
+def test_a_file_that_would_exhaust_the_program_is_one_line(tmp_path, text, message):
+    with pytest.raises(RecipeError, match=rf"file\.toml: .*{message}"):
+        read(tmp_path, text, error=RecipeError)
+
+
+def test_depth_within_the_limit_is_read(tmp_path):
+    (tmp_path / "file.toml").write_text("a = " + "[" * 31 + "]" * 31)
+    assert list(read_toml(tmp_path / "file.toml")) == ["a"]

@@ -143,6 +143,33 @@ def test_every_folder_is_inspected_once_and_remembered(place, look):
     assert look(place, remembered)[0] == []
 
 
+def test_what_is_wrong_with_one_folder_does_not_stop_the_line(place, start, look, tmp_path, monkeypatch):
+    for name in ("P0", "P1", "P2"):
+        write_part(place.root / name, int(name[1]))
+    (place.root / "P0" / "part.toml").write_text("a = " + "[" * 1000)
+    (serial, reason), *others = look(place)[0]
+    assert (serial, "part.toml: tables or lists nested" in reason) == ("P0", True)
+    assert others == [("P1", "INVALID"), ("P2", "INVALID")]
+
+    def break_down(found):
+        if found.record.serial == "P3":
+            raise RuntimeError("never foreseen")
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    for name in ("P3", "P4"):
+        write_part(place.root / name, int(name[1]))
+    heard, stop = Heard(), threading.Event()
+    started = start(place, heard, break_down)
+    with started.open():
+        started.run_once(stop)
+    told = dict(heard.events)
+    assert told["P3"].startswith("internal error (RuntimeError: never foreseen): this is no verdict; ")
+    assert told["P4"] == "INVALID"
+    (log,) = tmp_path.glob("anisoscope-crash-*.log")
+    assert "never foreseen" in log.read_text()
+    assert look(place)[0][0][0] == "P0"  # and only that one: the record of P3 was there
+
+
 def test_serial_number_and_lot_have_three_sources(place, look):
     folder = write_part(place.root / "P 1", 1)
     assert whose(folder) == ("P 1", whose(folder)[1])
