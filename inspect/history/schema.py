@@ -114,6 +114,11 @@ def version_of(connection: Connection) -> int:
     return int(connection.scalar(select(func.coalesce(func.max(versions.c.version), 0))) or 0)
 
 
+def tables(connection: Connection) -> list[str]:
+    """Names of all tables of a database."""
+    return sorted(inspect(connection).get_table_names())
+
+
 def check_version(found: int, where: object) -> None:
     """Check that this program can read the tables.
 

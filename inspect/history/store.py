@@ -235,7 +235,7 @@ class History:
 
 
 def open_history(place: str | Path, *, create: bool = True) -> History:
-    """Open a history, and bring its tables up to date.
+    """Open a history, and bring its tables up to date. The database of another program stays as it is.
 
     Args:
         place: a file, a folder that holds ``history.sqlite``, or a URL: see `parse_address`.
@@ -243,32 +243,43 @@ def open_history(place: str | Path, *, create: bool = True) -> History:
 
     Raises:
         UsageError: this is no place of a history.
-        HistoryError: it cannot be reached, there is none, or it was made by a later program.
+        HistoryError: it cannot be reached, there is none, something else is there, or a later program made it.
     """
     address = parse_address(place)
     if address.path is not None and not address.path.exists():
         if not create:
-            raise HistoryError(f"there is no history {address}: `anisoscope history add FOLDER…` makes one")
+            raise _none(address)
         try:
             address.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise HistoryError(f"cannot make the history {address}: {error.strerror}") from error
     history = History(address)
     try:
-        _bring_up_to_date(history._database, address)  # noqa: SLF001 - the other half of the constructor
+        _bring_up_to_date(history._database, address, create)  # noqa: SLF001 - the other half of the constructor
     except BaseException:
         history.close()
         raise
     return history
 
 
-def _bring_up_to_date(database: Database, address: Address) -> None:
+def _bring_up_to_date(database: Database, address: Address, create: bool) -> None:
     with database.reading() as connection:
         found = schema.version_of(connection)
+        others = schema.tables(connection) if found == 0 else []
     schema.check_version(found, address)
+    if others and database.is_sqlite:
+        raise HistoryError(
+            f"{address} is no history: it has the tables of something else ({', '.join(others[:3])}); name another file"
+        )
+    if found == 0 and not create:
+        raise _none(address)
     if found < schema.VERSION:
         with database.writing() as connection:
             schema.migrate(connection)
+
+
+def _none(address: Address) -> HistoryError:
+    return HistoryError(f"there is no history {address}: `anisoscope history add FOLDER…` makes one")
 
 
 _BY_ID, _BY_SERIAL = "id:", "serial:"
