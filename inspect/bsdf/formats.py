@@ -1,5 +1,6 @@
 """File formats of reflectance: export with what each one loses, import by content."""
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,17 +12,19 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.bsdf.klems import read_klems, write_klems
+from anisoscope.bsdf.lbnl_xml import WindowElement
 from anisoscope.bsdf.merl import RGB_NM, is_merl, read_merl, write_merl
 from anisoscope.bsdf.mitsuba_scene import Shape, write_scene
-from anisoscope.bsdf.reflectance import Reflectance, hemisphere, shuffled
-from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
+from anisoscope.bsdf.reflectance import Reflectance, hemisphere, physics_of, shuffled
+from anisoscope.bsdf.rgl import COARSE, HIGHEST_DEG, Resolution, read_rgl, write_rgl
 from anisoscope.bsdf.tensor_file import MAGIC as TENSOR_MAGIC
-from anisoscope.bsdf.zemax import is_zemax, read_zemax, write_zemax
+from anisoscope.bsdf.tensor_tree import STRUCTURES, read_tensor_tree, write_tensor_tree
+from anisoscope.bsdf.zemax import ROTATION_DEG, is_zemax, read_zemax, write_zemax
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import linear_srgb
 
-FormatName = Literal["rgl", "merl", "zemax", "klems"]
+FormatName = Literal["rgl", "merl", "zemax", "klems", "tensor-tree"]
 _SUFFIXES: dict[str, FormatName] = {".bsdf": "rgl", ".binary": "merl", ".xml": "klems"}
 _HEAD = 4096
 _COMPARED = 4096
@@ -84,33 +87,92 @@ def export(
         RecordError: the file cannot be written.
     """
     losses = list(reflectance.notes)
-    if name == "merl" and reflectance.channels > 1:
-        reflectance = _in_rgb(reflectance)
-        losses.append("of the spectrum only linear sRGB under D65 is kept; negative values are cut to 0")
-    if name in ("zemax", "klems") and reflectance.channels > 1:
-        reflectance = _luminous(reflectance)
-        losses.append(
-            "of the spectrum only the luminous mean under D65 is kept; --wavelength keeps one wavelength"
-        )
-    reader: Callable[[Path], Reflectance]
+    light, camera = compared_directions()
+    source = reflectance.evaluate(light, camera)
+    reflectance, lost = _in_channels(reflectance, name, source)
+    losses += lost
+    if reflectance.costly and name != "rgl":
+        reflectance, text = _tabulated(reflectance, resolution, on_progress)
+        losses.append(text)
+    if lost or reflectance.channels != source.shape[1]:
+        source = reflectance.evaluate(light, camera)
     if name == "rgl":
         write_rgl(reflectance, path, resolution, on_progress)
-        reader = read_rgl
         if scene is not None:
             write_scene(scene[0], path, scene[1])
-    elif name == "merl":
-        write_merl(reflectance, path)
-        reader = read_merl
-    elif name == "zemax":
-        write_zemax(reflectance, path, on_progress)
-        reader = read_zemax
-        if not reflectance.isotropic:
-            losses.append("OpticStudio's scatter model uses one sample rotation only; other programs use all")
     else:
-        write_klems(reflectance, path, on_progress)
-        reader = read_klems
-        losses.append("lobes narrower than the patches (10° wide near the normal) are spread over them")
-    return Exported(name, path.stat().st_size, tuple(losses), deviation(reader(path), reflectance))
+        _WRITERS[name](reflectance, path, on_progress)
+    found = _READERS[name](path).evaluate(light, camera)
+    losses += _of_format(name, reflectance, source, found)
+    return Exported(name, path.stat().st_size, tuple(losses), _rms(found, source))
+
+
+def _in_channels(
+    reflectance: Reflectance, name: FormatName, source: FloatArray
+) -> tuple[Reflectance, list[str]]:
+    """The reflectance with the channels that a format holds, and what that loses."""
+    many = reflectance.channels
+    if many == 1 or name == "rgl":
+        return reflectance, []
+    if name == "merl":
+        if reflectance.wavelengths_nm == RGB_NM:
+            return reflectance, []
+        linear = linear_srgb(source @ xyz_weights(standard("D65"), np.array(reflectance.wavelengths_nm)))
+        text = (
+            f"of {many} wavelengths 3 channels remain, linear sRGB under D65; {np.mean(linear < 0.0):.1%} of their "
+            "values are negative and become 0"
+        )
+        return _in_rgb(reflectance), [text]
+    luminous = _luminous(reflectance, source)
+    off = _rms(np.broadcast_to(luminous, source.shape), source)
+    text = (
+        f"of {many} wavelengths one value remains, the luminous mean under D65, which is {off:.0%} rms off single "
+        "wavelengths; --wavelength keeps one of them"
+    )
+    return _in_luminance(reflectance), [text]
+
+
+def _tabulated(
+    reflectance: Reflectance, resolution: Resolution | None, on_progress: Advance
+) -> tuple[Reflectance, str]:
+    """A reflectance that takes long to evaluate, read back from an RGL file, and what that loses."""
+    size = resolution or COARSE
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sampled.bsdf"
+        write_rgl(reflectance, path, size, on_progress)
+        found = read_rgl(path)
+    off = deviation(found, reflectance)
+    text = (
+        f"sampled on {size.theta} × {size.phi} directions of the light and {size.square} × {size.square} of the camera "
+        f"first, {off:.1%} rms off; --nodes takes more"
+    )
+    return replace(found, name=reflectance.name), text
+
+
+def _of_format(
+    name: FormatName, reflectance: Reflectance, source: FloatArray, found: FloatArray
+) -> list[str]:
+    """What the format itself loses, in numbers."""
+    negative = float(np.mean(source < 0.0))
+    below = [f"{negative:.2%} of the values are negative; Radiance takes them as 0"] if negative else []
+    peak = f"the highest value falls from {source.max():.3g} to {found.max():.3g} 1/sr"
+    if name == "rgl":
+        beyond = np.cos(np.radians(HIGHEST_DEG)) ** 2
+        return [
+            f"light from more than {HIGHEST_DEG:g}° takes the values of {HIGHEST_DEG:g}°: {beyond:.2%} of all light"
+        ]
+    if name == "zemax" and not reflectance.isotropic:
+        turned = physics_of(reflectance).anisotropy
+        text = (
+            f"OpticStudio's scatter model uses one of the {len(ROTATION_DEG)} sample rotations, other programs all; a "
+            f"quarter turn changes the values by {turned:.0%} rms"
+        )
+        return [text]
+    if name == "klems":
+        return [f"lobes narrower than the patches, 10° near the normal, are spread over them: {peak}", *below]
+    if name == "tensor-tree":
+        return [f"lobes narrower than the smallest cells are spread over them: {peak}", *below]
+    return []
 
 
 def read_reflectance(path: Path) -> Reflectance:
@@ -129,13 +191,34 @@ def read_reflectance(path: Path) -> Reflectance:
     if is_merl(head):
         return read_merl(path)
     if head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<"):
-        return read_klems(path)
+        return read_lbnl(path)
     if is_zemax(head):
         return read_zemax(path)
     raise UsageError(
-        f"{path}: none of the formats that are read: RGL .bsdf, MERL binary, Klems XML, Zemax BSDF (a table of single "
-        "directions is read by bsdf import)"
+        f"{path}: none of the formats that are read: RGL .bsdf, MERL binary, Klems and tensor-tree XML, Zemax BSDF (a "
+        "table of single directions is read by bsdf import)"
     )
+
+
+def read_lbnl(path: Path) -> Reflectance:
+    """Read LBNL's XML: a Klems matrix or a tensor tree; errors as for their readers."""
+    tree = WindowElement(path).structure in STRUCTURES
+    return read_tensor_tree(path) if tree else read_klems(path)
+
+
+_WRITERS: dict[FormatName, Callable[[Reflectance, Path, Advance], None]] = {
+    "merl": lambda reflectance, path, _: write_merl(reflectance, path),
+    "zemax": write_zemax,
+    "klems": write_klems,
+    "tensor-tree": write_tensor_tree,
+}
+_READERS: dict[FormatName, Callable[[Path], Reflectance]] = {
+    "rgl": read_rgl,
+    "merl": read_merl,
+    "zemax": read_zemax,
+    "klems": read_klems,
+    "tensor-tree": read_tensor_tree,
+}
 
 
 def is_reflectance_file(path: Path) -> bool:
@@ -151,8 +234,11 @@ def is_reflectance_file(path: Path) -> bool:
 def deviation(one: Reflectance, other: Reflectance) -> float:
     """Rms difference of two reflectances over the rms of the second; `Exported.rms` says where."""
     light, camera = compared_directions()
-    difference = one.evaluate(light, camera) - (reference := other.evaluate(light, camera))
-    return float(np.sqrt(np.mean(difference**2) / max(float(np.mean(reference**2)), 1e-300)))
+    return _rms(one.evaluate(light, camera), other.evaluate(light, camera))
+
+
+def _rms(found: FloatArray, wanted: FloatArray) -> float:
+    return float(np.sqrt(np.mean((found - wanted) ** 2) / max(float(np.mean(wanted**2)), 1e-300)))
 
 
 def compared_directions() -> tuple[FloatArray, FloatArray]:
@@ -166,8 +252,6 @@ def compared_directions() -> tuple[FloatArray, FloatArray]:
 
 def _in_rgb(reflectance: Reflectance) -> Reflectance:
     """Blue, green and red under the wavelengths by which MERL files know them."""
-    if reflectance.wavelengths_nm == RGB_NM:
-        return reflectance
     weights = xyz_weights(standard("D65"), np.array(reflectance.wavelengths_nm))
     return replace(
         reflectance,
@@ -178,13 +262,18 @@ def _in_rgb(reflectance: Reflectance) -> Reflectance:
     )
 
 
-def _luminous(reflectance: Reflectance) -> Reflectance:
+def _in_luminance(reflectance: Reflectance) -> Reflectance:
+    return replace(
+        reflectance,
+        evaluate=lambda light, camera: _luminous(reflectance, reflectance.evaluate(light, camera)),
+        wavelengths_nm=(),
+    )
+
+
+def _luminous(reflectance: Reflectance, values: FloatArray) -> FloatArray:
+    """(N, 1) luminous means of (N, W) values."""
     if reflectance.wavelengths_nm == RGB_NM:
         weights = np.array([0.0722, 0.7152, 0.2126])
     else:
         weights = xyz_weights(standard("D65"), np.array(reflectance.wavelengths_nm))[:, 1]
-    return replace(
-        reflectance,
-        evaluate=lambda light, camera: (reflectance.evaluate(light, camera) @ weights)[:, None],
-        wavelengths_nm=(),
-    )
+    return np.asarray((values @ weights)[:, None])

@@ -1,9 +1,8 @@
 """Klems matrices in LBNL's XML, as WINDOW and Radiance read them: mean BRDFs between 145 patches of the hemisphere.
 
 The patches are those of the full basis. Light comes from a patch and leaves through a patch; a value is the mean of the
-BRDF over both, weighted by projected solid angle. Written is "Reflection Back": Radiance puts it on the side of the
-surface normal (it calls "front" what WINDOW calls "back"), and what a renderer sees is the surface. Columns are the
-incident patches. An incident patch at azimuth φ holds light that *travels* toward φ: its source stands at φ + 180°.
+BRDF over both, weighted by projected solid angle. Columns are the incident patches (`lbnl_xml` says which way they
+count).
 """
 
 from pathlib import Path
@@ -13,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.bsdf.lbnl_xml import WindowElement, write_window_element
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon
 
 EDGES_DEG = (0.0, 5.0, 15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
@@ -23,7 +22,6 @@ AZIMUTHS = (1, 8, 16, 20, 24, 24, 24, 16, 12)
 PATCHES = sum(AZIMUTHS)
 BASIS = "LBNL/Klems Full"
 _DRAWS = 96
-_SIDE = "Reflection Back"
 
 
 def write_klems(reflectance: Reflectance, path: Path, on_progress: Advance = silent) -> None:
@@ -46,7 +44,9 @@ def write_klems(reflectance: Reflectance, path: Path, on_progress: Advance = sil
         value = reflectance.evaluate(light.reshape(-1, 3), camera.reshape(-1, 3))
         matrix[:, number] = value[:, 0].reshape(PATCHES, _DRAWS).mean(axis=1)
     on_progress("patches", PATCHES, PATCHES)
-    write_text(path, _document(reflectance.name, matrix))
+    text = "\n".join(", ".join(f"{value:.6g}" for value in row) + "," for row in matrix).rstrip(",")
+    bases = {"ColumnAngleBasis": BASIS, "RowAngleBasis": BASIS}
+    write_window_element(path, reflectance.name, "Columns", bases, text, _basis())
 
 
 def read_klems(path: Path) -> Reflectance:
@@ -55,49 +55,30 @@ def read_klems(path: Path) -> Reflectance:
     Raises:
         UsageError: no such file, another basis, or a matrix of another size.
     """
-    try:
-        root = ET.fromstring(path.read_bytes())  # noqa: S314 - expat refuses entities that grow
-    except OSError as problem:
-        raise UsageError(f"cannot read {path}: {problem.strerror or problem}") from problem
-    except ET.ParseError as problem:
-        raise UsageError(f"{path}: damaged XML: {problem}") from problem
-    for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
-    blocks = {
-        block.findtext("WavelengthDataDirection", "").strip(): block
-        for block in root.iter("WavelengthDataBlock")
-    }
-    block = blocks.get(_SIDE, blocks.get("Reflection Front"))
-    if block is None:
-        raise UsageError(f"{path}: holds no reflection (found: {', '.join(blocks) or 'no data block'})")
+    element = WindowElement(path)
     for axis in ("ColumnAngleBasis", "RowAngleBasis"):
-        if block.findtext(axis, "").strip() != BASIS:
+        if element.text(axis) != BASIS:
             raise UsageError(
-                f"{path}: read are matrices of {BASIS}, not {block.findtext(axis, '').strip() or 'a tensor tree'!r}"
+                f"{path}: read are matrices of {BASIS} and tensor trees, not "
+                f"{element.text(axis) or element.structure!r}"
             )
-    matrix = _matrix(block, path)
-    if root.findtext(".//IncidentDataStructure", "Columns").strip() == "Rows":
-        matrix = matrix.T
-
-    def value(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
-        travels = to_light * np.array([-1.0, -1.0, 1.0])
-        return np.asarray(matrix[patch_of(to_camera), patch_of(travels)])
-
-    name = root.findtext(".//Material/Name", "").strip() or path.stem
-    return Reflectance(name, lambda light, camera: above_horizon(light, camera, value))
-
-
-def _matrix(block: ET.Element, path: Path) -> FloatArray:
-    """(PATCHES, PATCHES) numbers of a data block as they stand there."""
     try:
-        values = np.array(block.findtext("ScatteringData", "").replace(",", " ").split(), dtype=np.float64)
+        values = np.array(element.text("ScatteringData").replace(",", " ").split(), dtype=np.float64)
     except ValueError as problem:
         raise UsageError(f"{path}: ScatteringData holds something that is no number: {problem}") from None
     if values.size != PATCHES**2 or not np.isfinite(values).all():
         raise UsageError(
             f"{path}: ScatteringData has {values.size} numbers, {PATCHES} × {PATCHES} are expected"
         )
-    return values.reshape(PATCHES, PATCHES)
+    matrix = values.reshape(PATCHES, PATCHES)
+    if element.structure == "Rows":
+        matrix = matrix.T
+
+    def value(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+        travels = to_light * np.array([-1.0, -1.0, 1.0])
+        return np.asarray(matrix[patch_of(to_camera), patch_of(travels)])
+
+    return Reflectance(element.name, lambda light, camera: above_horizon(light, camera, value))
 
 
 def patch_of(vectors: FloatArray) -> npt.NDArray[np.intp]:
@@ -129,18 +110,8 @@ def _within(patch: npt.NDArray[np.intp], draws: FloatArray) -> FloatArray:
     )
 
 
-def _document(name: str, matrix: FloatArray) -> str:
-    root = ET.Element("WindowElement", xmlns="http://windows.lbl.gov")
-    ET.SubElement(root, "WindowElementType").text = "System"
-    ET.SubElement(root, "FileType").text = "BSDF"
-    layer = ET.SubElement(ET.SubElement(root, "Optical"), "Layer")
-    material = ET.SubElement(layer, "Material")
-    ET.SubElement(material, "Name").text = name
-    ET.SubElement(material, "Manufacturer").text = "anisoscope"
-    ET.SubElement(material, "DeviceType").text = "Other"
-    definition = ET.SubElement(layer, "DataDefinition")
-    ET.SubElement(definition, "IncidentDataStructure").text = "Columns"
-    basis = ET.SubElement(definition, "AngleBasis")
+def _basis() -> ET.Element:
+    basis = ET.Element("AngleBasis")
     ET.SubElement(basis, "AngleBasisName").text = BASIS
     for low, high, many in zip(EDGES_DEG, EDGES_DEG[1:], AZIMUTHS, strict=False):
         block = ET.SubElement(basis, "AngleBasisBlock")
@@ -149,16 +120,4 @@ def _document(name: str, matrix: FloatArray) -> str:
         bounds = ET.SubElement(block, "ThetaBounds")
         ET.SubElement(bounds, "LowerTheta").text = f"{low:g}"
         ET.SubElement(bounds, "UpperTheta").text = f"{high:g}"
-    data = ET.SubElement(layer, "WavelengthData")
-    ET.SubElement(data, "LayerNumber").text = "System"
-    ET.SubElement(data, "Wavelength", unit="Integral").text = "Visible"
-    block = ET.SubElement(data, "WavelengthDataBlock")
-    ET.SubElement(block, "WavelengthDataDirection").text = _SIDE
-    ET.SubElement(block, "ColumnAngleBasis").text = BASIS
-    ET.SubElement(block, "RowAngleBasis").text = BASIS
-    ET.SubElement(block, "ScatteringDataType").text = "BRDF"
-    ET.SubElement(block, "ScatteringData").text = "\n".join(
-        ", ".join(f"{value:.6g}" for value in row) + "," for row in matrix
-    ).rstrip(",")
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return basis

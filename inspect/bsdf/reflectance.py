@@ -7,11 +7,6 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light import corrected
-from anisoscope.sim.light.ink import model as ink_model
-from anisoscope.sim.light.ink.ink import Ink
-from anisoscope.sim.light.material import Material
 
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -34,6 +29,7 @@ class Reflectance:
         wavelengths_nm: W rising wavelengths; () where one value (W = 1) holds for all light.
         isotropic: turning the surface about its normal changes nothing.
         notes: what is neglected, one sentence each.
+        costly: a pair of directions takes 0.1 ms or more: writers of fine grids sample it on a coarser one first.
     """
 
     name: str
@@ -41,6 +37,7 @@ class Reflectance:
     wavelengths_nm: tuple[float, ...] = ()
     isotropic: bool = False
     notes: tuple[str, ...] = ()
+    costly: bool = False
 
     @property
     def channels(self) -> int:
@@ -70,6 +67,12 @@ class Reflectance:
 
         return replace(self, evaluate=evaluate, wavelengths_nm=(wavelength_nm,))
 
+    def turned(self, angle_deg: float) -> "Reflectance":
+        """The surface turned counter-clockwise about its normal."""
+        cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+        back = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return replace(self, evaluate=lambda light, camera: self.evaluate(light @ back, camera @ back))
+
 
 def above_horizon(
     to_light: FloatArray, to_camera: FloatArray, value: Callable[..., FloatArray]
@@ -91,48 +94,6 @@ def above_horizon(
     found = np.zeros((len(to_light), some.shape[1]))
     found[up] = some
     return found
-
-
-def of_ridges(
-    design: RidgeDesign, material: Material, bounces: int | None = 1, name: str = "ridges"
-) -> Reflectance:
-    """Ridges of plastic by the corrected model; a ridge angle of 0 is a flat surface.
-
-    Args:
-        design: the ridges, along y.
-        material: the plastic.
-        bounces: reflections that count; None all, which takes 10 ms for each pair of directions.
-        name: of the surface.
-    """
-
-    def value(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
-        found = corrected.radiance(to_light, to_camera, design, material, bounces)
-        return np.asarray(found / to_light[:, 2])
-
-    flat = design.ridge_angle_deg == 0.0
-    notes = () if flat or bounces is None else (
-        f"light that reflects more than {bounces} time{'s' * (bounces > 1)} between facets and walls is left out",
-    )  # fmt: skip
-    return Reflectance(
-        name,
-        lambda light, camera: above_horizon(light, camera, value),
-        isotropic=flat and material.alpha_along == material.alpha_across,
-        notes=notes,
-    )
-
-
-def of_ink(ink: Ink, model: ink_model.Model = "goniochromatic") -> Reflectance:
-    """A structural-colour ink at the wavelengths of its file."""
-
-    def value(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
-        return ink_model.brdf(ink, to_light, to_camera, model)
-
-    return Reflectance(
-        ink.name,
-        lambda light, camera: above_horizon(light, camera, value),
-        tuple(float(nm) for nm in ink.nm),
-        isotropic=ink.alpha == ink.across,
-    )
 
 
 @dataclass(frozen=True)

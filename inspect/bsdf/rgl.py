@@ -40,7 +40,7 @@ _FIELDS = {
 }
 _FLOOR = 0.3  # of the density, against its mean: the flanks of the lobe need nodes too
 _HIDDEN = 0.05  # of that floor where light would go below the horizon
-_NORMALS = 256, 512  # nodes over φ and θ of D
+
 _AREAS = 65, 65  # of σ
 _DENSITY = 65, 65
 _NEAR_HORIZON = 0.01
@@ -55,6 +55,7 @@ class Resolution:
         theta: incident inclinations, evenly from 0 to HIGHEST_DEG.
         phi: incident azimuths, evenly over the turn, both ends counted; isotropic surfaces have one.
         square: nodes on a side of the square of outgoing directions.
+        normals: nodes over azimuth and inclination of the reflectance back to the light.
 
     Raises:
         UsageError: too few to interpolate between.
@@ -63,6 +64,7 @@ class Resolution:
     theta: int = 24
     phi: int = 37
     square: int = 48
+    normals: tuple[int, int] = (256, 512)
 
     def __post_init__(self) -> None:
         if self.theta < 2 or self.phi < 5 or self.square < 4:
@@ -70,6 +72,10 @@ class Resolution:
                 "a .bsdf file needs at least 2 inclinations and 5 azimuths of the light and 4 nodes on a side, not "
                 f"{self.theta}, {self.phi} and {self.square}"
             )
+
+
+COARSE = Resolution(12, 19, 24, (48, 256))
+"""For surfaces whose values take long to compute."""
 
 
 def write_rgl(
@@ -81,15 +87,17 @@ def write_rgl(
         UsageError: a file that would be huge, or a surface that reflects nothing.
         RecordError: the file cannot be written.
     """
-    size = resolution or (Resolution(45) if reflectance.isotropic else Resolution())
+    usual = COARSE if reflectance.costly else Resolution(45) if reflectance.isotropic else Resolution()
+    size = resolution or usual
     nm = reflectance.wavelengths_nm or GREY_NM
     if len(nm) == 1:
         nm = (nm[0], nm[0] + 1.0)  # readers interpolate between two
     phi_i = np.zeros(1) if reflectance.isotropic else np.linspace(-np.pi, np.pi, size.phi)
     theta_i = np.radians(np.linspace(0.0, HIGHEST_DEG, size.theta))
     slices = len(phi_i) * len(theta_i)
-    refuse_huge(4 * slices * (_DENSITY[0] * _DENSITY[1] + size.square**2 * (1 + len(nm))), str(path))
-    normals = _Plane(_back_reflection(reflectance))
+    pixels = _DENSITY[0] * _DENSITY[1] + size.square**2 * (1 + len(nm))
+    refuse_huge(4 * slices * pixels, f"{path}: {slices} directions of the light × {len(nm)} wavelengths")
+    normals = _Plane(_back_reflection(reflectance, size.normals))
     areas = _Plane(_projected_areas(normals, isotropic=reflectance.isotropic))
     density = np.empty((slices, *_DENSITY), dtype=np.float32)
     spectra = np.empty((slices, len(nm), size.square, size.square), dtype=np.float32)
@@ -321,10 +329,10 @@ class _Measured:
         ]
 
 
-def _back_reflection(reflectance: Reflectance) -> FloatArray:
+def _back_reflection(reflectance: Reflectance, nodes: tuple[int, int]) -> FloatArray:
     """D on its nodes: 4 cos²θ·f(m, m), never quite 0; of an isotropic surface two equal rows."""
-    rows = 2 if reflectance.isotropic else _NORMALS[0]
-    v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, _NORMALS[1]), indexing="ij")
+    rows = 2 if reflectance.isotropic else nodes[0]
+    v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, nodes[1]), indexing="ij")
     theta, phi = _angles(np.stack([u.ravel(), v.ravel()], axis=-1), 0.0)
     normal = _vectors(np.minimum(theta, np.radians(HIGHEST_DEG)), np.zeros_like(phi) if rows == 2 else phi)
     found = 4.0 * normal[:, 2] ** 2 * np.mean(np.maximum(reflectance.evaluate(normal, normal), 0.0), axis=1)
@@ -334,7 +342,7 @@ def _back_reflection(reflectance: Reflectance) -> FloatArray:
         )
     weight = u.ravel() * np.sin(theta)
     mean = float(np.sum(found * weight) / np.sum(weight))
-    return np.asarray((found + 0.01 * mean).reshape(rows, _NORMALS[1]))
+    return np.asarray((found + 0.01 * mean).reshape(rows, nodes[1]))
 
 
 def _projected_areas(normals: _Plane, *, isotropic: bool) -> FloatArray:

@@ -1,85 +1,20 @@
 """``anisoscope bsdf``: reflectance to and from renderers and instruments."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-from cyclopts import App, Group, Parameter
+from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.bsdf.sources import SourceOptions
 from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 
-if TYPE_CHECKING:
-    from anisoscope.bsdf.reflectance import Reflectance
-
-SOURCE = Group("Surface", help="One of --ridge-angle, --ink and --from-file.", sort_key=10)
-
 app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, fit, show.")
 app.command("anisoscope.cli.fit.fit:reflectance", name="fit")
-
-
-@Parameter(name="*", group=SOURCE)
-@dataclass(frozen=True)
-class SourceOptions:
-    """What reflects."""
-
-    ridge_angle: Annotated[
-        float | None, Parameter(help="Ridges along y: ridge angle in degrees; 0 is a flat surface.")
-    ] = None
-    ink: Annotated[str | None, Parameter(help="Structural-colour ink: file *.toml, or a name.")] = None
-    from_file: Annotated[Path | None, Parameter(help="File of another format: RGL, MERL, Klems, Zemax.")] = (
-        None
-    )
-    material: Annotated[
-        Path | None, Parameter(help="Of the ridges: file of calibrate material, in place of the four below.")
-    ] = None
-    alpha_along: Annotated[float, Parameter(help="Of the ridges: Beckmann roughness along.")] = 0.06
-    alpha_across: Annotated[float, Parameter(help="Of the ridges: Beckmann roughness across.")] = 0.10
-    albedo: Annotated[float, Parameter(help="Of the ridges: diffuse albedo of the plastic.")] = 0.2
-    index: Annotated[float, Parameter(help="Of the ridges: refractive index of the plastic.")] = 1.5
-    pitch: Annotated[float, Parameter(help="Of the ridges: pitch in µm.")] = 100.0
-    height_loss: Annotated[float, Parameter(help="Of the ridges: share of the height that is missing.")] = 0.0
-    bounces: Annotated[
-        int, Parameter(help="Of the ridges: reflections between facets; 2 takes thirty times as long.")
-    ] = 1
-
-    def reflectance(self) -> "Reflectance":
-        """The surface.
-
-        Raises:
-            UsageError: none or several surfaces, or a file that cannot be used.
-        """
-        from anisoscope.bsdf import reflectance as known
-        from anisoscope.bsdf.formats import read_reflectance
-
-        given = [self.ridge_angle is not None, self.ink is not None, self.from_file is not None]
-        if sum(given) != 1:
-            raise UsageError("say what reflects: one of --ridge-angle, --ink and --from-file")
-        if self.from_file is not None:
-            return read_reflectance(self.from_file)
-        if self.ink is not None:
-            from anisoscope.sim.materials.inks import find_ink
-
-            return known.of_ink(find_ink(self.ink))
-        from anisoscope.profiles.ideal import RidgeDesign
-        from anisoscope.sim.light.material import Material
-
-        assert self.ridge_angle is not None
-        if self.bounces < 1:
-            raise UsageError(f"--bounces must be 1 or more, not {self.bounces}")
-        if self.material is None:
-            plastic = Material(self.alpha_along, self.alpha_across, self.albedo, self.index)
-        else:
-            from anisoscope.recipe.material_file import read_material_file
-
-            plastic = read_material_file(self.material).material.material()
-        design = RidgeDesign(self.pitch, self.ridge_angle, height_loss=self.height_loss)
-        name = "flat plastic" if self.ridge_angle == 0.0 else f"ridges of {self.ridge_angle:g}°"
-        return known.of_ridges(design, plastic, self.bounces, name)
 
 
 @app.command
@@ -89,7 +24,7 @@ def export(
     *,
     source: SourceOptions | None = None,
     format_: Annotated[
-        Literal["rgl", "merl", "zemax", "klems"] | None,
+        Literal["rgl", "merl", "zemax", "klems", "tensor-tree"] | None,
         Parameter(
             name="--file-format", help="Format; by the extension .bsdf (RGL), .binary (MERL), .xml (Klems)."
         ),
@@ -104,9 +39,10 @@ def export(
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
-    """Write the reflectance of ridges, an ink or a file as RGL .bsdf, MERL, Zemax or Klems XML.
+    """Write the reflectance of ridges, an ink, etched steps, a height map or a file for renderers.
 
-    The file is read back and compared; what the format does not hold is printed.
+    Formats: RGL .bsdf, MERL, Zemax, and Klems or tensor tree in XML. The file is read back and compared; what the
+    format does not hold is printed in numbers.
 
     Args:
         target: file to write.
@@ -115,6 +51,7 @@ def export(
         anisoscope bsdf export ridges.bsdf --ridge-angle 10 --scene ridges.xml
         anisoscope bsdf export red.bsdf --ink synthetic-red
         anisoscope bsdf export plastic.binary --ridge-angle 0 --alpha-along 0.1 --alpha-across 0.1
+        anisoscope bsdf export lobe.bsdf --design lobe.toml
     """
     from anisoscope.bsdf.formats import export as write
     from anisoscope.bsdf.formats import format_of
@@ -131,11 +68,12 @@ def export(
         numbers = parse_numbers(nodes, "--nodes", "24,37,48")
         if len(numbers) != 3 or any(n != int(n) for n in numbers):
             raise UsageError(f"--nodes takes three whole numbers, such as 24,37,48, not {nodes!r}")
-        resolution = Resolution(*(int(n) for n in numbers))
-    surface = source.reflectance()
-    if wavelength is not None:
-        surface = surface.at(wavelength)
+        theta, phi, square = (int(n) for n in numbers)
+        resolution = Resolution(theta, phi, square)
     with progress(target.name, quiet=json_) as advance:
+        surface = source.reflectance(advance)
+        if wavelength is not None:
+            surface = surface.at(wavelength)
         drawn = None if scene is None else (scene, scene_shape)
         done = write(surface, target, name, resolution, advance, drawn)
     if json_:
@@ -161,7 +99,7 @@ def show(
     """Show what a reflectance file holds: wavelengths, albedo, and whether it is reciprocal and positive.
 
     Args:
-        file: RGL .bsdf, MERL, Klems XML or Zemax, identified by its content.
+        file: RGL .bsdf, MERL, Klems or tensor-tree XML, or Zemax, identified by its content.
 
     Examples:
         anisoscope bsdf show ridges.bsdf
@@ -226,7 +164,8 @@ def import_(
     """Turn an instrument's table or a renderer's file into the table that bsdf fit reads.
 
     Args:
-        file: CSV with a header, ASTM E2387-style ASCII (a line VARS), RGL .bsdf, MERL, Klems XML or Zemax.
+        file: CSV with a header, ASTM E2387-style ASCII (a line VARS), RGL .bsdf, MERL, Klems or tensor-tree XML,
+            or Zemax.
 
     Examples:
         anisoscope bsdf import gonio.csv --columns theta_i_deg=AOI,phi_i_deg=0,theta_o_deg=Det,phi_o_deg=180 --out t.csv

@@ -43,7 +43,7 @@ def test_energy_survives(tmp_path, surfaces):
         (
             "LBNL/Klems Full</Row",
             "LBNL/Klems Half</Row",
-            "read are matrices of LBNL/Klems Full, not 'LBNL/Klems Half'",
+            "read are matrices of LBNL/Klems Full and tensor trees, not 'LBNL/Klems Half'",
         ),
         ("Reflection Back", "Transmission Front", "holds no reflection (found: Transmission Front)"),
         (r"<ScatteringData>[^,]*,", "<ScatteringData>", "21024 numbers, 145 × 145"),

@@ -3,7 +3,7 @@ import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.bsdf.merl import RGB_NM, SHAPE, read_merl, write_merl
-from anisoscope.bsdf.reflectance import of_ridges
+from anisoscope.bsdf.models import of_ridges
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.material import Material
 

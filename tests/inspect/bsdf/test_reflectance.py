@@ -4,17 +4,10 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.bsdf.reflectance import (
     albedo,
-    hemisphere,
     must_be_isotropic,
-    of_ink,
-    of_ridges,
     physics_of,
     refuse_huge,
 )
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.ink.model import brdf, directional_albedo
-from anisoscope.sim.light.material import Material, facet_brdf
-from anisoscope.sim.materials.inks import find_ink
 
 
 def test_a_lambertian_surface_returns_its_albedo(surfaces):
@@ -37,30 +30,19 @@ def test_what_is_not_physical_is_measured(surfaces):
     assert [text.split()[0] for text in found.warnings()] == ["the", "not", f"{found.negative_share:.2%}"]
 
 
-def test_a_flat_surface_is_its_facet():
-    material = Material(0.1, 0.2)
-    light, camera = hemisphere(50, 70.0), np.roll(hemisphere(50, 70.0), 17, axis=0)
-    found = of_ridges(RidgeDesign(100.0, 0.0), material).evaluate(light, camera)[:, 0]
-    along, across = np.eye(3)[1], np.eye(3)[0]
-    np.testing.assert_allclose(
-        found, facet_brdf(light, camera, along, -across, np.eye(3)[2], material), rtol=1e-9
-    )
-    assert not of_ridges(RidgeDesign(100.0, 0.0), material).isotropic
-
-
-def test_an_ink_is_its_model_and_its_albedo():
-    ink = find_ink("synthetic-red")
-    light, camera = hemisphere(20, 60.0), hemisphere(20, 60.0)
-    np.testing.assert_allclose(of_ink(ink).evaluate(light, camera), brdf(ink, light, camera), rtol=1e-12)
-    np.testing.assert_allclose(albedo(of_ink(ink), 30.0), directional_albedo(ink, 30.0), rtol=5e-3)
-
-
 def test_one_of_several_wavelengths(surfaces):
     two = surfaces.surface(lambda i, _: np.stack([i[:, 2], 3.0 * i[:, 2]], axis=-1), (500.0, 600.0))
     up = np.array([[0.0, 0.0, 1.0]])
     assert two.at(525.0).evaluate(up, up) == pytest.approx(np.array([[1.5]]))
     with pytest.raises(UsageError, match="500 to 600 nm, not at 700 nm"):
         two.at(700.0)
+
+
+def test_a_turned_surface(surfaces):
+    turned = surfaces.skew().turned(90.0)
+    light, camera = surfaces.pairs(20, 70.0)
+    back = [one[:, [1, 0, 2]] * [1.0, -1.0, 1.0] for one in (light, camera)]  # by −90°
+    np.testing.assert_allclose(turned.evaluate(light, camera), surfaces.skew().evaluate(*back), atol=1e-12)
 
 
 def test_refusals(surfaces):

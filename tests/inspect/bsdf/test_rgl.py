@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.bsdf.reflectance import albedo, of_ridges
+from anisoscope.bsdf.models import of_ridges
+from anisoscope.bsdf.reflectance import albedo
 from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
 from anisoscope.bsdf.tensor_file import read_tensors, write_tensors
 from anisoscope.profiles.ideal import RidgeDesign

@@ -1,8 +1,13 @@
 """Export, show, import and fit from the command line; the formats themselves are tested in tests/inspect/bsdf."""
 
 import csv
+import re
 
+import numpy as np
 import pytest
+
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.heightmap import HeightMap
 
 FLAT = ("--ridge-angle", "0", "--alpha-along", "0.1", "--alpha-across", "0.1")
 
@@ -49,12 +54,35 @@ def test_what_a_format_loses_is_printed(anisoscope, tmp_path):
     assert "lost: lobes narrower than the patches" in done.out
     done = anisoscope("bsdf", "export", tmp_path / "ridges.xml", "--ridge-angle", "10")
     assert "lost: light that reflects more than 1 time" in done.out
+    lost = [line for line in done.out.splitlines() if line.startswith("lost:")]
+    assert all(re.search(r"[0-9]", line) for line in lost)
+
+
+def test_every_model_leaves(anisoscope, tmp_path):
+    """Etched steps, and a height map by rays and by waves; ridges, inks and files are exported by other tests."""
+    steps, part = tmp_path / "steps.npz", tmp_path / "lobe.toml"
+    assert anisoscope("design", "antimirror", "--arrangement", "2,2", "--out", part).code == 0
+    rng = np.random.default_rng(1)
+    heights = np.kron(rng.integers(0, 2, (8, 8)) * 0.1, np.ones((4, 4)))
+    write_height_map(HeightMap(heights, 0.5, 0.5), steps)
+    sources = (
+        ("--design", part, "--wavelength", "500"),
+        ("--height-map", steps, "--optics", "waves", "--lamp-half-angle", "2", "--wavelength", "500"),
+        ("--height-map", steps),
+    )
+    for number, source in enumerate(sources):
+        target = tmp_path / f"{number}.bsdf"
+        done = anisoscope("bsdf", "export", target, *source, "--nodes", "4,5,8", "--json")
+        assert done.code == 0, done.err
+        assert done.json["losses"]
+        shown = anisoscope("bsdf", "show", target, "--json").json
+        assert 0.02 < shown["albedo"]["0"] < 2.0  # on so coarse a grid
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("export", "x.bsdf"), "one of --ridge-angle, --ink and --from-file"),
+        (("export", "x.bsdf"), "one of --ridge-angle, --ink, --design, --height-map"),
         (("export", "x.bsdf", "--ridge-angle", "10", "--ink", "synthetic-red"), "one of --ridge-angle"),
         (("export", "x.binary", "--ridge-angle", "10"), "isotropic surfaces only"),
         (("export", "x.txt", "--ridge-angle", "10"), "name the format of another extension"),
