@@ -6,15 +6,16 @@ from typing import Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.bsdf.sources import SourceOptions
+from anisoscope.cli.bsdf.sources import NodesOption, SourceOptions, resolution_of
 from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 
 app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, fit, show.")
 app.command("anisoscope.cli.fit.fit:reflectance", name="fit")
+app.command("anisoscope.cli.bsdf.textures:textures")
 
 
 @app.command
@@ -30,10 +31,7 @@ def export(
         ),
     ] = None,
     wavelength: Annotated[float | None, Parameter(help="Keep one wavelength in nm.")] = None,
-    nodes: Annotated[
-        str | None,
-        Parameter(help="RGL: inclinations and azimuths of the light, and side of the square: 24,37,48."),
-    ] = None,
+    nodes: NodesOption = None,
     scene: Annotated[Path | None, Parameter(help="RGL: also write a scene *.xml for Mitsuba.")] = None,
     scene_shape: Annotated[Literal["sphere", "plate"], Parameter(help="Shape in the scene.")] = "sphere",
     overwrite: OverwriteOption = False,
@@ -55,7 +53,6 @@ def export(
     """
     from anisoscope.bsdf.formats import export as write
     from anisoscope.bsdf.formats import format_of
-    from anisoscope.bsdf.rgl import Resolution
 
     source = source or SourceOptions()
     name = format_ or format_of(target)
@@ -63,13 +60,7 @@ def export(
         raise UsageError(f"--{'nodes' if nodes is not None else 'scene'} belongs to RGL .bsdf files")
     check_suffix(scene, "--scene", ".xml")
     check_new((target, scene), overwrite=overwrite)
-    resolution = None
-    if nodes is not None:
-        numbers = parse_numbers(nodes, "--nodes", "24,37,48")
-        if len(numbers) != 3 or any(n != int(n) for n in numbers):
-            raise UsageError(f"--nodes takes three whole numbers, such as 24,37,48, not {nodes!r}")
-        theta, phi, square = (int(n) for n in numbers)
-        resolution = Resolution(theta, phi, square)
+    resolution = resolution_of(nodes)
     with progress(target.name, quiet=json_) as advance:
         surface = source.reflectance(advance)
         if wavelength is not None:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
     from anisoscope.base.progress import Advance
     from anisoscope.bsdf.reflectance import Reflectance
+    from anisoscope.bsdf.rgl import Resolution
     from anisoscope.sim.design.designfile import DesignFile
     from anisoscope.sim.design.models import AnyModel
     from anisoscope.sim.light.material import Material
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
 SOURCE = Group(
     "Surface", help="One of --ridge-angle, --ink, --design, --height-map and --from-file.", sort_key=10
 )
+NodesOption = Annotated[
+    str | None,
+    Parameter(help="RGL: inclinations and azimuths of the light, and side of the square: 24,37,48."),
+]
 DOT_UM = 112.0
 """Side of the dots of a design, which gives its mirror-like share a width."""
 
@@ -151,17 +157,34 @@ class SourceOptions(PlasticOptions):
         return of_heights(best_band(relief), self.plastic(), self.height_map.stem)
 
 
-def design_reflectance(design: "DesignFile") -> "Reflectance":
-    """Reflectance of a design of etched steps, of a dot of `DOT_UM`."""
+def resolution_of(nodes: str | None) -> "Resolution | None":
+    """The resolution of an RGL file; None where none is asked for.
+
+    Raises:
+        UsageError: something else than three whole numbers, or too few nodes.
+    """
+    from anisoscope.bsdf.rgl import Resolution
+
+    if nodes is None:
+        return None
+    numbers = parse_numbers(nodes, "--nodes", "24,37,48")
+    if len(numbers) != 3 or any(n != int(n) for n in numbers):
+        raise UsageError(f"--nodes takes three whole numbers, such as 24,37,48, not {nodes!r}")
+    theta, phi, square = (int(n) for n in numbers)
+    return Resolution(theta, phi, square)
+
+
+def design_reflectance(design: "DesignFile", dot_um: float = DOT_UM) -> "Reflectance":
+    """Reflectance of a design of etched steps, in dots of a size."""
     from anisoscope.bsdf.models import of_design
     from anisoscope.sim.design.models import model_density
 
     def density(frequency: "FloatArray", nm: float, tau: float) -> "FloatArray":
         coherence = design.coherence_um * nm / design.wavelength_nm
-        return model_density(design.model, frequency, frequency, coherence, DOT_UM, tau)
+        return model_density(design.model, frequency, frequency, coherence, dot_um, tau)
 
     levels = design.depths.levels_um if design.passes_nm else (0.0,)
-    return of_design(design.name, density, levels, (DOT_UM, _widest_um(design.model), design.coherence_um))
+    return of_design(design.name, density, levels, (dot_um, _widest_um(design.model), design.coherence_um))
 
 
 def _widest_um(model: "AnyModel") -> float:

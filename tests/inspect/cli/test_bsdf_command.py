@@ -3,6 +3,7 @@
 import csv
 import re
 
+import cv2
 import numpy as np
 import pytest
 
@@ -77,6 +78,41 @@ def test_every_model_leaves(anisoscope, tmp_path):
         assert done.json["losses"]
         shown = anisoscope("bsdf", "show", target, "--json").json
         assert 0.02 < shown["albedo"]["0"] < 2.0  # on so coarse a grid
+
+
+PLATE = """
+schema = 1
+kind = "plates"
+product = "small"
+surface = { pitch_um = 50.0, design = { ridge_angle_deg = 10.0 } }
+material = { alpha_along = 0.08, alpha_across = 0.12, albedo = 0.2, index = 1.5 }
+poses = { angles_deg = [0.0, 90.0] }
+plan = { module_mm = 0.1, facet_azimuths_deg = { A = 0.0, B = 90.0 }, rows = ["AB.", "BAA"] }
+acquisition = { exposure_s = 0.004 }
+region = { size_mm = [0.4, 0.3] }
+"""
+
+
+def test_textures_of_a_plate_and_of_dots(anisoscope, tmp_path):
+    """Masks, a reflectance a class, heights and normals; the classes are those of the plan."""
+    (tmp_path / "plate.toml").write_text(PLATE, encoding="utf-8")
+    ramp = np.linspace(0, 255, 16 * 3, dtype=np.uint8).reshape(4, 12)
+    cv2.imwrite(str(tmp_path / "ramp.png"), np.stack([ramp, ramp[::-1], ramp[:, ::-1]], axis=-1))
+    made = anisoscope("ink", "halftone", tmp_path / "ramp.png", "--out", tmp_path / "dots.png")
+    assert made.code == 0, made.err
+    for source, more in (("plate.toml", ()), ("dots.png", ("--wavelength", "550"))):
+        out = tmp_path / source.partition(".")[0]
+        arguments = (tmp_path / source, "--out", out, "--nodes", "3,5,4", *more)
+        done = anisoscope("bsdf", "textures", *arguments, "--json")
+        assert done.code == 0, done.err
+        assert {path.name for path in out.iterdir()} == set(done.json["files"])
+        assert any("rms off when read back" in note for note in done.json["notes"])
+    plate = {path.name for path in (tmp_path / "plate").iterdir()}
+    assert {"scene.xml", "class-0.bsdf", "class-1.bsdf", "class-2.bsdf", "height.png", "normals.exr"} <= plate
+    mask = cv2.imread(str(tmp_path / "plate" / "mask-1.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(mask == 255, [[1, 0, 0], [0, 1, 1]])
+    again = anisoscope("bsdf", "textures", tmp_path / "plate.toml", "--out", tmp_path / "plate")
+    assert (again.code, "holds files" in again.err) == (64, True)
 
 
 @pytest.mark.parametrize(
