@@ -47,7 +47,6 @@ def export(
 
     Examples:
         anisoscope bsdf export ridges.bsdf --ridge-angle 10 --scene ridges.xml
-        anisoscope bsdf export red.bsdf --ink synthetic-red
         anisoscope bsdf export plastic.binary --ridge-angle 0 --alpha-along 0.1 --alpha-across 0.1
         anisoscope bsdf export lobe.bsdf --design lobe.toml
     """

@@ -158,7 +158,7 @@ class SourceOptions(PlasticOptions):
 
 
 def resolution_of(nodes: str | None) -> "Resolution | None":
-    """The resolution of an RGL file; None where none is asked for.
+    """The resolution of an RGL file; None for the usual one.
 
     Raises:
         UsageError: something else than three whole numbers, or too few nodes.

@@ -166,6 +166,7 @@ SAME_QUANTITY = {
     "--jobs": "processes",
     "--kind": "kind",
     "--l-filter": "l-filter",
+    "--lamp-half-angle": "half of the angle .*lamp",
     "--layer": "layer of the map",
     "--level": "height map is levelled",
     "--levels": "levels",
