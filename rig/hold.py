@@ -25,13 +25,13 @@ from anisoscope.base.errors import AnisoscopeError, RigError
 from anisoscope.rig.holdline import ALIVE_S, LONGEST_LINE, HoldLine
 from anisoscope.rig.light import Light
 from anisoscope.rig.portholder import Holder, claim, holder_of, release
-from anisoscope.rig.rigfile import BY_HAND, AxisPart, LightPart
-from anisoscope.rig.stage import MotionState, RotationStage, motion_state
+from anisoscope.rig.rigfile import BY_HAND, LightPart, MotorPart
+from anisoscope.rig.stage import MotionState, RotationStage, Unit, motion_state, unit_of
 
 _log = logging.getLogger(__name__)
 
 HERE = "127.0.0.1"
-Part = AxisPart | LightPart
+Part = MotorPart | LightPart
 MOTIONS = frozenset({"home", "move_to", "move_by"})
 
 
@@ -57,7 +57,7 @@ class Owner:
 
     def __init__(
         self,
-        axes: Mapping[str, tuple[AxisPart, RotationStage]],
+        axes: Mapping[str, tuple[MotorPart, RotationStage]],
         light: tuple[LightPart, Light] | None = None,
         rig: str = "",
     ) -> None:
@@ -143,6 +143,7 @@ def _stage_action(
     queries: dict[str, Callable[[], Any]] = {
         "describe": lambda: {
             "name": stage.name,
+            "unit": unit_of(stage),
             "limits_deg": list(stage.limits_deg),
             "resolution_deg": stage.resolution_deg,
         },
@@ -276,6 +277,7 @@ class HeldStage:
         self._holder, self._key, self._line = holder, key, HoldLine(holder)
         found = self._line.describe(key)
         self.name = str(found["name"])
+        self.unit: Unit = found["unit"]
         self.limits_deg = (float(found["limits_deg"][0]), float(found["limits_deg"][1]))
         self.resolution_deg = float(found["resolution_deg"])
 
@@ -342,7 +344,7 @@ class HeldLight:
         self._line.close()
 
 
-def held_stage(part: AxisPart) -> HeldStage | None:
+def held_stage(part: MotorPart) -> HeldStage | None:
     """The axis of a rig file if another process holds it for others, else None.
 
     Raises:

@@ -10,6 +10,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -18,7 +19,7 @@ import numpy.typing as npt
 
 from anisoscope.base.errors import CameraError, NotConnected, RigError, RigFileError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stage import MotionRules, Unit
 from anisoscope.rig.stages.motion import StageBase
 
 FOLDER = "MICROMANAGER_PATH"
@@ -266,17 +267,31 @@ class MicroManagerLight:
             core.let_go()
 
 
+@dataclass(frozen=True)
+class Usual:
+    """What is usual of a stage: micrometres of Micro-Manager for one of its unit, tolerance and smallest step."""
+
+    units: float
+    tolerance: float
+    resolution: float
+
+
+USUAL: dict[Unit, Usual] = {"deg": Usual(1.0, 0.05, 0.01), "mm": Usual(1000.0, 0.001, 0.0001)}
+
+
 class MicroManagerStage(StageBase):
-    """A rotation stage that is a single-axis stage of Micro-Manager.
+    """A stage that is a single-axis stage of Micro-Manager.
 
     Args:
+        unit: ``deg`` for a rotation stage, ``mm`` for a linear one (a focus drive); all that follows counts in it.
         config: configuration file of Micro-Manager.
         adapters: folder of its device adapters; by default that which MICROMANAGER_PATH names.
         label: the stage's label.
-        units_per_deg: what Micro-Manager counts as micrometres for one degree.
+        units_per_deg: what Micro-Manager counts as micrometres for one degree, by default 1; or for 1 mm, by default
+            1000.
         home: ``device`` searches the reference; ``here`` declares the present position to be 0°.
-        tolerance_deg: a stage this near to the target has arrived.
-        resolution_deg: smallest step.
+        tolerance_deg: a stage this near to the target has arrived; by default 0.05° or 0.001 mm.
+        resolution_deg: smallest step; by default 0.01° or 0.0001 mm.
         velocity_deg_s: speed that the stage at least reaches; time limits follow from it.
         margin_s: seconds added to every time limit.
         min_deg, max_deg: limits.
@@ -290,19 +305,23 @@ class MicroManagerStage(StageBase):
         self,
         *,
         config: str,
+        unit: Unit = "deg",
         adapters: str = "",
         label: str,
-        units_per_deg: float = 1.0,
+        units_per_deg: float | None = None,
         home: str = "device",
-        tolerance_deg: float = 0.05,
-        resolution_deg: float = 0.01,
+        tolerance_deg: float | None = None,
+        resolution_deg: float | None = None,
         velocity_deg_s: float = 5.0,
         margin_s: float = 3.0,
         min_deg: float = 0.0,
         max_deg: float = 360.0,
     ) -> None:
+        usual = USUAL[unit]
+        units_per_deg = usual.units if units_per_deg is None else units_per_deg
         if home not in {"device", "here"} or units_per_deg == 0.0:
-            raise RigFileError("stage.options: home is 'device' or 'here', and units_per_deg is not 0")
+            raise RigFileError(f"options: home is 'device' or 'here', and units_per_{unit} is not 0")
+        self.unit = unit
         self._core: Core | None = Core.take(config, adapters)
         try:
             self._label = self._core.label(label, "", "stage")
@@ -310,9 +329,10 @@ class MicroManagerStage(StageBase):
             self._disconnect()
             raise
         self._mm, self._units_per_deg, self._home_here = self._core.mm, units_per_deg, home == "here"
-        rules = MotionRules(tolerance_deg, velocity_deg_s, velocity_deg_s / 0.1, margin_s)
+        tolerance = usual.tolerance if tolerance_deg is None else tolerance_deg
+        rules = MotionRules(tolerance, velocity_deg_s, velocity_deg_s / 0.1, margin_s)
         name = f"{self._mm.getDeviceLibrary(self._label)} {self._label}"
-        super().__init__(name, rules, (min_deg, max_deg), resolution_deg)
+        super().__init__(name, rules, (min_deg, max_deg), resolution_deg or usual.resolution)
 
     def _read_deg(self) -> float:
         with _as(RigError, self._label):

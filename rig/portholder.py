@@ -17,8 +17,9 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from anisoscope.base.errors import RigError
+from anisoscope.base.errors import NotConnected, RigError
 
 POLL_S = 0.05
 SIMULATED = "sim://"  # exists in its own process only
@@ -154,7 +155,45 @@ def wait_until_released(port: str, timeout_s: float) -> bool:
     return True
 
 
+USB = "usb:"
+
+
+def actual_port(port: str) -> str:
+    """The name that the system gives now to a port named by its USB device, ``usb:`` and what `rig ports` lists of it.
+
+    After ``usb:`` stand the serial number, ``vendor:product``, ``vendor:product:serial``, or the place of the socket
+    (``1-1.4``). Such a name outlives that the device comes back under another number. Any other name is returned.
+
+    Raises:
+        NotConnected: no device, or more than one, fits.
+    """
+    if not port.lower().startswith(USB):
+        return port
+    from serial.tools import list_ports  # noqa: PLC0415 - of such names only; a stop must not wait for imports
+
+    wanted = port[len(USB) :].casefold()
+    found = {one.device: _usb_names(one) for one in list_ports.comports() if one.vid is not None}
+    fitting = [device for device, names in sorted(found.items()) if wanted in names]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        raise NotConnected(
+            f"port {port} fits {' and '.join(fitting)}; name one by its serial number or socket (anisoscope rig ports)"
+        )
+    raise NotConnected(
+        f"there is no USB device {port[len(USB) :]} now; plug it in, or correct the port (anisoscope rig ports)"
+    )
+
+
+def _usb_names(one: Any) -> frozenset[str]:  # noqa: ANN401 - of pyserial
+    usb = f"{one.vid:04x}:{one.pid or 0:04x}"
+    names = (usb, one.serial_number, one.serial_number and f"{usb}:{one.serial_number}", one.location)
+    return frozenset(name.casefold() for name in names if name)
+
+
 def _note_of(port: str) -> Path:
+    with contextlib.suppress(NotConnected):
+        port = actual_port(port)
     name = port
     if "://" not in port:  # /dev/serial/by-id/… and /dev/ttyUSB0 may be one port, as COM3 and com3 are
         name = os.path.realpath(port) if port.startswith("/") else port.upper()

@@ -1,8 +1,9 @@
 """The rig file: which devices stand on the rig, where, and how they are oriented. TOML, schema 1."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -10,27 +11,69 @@ from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NameOrFile, Part, Positive, read_toml_model
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.stage import Unit
 
 Option = str | int | float | bool
 BY_HAND = "manual"
+AXES = ("stage", "tilt", "x", "y", "z")
 
 
-class AxisPart(Part):
-    """An axis of the rig, as far as its driver needs it.
+class MotorPart(Part):
+    """An axis of the rig, as far as its driver needs it; what it moves stands at a place, its scale shows a reading.
 
     Attributes:
+        unit: in which it counts: degrees, or millimetres of a linear axis.
         driver: name of the driver; ``manual`` asks the operator.
-        port: COM port, device path, ``socket://host:port`` or ``sim://…``; none where the driver needs none.
-        zero_deg: reading at which sample or arm stands at 0°.
-        approach_deg: every reading is approached from this far below, because of backlash.
+        port: COM port, device path, ``usb:SERIAL``, ``socket://host:port`` or ``sim://…``; none where the driver needs
+            none.
         options: further options of the driver.
     """
 
+    unit: ClassVar[Unit] = "deg"
+
     driver: str
     port: Annotated[str, Field(min_length=1)] | None = None
+    options: dict[str, Option] = Field(default_factory=dict)
+
+    @property
+    def zero(self) -> float:
+        """Reading at which the place is 0, in the unit."""
+        raise NotImplementedError
+
+    @property
+    def approach(self) -> float:
+        """Every reading is approached from this far below, in the unit."""
+        raise NotImplementedError
+
+    @property
+    def direction(self) -> int:
+        """1 if the place grows with the reading, else −1."""
+        return 1
+
+    @property
+    def driver_options(self) -> dict[str, Option]:
+        """The options as the driver takes them."""
+        return dict(self.options)
+
+    def reading(self, place: float) -> float:
+        """Reading at a place (an angle of sample or arm, or a length), in the unit."""
+        return self.zero + self.direction * place
+
+    def place(self, reading: float) -> float:
+        """Place at a reading, in the unit."""
+        return self.direction * (reading - self.zero)
+
+
+class AxisPart(MotorPart):
+    """An axis that turns.
+
+    Attributes:
+        zero_deg: reading at which sample or arm stands at 0°.
+        approach_deg: every reading is approached from this far below, because of backlash.
+    """
+
     zero_deg: float = 0.0
     approach_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 2.0
-    options: dict[str, Option] = Field(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod
@@ -40,17 +83,62 @@ class AxisPart(Part):
         return table
 
     @property
+    def zero(self) -> float:
+        """`zero_deg`."""
+        return self.zero_deg
+
+    @property
+    def approach(self) -> float:
+        """`approach_deg`."""
+        return self.approach_deg
+
+
+class LinearPart(MotorPart):
+    """A linear axis: ``z`` changes the distance of camera and sample, ``x`` and ``y`` shift the stage below the camera.
+
+    Lengths among the options of its driver end in ``mm``, such as ``min_mm``, ``tolerance_mm``, ``velocity_mm_s``.
+
+    Attributes:
+        zero_mm: reading at which x, y or z is 0.
+        sign: −1 where a growing reading lowers x, y or z.
+        approach_mm: every reading is approached from this far below, because of backlash.
+    """
+
+    unit: ClassVar[Unit] = "mm"
+
+    zero_mm: float = 0.0
+    sign: Literal[-1, 1] = 1
+    approach_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.1
+
+    @property
+    def zero(self) -> float:
+        """`zero_mm`."""
+        return self.zero_mm
+
+    @property
+    def approach(self) -> float:
+        """`approach_mm`."""
+        return self.approach_mm
+
+    @property
     def direction(self) -> int:
-        """1 if the angle grows with the reading, else −1."""
-        return 1
+        """`sign`."""
+        return self.sign
 
-    def reading_deg(self, angle_deg: float) -> float:
-        """Reading at which sample or arm stands at an angle; both in degrees."""
-        return self.zero_deg + self.direction * angle_deg
+    @property
+    def driver_options(self) -> dict[str, Option]:
+        """The options as a driver takes them: it counts in its unit, and its names say degrees."""
+        named = {re.sub(r"_mm(?=_|$)", "_deg", key): value for key, value in self.options.items()}
+        return {"unit": self.unit, **named}
 
-    def angle_deg(self, reading_deg: float) -> float:
-        """Angle of sample or arm at a reading; both in degrees."""
-        return self.direction * (reading_deg - self.zero_deg)
+    @model_validator(mode="after")
+    def _lengths_in_mm(self) -> Self:
+        for key in self.options:
+            if re.search(r"_deg(_|$)", key):
+                raise ValueError(
+                    f"options.{key}: this axis is linear; write {re.sub('_deg', '_mm', key)}, in millimetres"
+                )
+        return self
 
 
 class StagePart(AxisPart):
@@ -149,17 +237,29 @@ class CalibrationPart(Part):
 
 
 class RigAxes(Part):
-    """A rig of which the axes matter; camera and light may be missing. Without `tilt` the camera arm is fixed."""
+    """A rig of which the axes matter; camera and light may be missing. Without `tilt` the camera arm is fixed.
+
+    The linear axes `x`, `y` and `z` may be missing, each.
+    """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     name: str = "rig"
     stage: StagePart
     tilt: TiltPart | None = None
+    x: LinearPart | None = None
+    y: LinearPart | None = None
+    z: LinearPart | None = None
     camera: CameraPart | None = None
     light: LightPart | None = None
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
     calibration: CalibrationPart | None = None
+
+    @property
+    def axes(self) -> dict[str, MotorPart]:
+        """All axes by their tables, the stage first."""
+        found = {name: getattr(self, name) for name in AXES}
+        return {name: part for name, part in found.items() if part is not None}
 
     def uncalibrated(self, info: CameraInfo) -> bool:
         """Whether contrasts of its camera are: it is not linear, and no calibration knows how it is bent."""

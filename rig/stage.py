@@ -1,12 +1,28 @@
-"""What a rotation stage is, and how exactly and how fast it moves. Angles are in degrees."""
+"""What a stage is, and how exactly and how fast it moves. Angles are in degrees.
+
+A linear stage has the attribute ``unit = "mm"``; then all its numbers are millimetres, also those whose names say
+degrees. So one set of rules, one protocol to other processes and one set of commands serve both.
+"""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, cast, runtime_checkable
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import LimitExceeded
+
+Unit = Literal["deg", "mm"]
+SYMBOLS: dict[Unit, str] = {"deg": "°", "mm": " mm"}
+WRONG_UNIT: dict[Unit, str] = {
+    "deg": "name the port of a rotation stage, or describe it in a table [x], [y] or [z] of the rig file",
+    "mm": "name the port of a linear stage, or describe it in [stage] or [tilt] of the rig file",
+}
+
+
+def unit_of(stage: object) -> Unit:
+    """Unit in which a stage counts; one that does not say turns."""
+    return cast("Unit", getattr(stage, "unit", "deg"))
 
 
 @runtime_checkable
@@ -59,7 +75,7 @@ class RotationStage(Protocol):
 
 
 def check_limits(stage: RotationStage, angle_deg: float) -> None:
-    """Reject an angle in degrees outside the limits of a stage, before any motion.
+    """Reject an angle in degrees (a length in mm) outside the limits of a stage, before any motion.
 
     Raises:
         LimitExceeded: it does.
@@ -67,8 +83,9 @@ def check_limits(stage: RotationStage, angle_deg: float) -> None:
     low, high = stage.limits_deg
     slack = 0.5 * stage.resolution_deg
     if not low - slack <= angle_deg <= high + slack:
+        unit = SYMBOLS[unit_of(stage)]
         raise LimitExceeded(
-            f"{stage.name}: {angle_deg:.6g}° is outside {low:.6g}°…{high:.6g}°; nothing was moved"
+            f"{stage.name}: {angle_deg:.6g}{unit} is outside {low:.6g}{unit}…{high:.6g}{unit}; nothing was moved"
         )
 
 
@@ -108,21 +125,31 @@ def between_readings(read_deg: Callable[[], float], still_deg: float, clock: Clo
 
 
 FULL_TURN_DEG = 360.0
+MOST_TURNS = 10
 
 
 def within_a_turn(stage: RotationStage, angle_deg: float) -> float:
     """The angle in degrees within the limits that is the same direction, where they span a full turn.
 
     Of a stage that cannot turn all the way round, and for an angle within the limits, the angle itself.
+
+    Raises:
+        LimitExceeded: more than `MOST_TURNS` turns away, which nobody means.
     """
     low, high = stage.limits_deg
     slack = 0.5 * stage.resolution_deg
     if (
         not math.isfinite(angle_deg)
+        or unit_of(stage) != "deg"
         or high - low < FULL_TURN_DEG - slack
         or low - slack <= angle_deg <= high + slack
     ):
         return angle_deg
+    if not low - MOST_TURNS * FULL_TURN_DEG <= angle_deg <= high + MOST_TURNS * FULL_TURN_DEG:
+        raise LimitExceeded(
+            f"{stage.name}: {angle_deg:.6g}° is more than {MOST_TURNS} turns away; nothing was moved: give an angle "
+            f"near {low:.6g}°…{high:.6g}°"
+        )
     return low + (angle_deg - low) % FULL_TURN_DEG
 
 

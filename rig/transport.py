@@ -1,8 +1,9 @@
 """Bytes to and from a port, with a deadline on everything.
 
 One class serves all ports; within `shared_ports`, devices on one cable share one connection. A port is what
-``serial.serial_for_url`` opens: a COM port, a pseudo terminal, ``socket://host:port``, ``sim://…``.
-Further URL schemes come from packages named by the entry-point group ``anisoscope.serial_handlers``.
+``serial.serial_for_url`` opens: a COM port, a pseudo terminal, ``socket://host:port``, ``sim://…``; or ``usb:`` and
+what identifies a USB device (`anisoscope.rig.portholder.actual_port`). Further URL schemes come from packages named by
+the entry-point group ``anisoscope.serial_handlers``.
 """
 
 import contextlib
@@ -22,7 +23,7 @@ from serial.tools import list_ports
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import NotConnected
-from anisoscope.rig.portholder import Holder, claim, holder_of, is_abandoned, release
+from anisoscope.rig.portholder import Holder, actual_port, claim, holder_of, is_abandoned, release
 
 TCP = "socket://"
 HANDLER_GROUP = "anisoscope.serial_handlers"
@@ -63,7 +64,7 @@ class Connection:
             raise NotConnected(_in_use(port, holder))
         try:
             self.serial: serial.Serial = serial.serial_for_url(
-                port, timeout=POLL_S, exclusive=True, **settings
+                actual_port(port), timeout=POLL_S, exclusive=True, **settings
             )
         except PORT_ERRORS as problem:
             raise NotConnected(_why_not_open(port, problem)) from problem
@@ -186,7 +187,7 @@ class Transport:
     need it, so that a stop command goes out while another thread waits for the answer to a move.
 
     Args:
-        port: device name (``COM3``, ``/dev/ttyUSB0``), ``socket://host:port`` or ``sim://…``.
+        port: device name (``COM3``, ``/dev/ttyUSB0``), ``usb:SERIAL``, ``socket://host:port`` or ``sim://…``.
         baudrate: baud; ignored by URLs that have none.
         rtscts: flow control by the lines RTS and CTS; a pseudo terminal has none, and works without.
         xonxoff: flow control by the bytes XON (0x11) and XOFF (0x13), which the data then cannot hold.

@@ -146,7 +146,7 @@ def _upright(rig: Rig, advance: Advance) -> float:
         advance(f"homing {rig.tilt.name}", 0, 1)
         rig.tilt.home()
     advance("tilting to 0°", 0, 1)
-    return rig.file.tilt.angle_deg(rig.tilt.move_to(rig.file.tilt.reading_deg(0.0)))
+    return rig.file.tilt.place(rig.tilt.move_to(rig.file.tilt.reading(0.0)))
 
 
 def write_picture(path: Path, picture: Image) -> None:

@@ -93,7 +93,7 @@ def _plan(
 
     def reachable(angle_deg: float) -> float | None:
         for turn in whole_turns:
-            reading = file.stage.reading_deg(angle_deg + turn)
+            reading = file.stage.reading(angle_deg + turn)
             if low + file.stage.approach_deg <= reading <= high:
                 return angle_deg + turn
         return None

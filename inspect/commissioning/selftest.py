@@ -201,7 +201,7 @@ def _readback_limit(settings: Settings, axis: RotationStage) -> float:
 
 def _go(part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
     """Move from below, as an inspection does; return the error of the reading."""
-    target = part.reading_deg(angle_deg)
+    target = part.reading(angle_deg)
     if axis.position_deg() > target - part.approach_deg:
         axis.move_to(target - part.approach_deg)
     axis.move_to(target)
@@ -210,7 +210,7 @@ def _go(part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
 
 def _reachable(part: AxisPart, axis: RotationStage, angles_deg: tuple[float, ...]) -> list[float]:
     low, high = axis.limits_deg
-    return [a for a in angles_deg if low + part.approach_deg <= part.reading_deg(a) <= high]
+    return [a for a in angles_deg if low + part.approach_deg <= part.reading(a) <= high]
 
 
 def check_home(bed: Bed) -> list[Check]:
@@ -361,7 +361,7 @@ def check_moves(bed: Bed) -> list[Check]:
     fixes: list[tuple[float, Fix | None]] = []
     for angle in [*angles, angles[0], angles[0]]:
         if fixes and angle == angles[0]:
-            stage.move_to(max(part.reading_deg(angle) - part.approach_deg - 5.0, stage.limits_deg[0]))
+            stage.move_to(max(part.reading(angle) - part.approach_deg - 5.0, stage.limits_deg[0]))
         off.append(_go(part, stage, angle))
         picture = _picture(bed)
         fix = (

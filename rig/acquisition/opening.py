@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from anisoscope.base.errors import RigError
+from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
 from anisoscope.rig.hold import held_light, held_stage
 from anisoscope.rig.light import Light, rest
-from anisoscope.rig.rigfile import BY_HAND, AxisPart, CameraPart, LightPart, RigFile
-from anisoscope.rig.stage import RotationStage
+from anisoscope.rig.rigfile import BY_HAND, AxisPart, CameraPart, LightPart, MotorPart, RigFile
+from anisoscope.rig.stage import RotationStage, unit_of
 from anisoscope.rig.transport import shared_ports
 
 
@@ -107,7 +107,7 @@ def open_rig(file: RigFile) -> Iterator[Rig]:
 
 @contextlib.contextmanager
 def open_devices(
-    axes: Mapping[str, AxisPart], camera: CameraPart | None = None, light: LightPart | None = None
+    axes: Mapping[str, MotorPart], camera: CameraPart | None = None, light: LightPart | None = None
 ) -> Iterator[Devices]:
     """Connect to some devices; leaving the context switches the light off and disconnects them.
 
@@ -116,7 +116,7 @@ def open_devices(
     what became of the rig.
 
     Args:
-        axes: axes by their tables of the rig file, ``stage`` and ``tilt``.
+        axes: axes by their tables of the rig file, ``stage``, ``tilt``, ``x``, ``y`` and ``z``.
         camera: the camera, if it is wanted.
         light: the light, if it is wanted.
 
@@ -167,17 +167,21 @@ def _closing(device: _Closable) -> Callable[..., None]:
     return leave
 
 
-def open_axis(part: AxisPart, table: str) -> RotationStage:
+def open_axis(part: MotorPart, table: str) -> RotationStage:
     """Open an axis from its table in the rig file, or use it where another process holds it for others.
 
     Errors as for `open_devices`.
     """
     if (held := held_stage(part)) is not None:
         return held
-    options: dict[str, object] = dict(part.options)
+    options: dict[str, object] = dict(part.driver_options)
     if part.driver == BY_HAND:
         options.setdefault("label", table)
-    return open_stage(part.driver, table=table, port=part.port, **options)
+    axis = open_stage(part.driver, table=table, port=part.port, **options)
+    if unit_of(axis) != part.unit:
+        axis.close()
+        raise RigFileError(f"{table}.driver: the driver '{part.driver}' does not move in {part.unit}")
+    return axis
 
 
 def open_lamp(part: LightPart) -> Light:

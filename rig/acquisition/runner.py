@@ -50,7 +50,7 @@ def check_plan(plan: Plan, rig: Rig) -> None:
 
 def _check_reach(part: AxisPart, axis: RotationStage, angle_deg: float, table: str) -> None:
     low, high = axis.limits_deg
-    target = part.reading_deg(angle_deg)
+    target = part.reading(angle_deg)
     if target - part.approach_deg < low or target > high:
         what = "sample angle" if table == "stage" else "tilt"
         hint = ' (with turns = "ccw": at least stage.approach_deg)' if table == "stage" else ""
@@ -276,8 +276,8 @@ class _Run:
         file, tilt = self.rig.file, self.rig.tilt
         tilt_deg = file.geometry.tilt_deg
         if tilt is not None and file.tilt is not None:
-            tilt_deg = file.tilt.angle_deg(tilt.position_deg())
-        self.at = Pose(file.stage.angle_deg(self.rig.stage.position_deg()), tilt_deg)
+            tilt_deg = file.tilt.place(tilt.position_deg())
+        self.at = Pose(file.stage.place(self.rig.stage.position_deg()), tilt_deg)
 
     def _do(self, event: Event) -> None:
         match event:
@@ -302,14 +302,14 @@ class _Run:
         stage_deg, tilt_deg = pose.stage_deg, self.at.tilt_deg
         if self.rig.tilt is not None and file.tilt is not None and pose.tilt_deg != self.pose.tilt_deg:
             self._report(f"tilting to {pose.tilt_deg:g}°")
-            tilt_deg = file.tilt.angle_deg(self._approach(file.tilt, self.rig.tilt, pose.tilt_deg))
+            tilt_deg = file.tilt.place(self._approach(file.tilt, self.rig.tilt, pose.tilt_deg))
         self._report(f"turning to {pose.stage_deg:g}°")
-        stage_deg = file.stage.angle_deg(self._approach(file.stage, self.rig.stage, pose.stage_deg))
+        stage_deg = file.stage.place(self._approach(file.stage, self.rig.stage, pose.stage_deg))
         self.at, self.pose = Pose(stage_deg, tilt_deg), pose
 
     def _approach(self, part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
         """Move an axis to an angle, always from below; return the reading reached."""
-        target = part.reading_deg(angle_deg)
+        target = part.reading(angle_deg)
         below = target - part.approach_deg
         if axis.position_deg() > below:
             axis.move_to(below)

@@ -1,4 +1,7 @@
-"""Driver for Thorlabs APT rotation stages: K10CR1, and KDC101 with a PRM1-Z8; binary at 115200 baud with RTS/CTS.
+"""Driver for Thorlabs APT stages: binary at 115200 baud with RTS/CTS.
+
+Rotation stages are the K10CR1, and a KDC101 with a PRM1-Z8; linear ones (``unit = "mm"``) LTS150 and LTS300,
+and a KDC101 with an MTS25, MTS50 or Z825B.
 
 The controller reports its model, which determines the scale. It answers queries while it moves, reports the end of a
 motion, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One controller
@@ -14,7 +17,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stage import WRONG_UNIT, MotionRules, Unit
 from anisoscope.rig.stages.apt_wire import (
     ACK_DC_STATUS,
     CHANNEL,
@@ -63,52 +66,86 @@ from anisoscope.rig.transport import Transport
 STEPPER_VELOCITY = 53.68
 SERVO_VELOCITY = 2048.0 / 6e6 * 65536.0
 SERVOS = frozenset({"KDC101", "TDC001", "KBD101", "TBD001"})
-# Rotation stages that are one with their controller.
-MODELS = {"K10CR1": 409600.0 / 3.0}
-ACTUATORS = {
-    **dict.fromkeys(("PRM1-Z8", "PRM1/MZ8", "PRMTZ8", "PRMTZ8/M"), 1919.6418578623391),
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """What a controller drives: counts for one degree or 1 mm, and the travel in the same unit."""
+
+    counts: float
+    unit: Unit
+    travel: float
+
+
+# Stages that are one with their controller.
+MODELS = {
+    "K10CR1": Mechanics(409600.0 / 3.0, "deg", 360.0),
+    "LTS150": Mechanics(409600.0, "mm", 150.0),
+    "LTS300": Mechanics(409600.0, "mm", 300.0),
 }
+Z8_COUNTS_PER_MM = 34554.96
+ACTUATORS = {
+    **dict.fromkeys(
+        ("PRM1-Z8", "PRM1/MZ8", "PRMTZ8", "PRMTZ8/M"), Mechanics(1919.6418578623391, "deg", 360.0)
+    ),
+    **dict.fromkeys(("MTS25-Z8", "MTS25/M-Z8", "Z825B", "Z925B"), Mechanics(Z8_COUNTS_PER_MM, "mm", 25.0)),
+    **dict.fromkeys(("MTS50-Z8", "MTS50/M-Z8"), Mechanics(Z8_COUNTS_PER_MM, "mm", 50.0)),
+}
+EXAMPLE: dict[Unit, str] = {"deg": "PRM1-Z8", "mm": "MTS25-Z8"}
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Counts per degree, velocity units per degree per second, and whether the controller drives a servo."""
+    """Scale of a controller: counts and velocity units for one degree (per second) or 1 mm, and its travel.
+
+    Attributes:
+        counts_per_deg: counts for one degree, or 1 mm.
+        velocity_per_deg_s: units of velocity for as much per second.
+        servo: whether the controller drives a servo.
+        travel: in the unit; None where only the scale is known.
+    """
 
     counts_per_deg: float
     velocity_per_deg_s: float
     servo: bool
+    travel: float | None = None
 
 
-def scale_of(model: str, actuator: str | None, counts_per_deg: float | None) -> Scale:
+def scale_of(model: str, actuator: str | None, counts_per_deg: float | None, unit: Unit = "deg") -> Scale:
     """The scale of a controller.
 
     Args:
         model: what the controller calls itself.
         actuator: name of the motor that it drives, where it may drive several.
         counts_per_deg: scale from the rig file; it goes before everything else.
+        unit: in which the stage has to move.
 
     Raises:
-        RigError: neither model nor options tell the scale.
+        RigError: neither model nor options tell the scale, or the stage moves otherwise.
     """
     servo = model in SERVOS
-    if counts_per_deg is None:
-        counts_per_deg = MODELS.get(model) if actuator is None else _of_actuator(actuator)
-    if counts_per_deg is None:
-        known = " or ".join(f"actuator = '{name}'" for name in list(ACTUATORS)[:1])
-        hint = f"{known}, or " if servo else ""
+    known = MODELS.get(model) if actuator is None else _of_actuator(actuator)
+    if known is not None and known.unit != unit:
+        kind = "a linear" if known.unit == "mm" else "a rotation"
+        raise RigError(f"{model if actuator is None else actuator} is {kind} stage; {WRONG_UNIT[unit]}")
+    counts = counts_per_deg if known is None or counts_per_deg is not None else known.counts
+    if counts is None:
+        hint = f"actuator = '{EXAMPLE[unit]}', or " if servo else ""
+        what = "degree" if unit == "deg" else "millimetre"
         raise RigError(
-            f"a {model} does not tell how many counts make a degree; set the option {hint}counts_per_deg"
+            f"a {model} does not tell how many counts make a {what}; set the option {hint}counts_per_{unit}"
         )
-    if counts_per_deg <= 0.0:
-        raise RigError(f"counts_per_deg must be above 0, not {counts_per_deg:g}")
+    if counts <= 0.0:
+        raise RigError(f"counts_per_{unit} must be above 0, not {counts:g}")
     per_count = SERVO_VELOCITY if servo else STEPPER_VELOCITY
-    return Scale(counts_per_deg, per_count * counts_per_deg, servo)
+    return Scale(counts, per_count * counts, servo, None if known is None else known.travel)
 
 
-def _of_actuator(actuator: str) -> float:
+def _of_actuator(actuator: str) -> Mechanics:
     if actuator not in ACTUATORS:
         raise RigError(
-            f"actuator '{actuator}' is not known; known: {', '.join(ACTUATORS)}; or set the option counts_per_deg"
+            f"actuator '{actuator}' is not known; known: {', '.join(ACTUATORS)}; or set the option counts_per_deg "
+            "(counts_per_mm of a linear one)"
         )
     return ACTUATORS[actuator]
 
@@ -130,13 +167,13 @@ def _in_trouble(status: Status) -> bool:
     return any(status.has(bit) for bit in TROUBLES)
 
 
-def trouble_of(name: str, status: Status, at_deg: float, *, moved: bool) -> RigError | None:
+def trouble_of(name: str, status: Status, at: str, *, moved: bool) -> RigError | None:
     """The error that explains it, or None.
 
     Args:
         name: how messages call the stage.
         status: its status, standing still short of its target.
-        at_deg: where it stands, in degrees.
+        at: where it stands, as messages write it.
         moved: whether it has moved at all; a limit switch stops only a stage that did.
     """
     for bit, (kind, text) in TROUBLES.items():
@@ -145,7 +182,7 @@ def trouble_of(name: str, status: Status, at_deg: float, *, moved: bool) -> RigE
     if not status.enabled:
         return device_error(RigError, f"{name} does not switch its motor on (status {status.bits:08X})")
     if status.at_limit_switch and moved:
-        return device_error(LimitExceeded, f"{name} ended at its limit switch, at {at_deg:.4g}°")
+        return device_error(LimitExceeded, f"{name} ended at its limit switch, at {at}")
     return None
 
 
@@ -292,22 +329,24 @@ FIRST_PAUSE_S = 0.002
 HOMING_BEGINS_S = 0.5
 # A channel may take so long to have current, and to report it; a command that comes earlier is ignored.
 ENABLING_S = 0.5
+TOLERANCE: dict[Unit, float] = {"deg": 0.02, "mm": 0.002}
 
 
 class Apt(PortStage):
-    """A rotation stage behind an APT controller with one channel.
+    """A stage behind an APT controller with one channel.
 
     Args:
         transport: the open port. Only `open` makes a stage that closes it.
+        unit: ``deg`` for a rotation stage, ``mm`` for a linear one; all that follows counts in it.
         address: destination of the messages, in hex: ``50`` is a unit on USB, ``21`` … ``2A`` are bays of a rack.
         actuator: the motor that a controller for several kinds drives, such as ``PRM1-Z8``.
         counts_per_deg: scale, for what this driver does not know; goes before model and actuator.
         timeout_s: time in seconds for the answer to a question.
-        tolerance_deg: a stage this near to the target has arrived.
+        tolerance_deg: a stage this near to the target has arrived; by default 0.02° or 0.002 mm.
         velocity_deg_s: speed to compute time limits from; by default the slower of those that the controller is set
             to for moves and for the reference search.
         margin_s: seconds added to every computed time limit.
-        min_deg, max_deg: limits in degrees.
+        min_deg, max_deg: limits; by default 0 and 360°, or the travel of a linear stage where it is known.
         stop: ``profiled`` slows down on the ramp of a move; ``immediate`` does not, and a stepper may lose steps.
 
     Raises:
@@ -322,19 +361,22 @@ class Apt(PortStage):
         self,
         transport: Transport,
         *,
+        unit: Unit = "deg",
         address: str = "50",
         actuator: str | None = None,
         counts_per_deg: float | None = None,
         timeout_s: float = 1.0,
-        tolerance_deg: float = 0.02,
+        tolerance_deg: float | None = None,
         velocity_deg_s: float | None = None,
         margin_s: float = 2.0,
         min_deg: float = 0.0,
-        max_deg: float = 360.0,
+        max_deg: float | None = None,
         stop: str = "profiled",
     ) -> None:
         if stop not in STOPS:
             raise RigError(f"stop = '{stop}' is not known; use one of: {', '.join(STOPS)}")
+        self.unit = unit
+        tolerance = TOLERANCE[unit] if tolerance_deg is None else tolerance_deg
         self._transport = transport
         self._line = AptLine(transport, address_of(address), timeout_s)
         self._stop_mode = STOPS[stop]
@@ -342,17 +384,18 @@ class Apt(PortStage):
         self._begun = 0.0
         self._seen_moving = self._seen_homing = False
         self._pause_s = FIRST_PAUSE_S
-        super().__init__(self._line.name, MotionRules(tolerance_deg, 10.0), (min_deg, max_deg), 0.0)
+        super().__init__(self._line.name, MotionRules(tolerance, 10.0), (min_deg, min_deg), 0.0)
         self._bus = transport.lock
         with self._bus:
             self.info = self._identify()
-            self.scale = scale_of(self.info.model, actuator, counts_per_deg)
+            self.scale = scale_of(self.info.model, actuator, counts_per_deg, unit)
             self._line.servo = self.scale.servo
             self._name = self._line.name = f"{self.info.model} {self.info.serial}"
+            self._limits_deg = (min_deg, self._travel() if max_deg is None else max_deg)
             self._resolution_deg = 1.0 / self.scale.counts_per_deg
             velocity = velocity_deg_s or self._slowest_deg_s()
             self.rules = MotionRules(
-                max(tolerance_deg, 2.0 * self._resolution_deg), velocity, velocity, margin_s=margin_s
+                max(tolerance, 2.0 * self._resolution_deg), velocity, velocity, margin_s=margin_s
             )
             self._last = self._line.status()
             self._homed = self._last.homed
@@ -391,8 +434,15 @@ class Apt(PortStage):
     def _slowest_deg_s(self) -> float:
         slowest = min(self._velocities_deg_s())
         if slowest <= 0.0:
-            raise RigError(f"{self.name} is set to a velocity of {slowest:g}°/s; set a velocity above 0")
+            raise RigError(f"{self.name} is set to a velocity of {self._shown(slowest)}/s; set one above 0")
         return slowest
+
+    def _travel(self) -> float:
+        if self.scale.travel is not None:
+            return self.scale.travel
+        if self.unit == "deg":
+            return 360.0
+        raise RigError(f"{self.name} does not tell its travel; set the option max_mm")
 
     # The motion.
 
@@ -481,14 +531,15 @@ class Apt(PortStage):
     def _raise_trouble(self, status: Status) -> None:
         # The search begins and ends at a switch; touched during anything else, it is in the way.
         moved = self._line.ended is not None or (self._seen_moving and self._target_counts is not None)
-        at_deg = status.counts / self.scale.counts_per_deg
-        if trouble_of(self.name, status, at_deg, moved=moved) is None:
+        if self._trouble_of(status, moved=moved) is None:
             return
         # A message that came unasked may be older than the command: only an answer to a question is believed.
-        now = self._line.status()
-        at_deg = now.counts / self.scale.counts_per_deg
-        if (trouble := trouble_of(self.name, now, at_deg, moved=moved)) is not None:
+        if (trouble := self._trouble_of(self._line.status(), moved=moved)) is not None:
             raise trouble
+
+    def _trouble_of(self, status: Status, *, moved: bool) -> RigError | None:
+        at = self._shown(status.counts / self.scale.counts_per_deg)
+        return trouble_of(self.name, status, at, moved=moved)
 
     def _send_stop(self) -> None:
         self._line.send(Message(STOP, (CHANNEL, self._stop_mode)))

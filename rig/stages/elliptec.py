@@ -1,4 +1,6 @@
-"""Driver for Thorlabs Elliptec rotation stages (ELL14, ELL18, ELL8, …): ASCII at 9600 baud, several on a bus.
+"""Driver for Thorlabs Elliptec stages: ASCII at 9600 baud, several on a bus.
+
+Rotation stages are ELL14, ELL18, ELL8, …; linear ones (``unit = "mm"``) ELL7, ELL10, ELL17, ELL20.
 
 Scale, travel and serial number are read from the device. A move is answered once, at its end; meanwhile the device is
 silent, or reports that it is busy. The device does not report whether it was homed: the driver stores this for the
@@ -22,7 +24,7 @@ from anisoscope.base.errors import (
     RigError,
     Stalled,
 )
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stage import SYMBOLS, WRONG_UNIT, MotionRules, Unit
 from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
@@ -33,7 +35,7 @@ OK = 0
 BUSY = 9
 DATA_LENGTHS = {"IN": 30, "GS": 2, "PO": 8, "BO": 8, "HO": 8, "GJ": 8, "GV": 2, "BS": 2, "I1": 22, "I2": 22}
 UNSOLICITED = frozenset({"BO", "BS"})
-LINEAR_TYPES = frozenset({6, 7, 9, 10, 12, 17, 20})
+LINEAR_TYPES, SLIDERS = frozenset({7, 10, 17, 20}), frozenset({6, 9, 12})
 STATUS_TEXTS = {
     0: "ok",
     1: "communication time-out",
@@ -105,8 +107,8 @@ class DeviceInfo:
         serial: serial number.
         year: year of manufacture.
         firmware: firmware release, two hex digits.
-        travel_deg: travel in degrees.
-        pulses: encoder counts over the travel.
+        travel_deg: travel in degrees; of a linear stage in mm.
+        pulses: encoder counts over the travel; of a linear stage for 1 mm.
     """
 
     model: int
@@ -121,7 +123,7 @@ class DeviceInfo:
         """Read the 30 hex digits of an IN answer.
 
         Raises:
-            ProtocolError: the numbers cannot be those of a rotation stage.
+            ProtocolError: the numbers cannot be those of a stage.
         """
         info = cls(
             model=int(data[0:2], 16),
@@ -133,18 +135,21 @@ class DeviceInfo:
         )
         if info.pulses <= 0 or info.travel_deg <= 0:
             raise ProtocolError(
-                f"the stage claims {info.pulses} counts over {info.travel_deg}°; is it an Elliptec?"
+                f"the stage claims {info.pulses} counts over {info.travel_deg}{SYMBOLS[info.unit]}; is it an Elliptec?"
             )
-        if info.model in LINEAR_TYPES:
-            raise ProtocolError(
-                f"an ELL{info.model} is not a rotation stage; name the port of a rotation stage"
-            )
+        if info.model in SLIDERS:
+            raise ProtocolError(f"an ELL{info.model} has a few fixed places only; name the port of a stage")
         return info
 
     @property
+    def unit(self) -> Unit:
+        """In what it moves."""
+        return "mm" if self.model in LINEAR_TYPES else "deg"
+
+    @property
     def counts_per_deg(self) -> float:
-        """Encoder counts for one degree."""
-        return self.pulses / self.travel_deg
+        """Encoder counts for one degree, or for 1 mm."""
+        return float(self.pulses) if self.unit == "mm" else self.pulses / self.travel_deg
 
 
 def counts_to_hex(counts: int) -> str:
@@ -286,28 +291,30 @@ class ElliptecLine:
                 raise error_of_status(self.name, answer.status, doing)
 
 
-# Full speed is 430°/s for an ELL14; time limits count on less, because load and resonance slow it down.
-SURE_VELOCITY_DEG_S = 100.0
+# Full speed is 430°/s for an ELL14, 180 mm/s for an ELL17; time limits count on less: load and resonance slow it down.
+SURE_VELOCITY: dict[Unit, float] = {"deg": 100.0, "mm": 40.0}
+TOLERANCE: dict[Unit, float] = {"deg": 0.05, "mm": 0.01}
 QUIET_S = 0.15
 FIRST_POLL_S = 0.002
 
 
 class Elliptec(PortStage):
-    """A rotation stage at one address of a port.
+    """A stage at one address of a port.
 
     Args:
         transport: the open port; several stages may share it.
+        unit: ``deg`` for a rotation stage, ``mm`` for a linear one; all that follows counts in it.
         address: bus address, ``0`` … ``F``.
         timeout_s: time in seconds for the answer to a question.
         move_gap_s: pause in seconds between two moves; devices that get none may run to zero instead.
-        tolerance_deg: a stage this near to the target has arrived.
-        velocity_deg_s: speed to compute time limits from; by default 100°/s times the velocity setting.
+        tolerance_deg: a stage this near to the target has arrived; by default 0.05° or 0.01 mm.
+        velocity_deg_s: speed to compute time limits from; by default 100°/s or 40 mm/s times the velocity setting.
         margin_s: seconds added to every computed time limit.
         min_deg, max_deg: limits in degrees; by default 0 and the travel that the device reports.
 
     Raises:
         NotConnected: no answer at this address.
-        ProtocolError: the device that answers is no Elliptec rotation stage.
+        ProtocolError: the device that answers is no such Elliptec stage.
     """
 
     PORT: ClassVar = {"baudrate": 9600}
@@ -317,10 +324,11 @@ class Elliptec(PortStage):
         self,
         transport: Transport,
         *,
+        unit: Unit = "deg",
         address: str = "0",
         timeout_s: float = 1.0,
         move_gap_s: float = 0.1,
-        tolerance_deg: float = 0.05,
+        tolerance_deg: float | None = None,
         velocity_deg_s: float | None = None,
         margin_s: float = 2.0,
         min_deg: float = 0.0,
@@ -338,19 +346,19 @@ class Elliptec(PortStage):
         self._refused = False
         self._command = ""
         self._target_counts = 0
-        super().__init__(
-            self._line.name, MotionRules(tolerance_deg, SURE_VELOCITY_DEG_S), (min_deg, 360.0), 0.0
-        )
+        self.unit = unit
+        tolerance = TOLERANCE[unit] if tolerance_deg is None else tolerance_deg
+        super().__init__(self._line.name, MotionRules(tolerance, SURE_VELOCITY[unit]), (min_deg, 360.0), 0.0)
         self._bus = transport.lock
         with self._bus:
             self.info = self._identify()
         self._name = self._line.name = f"ELL{self.info.model} {self.info.serial}"
         self._resolution_deg = 1.0 / self.info.counts_per_deg
         self._limits_deg = (min_deg, float(self.info.travel_deg) if max_deg is None else max_deg)
-        velocity = velocity_deg_s or SURE_VELOCITY_DEG_S * max(self.velocity_percent(), 5) / 100.0
+        velocity = velocity_deg_s or SURE_VELOCITY[unit] * max(self.velocity_percent(), 5) / 100.0
         # A piezo motor is at full speed in well under a tenth of a second.
         self.rules = MotionRules(
-            max(tolerance_deg, self._resolution_deg), velocity, velocity / 0.1, margin_s=margin_s
+            max(tolerance, self._resolution_deg), velocity, velocity / 0.1, margin_s=margin_s
         )
         self._line.busy_limit_s = self.rules.timeout_s(float(self.info.travel_deg))
 
@@ -393,6 +401,9 @@ class Elliptec(PortStage):
 
     def _identify(self) -> DeviceInfo:
         info = DeviceInfo.parse(self._line.query("in", "IN").data)
+        if info.unit != self.unit:
+            kind = "a linear" if info.unit == "mm" else "a rotation"
+            raise ProtocolError(f"an ELL{info.model} is {kind} stage; {WRONG_UNIT[self.unit]}")
         # A fault of the past is latched until it is read; one that comes back is of now.
         if self.status() not in {OK, BUSY} and (status := self.status()) not in {OK, BUSY}:
             raise error_of_status(self.name, status, "connecting")

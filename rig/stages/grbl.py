@@ -1,9 +1,9 @@
 """Driver for an axis of a Grbl 1.1 board (Arduino and others): 115200 baud, lines.
 
-Scale, speed, acceleration and travel are read from the board, where 1 mm stands for 1°. Moves are jogs in machine
-coordinates: they leave the modes of the G-code parser alone, and a jog that is cancelled keeps its position. An
-``ok`` only says that a move was queued: an axis has arrived when the board is idle and counts the target. The
-motors have no feedback: steps that are lost without a limit switch are visible to the camera only.
+Scale, speed, acceleration and travel are read from the board, where 1 mm stands for 1° of an axis that turns. Moves are
+jogs in machine coordinates: they leave the modes of the G-code parser alone, and a jog that is cancelled keeps its
+position. An ``ok`` only says that a move was queued: an axis has arrived when the board is idle and counts the target.
+The motors have no feedback: steps that are lost without a limit switch are visible to the camera only.
 Source: interface description of Grbl 1.1.
 """
 
@@ -11,7 +11,7 @@ from abc import abstractmethod
 from typing import ClassVar
 
 from anisoscope.base.errors import NotConnected, NotHomed, ProtocolError, RigError
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stage import MotionRules, Unit
 from anisoscope.rig.stages.grbl_board import GrblBoard, board_on
 from anisoscope.rig.stages.grbl_wire import (
     ACCELERATION,
@@ -40,6 +40,7 @@ from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
 REPORTED_DEG = 0.001
+TOLERANCE: dict[Unit, float] = {"deg": 0.05, "mm": 0.005}
 FIRST_POLL_S, BUSY_POLL_S = 0.002, 0.02
 
 
@@ -49,6 +50,7 @@ class GrblAxis(PortStage):
     The board knows nothing of references, and all axes of a board lose them together: they stand in `GrblBoard.zeros`.
 
     Args:
+        unit: ``deg`` for an axis that turns, ``mm`` for a linear one; all that follows counts in it.
         transport: the open port.
         board: the board behind it.
         axis: letter of the axis.
@@ -63,6 +65,7 @@ class GrblAxis(PortStage):
 
     def __init__(
         self,
+        unit: Unit,
         transport: Transport,
         board: GrblBoard,
         axis: str,
@@ -71,6 +74,7 @@ class GrblAxis(PortStage):
         margin_s: float,
         limits_deg: tuple[float, float],
     ) -> None:
+        self.unit = unit
         self.axis = axis
         self._transport = transport
         self._board = board
@@ -216,13 +220,14 @@ class Grbl(GrblAxis):
 
     Args:
         transport: the open port; several axes may share it.
+        unit: ``deg`` for an axis that turns, ``mm`` for a linear one; all that follows counts in it.
         axis: letter of the axis, ``X`` … ``C``.
         home: ``switch`` searches the limit switch ($H); ``here`` declares the place where the axis stands to be
             0°, for a board without switches.
         timeout_s: time in seconds for the answer to a question.
         reset_s: for so long a board that opening the port resets has time to start; one that is silent for so
             long is reset by a byte.
-        tolerance_deg: an axis this near to the target has arrived.
+        tolerance_deg: an axis this near to the target has arrived; by default 0.05° or 0.005 mm.
         velocity_deg_s: speed of moves in deg/s; by default, and at most, what the board allows.
         margin_s: seconds added to every computed time limit.
         min_deg, max_deg: limits in degrees; by default the travel that the board knows.
@@ -239,11 +244,12 @@ class Grbl(GrblAxis):
         self,
         transport: Transport,
         *,
+        unit: Unit = "deg",
         axis: str = "X",
         home: str = SWITCH,
         timeout_s: float = 1.0,
         reset_s: float = 3.0,
-        tolerance_deg: float = 0.05,
+        tolerance_deg: float | None = None,
         velocity_deg_s: float | None = None,
         margin_s: float = 2.0,
         min_deg: float | None = None,
@@ -262,7 +268,8 @@ class Grbl(GrblAxis):
         self._seen_homings = board.homings
         low, high = _travel_deg(board, AXES.index(axis), from_switch=not self._home_here)
         limits = (low if min_deg is None else min_deg, high if max_deg is None else max_deg)
-        super().__init__(transport, board, axis, tolerance_deg, velocity_deg_s, margin_s, limits)
+        tolerance = TOLERANCE[unit] if tolerance_deg is None else tolerance_deg
+        super().__init__(unit, transport, board, axis, tolerance, velocity_deg_s, margin_s, limits)
 
     @classmethod
     def stop_command(cls, **_options: object) -> bytes:
@@ -283,8 +290,8 @@ class Grbl(GrblAxis):
             self._homed = False
             if not self._home_here and not self._board.settings[HOMING]:
                 raise NotHomed(
-                    f"{self.name}: homing is switched off in the board ($22=0); fit a switch and set $22=1, or turn "
-                    'the axis to its 0° by hand and say home = "here" in the options of the rig file'
+                    f"{self.name}: homing is switched off in the board ($22=0); fit a switch and set $22=1, or move "
+                    'the axis to its 0 by hand and say home = "here" in the options of the rig file'
                 )
             if self._home_here:
                 return self._declare_zero()

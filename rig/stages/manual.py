@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from anisoscope.base.errors import LimitExceeded, NotConnected, RigError
 from anisoscope.base.language import translated
+from anisoscope.rig.stage import SYMBOLS, Unit
 
 Prompt = Callable[[str], None]
 
@@ -35,6 +36,7 @@ class ManualStage:
 
     Args:
         port: not used; an axis by hand has none.
+        unit: ``deg``, or ``mm`` of a linear axis; all that follows counts in it.
         label: what is set, as the operator is asked for it.
         min_deg, max_deg: limits in degrees.
         resolution_deg: how finely its scale can be set.
@@ -48,6 +50,7 @@ class ManualStage:
         self,
         port: str | None = None,
         *,
+        unit: Unit = "deg",
         label: str = "stage",
         min_deg: float = -360.0,
         max_deg: float = 360.0,
@@ -57,6 +60,8 @@ class ManualStage:
         del port
         if prompt is None:
             _need_a_terminal(label)
+        self.unit = unit
+        self._sign = SYMBOLS[unit]
         self.name = f"{label} set by hand"
         self.limits_deg = (float(min_deg), float(max_deg))
         self.resolution_deg = float(resolution_deg)
@@ -89,7 +94,8 @@ class ManualStage:
         """
         low, high = self.limits_deg
         if not (math.isfinite(angle_deg) and low <= angle_deg <= high):
-            raise LimitExceeded(f"{self.name}: {angle_deg:g}° is outside {low:g}°…{high:g}°")
+            sign = self._sign
+            raise LimitExceeded(f"{self.name}: {angle_deg:g}{sign} is outside {low:g}{sign}…{high:g}{sign}")
         return self._set(float(angle_deg))
 
     def move_by(self, delta_deg: float) -> float:
@@ -106,6 +112,6 @@ class ManualStage:
     def _set(self, angle_deg: float) -> float:
         if self._at_deg != angle_deg:
             self._at_deg = None
-            self._prompt(f"set the {self._label} to {angle_deg:g}°")
+            self._prompt(f"set the {self._label} to {angle_deg:g}{self._sign}")
             self._at_deg, self.is_homed = angle_deg, True
         return angle_deg

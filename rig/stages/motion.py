@@ -2,7 +2,8 @@
 
 A stage has arrived when it is not busy *and* stands at the target; the time for a move follows from distance
 and velocity, and running out of it raises and stops; limits are checked before the move; an absolute move
-needs a reference search first; stop works from another thread. Angles are in degrees.
+needs a reference search first; stop works from another thread. Angles are in degrees; of a linear stage
+(``unit = "mm"``) all these numbers are millimetres.
 """
 
 import collections
@@ -16,7 +17,7 @@ from typing import Self
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
-from anisoscope.rig.stage import MotionRules, MotionState, between_readings, check_limits
+from anisoscope.rig.stage import SYMBOLS, MotionRules, MotionState, Unit, between_readings, check_limits
 
 POLL_S = 0.1
 SETTLE_S = 0.2
@@ -38,6 +39,7 @@ class StageBase(ABC):
     `LimitExceeded`, `NotHomed` from here; plain `RigError` for a move that was stopped by another thread.
     """
 
+    unit: Unit = "deg"
     home_deg = 0.0
     search_turns = 2.0  # of all that it can turn, the way of a reference search at most
 
@@ -91,6 +93,10 @@ class StageBase(ABC):
         """Close the connection."""
 
     # What every stage does.
+
+    def _shown(self, value: float, digits: int = 4) -> str:
+        """A number in the unit, for messages."""
+        return f"{value:.{digits}g}{SYMBOLS[self.unit]}"
 
     @property
     def name(self) -> str:
@@ -159,7 +165,7 @@ class StageBase(ABC):
         with self._one_motion():
             self._homed = False
             low, high = self._limits_deg
-            span = max(high - low, 360.0)
+            span = max(high - low, 360.0) if self.unit == "deg" else high - low
             limit_s = self.search_turns * self.rules.timeout_s(span)
             reached = self._move("home", self._begin_home, self.home_deg, limit_s)
             self._homed = True
@@ -221,7 +227,7 @@ class StageBase(ABC):
 
     def _move_to(self, angle_deg: float) -> float:
         if not math.isfinite(angle_deg):
-            raise LimitExceeded(f"{self.name}: {angle_deg} is not an angle")
+            raise LimitExceeded(f"{self.name}: {angle_deg} is no place to move to; give a number")
         if not self._homed:
             raise NotHomed(f"{self.name} was not homed; search the reference before moving to an angle")
         check_limits(self, angle_deg)
@@ -229,7 +235,7 @@ class StageBase(ABC):
         self._check_reference(start)
         timeout_s = self.rules.timeout_s(angle_deg - start)
         return self._move(
-            f"move to {angle_deg:.4g}°", lambda: self._begin_move(angle_deg), angle_deg, timeout_s
+            f"move to {self._shown(angle_deg)}", lambda: self._begin_move(angle_deg), angle_deg, timeout_s
         )
 
     def _check_reference(self, now_deg: float) -> None:
@@ -239,17 +245,20 @@ class StageBase(ABC):
         if abs(now_deg - self._left_at_deg) > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
             self._homed = False
             raise NotHomed(
-                f"{self.name} stands at {now_deg:.4g}° but was left at {self._left_at_deg:.4g}°: "
-                "it was switched off or turned by hand; home it again"
+                f"{self.name} stands at {self._shown(now_deg)} but was left at {self._shown(self._left_at_deg)}: "
+                "it was switched off or moved by hand; home it again"
             )
 
     def _off_target(self, what: str, at_deg: float, target_deg: float) -> MotionTimeout:
         away_deg = abs(at_deg - target_deg)
-        text = f"{self.name}: the {what} ended at {at_deg:.6g}°, {away_deg:.3g}° from {target_deg:.6g}°"
+        at, away, target = (
+            self._shown(one, digits) for one, digits in ((at_deg, 6), (away_deg, 3), (target_deg, 6))
+        )
+        text = f"{self.name}: the {what} ended at {at}, {away} from {target}"
         if away_deg > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
             self._homed = False
             return MotionTimeout(f"{text}; home it again")
-        return MotionTimeout(f"{text}; check load and backlash, or raise tolerance_deg of the driver")
+        return MotionTimeout(f"{text}; check load and backlash, or raise tolerance_{self.unit} of the driver")
 
     def _move(self, what: str, begin: Callable[[], None], target_deg: float, timeout_s: float) -> float:
         self._left_at_deg = None
@@ -274,7 +283,7 @@ class StageBase(ABC):
             if self._stopping.is_set():
                 self._send_stop()
                 self._wait_until_still()
-                raise RigError(f"{self.name}: the {what} was stopped at {self._read_deg():.4g}°")
+                raise RigError(f"{self.name}: the {what} was stopped at {self._shown(self._read_deg())}")
             if busy:
                 self._observe(what)
             at_deg = self._read_deg() if not busy else math.nan
@@ -287,7 +296,7 @@ class StageBase(ABC):
             if left_s <= 0.0:
                 raise MotionTimeout(
                     f"{self.name}: the {what} did not end within {timeout_s:.1f} s, and was stopped; look for an "
-                    "obstacle, or correct velocity_deg_s of the driver"
+                    f"obstacle, or correct velocity_{self.unit}_s of the driver"
                 )
 
     def _observe(self, what: str) -> None:
@@ -309,8 +318,8 @@ class StageBase(ABC):
         places = [place for _, place in self._samples]
         if max(places) - min(places) < least_deg:
             raise MotionTimeout(
-                f"{self.name}: the {what} does not get on: it reports motion and has stood at {at_deg:.4g}° for "
-                f"{since_s:.0f} s; look for an obstacle, or switch it off and on"
+                f"{self.name}: the {what} does not get on: it reports motion and has stood at {self._shown(at_deg)} "
+                f"for {since_s:.0f} s; look for an obstacle, or switch it off and on"
             )
 
     def _wait_until_still(self) -> None:

@@ -1,6 +1,7 @@
-"""Driver for rotation stages on Newport SMC100 and CONEX controllers: 57600 or 921600 baud, several on a line.
+"""Driver for stages on Newport SMC100 and CONEX controllers: 57600 or 921600 baud, several on a line.
 
-The controller works in degrees, and reports limits, speed and resolution. Commands are not answered: the driver asks
+The controller works in degrees, or in millimetres of a linear stage (``unit = "mm"``), without saying which; it
+reports limits, speed and resolution. Commands are not answered: the driver asks
 for the error after each. A new home search needs a restart of the controller, because a referenced one refuses
 it. The reference survives a new connection. Source: Newport SMC100CC/PP user's manual.
 
@@ -23,7 +24,7 @@ from anisoscope.base.errors import (
     RigError,
     Stalled,
 )
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stage import SYMBOLS, MotionRules, Unit
 from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
@@ -245,17 +246,19 @@ class Smc100Line:
 
 
 FIRST_POLL_S, BUSY_POLL_S = 0.002, 0.02
+TOLERANCE: dict[Unit, float] = {"deg": 0.01, "mm": 0.001}
 
 
 class Smc100(PortStage):
-    """A rotation stage at one address of a port.
+    """A stage at one address of a port.
 
     Args:
         transport: the open port; several stages may share it.
+        unit: ``deg`` for a rotation stage, ``mm`` for a linear one; all that follows counts in it.
         address: 1 … 31, as a number or as text.
         timeout_s: time in seconds for the answer to a question.
         restart_s: time in seconds that the controller may need to restart before a second home search.
-        tolerance_deg: a stage this near to the target has arrived.
+        tolerance_deg: a stage this near to the target has arrived; by default 0.01° or 0.001 mm.
         resolution_deg: smallest step; by default the encoder increment that the controller reports.
         velocity_deg_s: speed to compute time limits from; by default the one that is set in the controller.
         margin_s: seconds added to every computed time limit.
@@ -272,10 +275,11 @@ class Smc100(PortStage):
         self,
         transport: Transport,
         *,
+        unit: Unit = "deg",
         address: str | int = 1,
         timeout_s: float = 0.5,
         restart_s: float = 15.0,
-        tolerance_deg: float = 0.01,
+        tolerance_deg: float | None = None,
         resolution_deg: float | None = None,
         velocity_deg_s: float | None = None,
         margin_s: float = 2.0,
@@ -284,6 +288,8 @@ class Smc100(PortStage):
     ) -> None:
         if not str(address).isdecimal() or int(address) not in ADDRESSES:
             raise RigError(f"'{address}' is no address of an SMC100 controller; use one of 1…31")
+        self.unit = unit
+        tolerance = TOLERANCE[unit] if tolerance_deg is None else tolerance_deg
         self.address = int(address)
         self._transport = transport
         self._line = line = Smc100Line(transport, self.address, timeout_s)
@@ -303,9 +309,11 @@ class Smc100(PortStage):
         if velocity_deg_s is not None:
             velocity, acceleration = velocity_deg_s, velocity_deg_s / 0.1
         if min(velocity, acceleration, resolution) <= 0.0:
-            raise ProtocolError(f"{line.name} tells a speed of {velocity:g}°/s; is it a rotation stage?")
+            raise ProtocolError(
+                f"{line.name} tells a speed of {velocity:g}{SYMBOLS[unit]}/s; is it a motion stage?"
+            )
         limits = (limits[0] if min_deg is None else min_deg, limits[1] if max_deg is None else max_deg)
-        rules = MotionRules(max(tolerance_deg, resolution), velocity, acceleration, margin_s)
+        rules = MotionRules(max(tolerance, resolution), velocity, acceleration, margin_s)
         super().__init__(f"{name}, address {self.address}", rules, limits, resolution)
         line.name = self.name
         self._bus = transport.lock

@@ -1,4 +1,7 @@
-"""Driver for Zaber rotary stages (X-RSW, X-RST, X-RSB, …): ASCII protocol at 115200 baud or over TCP.
+"""Driver for Zaber stages: ASCII protocol at 115200 baud or over TCP.
+
+Rotary stages are X-RSW, X-RST, X-RSB, …; linear ones (``unit = "mm"``) X-LSM, X-LRM, X-VSR and others. A linear stage
+does not say how long its microstep is.
 
 Scale, speed, acceleration, limits and the state of the reference are read from the device: a stage that was homed since
 power-up need not be homed again. Every command has a number and a checksum, and an answer is accepted only if both are
@@ -28,7 +31,7 @@ from anisoscope.base.errors import (
     RigError,
     Stalled,
 )
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stage import SYMBOLS, WRONG_UNIT, MotionRules, Unit
 from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
@@ -309,12 +312,23 @@ def identify(line: ZaberLine) -> str:
     return f"Zaber {device.data} {serial.data}" if serial.accepted else f"Zaber {device.data}"
 
 
-def read_counts_per_deg(line: ZaberLine, counts_per_turn: float | None) -> float:
-    """Microsteps for one degree; `counts_per_turn` overrides the setting of the device.
+def read_counts_per_unit(
+    line: ZaberLine, unit: Unit, counts_per_turn: float | None, counts_per_mm: float | None
+) -> float:
+    """Microsteps for one degree or 1 mm; what is given goes before what the device says.
 
     Raises:
-        ProtocolError: neither is known.
+        ProtocolError: the scale is not known, or the stage moves otherwise.
     """
+    if unit == "mm":
+        if (line.number("limit.cycle.dist") or 0.0) > 0.0:
+            raise ProtocolError(f"{line.name} is a rotary stage; {WRONG_UNIT[unit]}")
+        if not counts_per_mm or counts_per_mm <= 0.0:
+            raise ProtocolError(
+                f"{line.name} does not say how long a microstep is; set the option counts_per_mm: 1000 over the "
+                "microstep size in µm of its data sheet (X-LSM: 20997.375)"
+            )
+        return counts_per_mm
     counts = counts_per_turn or line.number("limit.cycle.dist") or 0.0
     if counts <= 0.0:
         raise ProtocolError(
@@ -324,26 +338,29 @@ def read_counts_per_deg(line: ZaberLine, counts_per_turn: float | None) -> float
     return counts / FULL_TURN_DEG
 
 
-def read_limits_deg(
-    line: ZaberLine, counts_per_deg: float, min_deg: float | None, max_deg: float | None
+def read_limits(
+    line: ZaberLine, counts_per_unit: float, unit: Unit, lowest: float | None, highest: float | None
 ) -> tuple[float, float]:
-    """Lowest and highest angle in degrees: as configured, else one turn within the limits of the device.
+    """Lowest and highest place: as configured; else those of the device, of a rotary stage one turn within them.
 
     Raises:
         LimitExceeded: what is asked for is beyond the limits of the device.
     """
-    lowest, highest = line.number("limit.min"), line.number("limit.max")
-    low = -math.inf if lowest is None else lowest / counts_per_deg
-    high = math.inf if highest is None else highest / counts_per_deg
-    requested_low = max(0.0, low) if min_deg is None else min_deg
-    requested_high = min(FULL_TURN_DEG, high) if max_deg is None else max_deg
-    slack = 1.0 / counts_per_deg
-    if requested_low < low - slack or requested_high > high + slack or requested_low > requested_high:
+    known = line.number("limit.min"), line.number("limit.max")
+    low = -math.inf if known[0] is None else known[0] / counts_per_unit
+    high = math.inf if known[1] is None else known[1] / counts_per_unit
+    turn = FULL_TURN_DEG if unit == "deg" else math.inf
+    asked_low = max(0.0, low) if lowest is None else lowest
+    asked_high = min(turn, high) if highest is None else highest
+    slack = 1.0 / counts_per_unit
+    if asked_low < low - slack or asked_high > high + slack or asked_low > asked_high:
+        sign = SYMBOLS[unit]
         raise LimitExceeded(
-            f"{line.name}: the limits {requested_low:.6g}°…{requested_high:.6g}° are not within those of the device, "
-            f"{low:.6g}°…{high:.6g}°; change min_deg and max_deg, or the device's limit.min and limit.max"
+            f"{line.name}: the limits {asked_low:.6g}{sign}…{asked_high:.6g}{sign} are not within those of the device, "
+            f"{low:.6g}{sign}…{high:.6g}{sign}; change min_{unit} and max_{unit}, or the device's limit.min and "
+            "limit.max"
         )
-    return requested_low, requested_high
+    return asked_low, asked_high
 
 
 def read_pace(line: ZaberLine, counts_per_deg: float) -> tuple[float, float]:
@@ -384,6 +401,7 @@ def acknowledge_flags(line: ZaberLine) -> tuple[str, ...]:
     return flags
 
 
+TOLERANCE: dict[Unit, float] = {"deg": 0.02, "mm": 0.002}
 MAX_ADDRESS = 99
 MAX_AXIS = 9
 FIRST_PAUSE_S = 0.002
@@ -391,22 +409,24 @@ LAST_PAUSE_S = 0.05
 
 
 class Zaber(PortStage):
-    """A rotary stage at one address of a port.
+    """A stage at one address of a port.
 
     Args:
         transport: the open port; several stages may share it.
+        unit: ``deg`` for a rotary stage, ``mm`` for a linear one; all that follows counts in it.
         address: number of the device, 1…99.
         axis: number of the axis on the device; stages with a controller of their own have one.
         timeout_s: time in seconds for the answer to a question; a question is asked three times.
-        tolerance_deg: a stage this near to the target has arrived.
+        tolerance_deg: a stage this near to the target has arrived; by default 0.02° or 0.002 mm.
         velocity_deg_s, acceleration_deg_s2: to compute time limits from; by default the device's own settings.
         margin_s: seconds added to every computed time limit.
-        min_deg, max_deg: limits in degrees; by default 0 and 360, or less if the device's own limits are narrower.
+        min_deg, max_deg: limits; by default 0 and 360° or the travel, or less if the device's own limits are narrower.
         counts_per_turn: microsteps for 360°, where the device does not know, or behind a gear of your own.
+        counts_per_deg: of a linear stage, the microsteps for 1 mm (``counts_per_mm`` in a rig file).
 
     Raises:
         NotConnected: no answer at this address.
-        ProtocolError: the device that answers is no Zaber rotary stage.
+        ProtocolError: the device that answers is no such Zaber stage.
         LimitExceeded: `min_deg` or `max_deg` is beyond what the device allows.
         RigError: the device reports a fault that does not go away.
     """
@@ -417,17 +437,21 @@ class Zaber(PortStage):
         self,
         transport: Transport,
         *,
+        unit: Unit = "deg",
         address: int | str = 1,
         axis: int = 1,
         timeout_s: float = 0.5,
-        tolerance_deg: float = 0.02,
+        tolerance_deg: float | None = None,
         velocity_deg_s: float | None = None,
         acceleration_deg_s2: float | None = None,
         margin_s: float = 2.0,
         min_deg: float | None = None,
         max_deg: float | None = None,
         counts_per_turn: float | None = None,
+        counts_per_deg: float | None = None,
     ) -> None:
+        self.unit = unit
+        tolerance = TOLERANCE[unit] if tolerance_deg is None else tolerance_deg
         self.address = _number("address", address, MAX_ADDRESS)
         self.axis = _number("axis", axis, MAX_AXIS)
         self._transport = transport
@@ -435,16 +459,16 @@ class Zaber(PortStage):
         self._command = ""
         self._refused = False
         self._pause_s = 0.0
-        super().__init__(self._line.name, MotionRules(tolerance_deg, 1.0), (0.0, FULL_TURN_DEG), 0.0)
+        super().__init__(self._line.name, MotionRules(tolerance, 1.0), (0.0, FULL_TURN_DEG), 0.0)
         self._bus = transport.lock
         with self._bus:
             self._name = self._line.name = identify(self._line)
-            self._counts_per_deg = read_counts_per_deg(self._line, counts_per_turn)
+            self._counts_per_deg = read_counts_per_unit(self._line, unit, counts_per_turn, counts_per_deg)
             self._resolution_deg = 1.0 / self._counts_per_deg
-            self._limits_deg = read_limits_deg(self._line, self._counts_per_deg, min_deg, max_deg)
+            self._limits_deg = read_limits(self._line, self._counts_per_deg, unit, min_deg, max_deg)
             velocity, acceleration = read_pace(self._line, self._counts_per_deg)
             self.rules = MotionRules(
-                max(tolerance_deg, self._resolution_deg),
+                max(tolerance, self._resolution_deg),
                 velocity_deg_s or velocity,
                 acceleration_deg_s2 or acceleration,
                 margin_s=margin_s,
@@ -529,7 +553,8 @@ class Zaber(PortStage):
         if self._line.flag != INTERRUPTED:
             return super()._off_target(what, at_deg, target_deg)
         return MotionTimeout(
-            f"{self.name}: the {what} was interrupted at {at_deg:.6g}° ({INTERRUPTED}), by its knob or another program"
+            f"{self.name}: the {what} was interrupted at {self._shown(at_deg, 6)} ({INTERRUPTED}), by its knob or "
+            "another program"
         )
 
     def _send_stop(self) -> None:

@@ -35,12 +35,19 @@ from anisoscope.sim.bench.benchfile import (
     SensorPart,
     read_bench,
 )
-from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
 from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.lamp import Lamp
-from anisoscope.sim.bench.optics import PLATE, image_of_fixture, image_of_surface, pixel_from_mm, vignette
+from anisoscope.sim.bench.optics import (
+    PLATE,
+    defocused,
+    image_of_fixture,
+    image_of_surface,
+    pixel_from_mm,
+    vignette,
+)
 from anisoscope.sim.bench.plate import PlateSample
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.prints import PrintSample
@@ -206,7 +213,13 @@ _DOTS_PER_MODULE = 16
 
 
 def image_of_code(
-    code: CodePart, part: OpticsPart, sensor: SensorPart, angle_deg: float, tilt_deg: float, plate: float
+    code: CodePart,
+    part: OpticsPart,
+    sensor: SensorPart,
+    angle_deg: float,
+    tilt_deg: float,
+    shift_mm: tuple[float, float],
+    plate: float,
 ) -> Image:
     """What the label with the code adds to the reflectance of the plate, (rows, cols).
 
@@ -216,6 +229,7 @@ def image_of_code(
         sensor: the sensor.
         angle_deg: true angle of the sample.
         tilt_deg: tilt of the camera.
+        shift_mm: how far the stage is shifted, to the right and up.
         plate: reflectance of the plate under the label.
 
     Raises:
@@ -234,7 +248,7 @@ def image_of_code(
     dot_to_mm = np.eye(3)
     dot_to_mm[:2, :2] = linear
     dot_to_mm[:2, 2] = np.array([code.x_mm, code.y_mm]) - linear @ middle
-    matrix = pixel_from_mm(part, sensor, angle_deg, tilt_deg) @ dot_to_mm
+    matrix = pixel_from_mm(part, sensor, angle_deg, tilt_deg, shift_mm) @ dot_to_mm
     return np.asarray(cv2.warpAffine(label, matrix, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR))
 
 
@@ -276,21 +290,33 @@ class Bench:
         scale = file.stage.time_scale
         clock = clock_of(scale)
         self.axis = RotaryAxis(time_scale=scale, backlash_deg=file.stage.backlash_deg, clock=clock)
-        mounts = [Mount(self.axis, file.stage.address)]
+        lines = {file.stage.protocol: [Mount(self.axis, file.stage.address)]}
         self.tilt_axis: RotaryAxis | None = None
         if file.tilt is not None:
             self.tilt_axis = RotaryAxis(time_scale=scale, backlash_deg=file.tilt.backlash_deg, clock=clock)
-            mounts.append(Mount(self.tilt_axis, file.tilt.address))
-        self.stage_firmware = build(
-            file.stage.protocol, mounts, model=file.stage.model, faults=file.stage.faults
-        )
+            lines[file.stage.protocol].append(Mount(self.tilt_axis, file.tilt.address))
+        self.linear: dict[str, LinearAxis] = {}
+        for name, part in file.linear.items():
+            axis = LinearAxis(time_scale=scale, backlash_deg=part.backlash_mm, clock=clock)
+            self.linear[name] = axis
+            lines.setdefault(part.protocol, []).append(Mount(axis, part.address, part.model))
+        self.lines = {
+            protocol: build(
+                protocol,
+                mounts,
+                model=file.stage.model if protocol == file.stage.protocol else "",
+                faults=file.stage.faults if protocol == file.stage.protocol else (),
+            )
+            for protocol, mounts in lines.items()
+        }
         self.sensor = Sensor(file.sensor, sensor_rng)
         self.lamp = Lamp(file.optics, light_rng)
         self.light_firmware = LightFirmware(self.lamp)
         self._sample_rng = sample_rng
         self._sample: Sample | None = None
         self._mosaic = Mosaic(file.sensor, file.vision().strengths())
-        self._scene: tuple[tuple[float, float], Image] | None = None
+        self._scene: tuple[_Pose, Image] | None = None
+        self._sharp: tuple[tuple[float, float, tuple[float, float]], FloatArray] | None = None
         self._lock = threading.Lock()
 
     @property
@@ -316,17 +342,35 @@ class Bench:
             return fixed
         return fixed + part.sign * (self.tilt_axis.load_deg() - part.zero_deg)
 
+    def _moved_mm(self, name: str) -> float:
+        """How far a linear axis truly moved the plate; 0 without it."""
+        part = self.file.linear.get(name)
+        return 0.0 if part is None else part.sign * (self.linear[name].load_deg() - part.zero_mm)
+
+    @property
+    def shift_mm(self) -> tuple[float, float]:
+        """How far the stage is truly shifted, to the right and up."""
+        return self._moved_mm("x"), self._moved_mm("y")
+
+    @property
+    def defocus_mm(self) -> float:
+        """How far the plate below the middle of the picture truly stands above the plane of focus."""
+        turn = np.radians(self.sample_angle_deg)
+        x, y = self.shift_mm
+        seen = -x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) - y * np.cos(turn)
+        return self._moved_mm("z") + self.file.tray.height_mm(*(float(one) for one in seen))
+
     def device(self, name: str) -> Firmware:
-        """The device that answers on a line of this rig: the stage by its protocol, or the ``light``.
+        """What answers on a line of this rig: the axes of a protocol, or the ``light``.
 
         Raises:
             UsageError: this rig has no such device.
         """
         if name == LIGHT:
             return self.light_firmware
-        if name != self.file.stage.protocol:
-            raise UsageError(f"the stage of this bench speaks {self.file.stage.protocol}, not {name}")
-        return self.stage_firmware
+        if name not in self.lines:
+            raise UsageError(f"the axes of this bench speak {' and '.join(self.lines)}, not {name}")
+        return self.lines[name]
 
     def photograph(self, exposure_s: float, gain: float) -> Counts:
         """One frame of the sensor, (rows, cols) counts."""
@@ -342,42 +386,54 @@ class Bench:
             return self.sensor.expose(signal, exposure_s, gain)
 
     def _radiance_on_sensor(self) -> Image:
-        pose = self.sample_angle_deg, self.tilt_deg
+        pose = _Pose(self.sample_angle_deg, self.tilt_deg, self.shift_mm, self.defocus_mm)
         if self._scene is None or self._scene[0] != pose:
-            turning = any(axis is not None and axis.busy() for axis in (self.axis, self.tilt_axis))
-            # what a live view shows on the way is of no use to another process
-            self._scene = pose, self._render(*pose) if turning else self._cached_scene(pose)
+            axes = (self.axis, self.tilt_axis, *self.linear.values())
+            moving = any(axis is not None and axis.busy() for axis in axes)
+            # what a live view shows on the way is of no use to another process, nor is one of many planes of focus
+            passing = moving or bool(self.linear)
+            self._scene = pose, self._render(pose) if passing else self._cached_scene(pose)
         return self._scene[1]
 
-    def _cached_scene(self, pose: tuple[float, float]) -> Image:
+    def _cached_scene(self, pose: "_Pose") -> Image:
         """The scene of a pose, from the cache of all processes."""
-        table = self.file.model_dump(mode="json", exclude={"stage", "tilt"})
-        entry = Cache().entry("scenes", {"bench": _with_content(table), "pose": pose}, __name__)
-        return entry.result(lambda: self._render(*pose), _packed, _unpacked)
+        table = self.file.model_dump(mode="json", exclude={"stage", "tilt", "x", "y", "z"})
+        entry = Cache().entry("scenes", {"bench": _with_content(table), "pose": pose[:2]}, __name__)
+        return entry.result(lambda: self._render(pose), _packed, _unpacked)
 
-    def _render(self, angle_deg: float, tilt_deg: float) -> Image:
-        file = self.file
-        convention = Convention(light_angle_deg=file.geometry.light_angle_deg)
-        to_light, to_camera = directions((Pose(angle_deg, tilt_deg),), convention)
-        cos_light = to_light[0, 2]
+    def _render(self, pose: "_Pose") -> Image:
+        if self._sharp is None or self._sharp[0] != pose.in_focus:
+            self._sharp = pose.in_focus, self._in_focus(pose)
+        file, picture = self.file, self._sharp[1]
+        if "z" in self.linear:
+            picture = np.stack([defocused(channel, file.optics, pose.defocus_mm) for channel in picture])
         shade = vignette(file.optics, file.sensor)
-        if file.sample.kind == "white-tile":
-            image = np.full(shade.shape, file.sample.reflectance / np.pi * cos_light)
-        else:
-            picture, cover = self._image_of_sample(angle_deg, tilt_deg, to_light, to_camera)
-            image = self._mosaic.pick(picture).astype(np.float64)
-            if file.fixture is not None:
-                around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg, tilt_deg)
-                if (code := file.sample.code) is not None:
-                    around += image_of_code(code, file.optics, file.sensor, angle_deg, tilt_deg, PLATE)
-                image = image + (1.0 - cover) * around / np.pi * cos_light
-        scene = (image + file.optics.stray_radiance) * shade * self._mosaic.passed
+        scene = (self._mosaic.pick(picture) + file.optics.stray_radiance) * shade * self._mosaic.passed
         return np.asarray(scene, dtype=np.float32)
 
-    def _image_of_sample(
-        self, angle_deg: float, tilt_deg: float, to_light: FloatArray, to_camera: FloatArray
+    def _in_focus(self, pose: "_Pose") -> FloatArray:
+        """(channels, rows, cols) radiance on the sensor, but for vignette and stray light."""
+        file = self.file
+        convention = Convention(light_angle_deg=file.geometry.light_angle_deg)
+        to_light, to_camera = directions((Pose(pose.angle_deg, pose.tilt_deg),), convention)
+        cos_light = to_light[0, 2]
+        if file.sample.kind == "white-tile":
+            shape = (1, file.sensor.rows, file.sensor.cols)
+            return np.full(shape, file.sample.reflectance / np.pi * cos_light)
+        picture, cover = self._image_of_samples(pose, to_light, to_camera)
+        image = picture.astype(np.float64)
+        if file.fixture is not None:
+            view = (file.optics, file.sensor, pose.angle_deg, pose.tilt_deg)
+            around = image_of_fixture(file.fixture, *view, pose.shift_mm)
+            if (code := file.sample.code) is not None:
+                around += image_of_code(code, *view, pose.shift_mm, PLATE)
+            image = image + (1.0 - cover) * around / np.pi * cos_light
+        return image
+
+    def _image_of_samples(
+        self, pose: "_Pose", to_light: FloatArray, to_camera: FloatArray
     ) -> tuple[Image, Image]:
-        """(channels, rows, cols) image of the sample on the sensor, and the share of each pixel that it covers.
+        """(channels, rows, cols) image of the samples on the sensor, and the share of each pixel that they cover.
 
         The directions are (1, 3), in the frame of the stage's plate.
         """
@@ -385,11 +441,28 @@ class Bench:
             self._sample = build_sample(self.file, self._sample_rng)
         sample, file = self._sample, self.file
         seat = seating_rotation(*file.sample.seating_tilt_deg)
+        radiance = sample.radiance((to_light @ seat)[0], (to_camera @ seat)[0])
+        view = (sample.pixel_um, file.optics, file.sensor, pose.angle_deg, pose.tilt_deg, pose.shift_mm)
         shown = [
-            image_of_surface(channel, sample.pixel_um, file.optics, file.sensor, angle_deg, tilt_deg)
-            for channel in sample.radiance((to_light @ seat)[0], (to_camera @ seat)[0])
+            [image_of_surface(channel, *view, centre_mm) for channel in radiance]
+            for centre_mm in file.tray.parts
         ]
-        return np.stack([image for image, _ in shown]), shown[0][1]
+        images = [np.stack([image for image, _ in channels]) for channels in shown]
+        return sum(images[1:], images[0]), sum((one[0][1] for one in shown[1:]), shown[0][0][1])
+
+
+class _Pose(NamedTuple):
+    """Where everything truly stands when a picture is taken."""
+
+    angle_deg: float
+    tilt_deg: float
+    shift_mm: tuple[float, float]
+    defocus_mm: float
+
+    @property
+    def in_focus(self) -> tuple[float, float, tuple[float, float]]:
+        """All but the distance."""
+        return self[:3]
 
 
 def _with_content(value: object) -> object:

@@ -149,7 +149,8 @@ class OpticsPart(Part):
     colour filters, per pixel of the strongest colour. A cold lamp is brighter by ``lamp_warmup_share`` (darker, if
     negative), and loses it over ``lamp_warmup_frames`` lit frames. ``spectrum`` is the lamp's: ``led-white`` (made
     up), a CIE illuminant such as ``d65`` or ``a``, or a file *.csv. A lamp at ``lamp_distance_mm`` shines on
-    every place of ridges and height maps from another direction; without it, it is far away.
+    every place of ridges and height maps from another direction; without it, it is far away. ``numerical_aperture`` (on
+    the side of the sample) and ``wavelength_nm`` set the depth of field where there is an axis ``z``.
     """
 
     pixel_um: Positive = 4.0
@@ -165,6 +166,8 @@ class OpticsPart(Part):
     lamp_distance_mm: Positive | None = None
     stray_radiance: NotNegative = 0.0002
     lens_cap: bool = False
+    numerical_aperture: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
+    wavelength_nm: Positive = 550.0
 
 
 class StagePart(Part):
@@ -207,6 +210,38 @@ class TiltPart(Part):
     backlash_deg: NotNegative = 0.0
 
 
+class LinearPart(Part):
+    """A linear axis: ``z`` lifts the plate through the plane of focus, ``x`` and ``y`` shift the stage with its axis.
+
+    ``protocol`` and ``model`` say which device it is; "" is the first linear one. Axes of a protocol are on one line.
+    ``zero_mm`` is the reading at which the plate is in focus, or the axis of the stage where ``optics.axis_px`` has it;
+    ``sign`` is −1 where a growing reading truly moves the other way. ``backlash_mm`` is the play.
+    """
+
+    protocol: Literal["elliptec", "zaber", "grbl", "apt", "smc100"] = "zaber"
+    model: str = ""
+    address: str = ""
+    zero_mm: float = 10.0
+    sign: Literal[-1, 1] = 1
+    backlash_mm: NotNegative = 0.0
+
+
+class TrayPart(Part):
+    """Where equal samples lie on the plate, in mm from the axis of the stage; and how uneven the plate is.
+
+    ``slope`` is by how many mm the plate rises per mm to the right and up, at sample angle 0; ``bow_mm`` by how much at
+    a distance of 10 mm from the axis, growing as the square of the distance.
+    """
+
+    parts: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    slope: tuple[float, float] = (0.0, 0.0)
+    bow_mm: float = 0.0
+
+    def height_mm(self, x_mm: float, y_mm: float) -> float:
+        """Height of the plate over that at its axis."""
+        return self.slope[0] * x_mm + self.slope[1] * y_mm + self.bow_mm * (x_mm**2 + y_mm**2) / 100.0
+
+
 class GeometryPart(Part):
     """Where camera and light truly stand; with a tilt axis, ``tilt_deg`` comes on top of it."""
 
@@ -224,8 +259,18 @@ class BenchFile(Part):
     optics: OpticsPart = OpticsPart()
     stage: StagePart = StagePart()
     tilt: TiltPart | None = None
+    x: LinearPart | None = None
+    y: LinearPart | None = None
+    z: LinearPart | None = None
+    tray: TrayPart = TrayPart()
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
+
+    @property
+    def linear(self) -> dict[str, LinearPart]:
+        """The linear axes that it has, by their tables."""
+        found = {name: getattr(self, name) for name in ("x", "y", "z")}
+        return {name: part for name, part in found.items() if part is not None}
 
     def vision(self) -> Vision:
         """The sensor's channels under the bench's lamp.

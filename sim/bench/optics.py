@@ -10,6 +10,8 @@ from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 
 Image = npt.NDArray[np.float32]
+Place = tuple[float, float]
+MIDDLE: Place = (0.0, 0.0)
 
 _PAPER_WHITE = 0.75
 _PAPER_BLACK = 0.03
@@ -19,11 +21,24 @@ _DOTS_PER_MODULE = 48
 
 
 def pixel_from_mm(
-    part: OpticsPart, sensor: SensorPart, angle_deg: float, tilt_deg: float = 0.0
+    part: OpticsPart,
+    sensor: SensorPart,
+    angle_deg: float,
+    tilt_deg: float = 0.0,
+    shift_mm: Place = MIDDLE,
+    centre_mm: Place = MIDDLE,
 ) -> FloatArray:
     """(2, 3) affine map from sample millimetres (x right, y up) to pixels (column, row), pixel centres integer.
 
     A camera tilted about the picture's horizontal axis sees the plate foreshortened by cos(tilt).
+
+    Args:
+        part: the optics.
+        sensor: the sensor.
+        angle_deg: true angle of the sample.
+        tilt_deg: tilt of the camera.
+        shift_mm: how far the stage, its axis included, is shifted to the right and up.
+        centre_mm: place on the plate of the sample's own origin.
     """
     turn = np.radians(angle_deg)
     scale = 1000.0 / part.pixel_um
@@ -31,7 +46,10 @@ def pixel_from_mm(
     row = (sensor.rows - 1) / 2 + part.axis_px[1]
     cos, sin = scale * np.cos(turn), scale * np.sin(turn)
     squeeze = np.cos(np.radians(tilt_deg))
-    return np.array([[cos, -sin, column], [-squeeze * sin, -squeeze * cos, row]])
+    turn_and_scale = np.array([[cos, -sin], [-squeeze * sin, -squeeze * cos]])
+    moved = np.array([scale * shift_mm[0], -squeeze * scale * shift_mm[1]])
+    origin = np.array([column, row]) + moved + turn_and_scale @ np.asarray(centre_mm)
+    return np.column_stack([turn_and_scale, origin])
 
 
 def vignette(part: OpticsPart, sensor: SensorPart) -> Image:
@@ -56,6 +74,8 @@ def image_of_surface(
     sensor: SensorPart,
     angle_deg: float,
     tilt_deg: float = 0.0,
+    shift_mm: Place = MIDDLE,
+    centre_mm: Place = MIDDLE,
 ) -> tuple[Image, Image]:
     """Image of the sample on the sensor.
 
@@ -66,6 +86,8 @@ def image_of_surface(
         sensor: the sensor.
         angle_deg: true angle of the sample.
         tilt_deg: tilt of the camera.
+        shift_mm: as for `pixel_from_mm`.
+        centre_mm: likewise.
 
     Returns:
         The image, and the share of each pixel that the sample covers.
@@ -86,7 +108,7 @@ def image_of_surface(
             [0, 0, 1],
         ]
     )
-    matrix = pixel_from_mm(part, sensor, angle_deg, tilt_deg) @ index_to_mm
+    matrix = pixel_from_mm(part, sensor, angle_deg, tilt_deg, shift_mm, centre_mm) @ index_to_mm
     size = (sensor.cols, sensor.rows)
     image = cv2.warpAffine(shown, matrix, size, flags=cv2.INTER_LINEAR)
     cover = cv2.warpAffine(np.ones_like(shown), matrix, size, flags=cv2.INTER_LINEAR)
@@ -94,7 +116,12 @@ def image_of_surface(
 
 
 def image_of_fixture(
-    fixture: Fixture, part: OpticsPart, sensor: SensorPart, angle_deg: float, tilt_deg: float = 0.0
+    fixture: Fixture,
+    part: OpticsPart,
+    sensor: SensorPart,
+    angle_deg: float,
+    tilt_deg: float = 0.0,
+    shift_mm: Place = MIDDLE,
 ) -> Image:
     """Reflectance of the holder around the sample: a dark plate with white labels that carry the markers.
 
@@ -109,7 +136,7 @@ def image_of_fixture(
     dot_mm = fixture.marker_mm / modules / _DOTS_PER_MODULE
     sigma = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0) / (1000.0 * dot_mm)
     margin = int(4 * sigma) + 1
-    to_pixel = pixel_from_mm(part, sensor, angle_deg, tilt_deg)
+    to_pixel = pixel_from_mm(part, sensor, angle_deg, tilt_deg, shift_mm)
     for marker in fixture.markers:
         if marker.id >= len(dictionary.bytesList):
             raise RigFileError(f"fixture.markers: {fixture.dictionary} holds no marker {marker.id}")
@@ -123,3 +150,59 @@ def image_of_fixture(
             label, to_pixel @ dot_to_mm, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR
         )
     return plate
+
+
+def defocus_transfer(share: FloatArray, waves: float) -> FloatArray:
+    """Optical transfer function of a perfect lens with a round pupil that is out of focus, in incoherent light.
+
+    The overlap of two pupils, shifted by the share, weighted by the phase difference of the wavefronts in them.
+    Source: Hopkins, "The frequency response of a defocused optical system", Proc. R. Soc. A 231 (1955).
+
+    Args:
+        share: frequencies as multiples of NA/λ; the transfer ends at 2.
+        waves: defocus at the edge of the pupil in wavelengths, z NA²/(2 λ).
+
+    Returns:
+        As many values, 1 at frequency 0.
+    """
+    share = np.asarray(share, dtype=float)
+    half = 1.0 - np.minimum(share, 2.0) / 2.0
+    panels = 2 + int(np.ceil(abs(waves) / 2.0))
+    own, weights = np.polynomial.legendre.leggauss(16)
+    nodes = ((own + 1.0) / panels + 2.0 / panels * np.arange(panels)[:, None]).ravel() - 1.0
+    # x = half sin(t) takes the root at the end of the overlap out of the integrand
+    turn = np.pi / 4.0 * (nodes + 1.0)
+    x = half[:, None] * np.sin(turn)
+    high = np.sqrt(np.maximum(1.0 - (x + share[:, None] / 2.0) ** 2, 0.0))
+    phase = np.cos(4.0 * np.pi * waves * share[:, None] * x)
+    overlap = phase * high * half[:, None] * np.cos(turn)
+    return np.asarray(overlap @ np.tile(weights / panels, panels), dtype=float)
+
+
+_TRANSFER_STEPS = 256
+
+
+def defocused(image: FloatArray, part: OpticsPart, defocus_mm: float) -> Image:
+    """What a telecentric lens makes of a picture when the object stands out of focus; diffraction included.
+
+    Args:
+        image: (rows, cols) picture in perfect focus.
+        part: aperture, wavelength, size of the pixels on the object.
+        defocus_mm: distance from the plane of sharpest focus.
+    """
+    cutoff = 1000.0 * part.numerical_aperture / part.wavelength_nm  # of share 1, per µm
+    waves = 1e6 * defocus_mm * part.numerical_aperture**2 / (2.0 * part.wavelength_nm)
+    radius = 1000.0 * abs(defocus_mm) * part.numerical_aperture / part.pixel_um + 2.0 / (
+        cutoff * part.pixel_um
+    )
+    edge = [min(int(np.ceil(radius)) + 2, size - 1) for size in image.shape]
+    wide = np.pad(image, [(one, one) for one in edge], mode="reflect")
+    down = np.fft.fftfreq(wide.shape[0], part.pixel_um)[:, None]
+    across = np.fft.rfftfreq(wide.shape[1], part.pixel_um)[None, :]
+    share = np.hypot(down, across) / cutoff
+    highest = min(2.0, float(share.max()))
+    known = np.linspace(0.0, highest, _TRANSFER_STEPS + int(32 * highest * abs(waves)))
+    transfer = np.interp(share, known, defocus_transfer(known, waves), right=0.0)
+    blurred = np.fft.irfft2(np.fft.rfft2(wide) * transfer, s=wide.shape)
+    rows, cols = (slice(one, one + size) for one, size in zip(edge, image.shape, strict=True))
+    return np.asarray(blurred[rows, cols], dtype=np.float32)

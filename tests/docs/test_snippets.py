@@ -87,8 +87,8 @@ def test_bench_and_rig_for_colour_photograph_a_print(tmp_path):
     with open_rig(file) as rig:
         for axis in rig.axes:
             axis.home()
-        rig.stage.move_to(file.stage.reading_deg(20.0))
-        rig.tilt.move_to(file.tilt.reading_deg(10.0))
+        rig.stage.move_to(file.stage.reading(20.0))
+        rig.tilt.move_to(file.tilt.reading(10.0))
         rig.light.on()
         rig.camera.configure(0.006, 1.0)
         counts = rig.camera.grab()[middle, middle].astype(float) - rig.camera.info.black_level

@@ -6,12 +6,14 @@ import signal
 import socket
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
+from serial.tools import list_ports
 
 from anisoscope.base.errors import NotConnected, RigError
 from anisoscope.rig import portholder
-from anisoscope.rig.portholder import Holder, claim, holder_of, release, wait_until_released
+from anisoscope.rig.portholder import Holder, actual_port, claim, holder_of, release, wait_until_released
 from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
@@ -160,3 +162,26 @@ def test_com_ports_have_no_upper_and_lower_case():
     note = claim("com3")
     assert claim("COM3") == note
     release(note)
+
+
+def usb(device, vid=0x0403, pid=0x6015, serial_number="DK0A1B2C", location="1-1.4"):
+    return SimpleNamespace(device=device, vid=vid, pid=pid, serial_number=serial_number, location=location)
+
+
+@pytest.mark.parametrize("name", ["DK0A1B2C", "dk0a1b2c", "0403:6015", "0403:6015:DK0A1B2C", "1-1.4"])
+def test_a_port_named_by_its_usb_device_is_found_under_any_number(monkeypatch, name):
+    others = [usb("/dev/ttyUSB1", 0x1A86, 0x7523, None, "1-1.2"), usb("/dev/ttyS0", None, None, None, None)]
+    for device in ("/dev/ttyUSB0", "/dev/ttyUSB7"):
+        monkeypatch.setattr(list_ports, "comports", lambda device=device: [usb(device), *others])
+        assert actual_port(f"usb:{name}") == device
+    assert actual_port("COM3") == "COM3"
+    with pytest.raises(NotConnected, match=r"there is no USB device 9999:0000 now; plug it in"):
+        actual_port("usb:9999:0000")
+    monkeypatch.setattr(list_ports, "comports", lambda: [usb("COM4"), usb("COM5")])
+    with pytest.raises(NotConnected, match=r"fits COM4 and COM5; name one by its serial number or socket"):
+        actual_port(f"usb:{name}")
+
+
+def test_the_holder_of_a_port_is_found_by_its_usb_device(other, port, monkeypatch):
+    monkeypatch.setattr(list_ports, "comports", lambda: [usb(port)])
+    assert holder_of("usb:DK0A1B2C").pid == other.pid

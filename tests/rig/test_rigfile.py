@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.base.errors import RigFileError
-from anisoscope.rig.rigfile import StagePart, read_replay_rig, read_rig
+from anisoscope.rig.rigfile import StagePart, read_axes, read_replay_rig, read_rig
 
 GOOD = """
 schema = 1
@@ -55,9 +55,9 @@ def test_a_good_rig_file(tmp_path):
 @pytest.mark.parametrize("turns", ["ccw", "cw"])
 def test_angles_and_readings(turns):
     stage = StagePart(driver="elliptec", port="COM3", zero_deg=200.0, turns=turns)
-    assert stage.reading_deg(0.0) == 200.0
-    assert stage.reading_deg(90.0) == (290.0 if turns == "ccw" else 110.0)
-    assert stage.angle_deg(stage.reading_deg(33.0)) == 33.0
+    assert stage.reading(0.0) == 200.0
+    assert stage.reading(90.0) == (290.0 if turns == "ccw" else 110.0)
+    assert stage.place(stage.reading(33.0)) == 33.0
 
 
 def test_a_tilt_axis(tmp_path):
@@ -65,7 +65,7 @@ def test_a_tilt_axis(tmp_path):
         "[camera]", '[tilt]\ndriver = "elliptec"\nport = "COM3"\nzero_deg = 30.0\nsign = -1\n[camera]', 1
     )
     tilt = read(tmp_path, text).tilt
-    assert (tilt.reading_deg(10.0), tilt.angle_deg(25.0), tilt.approach_deg) == (20.0, 5.0, 2.0)
+    assert (tilt.reading(10.0), tilt.place(25.0), tilt.approach_deg) == (20.0, 5.0, 2.0)
     with pytest.raises(RigFileError, match=r"geometry\.tilt_deg is for an arm that stands fixed"):
         read(tmp_path, text.replace("tilt_deg = 0", "tilt_deg = 5"))
     with pytest.raises(RigFileError, match=r"tilt\.sign: input should be -1 or 1, not 2"):
@@ -152,3 +152,18 @@ def test_the_port_of_a_light_among_its_options_is_still_read(tmp_path):
     both = old.replace("[light]", '[light]\nport = "COM8"')
     with pytest.raises(RigFileError, match=r"light: .*port stands here and among the options"):
         read(tmp_path, both)
+
+
+def test_linear_axes_count_in_millimetres(tmp_path):
+    path = tmp_path / "rig.toml"
+    z = '[z]\ndriver = "zaber"\nport = "COM4"\nzero_mm = 12.0\nsign = -1\n[z.options]\ncounts_per_mm = 20997.4\n'
+    path.write_text(f'schema = 1\n[stage]\ndriver = "elliptec"\nport = "COM3"\n{z}')
+    rig = read_axes(path)
+    assert list(rig.axes) == ["stage", "z"]
+    assert (rig.z.reading(2.0), rig.z.place(10.0), rig.z.unit) == (10.0, 2.0, "mm")
+    assert rig.z.driver_options == {"unit": "mm", "counts_per_deg": 20997.4}
+    path.write_text(path.read_text().replace("counts_per_mm = 20997.4", "velocity_deg_s = 1.0"))
+    with pytest.raises(
+        RigFileError, match=r"options\.velocity_deg_s: this axis is linear; write velocity_mm_s"
+    ):
+        read_axes(path)

@@ -10,11 +10,12 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
-from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, confirm, write_line
+from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, home_axis, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
     from anisoscope.rig.hold import Owner
+    from anisoscope.rig.rigfile import RigAxes
 
 
 def hold(
@@ -46,29 +47,31 @@ def hold(
         raise UsageError("another process holds this rig already; end it with q in its window")
     with open_devices(axes, light=light) as devices:
         if home:
-            _home(devices, yes=yes)
+            for table, axis in devices.axes.items():
+                if not axis.is_homed:
+                    home_axis(axis, axes[table], yes=yes)
         served = {table: (axes[table], axis) for table, axis in devices.axes.items()}
         lamp = None if light is None or devices.light is None else (light, devices.light)
         with Owner(served, lamp, "" if which.rig is None else str(which.rig.resolve())) as owner:
-            _announce(devices, owner)
+            _announce(devices, [] if file is None else _left_free(file, lamp is not None))
             with contextlib.suppress(KeyboardInterrupt):
                 _listen(owner)
     return 0
 
 
-def _home(devices: "Devices", *, yes: bool) -> None:
-    for axis in devices.axes.values():
-        if not axis.is_homed:
-            confirm(f"homing {axis.name}: it searches its reference and may turn a full turn", yes=yes)
-            axis.home()
+def _left_free(file: "RigAxes", lamp_held: bool) -> list[str]:
+    """What other commands open for themselves, as without a holder."""
+    lamp = [] if file.light is None or lamp_held else [message("light")]
+    return ([] if file.camera is None else [message("camera")]) + lamp
 
 
-def _announce(devices: "Devices", owner: "Owner") -> None:
+def _announce(devices: "Devices", free: list[str]) -> None:
     names = [f"{table} {axis.name}" for table, axis in devices.axes.items()]
     names += [] if devices.light is None else [message("light")]
     print(message("holding {names} for other commands", names=", ".join(names)), flush=True)  # noqa: T201
+    if free:
+        write_line(message("not held: {names}; every command opens them itself", names=", ".join(free)))
     write_line(message("Enter stops all axes; q and Enter, or Ctrl-C, ends"))
-    del owner
 
 
 def _listen(owner: "Owner") -> None:

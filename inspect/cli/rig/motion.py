@@ -1,4 +1,4 @@
-"""``anisoscope rig home|move|jog|stop``: turn the stage or the tilt axis by hand, from the command line."""
+"""``anisoscope rig home|move|jog|stop``: move an axis by hand, from the command line."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -9,31 +9,31 @@ from anisoscope.base.errors import AnisoscopeError, NotConnected, RigError
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, confirm, write_line
+from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, home_axis, write_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from anisoscope.rig.portholder import Holder
-    from anisoscope.rig.rigfile import AxisPart, RigAxes
-    from anisoscope.rig.stage import RotationStage
+    from anisoscope.rig.rigfile import MotorPart, RigAxes
+    from anisoscope.rig.stage import RotationStage, Unit
 
-    Target = Callable[[RotationStage, AxisPart, float], float]
-    Go = Callable[[RotationStage, AxisPart, float], None]
+    Target = Callable[[RotationStage, MotorPart, float], float]
+    Go = Callable[[RotationStage, MotorPart, float], None]
 
 Devices = Annotated[Which, Parameter(name="*")]
-Axis = Annotated[AxisName, Parameter(name="--axis", help="Which axis: stage, or tilt.")]
+Axis = Annotated[AxisName, Parameter(name="--axis", help="Which axis: stage, tilt, x, y or z.")]
 RELEASE_S = 15.0
 
 
 @dataclass(frozen=True)
 class _Moved:
-    """Completed motion; `before_deg` is None where the position before was unknown."""
+    """Completed motion, in the unit of the axis; `before` is None where the position before was unknown."""
 
     axis: str
     device: str
-    before_deg: float | None
-    after_deg: float
+    before: float | None
+    after: float
     homed: bool
 
 
@@ -51,14 +51,17 @@ def home(
     with open_devices({axis: part}) as devices:
         stage = devices.axes[axis]
         before = _position(stage)
-        _home(stage, part, yes=yes)
+        home_axis(stage, part, yes=yes)
         moved = _Moved(axis, stage.name, before, stage.position_deg(), homed=True)
     return _show(moved, file, part, json_=json_)
 
 
 def move(
-    angle_deg: Annotated[
-        float, Parameter(help="Reading of the axis in degrees; with --sample: of the sample.")
+    place: Annotated[
+        float,
+        Parameter(
+            help="Reading of the axis, in degrees, of x, y and z in mm; with --sample: angle or place of the sample."
+        ),
     ],
     /,
     *,
@@ -66,8 +69,8 @@ def move(
         bool,
         Parameter(
             negative="",
-            help="The angle is that of the sample (or of the arm), as zero_deg and turns of the rig file say; "
-            "approached from below, as an inspection does.",
+            help="The angle is that of the sample (or of the arm), as zero_deg and turns of the rig file say (zero_mm "
+            "and sign of a linear axis); approached from below, as an inspection does.",
         ),
     ] = False,
     which: Devices = NOTHING_NAMED,
@@ -75,13 +78,14 @@ def move(
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
-    """Move an axis to an angle. An axis that was not homed is homed first: confirm, or give --yes.
+    """Move an axis to a reading. An axis that was not homed is homed first: confirm, or give --yes.
 
     A stage that turns all the way round takes every angle: -5 is 355. The way stays within its limits.
 
     Examples:
         anisoscope rig move 90 --sample --rig rig.toml --yes
         anisoscope rig move 10 --rig rig.toml --axis tilt
+        anisoscope rig move 12.5 --rig rig.toml --axis z
     """
     from anisoscope.base.errors import UsageError
     from anisoscope.rig.stage import check_limits
@@ -89,14 +93,14 @@ def move(
     if sample and which.rig is None:
         raise UsageError("--sample needs a rig file: only that says at which reading the sample stands at 0°")
 
-    def target(stage: "RotationStage", part: "AxisPart", _now_deg: float) -> float:
-        reading = _in_reach(stage, axis, part.reading_deg(angle_deg) if sample else angle_deg)
+    def target(stage: "RotationStage", part: "MotorPart", _now_deg: float) -> float:
+        reading = _in_reach(stage, axis, part.reading(place) if sample else place)
         if sample:
-            check_limits(stage, reading - part.approach_deg)
+            check_limits(stage, reading - part.approach)
         return reading
 
-    def go(stage: "RotationStage", part: "AxisPart", reading: float) -> None:
-        if sample and stage.position_deg() > (below := reading - part.approach_deg):
+    def go(stage: "RotationStage", part: "MotorPart", reading: float) -> None:
+        if sample and stage.position_deg() > (below := reading - part.approach):
             stage.move_to(below)
         stage.move_to(reading)
 
@@ -104,7 +108,9 @@ def move(
 
 
 def jog(
-    delta_deg: Annotated[float, Parameter(help="By how much, in degrees of the reading; may be negative.")],
+    delta_deg: Annotated[
+        float, Parameter(help="By how much, in degrees of the reading (x, y, z: mm); may be negative.")
+    ],
     /,
     *,
     which: Devices = NOTHING_NAMED,
@@ -112,7 +118,7 @@ def jog(
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
-    """Move an axis by an angle. An axis that was not homed is homed first: confirm, or give --yes.
+    """Move an axis by an angle or a length. An axis that was not homed is homed first: confirm, or give --yes.
 
     A stage that turns all the way round goes on at its other limit: 20 from 350 is 10.
 
@@ -120,10 +126,10 @@ def jog(
         anisoscope rig jog 5 --rig rig.toml
     """
 
-    def target(stage: "RotationStage", _part: "AxisPart", now_deg: float) -> float:
+    def target(stage: "RotationStage", _part: "MotorPart", now_deg: float) -> float:
         return _in_reach(stage, axis, now_deg + delta_deg)
 
-    def go(stage: "RotationStage", _part: "AxisPart", reading: float) -> None:
+    def go(stage: "RotationStage", _part: "MotorPart", reading: float) -> None:
         stage.move_to(reading)
 
     return _motion(which, axis, target, go, yes=yes, json_=json_)
@@ -140,6 +146,7 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
         anisoscope rig stop --rig rig.toml
     """
     from anisoscope.rig.acquisition.opening import open_devices
+    from anisoscope.rig.stage import unit_of
 
     if which == NOTHING_NAMED:
         return _stop_held(json_=json_)
@@ -147,15 +154,15 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     interruptions = [_interrupt(holder) for holder in _holders(axes)]
     with open_devices(axes) as devices:
         problems = devices.make_safe()
-        found = {table: (axis.name, _position(axis)) for table, axis in devices.axes.items()}
+        found = {table: (axis.name, _position(axis), unit_of(axis)) for table, axis in devices.axes.items()}
     if problems:
         raise RigError("; ".join(problems))
     if json_:
-        rows = {table: {"device": name, "at_deg": at} for table, (name, at) in found.items()}
+        rows = {table: {"device": name, f"at_{unit}": at} for table, (name, at, unit) in found.items()}
         print_json({"interrupted": interruptions, "axes": rows})
         return 0
-    for table, (name, at) in found.items():
-        print(message("{axis} {name}: stopped, is at {after}", axis=table, name=name, after=_degrees(at)))  # noqa: T201
+    for table, (name, at, unit) in found.items():
+        print(message("{axis} {name}: stopped, is at {after}", axis=table, name=name, after=_shown(at, unit)))  # noqa: T201
     return 0
 
 
@@ -208,19 +215,11 @@ def _motion(which: Which, axis: AxisName, target: "Target", go: "Go", *, yes: bo
         zero = min(max(0.0, low), high)
         reading = target(stage, part, zero if homed or before is None else before)
         if homed:
-            _home(stage, part, yes=yes)
+            home_axis(stage, part, yes=yes)
             reading = target(stage, part, stage.position_deg())
         go(stage, part, reading)
         moved = _Moved(axis, stage.name, before, stage.position_deg(), homed)
     return _show(moved, file, part, json_=json_)
-
-
-def _home(stage: "RotationStage", part: "AxisPart", *, yes: bool) -> None:
-    from anisoscope.rig.rigfile import BY_HAND
-
-    if part.driver != BY_HAND:  # there the operator is asked for every single turn
-        confirm(f"homing {stage.name}: it searches its reference and may turn a full turn", yes=yes)
-    stage.home()
 
 
 def _position(stage: "RotationStage") -> float | None:
@@ -232,7 +231,7 @@ def _position(stage: "RotationStage") -> float | None:
         return None
 
 
-def _holders(axes: "dict[str, AxisPart]") -> "list[Holder]":
+def _holders(axes: "dict[str, MotorPart]") -> "list[Holder]":
     from anisoscope.rig.portholder import holder_of
 
     found = [holder_of(part.port) for part in axes.values() if part.port is not None]
@@ -254,37 +253,44 @@ def _interrupt(holder: "Holder") -> int:
     return holder.pid
 
 
-def _show(moved: _Moved, file: "RigAxes | None", part: "AxisPart", *, json_: bool) -> int:
-    def angle(reading: float | None) -> float | None:
-        return None if file is None or reading is None else part.angle_deg(reading)
+def _show(moved: _Moved, file: "RigAxes | None", part: "MotorPart", *, json_: bool) -> int:
+    unit = part.unit
+    known = file is not None
+
+    def place(reading: float | None) -> float | None:
+        return None if reading is None or not known else part.place(reading)
 
     if json_:
+        kind = "angle" if unit == "deg" else "place"
         print_json(
             {
                 "axis": moved.axis,
                 "device": moved.device,
                 "homed": moved.homed,
-                "before_deg": moved.before_deg,
-                "after_deg": moved.after_deg,
-                "angle_before_deg": angle(moved.before_deg),
-                "angle_after_deg": angle(moved.after_deg),
+                f"before_{unit}": moved.before,
+                f"after_{unit}": moved.after,
+                f"{kind}_before_{unit}": place(moved.before),
+                f"{kind}_after_{unit}": place(moved.after),
             }
         )
         return 0
-    whose = message("part") if moved.axis == "stage" else message("arm")
-    after = "" if file is None else f" ({whose} {_degrees(angle(moved.after_deg))})"
-    before = _degrees(moved.before_deg)
+    whose = {"stage": message("part"), "tilt": message("arm")}.get(moved.axis, moved.axis)
+    after = f" ({whose} {_shown(place(moved.after), unit)})" if known else ""
     print(  # noqa: T201
         message(
             "{axis} {name}: was at {before}, is at {after}",
             axis=moved.axis,
             name=moved.device,
-            before=before,
-            after=_degrees(moved.after_deg) + after,
+            before=_shown(moved.before, unit),
+            after=_shown(moved.after, unit) + after,
         )
     )
     return 0
 
 
-def _degrees(angle_deg: float | None) -> str:
-    return message("an unknown angle") if angle_deg is None else decimal(f"{angle_deg:.3f}°")
+def _shown(place: float | None, unit: "Unit") -> str:
+    from anisoscope.rig.stage import SYMBOLS
+
+    if place is None:
+        return message("an unknown angle") if unit == "deg" else message("an unknown place")
+    return decimal(f"{place:.{3 if unit == 'deg' else 4}f}{SYMBOLS[unit]}")

@@ -11,9 +11,10 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 
 if TYPE_CHECKING:
-    from anisoscope.rig.rigfile import AxisPart, RigAxes
+    from anisoscope.rig.rigfile import MotorPart, RigAxes
+    from anisoscope.rig.stage import RotationStage
 
-AxisName = Literal["stage", "tilt"]
+AxisName = Literal["stage", "tilt", "x", "y", "z"]
 Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
 Gain = Annotated[float, Parameter(help="Gain as a factor.")]
 LightState = Annotated[
@@ -42,7 +43,7 @@ class Which:
         ),
     ] = ()
 
-    def read(self) -> "tuple[RigAxes | None, dict[str, AxisPart]]":
+    def read(self) -> "tuple[RigAxes | None, dict[str, MotorPart]]":
         """The rig file, if one is named; and its axes by table, the stage first.
 
         Raises:
@@ -60,12 +61,9 @@ class Which:
         if self.port is not None or self.option:
             raise UsageError("--port and --option go with --driver; with --rig they stand in the rig file")
         file = read_axes(self.rig)
-        axes: dict[str, AxisPart] = {"stage": file.stage}
-        if file.tilt is not None:
-            axes["tilt"] = file.tilt
-        return file, axes
+        return file, file.axes
 
-    def axis(self, name: AxisName) -> "tuple[RigAxes | None, AxisPart]":
+    def axis(self, name: AxisName) -> "tuple[RigAxes | None, MotorPart]":
         """The rig file, if one is named; and one of its axes. Errors as for `read`.
 
         Raises:
@@ -73,7 +71,9 @@ class Which:
         """
         file, axes = self.read()
         if name not in axes:
-            raise UsageError("--axis tilt: nothing tilts there; the rig file has no table [tilt]")
+            raise UsageError(
+                f"--axis {name}: there is no such axis; name a rig file with a table [{name}] for it"
+            )
         return file, axes[name]
 
 
@@ -115,3 +115,17 @@ def confirm(what: str, *, yes: bool) -> None:
     print(f"{translated(what)}. {message('Go on? [y/N]')} ", end="", file=sys.stderr, flush=True)  # noqa: T201
     if sys.stdin.readline().strip().lower() not in {"y", "yes", message("yes"), message("yes")[0]}:
         raise UsageError("nothing was moved: the motion was not confirmed")
+
+
+def home_axis(axis: "RotationStage", part: "MotorPart", *, yes: bool) -> None:
+    """Search the reference of an axis, after it was announced and confirmed.
+
+    Raises:
+        UsageError: as for `confirm`.
+    """
+    from anisoscope.rig.rigfile import BY_HAND
+
+    if part.driver != BY_HAND:  # there the operator is asked for every single motion
+        way = "turn a full turn" if part.unit == "deg" else "move over its whole travel"
+        confirm(f"homing {axis.name}: it searches its reference and may {way}", yes=yes)
+    axis.home()

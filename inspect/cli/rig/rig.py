@@ -47,6 +47,7 @@ _register("anisoscope.cli.rig.snap:snap", _look)
 _register("anisoscope.cli.rig.live:live", _look)
 for _motion in ("home", "move", "jog", "stop"):
     _register(f"anisoscope.cli.rig.motion:{_motion}", _move)
+_register("anisoscope.cli.rig.focus:focus", _move)
 _register("anisoscope.cli.rig.hold:hold", _move)
 _register("anisoscope.cli.rig.markers:markers", _set_up)
 _register("anisoscope.cli.rig.scan:scan", _set_up)

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
 app = App(name="sim", help="Serve a simulated device, byte by byte, to any program.")
-OTHERS = 3
+MOST = 6
+OTHERS = 3  # ports of stage, light and camera
 
 
 @app.default
@@ -44,17 +45,15 @@ def device(
         anisoscope rig sim elliptec --tcp 4001
         anisoscope rig sim zaber --pty --fault stall:47.5
     """
-    from anisoscope.sim.bench.firmware.axis import RotaryAxis
-    from anisoscope.sim.bench.firmware.catalogue import Mount, build
+    from anisoscope.sim.bench.firmware.catalogue import build, lone_mount
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
     if pty == (tcp is not None):
         raise UsageError(f"rig sim {name}: give exactly one of --pty and --tcp PORT")
     if not 0.0 <= time_scale < float("inf"):
         raise UsageError(f"rig sim {name}: --time-scale must be a number, 0 or more")
-    firmware = build(
-        name, [Mount(RotaryAxis(time_scale=time_scale), address)], model=device_type, faults=fault
-    )
+    mount = lone_mount(name, device_type, address, time_scale)
+    firmware = build(name, [mount], model=device_type, faults=fault)
     return _serve(name, PtyServer(firmware) if tcp is None else TcpServer(firmware, tcp))
 
 
@@ -89,7 +88,8 @@ def bench(
     """Serve a whole virtual rig until Ctrl-C: its camera shows every motion of its stage to all clients.
 
     The first line says where: serving bench on stage 127.0.0.1:4001, light 127.0.0.1:4002, camera 127.0.0.1:4003.
-    A tilt axis is on the line of the stage. Only programs of this machine can connect.
+    A tilt axis is on the line of the stage, as linear axes of its protocol are; lines of other protocols follow. Only
+    programs of this machine can connect.
 
     Examples:
         anisoscope rig sim bench bench.toml --tcp-base 4001 --write-rig rig.toml
@@ -102,8 +102,8 @@ def bench(
     if pty and tcp_base is not None:
         raise UsageError("rig sim bench: give one of --pty and --tcp-base PORT")
     base = tcp_base or 0
-    if not 0 <= base < 65536 - OTHERS:
-        raise UsageError(f"--tcp-base must lie between 0 and {65535 - OTHERS}, not {base}")
+    if not 0 <= base < 65536 - MOST:
+        raise UsageError(f"--tcp-base must lie between 0 and {65535 - MOST}, not {base}")
     virtual_rig = Bench(read_bench(file))
     with ExitStack() as stack:
         try:
@@ -129,15 +129,17 @@ def _serve_bench(
     def line(firmware: "Firmware", number: int) -> "PtyServer | TcpServer":
         return PtyServer(firmware) if pty else TcpServer(firmware, base and base + number)
 
-    stage, light = (
-        line(virtual_rig.device(virtual_rig.file.stage.protocol), 0),
-        line(virtual_rig.device("light"), 1),
-    )
+    own = virtual_rig.file.stage.protocol
+    others = [name for name in virtual_rig.lines if name != own]
+    lines = {"stage": line(virtual_rig.device(own), 0), "light": line(virtual_rig.device("light"), 1)}
     camera = CameraServer(lambda: SimulatedCamera(virtual_rig), base and base + 2)
-    for server in (stage, light, camera):
+    for number, name in enumerate(others, start=OTHERS):
+        lines[name] = line(virtual_rig.device(name), number)
+    for server in (*lines.values(), camera):
         stack.enter_context(server)
-    places = {"stage": stage.port, "light": light.port, "camera": camera.port}
-    return places, {"stage": stage.url, "light": light.url, "camera": camera.port}
+    further = {name: lines[name].port for name in others}
+    places = {"stage": lines["stage"].port, "light": lines["light"].port, "camera": camera.port, **further}
+    return places, {**{name: one.url for name, one in lines.items()}, "camera": camera.port}
 
 
 def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:
@@ -169,6 +171,14 @@ def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:
         }
     else:
         table["geometry"] = {"tilt_deg": file.geometry.tilt_deg}
+    for name, part in file.linear.items():
+        table[name] = {
+            "driver": part.protocol,
+            "port": urls["stage" if part.protocol == file.stage.protocol else part.protocol],
+            "zero_mm": part.zero_mm,
+            "sign": part.sign,
+            "options": _linear_options(virtual_rig, name),
+        }
     table["camera"] = {
         "driver": "simulated",
         "pixel_um": file.optics.pixel_um,
@@ -185,6 +195,26 @@ def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:
     if file.fixture is not None:
         table["fixture"] = file.fixture.model_dump(mode="json")
     write_text(path, tomli_w.dumps(table))
+
+
+def _linear_options(virtual_rig: "Bench", name: str) -> dict[str, str | int | float]:
+    """Options of a driver for a linear axis: its address on its line, and the scale if the device does not say it."""
+    file = virtual_rig.file
+    part = file.linear[name]
+    turning = 0 if part.protocol != file.stage.protocol else 1 if file.tilt is None else 2
+    before = [one for one, other in file.linear.items() if other.protocol == part.protocol].index(name)
+    place = turning + before
+    match part.protocol:
+        case "grbl":
+            return {"axis": "Z"}
+        case "apt":
+            return {} if part.model == "LTS150" else {"actuator": part.model or "MTS25-Z8"}
+        case "elliptec":
+            return {"address": part.address or f"{place:X}"}
+        case "zaber":
+            return {"address": part.address or str(place + 1), "counts_per_mm": 1000.0 / 0.047625}
+        case _:
+            return {"address": part.address or str(place + 1)}
 
 
 # How a driver is told which axis of the line it drives, and what the second of a bench is called.

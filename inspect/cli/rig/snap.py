@@ -125,10 +125,10 @@ def _take(
 def _angles(devices: "Devices", file: "RigFile") -> tuple[float, float]:
     """Angles of sample and arm in degrees; NaN for an axis that was not read."""
     stage, tilt = devices.axes.get("stage"), devices.axes.get("tilt")
-    stage_deg = math.nan if stage is None else file.stage.angle_deg(stage.position_deg())
+    stage_deg = math.nan if stage is None else file.stage.place(stage.position_deg())
     if file.tilt is None:
         return stage_deg, file.geometry.tilt_deg
-    return stage_deg, math.nan if tilt is None else file.tilt.angle_deg(tilt.position_deg())
+    return stage_deg, math.nan if tilt is None else file.tilt.place(tilt.position_deg())
 
 
 def _judge(frame: "Frame", info: Any, saturated: float, picture: Path | None) -> dict[str, Any]:  # noqa: ANN401

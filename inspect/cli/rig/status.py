@@ -14,7 +14,8 @@ from anisoscope.cli.rig.options import NOTHING_NAMED, Which
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from anisoscope.rig.rigfile import AxisPart, CameraPart, LightPart, RigAxes
+    from anisoscope.rig.rigfile import CameraPart, LightPart, MotorPart, RigAxes
+    from anisoscope.rig.stage import Unit
 
 
 def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json_: Json = False) -> int:
@@ -35,6 +36,7 @@ def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json
             found[table] = _of(_axis, part, table, stack)
             if file is None:  # nobody said where the sample stands at 0°
                 found[table].pop("angle_deg", None)
+                found[table].pop("place_mm", None)
         if file is not None and file.camera is not None:
             found["camera"] = _of(_camera, file.camera, file, stack)
         if file is not None and file.light is not None:
@@ -54,7 +56,7 @@ def _of(query: "Callable[..., dict[str, Any]]", part: Any, *rest: Any) -> dict[s
         return {"driver": part.driver, "error": " ".join(str(problem).split())}
 
 
-def _axis(part: "AxisPart", table: str, stack: contextlib.ExitStack) -> dict[str, Any]:
+def _axis(part: "MotorPart", table: str, stack: contextlib.ExitStack) -> dict[str, Any]:
     from anisoscope.rig.acquisition.opening import open_axis
     from anisoscope.rig.rigfile import BY_HAND
     from anisoscope.rig.stage import motion_state
@@ -65,16 +67,17 @@ def _axis(part: "AxisPart", table: str, stack: contextlib.ExitStack) -> dict[str
     stack.callback(axis.close)
     state = motion_state(axis)
     reading = state.position_deg
+    unit = part.unit
     return {
         "port": part.port,
         "device": axis.name,
-        "position_deg": reading,
-        "angle_deg": None if reading is None else part.angle_deg(reading),
+        f"position_{unit}": reading,
+        "angle_deg" if unit == "deg" else "place_mm": None if reading is None else part.place(reading),
         "moving": state.moving,
-        "speed_deg_s": state.speed_deg_s,
+        f"speed_{unit}_s": state.speed_deg_s,
         "homed": axis.is_homed,
-        "limits_deg": list(axis.limits_deg),
-        "resolution_deg": axis.resolution_deg,
+        f"limits_{unit}": list(axis.limits_deg),
+        f"resolution_{unit}": axis.resolution_deg,
     }
 
 
@@ -110,9 +113,11 @@ def _light(part: "LightPart", stack: contextlib.ExitStack) -> dict[str, Any]:
 
 
 def _print(found: dict[str, Any]) -> None:
+    from anisoscope.rig.rigfile import AXES
+
     if found["rig"] is not None:
         print(f"{message('rig'):<9} {found['rig']}")  # noqa: T201
-    for table in ("stage", "tilt", "camera", "light"):
+    for table in (*AXES, "camera", "light"):
         if table in found:
             print(f"{translated(table):<9} {_line(table, found[table])}")  # noqa: T201
 
@@ -121,29 +126,38 @@ def _name(device: str) -> str:
     return message("set by hand") if device == "set by hand" else device
 
 
+def _axis_words(device: dict[str, Any], unit: "Unit", whose: str, place: float | None) -> list[str]:
+    from anisoscope.rig.stage import SYMBOLS
+
+    sign, (low, high), at = SYMBOLS[unit], device[f"limits_{unit}"], device[f"position_{unit}"]
+    words = []
+    if at is not None:
+        known = "" if place is None else f" ({whose} {decimal(format(place, '.3f'))}{sign})"
+        words.append(message("at {place}", place=f"{at:.3f}{sign}") + known)
+    if device["moving"]:
+        speed = device[f"speed_{unit}_s"]
+        words.append(
+            message("moving")
+            if speed is None
+            else message("moving at {speed}", speed=f"{decimal(format(speed, '+.3g'))}{sign}/s")
+        )
+    return [
+        *words,
+        message("homed") if device["homed"] else message("not homed since it was connected"),
+        message("reaches {low}…{high}", low=f"{low:g}{sign}", high=f"{high:g}{sign}"),
+        message("steps of {step}", step=f"{device[f'resolution_{unit}']:.2g}{sign}"),
+    ]
+
+
 def _line(table: str, device: dict[str, Any]) -> str:
     if "error" in device:
         return f"{device['driver']}: {device['error']}"
     words = [_name(device["device"])]
     if "position_deg" in device:
-        low, high = device["limits_deg"]
         whose = message("part") if table == "stage" else message("arm")
-        known = device.get("angle_deg") is not None
-        angle = f" ({whose} {decimal(format(device['angle_deg'], '.3f'))}°)" if known else ""
-        if device["position_deg"] is not None:
-            words.append(message("at {angle}°", angle=format(device["position_deg"], ".3f")) + angle)
-        if device["moving"]:
-            speed = device["speed_deg_s"]
-            words.append(
-                message("moving")
-                if speed is None
-                else message("moving at {speed}°/s", speed=decimal(format(speed, "+.3g")))
-            )
-        words += [
-            message("homed") if device["homed"] else message("not homed since it was connected"),
-            message("reaches {low}°…{high}°", low=f"{low:g}", high=f"{high:g}"),
-            message("steps of {step}°", step=format(device["resolution_deg"], ".2g")),
-        ]
+        words += _axis_words(device, "deg", whose, device.get("angle_deg"))
+    elif "position_mm" in device:
+        words += _axis_words(device, "mm", table, device.get("place_mm"))
     elif table == "camera":
         words += [
             message(

@@ -73,9 +73,9 @@ def _go(rig: Rig, pose: Pose) -> float:
         if not axis.is_homed:
             axis.home()
     if rig.tilt is not None and rig.file.tilt is not None:
-        rig.tilt.move_to(rig.file.tilt.reading_deg(pose.tilt_deg))
+        rig.tilt.move_to(rig.file.tilt.reading(pose.tilt_deg))
     stage = rig.file.stage
-    return stage.angle_deg(rig.stage.move_to(stage.reading_deg(pose.stage_deg)))
+    return stage.place(rig.stage.move_to(stage.reading(pose.stage_deg)))
 
 
 def scan_of(replay: Replay, recipe: RecipeBase, kind: Kind) -> Scan:

@@ -1,4 +1,4 @@
-"""Firmware of Thorlabs APT rotation stages, byte by byte: K10CR1, and KDC101 with a PRM1-Z8.
+"""Firmware of Thorlabs APT stages, byte by byte: K10CR1, KDC101 with a PRM1-Z8 or an MTS25-Z8, and LTS150.
 
 Questions are answered at any time, also during a motion; a motion is answered once, when it is over. At power-up the
 channel is switched on: published clients (pylablib, thorlabs-apt-device) search the reference of real stages without
@@ -95,7 +95,7 @@ SWITCHED_OFF = 1
 
 @dataclass(frozen=True)
 class AptModel:
-    """A controller with its motor; velocity and acceleration in the units of the protocol for 1°/s and 1°/s²."""
+    """A controller with its motor; velocity and acceleration in the units of the protocol for 1°/s and 1°/s², or mm."""
 
     name: str
     serial: int
@@ -123,7 +123,21 @@ class AptModel:
 
 
 _PRM1_COUNTS = 1919.6418578623391
+_MTS_COUNTS = 34554.96
 _SERVO_CLOCK_S = 2048.0 / 6e6
+LINEAR = {
+    "MTS25-Z8": AptModel(
+        "KDC101",
+        27000456,
+        _MTS_COUNTS,
+        _MTS_COUNTS * _SERVO_CLOCK_S * 65536.0,
+        _MTS_COUNTS * _SERVO_CLOCK_S**2 * 65536.0,
+        2.4,
+        4.5,
+        servo=True,
+    ),
+    "LTS150": AptModel("LTS150", 45000123, 409600.0, 21987328.0, 4506.0, 20.0, 20.0, servo=False),
+}
 MODELS = {
     "K10CR1": AptModel("K10CR1", 55000123, 409600.0 / 3.0, 7329109.0, 1502.0, 10.0, 10.0, servo=False),
     "KDC101": AptModel(
@@ -136,6 +150,7 @@ MODELS = {
         25.0,
         servo=True,
     ),
+    **LINEAR,
 }
 
 
@@ -420,7 +435,12 @@ def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmwar
     address = mounts[0].address or ADDRESSES[0]
     if address not in ADDRESSES:
         raise UsageError(f"'{address}' is not an APT address; use one of: {', '.join(ADDRESSES)}")
-    return AptFirmware(mounts[0].axis, address=int(address, 16), model=MODELS[model], faults=faults)
+    return AptFirmware(
+        mounts[0].axis,
+        address=int(address, 16),
+        model=MODELS[SIMULATED.model_of(mounts[0], model)],
+        faults=faults,
+    )
 
 
-SIMULATED = Simulated("Thorlabs APT rotation stage", tuple(MODELS), build)
+SIMULATED = Simulated("Thorlabs APT stage", tuple(MODELS), build, tuple(LINEAR))

@@ -1,9 +1,10 @@
-"""A rotary axis: where it truly is, as a function of time."""
+"""An axis: where it truly is, as a function of time."""
 
 import math
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 
 class RotaryAxis:
@@ -110,3 +111,10 @@ class RotaryAxis:
         if elapsed_s < total - ramp:
             return peak * (elapsed_s - 0.5 * ramp)
         return distance_deg - 0.5 * self.acceleration_deg_s2 * (total - elapsed_s) ** 2
+
+
+class LinearAxis(RotaryAxis):
+    """The same motion along a line: all numbers are millimetres, also those whose names say degrees."""
+
+    def __init__(self, *, velocity_deg_s: float = 180.0, **options: Any) -> None:  # noqa: ANN401 - of its base
+        super().__init__(velocity_deg_s=velocity_deg_s, **options)

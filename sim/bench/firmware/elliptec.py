@@ -32,7 +32,7 @@ OK, MECHANICAL_TIMEOUT, COMMAND_ERROR, OUT_OF_RANGE, BUSY = 0, 2, 3, 4, 9
 
 @dataclass(frozen=True)
 class ElliptecModel:
-    """Identification in answer to ``in``; travel in degrees, pulses over the travel."""
+    """Identification in answer to ``in``; travel in degrees and pulses over it, or travel in mm and pulses for 1 mm."""
 
     number: int = 14
     serial: str = "11400517"
@@ -41,12 +41,26 @@ class ElliptecModel:
     hardware: str = "01"
     travel_deg: int = 360
     pulses: int = 143360
+    linear: bool = False
+
+    @property
+    def counts_per_deg(self) -> float:
+        """Encoder counts for one degree, or for 1 mm."""
+        return float(self.pulses) if self.linear else self.pulses / self.travel_deg
+
+    @property
+    def counts(self) -> int:
+        """Encoder counts over the travel."""
+        return self.pulses * self.travel_deg if self.linear else self.pulses
 
 
 ELL14 = ElliptecModel()
 ELL18 = replace(ELL14, number=18, serial="11800042")
 ELL8 = replace(ELL14, number=8, serial="10800007", pulses=262144)
-MODELS = {"ELL14": ELL14, "ELL18": ELL18, "ELL8": ELL8}
+ELL17 = replace(ELL14, number=17, serial="11700023", travel_deg=28, pulses=1024, linear=True)
+ELL20 = replace(ELL17, number=20, serial="12000011", travel_deg=60)
+LINEAR = {"ELL17": ELL17, "ELL20": ELL20}
+MODELS = {"ELL14": ELL14, "ELL18": ELL18, "ELL8": ELL8, **LINEAR}
 
 
 class ElliptecFirmware(SimulatedDevice):
@@ -74,7 +88,7 @@ class ElliptecFirmware(SimulatedDevice):
         super().__init__(faults, self.axis.clock)
         self.model = model
         self.address = address.encode("ascii")
-        self.motor = Motor(self.axis, model.pulses / model.travel_deg, self.faults)
+        self.motor = Motor(self.axis, model.counts_per_deg, self.faults)
         self._last_byte = -1e9
         self._busy_answers = int(self.faults.get(FaultKind.BUSY, 0))
         self._home_offset = 0
@@ -145,7 +159,7 @@ class ElliptecFirmware(SimulatedDevice):
             b"bw": lambda _: self._start(self.counts - self._jog),
             b"sj": lambda jog: self._set("_jog", jog, jog >= 0),
             b"gj": lambda _: self._answer(b"GJ", _hex32(self._jog)),
-            b"so": lambda offset: self._set("_home_offset", offset, abs(offset) <= self.model.pulses),
+            b"so": lambda offset: self._set("_home_offset", offset, abs(offset) <= self.model.counts),
             b"go": lambda _: self._answer(b"HO", _hex32(self._home_offset)),
             b"sv": lambda percent: self._set("_velocity", percent, 1 <= percent <= 100),
             b"gv": lambda _: self._answer(b"GV", b"%02X" % self._velocity),
@@ -231,7 +245,7 @@ class ElliptecFirmware(SimulatedDevice):
             self._send_status(BUSY)
         elif FaultKind.MOTION_ERROR in self.faults:
             self._fail(int(self.faults[FaultKind.MOTION_ERROR]))
-        elif target_counts is not None and not -1 <= target_counts <= self.model.pulses + 1:
+        elif target_counts is not None and not -1 <= target_counts <= self.model.counts + 1:
             self._fail(OUT_OF_RANGE)
         else:
             self._go(target_counts)
@@ -272,7 +286,7 @@ def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmwar
         if len(address) != 1 or address.encode() not in ADDRESSES:
             raise UsageError(f"'{address}' is not an Elliptec address; use one of 0…9, A…F")
         wrong = faults if number == 0 else ()
-        description = MODELS[model]
+        description = MODELS[SIMULATED.model_of(mount, model)]
         serial = f"{int(description.serial) + number:0{len(description.serial)}d}"
         stages.append(
             ElliptecFirmware(
@@ -282,4 +296,4 @@ def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmwar
     return stages[0] if len(stages) == 1 else Bus(*stages)
 
 
-SIMULATED = Simulated("Thorlabs Elliptec rotation stage", tuple(MODELS), build)
+SIMULATED = Simulated("Thorlabs Elliptec stage", tuple(MODELS), build, tuple(LINEAR))

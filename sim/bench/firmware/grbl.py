@@ -1,4 +1,4 @@
-"""Firmware of a Grbl 1.1 board that turns (X) and tilts (Y), byte by byte; the axis Z exists and moves nothing.
+"""Firmware of a Grbl 1.1 board that turns (X), tilts (Y) and moves along a line (Z), byte by byte.
 
 An ``ok`` acknowledges a line, not the end of its move. While the board searches its switches it answers nothing. After
 a hard or soft limit it answers nothing until it is reset. The motors have no feedback: an obstacle counts as a limit
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from anisoscope.base.errors import UsageError
-from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
 from anisoscope.sim.bench.firmware.device import Firmware, SimulatedDevice
 from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
@@ -201,11 +201,12 @@ UNLOCK_HINT = "[MSG:'$H'|'$X' to unlock]"
 
 
 class GrblBoard(GrblLine):
-    """A board with a rotation axis and, perhaps, a tilt axis.
+    """A board with a rotation axis and, perhaps, a tilt axis and a linear one.
 
     Args:
         axis: what X turns; by default one that stands at 0° and moves in real time.
         tilt: what Y tilts; by default nothing that anybody sees.
+        focus: what Z moves, in mm; by default nothing, and then Z is not homed.
         model: settings, scale and options.
         faults: what is wrong with it; as text, ``name`` or ``name:number``. Those of the mechanics are those of X.
 
@@ -219,17 +220,20 @@ class GrblBoard(GrblLine):
         self,
         axis: RotaryAxis | None = None,
         tilt: RotaryAxis | None = None,
+        focus: RotaryAxis | None = None,
         *,
         model: GrblModel = UNO,
         faults: Iterable[Fault | str] = (),
     ) -> None:
-        self.axis = axis or RotaryAxis()
+        paced = axis or tilt or focus or RotaryAxis()
+        self.axis = axis or RotaryAxis(time_scale=paced.time_scale, clock=paced.clock)
         super().__init__(faults, self.axis.clock)
         self.model = model
         self.memory = Memory(dict(model.settings))
         others = [RotaryAxis(time_scale=self.axis.time_scale, clock=self._clock) for _ in "YZ"]
         self.tilt_axis = tilt or others[0]
-        axes = (self.axis, self.tilt_axis, others[1])
+        self.homed_axes = (0, 1) if focus is None else (0, 1, 2)
+        axes = (self.axis, self.tilt_axis, focus or others[1])
         scales = [model.settings[STEPS + number] for number in range(3)]
         self._planner = Planner(axes, self.memory, scales, self.faults.get(FaultKind.SLOW, 1.0))
         self._planner.overshoot = self.faults.get(FaultKind.OVERSHOOT, 0.0)
@@ -527,7 +531,6 @@ class GrblCommands(GrblBoard):
 
 
 TRAVEL_EXCEEDED = 15
-MOVED_BY_HOMING = (0, 1)
 
 
 class GrblFirmware(GrblCommands):
@@ -553,7 +556,7 @@ class GrblFirmware(GrblCommands):
             return error
         self.faults.pop(FaultKind.LATCHED_ERROR, None)
         self._state = "Home"
-        self._homing = [AXES.index(axis)] if axis else list(MOVED_BY_HOMING)
+        self._homing = [AXES.index(axis)] if axis else list(self.homed_axes)
         speed = self.memory.settings[HOMING_SEEK] / 60.0 / self._planner.slowness
         for number in self._homing:
             self._planner.steppers[number].search(speed, self.memory.settings[ACCELERATION + number])
@@ -641,15 +644,19 @@ class GrblFirmware(GrblCommands):
 
 
 def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmware:
-    """One board; X turns the first axis, Y the second."""
-    if not 1 <= len(mounts) <= len(MOVED_BY_HOMING):
-        raise UsageError(f"a simulated Grbl board turns one axis or two, not {len(mounts)}")
-    for letter, mount in zip(AXES, mounts, strict=False):
+    """One board; X turns the first axis, Y the second, Z moves a linear one."""
+    axes: dict[str, RotaryAxis] = {}
+    for mount in mounts:
+        linear = isinstance(mount.axis, LinearAxis)
+        letter = "Z" if linear else "Y" if "X" in axes else "X"
+        if letter in axes:
+            raise UsageError("a simulated Grbl board has one or two axes that turn, and one linear axis")
         if mount.address not in {"", letter}:
             raise UsageError(
                 f"'{mount.address}' is not the letter of this Grbl axis; use {letter}, or nothing"
             )
-    return GrblFirmware(*(mount.axis for mount in mounts), model=MODELS[model], faults=faults)
+        axes[letter] = mount.axis
+    return GrblFirmware(axes.get("X"), axes.get("Y"), axes.get("Z"), model=MODELS[model], faults=faults)
 
 
-SIMULATED = Simulated("Grbl 1.1 board with a rotation and a tilt axis", tuple(MODELS), build)
+SIMULATED = Simulated("Grbl 1.1 board with axes that turn, tilt and lift", tuple(MODELS), build)

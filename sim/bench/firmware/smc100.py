@@ -1,4 +1,4 @@
-"""Firmware of a Newport SMC100 or CONEX controller with a rotation stage, byte by byte.
+"""Firmware of a Newport SMC100 or CONEX controller with its stage, byte by byte.
 
 A query is answered with address, letters and value; a command is not answered. An error is stored as a letter
 until it is read by TE or TB. A home search is accepted only without a reference: for a second one the
@@ -93,7 +93,7 @@ class SmcModel:
         stage: name of the stage, the answer to ID.
         version: the answer to VE.
         parameters: configuration, by letters. SU (CC) is the encoder increment in degrees; FRS and FRM (PP) are degrees
-            a full step and microsteps in it.
+            a full step and microsteps in it. Of a linear stage all are in mm.
     """
 
     stage: str
@@ -131,7 +131,19 @@ URS75PP = SmcModel("URS75PP", "SMC_PP_1.0.0", {**_STEPPER, "AC": 80.0, "OH": 10.
 AG_PR100P = SmcModel(
     "AG-PR100P", "Conex-AGP 1.0.0", {**_SERVO, "AC": 8.0, "OH": 1.0, "SU": 0.0005, "SR": 340.0, "VA": 2.0}
 )
-MODELS = {"urs100cc": URS100CC, "pr50cc": PR50CC, "urs75pp": URS75PP, "conex-agp": AG_PR100P}
+# 25 mm from their middle, where the home is.
+MFA_CC = SmcModel(
+    "MFA-CC",
+    "SMC_CC_1.0.0",
+    {**_SERVO, "AC": 1.6, "OH": 0.2, "SL": -12.5, "SR": 12.5, "SU": 0.00005, "VA": 0.3},
+)
+MFA_PP = SmcModel(
+    "MFA-PP",
+    "SMC_PP_1.0.0",
+    {**_STEPPER, "AC": 1.2, "FRS": 0.01, "OH": 0.15, "SL": -12.5, "SR": 12.5, "VA": 0.3},
+)
+LINEAR = {"mfa-cc": MFA_CC, "mfa-pp": MFA_PP}
+MODELS = {"urs100cc": URS100CC, "pr50cc": PR50CC, "urs75pp": URS75PP, "conex-agp": AG_PR100P, **LINEAR}
 # Parameters of the other kind of motor, which are refused with a letter of their own.
 SERVO_ONLY = frozenset({"FD", "FE", "FF", "KD", "KI", "KP", "KV", "SC", "SU"})
 STEPPER_ONLY = frozenset({"FRM", "FRS", "VB"})
@@ -447,9 +459,11 @@ def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmwar
             raise UsageError(f"'{address}' is no address of an SMC100 controller; use one of 1…31")
         wrong = faults if number == 1 else ()
         controllers.append(
-            Smc100Firmware(mount.axis, address=int(address), model=MODELS[model], faults=wrong)
+            Smc100Firmware(
+                mount.axis, address=int(address), model=MODELS[SIMULATED.model_of(mount, model)], faults=wrong
+            )
         )
     return controllers[0] if len(controllers) == 1 else Bus(*controllers)
 
 
-SIMULATED = Simulated("Newport SMC100 or CONEX controller", tuple(MODELS), build)
+SIMULATED = Simulated("Newport SMC100 or CONEX controller", tuple(MODELS), build, tuple(LINEAR))

@@ -1,4 +1,4 @@
-"""Firmware of a Zaber rotary stage with its own controller, byte by byte (ASCII protocol, firmware 7).
+"""Firmware of a Zaber stage with its own controller, byte by byte (ASCII protocol, firmware 7).
 
 Commands end with CR, LF or both; one with a wrong checksum is ignored. A reply has number and checksum only if its
 command did. Motions are answered at once; their end is found by polling the state. Before the reference search the
@@ -11,8 +11,10 @@ vel`` work without a reference, and every fault and NI persist until ``warnings 
 Models and settings are in the device's own units. Sources: names, scopes and units of the settings from the Zaber
 ASCII protocol manual and the setting names of the maker's client `zaber-motion`. Microsteps per turn of the X-RSW60
 (384 000) and its top speed (115°/s) are as published by users of that stage; those of the others follow from their
-gears (180:1 and 3:1, 200 steps of 64 microsteps). These and all accelerations are unverified. The device ids are
-placeholders that belong to no known product, because the maker's table was not available.
+gears (180:1 and 3:1, 200 steps of 64 microsteps). The X-LSM025A has the travel of 25.4 mm and the microsteps of
+0.047625 µm of its data sheet, and no ``limit.cycle.dist``; its 20 mm/s are made up. These and all accelerations are
+unverified. The device ids are placeholders that belong to no known product, because the maker's table was not
+available.
 """
 
 import re
@@ -38,7 +40,12 @@ DEVICE, AXIS = 0, 1
 
 @dataclass(frozen=True)
 class ZaberModel:
-    """What distinguishes a stage: id, microsteps per turn, top speed in degrees per second, acceleration setting."""
+    """What distinguishes a stage: id, microsteps per turn, top speed in degrees per second, acceleration setting.
+
+    Attributes:
+        counts_per_mm: of a linear stage, in place of those per turn; then the speed is in mm/s.
+        travel_mm: travel of a linear stage.
+    """
 
     device_id: int
     counts_per_turn: int
@@ -47,11 +54,18 @@ class ZaberModel:
     serial: int = 68101
     version: str = "7.33"
     build: int = 12045
+    counts_per_mm: float = 0.0
+    travel_mm: float = 0.0
 
     @property
     def counts_per_deg(self) -> float:
-        """Microsteps for one degree."""
-        return self.counts_per_turn / 360.0
+        """Microsteps for one degree, or for 1 mm."""
+        return self.counts_per_mm or self.counts_per_turn / 360.0
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Settings ``limit.min`` and ``limit.max`` as delivered."""
+        return (0, round(self.travel_mm * self.counts_per_mm)) if self.travel_mm else (-FARTHEST, FARTHEST)
 
     @property
     def maxspeed(self) -> int:
@@ -62,7 +76,10 @@ class ZaberModel:
 X_RSW60A = ZaberModel(59060, 384_000, 115.0, 205)
 X_RST120AK = ZaberModel(59120, 2_304_000, 24.0, 205)
 X_RSB060AD = ZaberModel(59061, 38_400, 450.0, 20)
-MODELS = {"X-RSW60A": X_RSW60A, "X-RST120AK": X_RST120AK, "X-RSB060AD": X_RSB060AD}
+X_LSM025A = ZaberModel(59125, 0, 20.0, 205, counts_per_mm=1000.0 / 0.047625, travel_mm=25.4)
+X_LSM050A = ZaberModel(59126, 0, 20.0, 205, counts_per_mm=1000.0 / 0.047625, travel_mm=50.8)
+LINEAR = {"X-LSM025A": X_LSM025A, "X-LSM050A": X_LSM050A}
+MODELS = {"X-RSW60A": X_RSW60A, "X-RST120AK": X_RST120AK, "X-RSB060AD": X_RSB060AD, **LINEAR}
 
 
 @dataclass
@@ -123,8 +140,8 @@ class Settings:
             "comm.rs232.baud": Setting(115200, DEVICE),
             "comm.rs232.protocol": Setting(2, DEVICE),
             "limit.cycle.dist": Setting(model.counts_per_turn, AXIS, 0, FARTHEST),
-            "limit.min": Setting(-FARTHEST, AXIS, -FARTHEST, FARTHEST),
-            "limit.max": Setting(FARTHEST, AXIS, -FARTHEST, FARTHEST),
+            "limit.min": Setting(model.limits[0], AXIS, -FARTHEST, FARTHEST),
+            "limit.max": Setting(model.limits[1], AXIS, -FARTHEST, FARTHEST),
             "limit.approach.maxspeed": Setting(model.maxspeed, AXIS, 1, HIGHEST_SPEED),
             "maxspeed": Setting(model.maxspeed, AXIS, 1, HIGHEST_SPEED),
             "accel": Setting(model.accel, AXIS, 0, 32767),
@@ -621,11 +638,12 @@ def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmwar
         if not address.isdecimal() or not 1 <= int(address) <= MAX_ADDRESS:
             raise UsageError(f"'{address}' is not a Zaber address; use one of 1…{MAX_ADDRESS}")
         wrong = faults if place == 0 else ()
-        description = replace(MODELS[model], serial=MODELS[model].serial + place)
+        own = MODELS[SIMULATED.model_of(mount, model)]
+        description = replace(own, serial=own.serial + place)
         stages.append(
             ZaberFirmware(mount.axis, address=int(address), model=description, faults=wrong, place=place)
         )
     return stages[0] if len(stages) == 1 else Bus(*stages)
 
 
-SIMULATED = Simulated("Zaber rotary stage (ASCII)", tuple(MODELS), build)
+SIMULATED = Simulated("Zaber stage (ASCII)", tuple(MODELS), build, tuple(LINEAR))

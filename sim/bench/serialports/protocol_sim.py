@@ -17,8 +17,7 @@ from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import AnisoscopeError
-from anisoscope.sim.bench.firmware.axis import RotaryAxis
-from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.firmware.catalogue import build, lone_mount
 from anisoscope.sim.bench.firmware.device import Firmware
 
 if TYPE_CHECKING:
@@ -179,7 +178,7 @@ def device_of_url(url: str) -> Firmware:
         return shared_bench(options["bench"]).device(name)
     return build(
         name,
-        [Mount(RotaryAxis(time_scale=_time_scale(options)), options.get("address", ""))],
+        [lone_mount(name, options.get("model", ""), options.get("address", ""), _time_scale(options))],
         model=options.get("model", ""),
         faults=[unquote(value) for key, value in pairs if key == "fault"],
     )

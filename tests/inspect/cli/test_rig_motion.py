@@ -209,6 +209,14 @@ def test_a_stage_that_turns_all_the_way_round_takes_every_angle(command, line, r
     assert axis.position() == pytest.approx(reading, abs=0.01)
 
 
+@pytest.mark.parametrize("angle", ["1e9", "-4000"])
+def test_an_angle_that_nobody_means_is_refused(command, line, rig_file, angle):
+    url, (axis, _) = line()
+    code, _, err = command("rig", "move", angle, "-g", rig_file(url), "--yes")
+    assert (code, "is more than 10 turns away; nothing was moved" in err) == (69, True)
+    assert ("homing" in err, axis.position()) == (False, 0.0)
+
+
 def test_an_arm_is_not_turned_round(command, line, rig_file):
     url, (_, tilt) = line()
     code, _, err = command("rig", "move", -5, "--axis", "tilt", "-g", rig_file(url, tilt=True), "--yes")
@@ -295,7 +303,9 @@ def test_a_held_rig_stays_homed_and_is_stopped_without_naming_it(
         assert (mover.returncode, "was stopped at" in said) == (69, True)
         assert not axis.busy()
         owner.send_signal(signal.SIGTERM)
-        assert owner.wait(120) == 0
+        _, said = owner.communicate(timeout=120)
+        assert owner.returncode == 0
+    assert "not held: camera, light; every command opens them itself" in said
     assert holder_of(url) is None
 
 

@@ -4,6 +4,7 @@ import contextlib
 import datetime as dt
 import errno
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -119,25 +120,34 @@ def test_a_clock_set_back_by_an_hour_disturbs_nothing(port, tmp_path, monkeypatc
     assert eye.frames == 0, "all was done, in the order of the steps"
 
 
-def test_a_device_that_comes_back_under_another_name_is_found_by_its_link(tmp_path):
-    """As a USB adapter does: /dev/ttyUSB1 instead of 0, and the link of /dev/serial/by-id follows."""
+@pytest.mark.parametrize("name", ["link", "usb"])
+def test_a_device_that_comes_back_under_another_name_is_found_again(tmp_path, monkeypatch, name):
+    """As a USB adapter does: /dev/ttyUSB1 instead of 0; the link of /dev/serial/by-id follows, or its serial number."""
     firmware = ElliptecFirmware(RotaryAxis(time_scale=0.0))
     folder, link = tmp_path / "inspection", tmp_path / "by-id"
+    port = str(link) if name == "link" else "usb:DK0A1B2C"
     with PtyServer(firmware) as server:
         first = server.port
-        link.symlink_to(first)
+
+        def appear():
+            link.unlink(missing_ok=True)
+            link.symlink_to(server.port)
+            found = SimpleNamespace(
+                device=server.port, vid=0x0403, pid=0x6015, serial_number="DK0A1B2C", location=None
+            )
+            monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [found])
 
         def unplug():
             firmware.faults[FaultKind.HANGUP] = 0.0
 
+        appear()
         with pytest.raises(NotConnected, match=r"check the cable and the power"):
-            photograph(str(link), folder, Eye(4, unplug))
+            photograph(port, folder, Eye(4, unplug))
         check_frames(folder, 4)
         while server.port == first:
             pass
-        link.unlink()
-        link.symlink_to(server.port)
-        photograph(str(link), folder, Eye())
+        appear()
+        photograph(port, folder, Eye())
     check_frames(folder, PLAN.frame_count)
 
 

@@ -159,7 +159,7 @@ def test_a_turn_by_hand_is_noticed(in_process):
         stage.home()
         stage.move_to(20.0)
         firmware.axis.start_move(25.0)
-        with pytest.raises(NotHomed, match="turned by hand"):
+        with pytest.raises(NotHomed, match="moved by hand"):
             stage.move_to(30.0)
 
 

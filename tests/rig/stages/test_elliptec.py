@@ -73,7 +73,7 @@ def test_two_stages_share_a_line(in_process):
 
 
 def test_what_is_no_rotation_stage(in_process):
-    with pytest.raises(ProtocolError, match="ELL20 is not a rotation stage"):
+    with pytest.raises(ProtocolError, match="ELL20 is a linear stage; name the port of a rotation"):
         Elliptec.open(in_process(firmware_with(model=ElliptecModel(number=20))), **HURRY)
     with pytest.raises(ProtocolError, match="0 counts"):
         Elliptec.open(in_process(firmware_with(model=ElliptecModel(pulses=0, number=14))), **HURRY)

@@ -3,11 +3,19 @@
 import cv2
 import numpy as np
 import pytest
+from scipy.special import j1
 
 from anisoscope.base.errors import RigFileError
 from anisoscope.rig.fixture import Fixture, Marker
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
-from anisoscope.sim.bench.optics import image_of_fixture, image_of_surface, pixel_from_mm, vignette
+from anisoscope.sim.bench.optics import (
+    defocus_transfer,
+    defocused,
+    image_of_fixture,
+    image_of_surface,
+    pixel_from_mm,
+    vignette,
+)
 
 SENSOR = SensorPart(rows=360, cols=400)
 ANGLES = (0.0, 33.0, 90.0, 180.0, 271.5)
@@ -114,6 +122,42 @@ def test_blur_spreads_a_point_by_lens_and_pixel():
     cols = np.arange(SENSOR.cols) - (SENSOR.cols - 1) / 2
     spread = np.sum(image.sum(axis=0) * cols**2) / image.sum() * 16.0
     assert spread == pytest.approx(10.0**2 + 4.0**2 / 12, rel=0.03)
+
+
+def test_the_transfer_in_focus_is_that_of_two_overlapping_circles():
+    share = np.linspace(0.0, 2.5, 11)
+    half = np.minimum(share / 2.0, 1.0)
+    expected = 2.0 / np.pi * (np.arccos(half) - half * np.sqrt(1.0 - half**2))
+    np.testing.assert_allclose(defocus_transfer(share, 0.0), expected, atol=1e-12)
+
+
+def test_far_out_of_focus_the_transfer_is_that_of_an_even_disc():
+    share = np.linspace(1e-6, 0.02, 9)
+    a = 4.0 * np.pi * 30.0 * share
+    np.testing.assert_allclose(defocus_transfer(share, 30.0), 2.0 * j1(a) / a, atol=0.006)
+
+
+@pytest.mark.parametrize("distance_mm", [-2.0, 0.7])
+def test_a_point_out_of_focus_becomes_a_disc_as_wide_as_the_cone_of_light(distance_mm):
+    part = optics(pixel_um=4.0, numerical_aperture=0.08, wavelength_nm=500.0)
+    point = np.zeros((151, 161))
+    point[75, 80] = 1.0
+    image = defocused(point, part, distance_mm)
+    rows, cols = np.indices(image.shape)
+    distance_um = 4.0 * np.hypot(rows - 75, cols - 80)
+    radius_um = 1000.0 * abs(distance_mm) * 0.08
+    assert image.sum() == pytest.approx(1.0, rel=1e-5)
+    assert image[distance_um < 1.1 * radius_um].sum() > 0.97
+    second = np.sum(image * np.where(distance_um < 1.3 * radius_um, distance_um**2, 0.0))
+    assert second == pytest.approx(radius_um**2 / 2.0, rel=0.06)
+
+
+def test_a_shifted_stage_takes_its_axis_along_and_a_part_its_place():
+    part = optics()
+    for x, y in PLACES:
+        moved = pixel_from_mm(part, SENSOR, 33.0, 0.0, (0.4, -0.7), (x, y)) @ [0.1, 0.2, 1.0]
+        away = np.array([0.4, 0.7]) * 1000.0 / part.pixel_um
+        np.testing.assert_allclose(moved, place_px(x + 0.1, y + 0.2, 33.0, part) + away)
 
 
 def test_vignetting_is_none_in_the_middle_and_full_in_the_corners():

@@ -3,10 +3,11 @@
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.firmware.device import Bus
 from anisoscope.sim.bench.firmware.zaber import (
+    LINEAR,
     MODELS,
     X_RST120AK,
     X_RSW60A,
@@ -273,12 +274,17 @@ def test_another_model_has_another_scale():
 
 @pytest.mark.parametrize("model", MODELS)
 def test_every_model_can_be_built(model):
-    axes = [RotaryAxis(time_scale=0.0) for _ in range(2)]
-    line = build("zaber", [Mount(axes[0]), Mount(axes[1], "7")], model=model)
+    turns = model not in LINEAR
+    axes = [(RotaryAxis if turns else LinearAxis)(time_scale=0.0) for _ in range(2)]
+    line = build(
+        "zaber", [Mount(axes[0], "", model), Mount(axes[1], "7", model)], model=model if turns else ""
+    )
     ask(line, b"/1 home\n/7 home\n")
-    counts = MODELS[model].counts_per_turn
+    counts = MODELS[model].counts_per_turn or MODELS[model].limits[1]
     ask(line, b"/7 move abs %d\n" % counts)
-    assert [axis.position() for axis in axes] == pytest.approx([0.0, 360.0])
+    assert [axis.position() for axis in axes] == pytest.approx(
+        [0.0, 360.0 if turns else MODELS[model].travel_mm]
+    )
 
 
 @pytest.mark.parametrize("address", ["0", "100", "A", "-1"])
