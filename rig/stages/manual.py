@@ -112,6 +112,7 @@ class ManualStage:
     def _set(self, angle_deg: float) -> float:
         if self._at_deg != angle_deg:
             self._at_deg = None
-            self._prompt(f"set the {self._label} to {angle_deg:g}{self._sign}")
+            place = f"{angle_deg:g}{self._sign}"
+            self._prompt(f"set the {self._label} to {place}")
             self._at_deg, self.is_homed = angle_deg, True
         return angle_deg
