@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from anisoscope.inspection.integrity import Verified
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.run import Inspected
+    from anisoscope.live_view.autofocus import Autofocus
     from anisoscope.prediction.predicted import Predicted
     from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.comparison import Comparison, compare_maps
@@ -75,6 +76,7 @@ _HOME = {
     "open_history": "anisoscope.history.store",
     "show_inks": "anisoscope.ink.appearance",
     "Inspected": "anisoscope.inspection.run",
+    "Autofocus": "anisoscope.live_view.autofocus",
     "Predicted": "anisoscope.prediction.predicted",
     "InputUncertainty": "anisoscope.prediction.sensitivity",
     "compare_maps": "anisoscope.profiles.comparison",
@@ -116,6 +118,7 @@ _HOME = {
 __all__ = [
     "AnisoscopeError",
     "AntiMirror",
+    "Autofocus",
     "ControlStudy",
     "Convention",
     "Filters",

@@ -15,7 +15,6 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.live_view.view import FocusMeasure, focus_of, signal_of
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.camera import Camera
-from anisoscope.rig.rigfile import MotorPart
 from anisoscope.rig.stage import RotationStage
 
 LEAST_RISE = 0.15  # of the sharpest place over the least sharp one, as a share
@@ -104,7 +103,8 @@ def fit_peak(readings: FloatArray, sharpness: FloatArray) -> Peak:
     )
     place, width, rise, floor, power = (float(one) for one in found.x)
     free = max(len(readings) - len(found.x), 1)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * (2.0 * found.cost / free)
+    jacobian = np.asarray(found.jac, dtype=float)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * (2.0 * found.cost / free)
     u = math.sqrt(max(float(covariance[0, 0]), 0.0))
     return Peak(place, width, top * (rise + floor), top * floor, power, u)
 
@@ -113,9 +113,9 @@ class Autofocus:
     """Searches the focus with an axis and a camera that are open, the axis homed and the light on.
 
     Args:
-        axis: the axis ``z``.
-        part: its table in the rig file; every sweep begins `approach` below.
+        axis: the linear axis that changes the focus.
         camera: the camera, configured.
+        approach_mm: every sweep begins so far below its first reading, because of play.
         measure: measure of sharpness.
         average: frames that are averaged at each reading.
     """
@@ -123,12 +123,12 @@ class Autofocus:
     def __init__(
         self,
         axis: RotationStage,
-        part: MotorPart,
         camera: Camera,
+        approach_mm: float = 0.1,
         measure: FocusMeasure = "tenengrad",
         average: int = 1,
     ) -> None:
-        self._axis, self._part, self._camera = axis, part, camera
+        self._axis, self._camera, self._approach_mm = axis, camera, approach_mm
         self._measure, self._average = measure, average
 
     def search(self, low: float, high: float, steps: int = 15, repeats: int = 3) -> Focus:
@@ -184,15 +184,14 @@ class Autofocus:
         for _ in range(MOST_REFINEMENTS):
             readings, sharpness = self._sweep(low, high, steps)
             self._check(readings, sharpness)
-            at, step = int(np.argmax(sharpness)), (high - low) / (steps - 1)
+            sharpest, step = float(readings[int(np.argmax(sharpness))]), (high - low) / (steps - 1)
             peak = fit_peak(readings, sharpness)
-            inside = readings[0] < peak.place < readings[-1]
-            if inside and abs(peak.place - readings[at]) <= step and peak.half_width >= STEPS_IN_PEAK * step:
+            if abs(peak.place - sharpest) <= step and peak.half_width >= STEPS_IN_PEAK * step:
                 return peak
-            low, high = max(low, readings[at] - 2.0 * step), min(high, readings[at] + 2.0 * step)
+            low, high = max(low, sharpest - 2.0 * step), min(high, sharpest + 2.0 * step)
         raise MeasurementError(
-            f"no curve fits the sharpness around {readings[at]:.4g} mm; average more frames, or look at the picture "
-            "with anisoscope rig live"
+            f"no curve fits the sharpness between {low:.4g} mm and {high:.4g} mm; average more frames, or look at the "
+            "picture with anisoscope rig live"
         )
 
     def _check(self, readings: FloatArray, sharpness: FloatArray) -> None:
@@ -233,7 +232,7 @@ class Autofocus:
         return self._axis.move_to(reading)
 
     def _below(self, reading: float) -> None:
-        below = max(reading - self._part.approach, self._axis.limits_deg[0])
+        below = max(reading - self._approach_mm, self._axis.limits_deg[0])
         if self._axis.position_deg() > below:
             self._axis.move_to(below)
 

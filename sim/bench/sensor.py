@@ -138,9 +138,6 @@ class Sensor:
         )
 
 
-Image = npt.NDArray[np.float32]
-
-
 class Mosaic:
     """The filters of a sensor.
 
@@ -156,11 +153,11 @@ class Mosaic:
         self._tile = channel_of_pixels(part.filters, (2, 2))
         self.passed: FloatArray = strengths[channel_of_pixels(part.filters, (part.rows, part.cols))]
 
-    def pick(self, channels: Image) -> Image:
+    def pick(self, channels: FloatArray) -> FloatArray:
         """(rows, cols) of an image of (1 or 3, rows, cols), every pixel from its own channel; one channel is grey."""
         if len(channels) == 1:
             return np.asarray(channels[0])
-        picked: Image = np.empty_like(channels[0])
+        picked: FloatArray = np.empty_like(channels[0])
         for row in (0, 1):
             for col in (0, 1):
                 picked[row::2, col::2] = channels[self._tile[row, col], row::2, col::2]

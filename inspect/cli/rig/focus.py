@@ -20,16 +20,10 @@ def focus(
     *,
     rig: RigPath,
     exposure: Exposure,
+    low: Annotated[float, Parameter(name="--from", help="Reading of z in mm at which the search begins.")],
+    high: Annotated[float, Parameter(name="--to", help="Reading of z in mm at which it ends.")],
     gain: Gain = 1.0,
-    span: Annotated[
-        float, Parameter(help="Length of the search in mm, half of it below the present reading.")
-    ] = 2.0,
-    low: Annotated[
-        float | None,
-        Parameter(name="--from", help="Instead of --span: reading in mm at which the search begins."),
-    ] = None,
-    high: Annotated[float | None, Parameter(name="--to", help="Reading in mm at which it ends.")] = None,
-    steps: Annotated[int, Parameter(help="Readings of a sweep.")] = 15,
+    steps: Annotated[int, Parameter(help="Number of readings in a sweep.")] = 15,
     repeat: Annotated[int, Parameter(help="Fine sweeps; two or more tell the repeatability.")] = 3,
     average: Annotated[int, Parameter(help="Frames averaged at each reading.")] = 1,
     measure: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
@@ -43,17 +37,15 @@ def focus(
     or give --yes.
 
     Examples:
-        anisoscope rig focus --rig rig.toml --exposure 0.005 --span 1
+        anisoscope rig focus --rig rig.toml --exposure 0.005 --from 9.5 --to 10.5
         anisoscope rig focus --rig rig.toml --exposure 0.005 --from 8 --to 12 --repeat 5
     """
     from anisoscope.live_view.autofocus import Autofocus
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.rigfile import read_rig
 
-    if (low is None) != (high is None):
-        raise UsageError("give both ends of the search, --from and --to, or --span")
-    if not (span > 0.0 and steps >= 1 and repeat >= 1 and average >= 1):
-        raise UsageError("--span, --steps, --repeat and --average must be above 0")
+    if not (low < high and steps >= 1 and repeat >= 1 and average >= 1):
+        raise UsageError("--from must be below --to, and --steps, --repeat and --average 1 or more")
     file = read_rig(rig)
     if file.z is None:
         raise UsageError("nothing moves the focus there: the rig file has no table [z]")
@@ -63,12 +55,12 @@ def focus(
         assert camera is not None
         if not axis.is_homed:
             home_axis(axis, file.z, yes=yes)
-        here = axis.position_deg()
-        ends = (here - 0.5 * span, here + 0.5 * span) if low is None or high is None else (low, high)
         camera.configure(exposure, gain)
         if devices.light is not None:
             (devices.light.on if light == "on" else devices.light.off)()
-        found = Autofocus(axis, file.z, camera, measure, average).search(*ends, steps=steps, repeats=repeat)
+        found = Autofocus(axis, camera, file.z.approach_mm, measure, average).search(
+            low, high, steps=steps, repeats=repeat
+        )
     _show(found, file, json_=json_)
     return 0
 

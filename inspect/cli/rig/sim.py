@@ -131,15 +131,19 @@ def _serve_bench(
 
     own = virtual_rig.file.stage.protocol
     others = [name for name in virtual_rig.lines if name != own]
-    lines = {"stage": line(virtual_rig.device(own), 0), "light": line(virtual_rig.device("light"), 1)}
+    lines: dict[str, PtyServer | TcpServer] = {
+        "stage": line(virtual_rig.device(own), 0),
+        "light": line(virtual_rig.device("light"), 1),
+    }
     camera = CameraServer(lambda: SimulatedCamera(virtual_rig), base and base + 2)
     for number, name in enumerate(others, start=OTHERS):
         lines[name] = line(virtual_rig.device(name), number)
     for server in (*lines.values(), camera):
         stack.enter_context(server)
-    further = {name: lines[name].port for name in others}
-    places = {"stage": lines["stage"].port, "light": lines["light"].port, "camera": camera.port, **further}
-    return places, {**{name: one.url for name, one in lines.items()}, "camera": camera.port}
+    places = {"stage": lines["stage"].port, "light": lines["light"].port, "camera": camera.port}
+    places.update((name, lines[name].port) for name in others)
+    urls: dict[str, str] = {name: one.url for name, one in lines.items()}
+    return places, urls | {"camera": camera.port}
 
 
 def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:

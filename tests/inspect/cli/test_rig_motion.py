@@ -167,7 +167,7 @@ def test_in_a_terminal_homing_is_asked_for(line, rig_file, answer, moved):
     [
         (["move", "400", "--option", "max_deg=180"], "400° is outside 0°…180°; nothing was moved"),
         (["move", "1", "--sample"], "needs a rig file"),
-        (["move", "1", "--axis", "tilt"], "--axis tilt: nothing tilts there"),
+        (["move", "1", "--axis", "tilt"], "--axis tilt: there is no such axis"),
         (["jog", "-10", "--option", "max_deg=180"], "-10° is outside 0°…180°"),
         (["home", "--option", "address"], "KEY=VALUE"),
         (["home", "--rig", "rig.toml"], "--rig FILE, or --driver"),

@@ -64,7 +64,7 @@ def focus(tmp_path):
             devices.camera.configure(exposure_s, 1.0)
             (devices.light.on if lit else devices.light.off)()
             zero = ZERO_MM[protocol]
-            return Autofocus(axis, file.z, devices.camera).search(zero + low, zero + high, steps, repeats)
+            return Autofocus(axis, devices.camera).search(zero + low, zero + high, steps, repeats)
 
     return search
 
@@ -94,7 +94,7 @@ def test_play_of_the_axis_does_not_enter_as_sweeps_go_upwards(focus):
     ("ends", "settings", "message"),
     [
         ((0.5, 2.5), {}, "sharpest at the end, 10.5 mm; give a range beyond it"),
-        ((7.0, 9.0), {}, "nothing gets sharper between 17 mm and 19 mm"),
+        ((14.4, 15.0), {}, "nothing gets sharper between 24.4 mm and 25 mm"),
         ((-1.0, 1.0), {"lit": False}, "too dark to focus"),
         ((-1.0, 1.0), {"steps": 5}, "at least 7 steps"),
         ((30.0, 40.0), {}, "too short"),
