@@ -135,8 +135,12 @@ def verify_chain(database: Database) -> list[Damage]:
     """
     with database.reading() as connection:
         found = [
-            Damage("", None, f"changes of the table {name} are no longer refused: its triggers are missing")
-            for name in schema.missing_guards(connection)
+            Damage(
+                "",
+                None,
+                f"changes of the table {name} are no longer refused: its triggers are missing or others",
+            )
+            for name in schema.unguarded(connection)
         ]
         labels = _labels(connection, found)
     tables: tuple[tuple[str, Table, Callable[[Values], bytes]], ...] = (

@@ -140,43 +140,51 @@ def migrate(connection: Connection, to: int = VERSION) -> None:
         connection.execute(insert(versions).values(version=number + 1, applied_us=now))
 
 
-def missing_guards(connection: Connection) -> list[str]:
-    """Tables whose triggers against changes are missing."""
-    statement = "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+def unguarded(connection: Connection) -> list[str]:
+    """Tables whose triggers against changes are missing, or do something else."""
     if connection.dialect.name == "postgresql":
-        statement = (
-            "SELECT t.tgname FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
-            "WHERE t.tgenabled IN ('O', 'A') AND c.relnamespace = current_schema()::regnamespace"
-        )
-    present = set(connection.scalars(text(statement)))
-    return [table.name for table in GUARDED if not set(_names(connection, table.name)) <= present]
+        present = {
+            _plain(f"{definition} {source}")
+            for definition, source in connection.execute(text(_POSTGRESQL_TRIGGERS))
+        }
+        suffix = f" {_POSTGRESQL_BODY}"
+    else:
+        statement = "SELECT sql FROM sqlite_master WHERE type = 'trigger'"
+        present = {_plain(definition) for definition in connection.scalars(text(statement))}
+        suffix = ""
+    return [
+        table.name
+        for table in GUARDED
+        if not {_plain(trigger + suffix) for trigger in _triggers(connection, table)} <= present
+    ]
 
 
-def _names(connection: Connection, table: str) -> list[str]:
-    last = "truncate" if connection.dialect.name == "postgresql" else "replace"
-    return [f"{table}_refuse_{what}" for what in ("update", "delete", last)]
+def _plain(statement: str) -> str:
+    return " ".join(statement.split())
+
+
+def _triggers(connection: Connection, table: Table) -> list[str]:
+    """Statements of triggers that refuse to change or remove a row of a table."""
+    names = f"CREATE TRIGGER {table.name}_refuse"
+    if connection.dialect.name == "postgresql":
+        refuse = "EXECUTE FUNCTION anisoscope_refuse()"
+        return [
+            f"{names}_update BEFORE UPDATE ON {table.name} FOR EACH ROW {refuse}",
+            f"{names}_delete BEFORE DELETE ON {table.name} FOR EACH ROW {refuse}",
+            f"{names}_truncate BEFORE TRUNCATE ON {table.name} FOR EACH STATEMENT {refuse}",
+        ]
+    refuse = f"BEGIN SELECT RAISE(ABORT, '{_REFUSAL}'); END"
+    clash = f"EXISTS (SELECT 1 FROM {table.name} WHERE {_clash(table)})"  # noqa: S608 - names of ours
+    return [
+        f"{names}_update BEFORE UPDATE ON {table.name} {refuse}",
+        f"{names}_delete BEFORE DELETE ON {table.name} {refuse}",
+        # INSERT OR REPLACE removes rows without asking the trigger of removals
+        f"{names}_replace BEFORE INSERT ON {table.name} WHEN {clash} {refuse}",
+    ]
 
 
 def _guard(connection: Connection, table: Table) -> None:
-    """Triggers that refuse to change or remove a row of a table."""
-    change, removal, last = _names(connection, table.name)
-    if connection.dialect.name == "postgresql":
-        statements = [
-            f"CREATE TRIGGER {change} BEFORE UPDATE ON {table.name} FOR EACH ROW",
-            f"CREATE TRIGGER {removal} BEFORE DELETE ON {table.name} FOR EACH ROW",
-            f"CREATE TRIGGER {last} BEFORE TRUNCATE ON {table.name} FOR EACH STATEMENT",
-        ]
-        statements = [f"{statement} EXECUTE FUNCTION anisoscope_refuse()" for statement in statements]
-    else:
-        refuse = f"BEGIN SELECT RAISE(ABORT, '{_REFUSAL}'); END"
-        clash = f"EXISTS (SELECT 1 FROM {table.name} WHERE {_clash(table)})"  # noqa: S608 - names of ours
-        statements = [
-            f"CREATE TRIGGER {change} BEFORE UPDATE ON {table.name} {refuse}",
-            f"CREATE TRIGGER {removal} BEFORE DELETE ON {table.name} {refuse}",
-            # INSERT OR REPLACE removes rows without asking the trigger of removals
-            f"CREATE TRIGGER {last} BEFORE INSERT ON {table.name} WHEN {clash} {refuse}",
-        ]
-    for statement in statements:
+    for statement in _triggers(connection, table):
         connection.execute(text(statement))
 
 
@@ -186,7 +194,13 @@ def _clash(table: Table) -> str:
     return " OR ".join(f"{name} = NEW.{name}" for name in names)
 
 
+_POSTGRESQL_BODY = f"BEGIN RAISE EXCEPTION '{_REFUSAL}'; END"
 _POSTGRESQL_REFUSAL = f"""
 CREATE OR REPLACE FUNCTION anisoscope_refuse() RETURNS trigger LANGUAGE plpgsql AS $body$
-BEGIN RAISE EXCEPTION '{_REFUSAL}'; END $body$
+{_POSTGRESQL_BODY} $body$
+"""
+_POSTGRESQL_TRIGGERS = """
+SELECT pg_get_triggerdef(t.oid, true), p.prosrc
+FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid JOIN pg_proc p ON p.oid = t.tgfoid
+WHERE t.tgenabled IN ('O', 'A') AND c.relnamespace = current_schema()::regnamespace
 """

@@ -146,6 +146,11 @@ def head(connection: Connection, table: Table) -> tuple[int, bytes]:
     return (0, START) if found is None else (int(found[0]), bytes(found[1]))
 
 
+def holds(connection: Connection, table: Table, hash_: bytes) -> bool:
+    """Whether a row of a chain has a hash."""
+    return connection.execute(select(table.c.id).where(table.c.hash == hash_).limit(1)).first() is not None
+
+
 def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | None) -> list[Row]:
     """Append inspections; those whose seal is present already are skipped.
 

@@ -229,9 +229,23 @@ class History:
         with self._database.reading() as connection:
             return statements.head(connection, schema.inspections)[1].hex()
 
+    def disposition_head(self) -> str:
+        """The same of the last disposition; zeros before the first."""
+        with self._database.reading() as connection:
+            return statements.head(connection, schema.dispositions)[1].hex()
+
     def holds(self, head: str) -> bool:
-        """Whether some inspection has this hash, as the head of a history that was only added to does for ever."""
-        return self._one(schema.inspections.c.hash == bytes.fromhex(head)) is not None
+        """Whether an inspection or a disposition has this hash: a history that is only added to holds every head.
+
+        The zeros of no disposition yet are held too.
+        """
+        if bytes.fromhex(head) == chain.START:
+            return True
+        with self._database.reading() as connection:
+            return any(
+                statements.holds(connection, table, bytes.fromhex(head))
+                for table in (schema.inspections, schema.dispositions)
+            )
 
 
 def open_history(place: str | Path, *, create: bool = True) -> History:

@@ -136,16 +136,18 @@ def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> No
         )
 
 
-def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool) -> None:
-    """Print the damage found in a history, and its head."""
+def print_verified(damage: Sequence[str], count: int, heads: tuple[str, str], *, json_: bool) -> None:
+    """Print the damage found in a history, and its heads: of the inspections, and of the dispositions."""
     if json_:
-        print_json({"intact": not damage, "inspections": count, "damage": list(damage), "head": head})
+        found = {"intact": not damage, "inspections": count, "damage": list(damage)}
+        print_json(found | {"head": heads[0], "disposition_head": heads[1]})
         return
     for line in damage:
         write_line(line)
     if not damage:
         write_line(f"{count} inspections are as they were written")
-    write_line(f"head: {head}")
+    write_line(f"head: {heads[0]}")
+    write_line(f"head of the dispositions: {heads[1]}")
 
 
 def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
@@ -355,8 +357,10 @@ def dispose(
 def verify(
     *,
     head: Annotated[
-        str | None,
-        Parameter(help="A head that was noted earlier: fails if the history was cut or rewritten since."),
+        list[str] | None,
+        Parameter(
+            help="A head that was noted earlier: fails if the history was cut or rewritten since. Repeatable."
+        ),
     ] = None,
     place: Place = None,
     json_: Json = False,
@@ -368,15 +372,19 @@ def verify(
     Examples:
         anisoscope history verify
     """
-    if head is not None and not _is_hash(head):
-        raise UsageError(
-            f"--head takes the 64 hexadecimal digits that this command prints, not {head[:80]!r}"
-        )
+    for one in head or ():
+        if not _is_hash(one):
+            raise UsageError(
+                f"--head takes the 64 hexadecimal digits that this command prints, not {one[:80]!r}"
+            )
     with opened(place) as found:
         damage = [str(one) for one in found.verify_chain()]
-        if head is not None and not found.holds(head):
-            damage.append("no inspection has the head that was noted: the history was cut or rewritten since")
-        print_verified(damage, found.count(), found.head(), json_=json_)
+        damage += [
+            f"nothing has the head {one[:12].lower()}… that was noted: the history was cut or rewritten since"
+            for one in head or ()
+            if not found.holds(one)
+        ]
+        print_verified(damage, found.count(), (found.head(), found.disposition_head()), json_=json_)
     return 1 if damage else 0
 
 

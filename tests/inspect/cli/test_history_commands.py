@@ -204,7 +204,7 @@ def test_verify_names_what_was_changed_and_notices_a_cut(place, said):
     code, out, _ = said("history", "verify")
     assert code == 0
     assert "10 inspections are as they were written" in out
-    head = out.split("head: ")[1].strip()
+    head = out.split("head: ")[1].split()[0]
     assert said("history", "verify", "--head", head)[0] == 0
     with closing(sqlite3.connect(place, isolation_level=None)) as other:
         other.execute("DROP TRIGGER inspections_refuse_delete")

@@ -123,6 +123,16 @@ def test_what_reviewers_decided_is_chained_as_well(history, new_row):
     assert said(history) == ["disposition 1: is missing"]
 
 
+def test_a_cut_end_of_the_dispositions_is_seen_by_who_noted_their_head(history, new_row):
+    fill(history, new_row)
+    head = history.disposition_head()
+    assert history.holds(head)
+    tamper(history, "DELETE FROM dispositions")
+    assert said(history) == []
+    assert not history.holds(head)
+    assert history.holds(history.disposition_head())
+
+
 def test_labels_of_numbers_belong_to_the_rows(history, new_row):
     fill(history, new_row)
     tamper(history, "UPDATE layouts SET labels = replace(labels, '0-90', '0-91')")
@@ -137,7 +147,33 @@ def test_a_trigger_that_was_taken_away_is_missed(history, new_row):
     with history._database.engine.begin() as connection:
         connection.execute(text(f"DROP TRIGGER inspections_refuse_delete{table}"))
     assert said(history) == [
-        "changes of the table inspections are no longer refused: its triggers are missing"
+        "changes of the table inspections are no longer refused: its triggers are missing or others"
+    ]
+
+
+def test_a_trigger_of_the_same_name_that_refuses_nothing_is_named(history, new_row):
+    fill(history, new_row)
+    if history._database.is_sqlite:
+        name = "dispositions_refuse_delete"
+        hollow = [
+            f"DROP TRIGGER {name}",
+            f"CREATE TRIGGER {name} BEFORE DELETE ON dispositions BEGIN SELECT 1; END",
+        ]
+        tables = ["dispositions"]
+    else:
+        hollow = [
+            (
+                "CREATE OR REPLACE FUNCTION anisoscope_refuse() RETURNS trigger LANGUAGE plpgsql AS "
+                "$body$ BEGIN RETURN OLD; END $body$"
+            )
+        ]
+        tables = ["schema_versions", "layouts", "inspections", "dispositions"]
+    with history._database.engine.begin() as connection:
+        for statement in hollow:
+            connection.execute(text(statement))
+    assert said(history) == [
+        f"changes of the table {table} are no longer refused: its triggers are missing or others"
+        for table in tables
     ]
 
 
