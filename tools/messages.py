@@ -97,6 +97,11 @@ FURTHER = (
     *("across the ridges", "along the ridges", "contrast", "from [°]", "to [°]", "tilt [°]", "measured"),
     *("predicted", "deviation", "tolerance", "at [°]", "tilts [°]", "the same stage angle at two tilts"),
     *("as predicted", "see the reasons above", "{stage}° / {other}°, tilt {tilt}°"),
+    *(
+        "ln ratio of {letter} {contrast}",
+        "{one} / {other} at {stage}°, tilt {tilt}°",
+        "{one}, perhaps {other}",
+    ),
     *("the height map", "the ideal design"),
     *(
         "check",

@@ -1,13 +1,15 @@
 """Plates with tolerances, photographed and judged by the hundred: rates of false alarms, of defects found, of grades.
 
     python tools/plate_campaign.py FOLDER [--plates 1000] [--seed 1]
-    python tools/plate_campaign.py FOLDER --summary
+    python tools/plate_campaign.py FOLDER --summary [--docs docs/plates.md]
 
 Every plate is a Data Matrix of ridges whose fields differ in ridge angle, roughness, height and place. A batch of
 ``LOT`` plates shares plastic, seat and the states of its ridges, which the path tracer renders once. The pictures go
 through lens, sensor and noise of the virtual rig, and through the measurement and the verdict of an inspection; only
-the search of the markers is left out. The height map of every plate is predicted too, as a profilometer would see it.
-A line of JSON a plate is appended to ``plates.jsonl``; a run goes on where an earlier one ended.
+the search of the markers is left out. The height map of plates with a defect, and of one good plate in four, is
+predicted too, as a profilometer would see it. A line of JSON a plate is appended to ``plates.jsonl``; a run goes on
+where an earlier one ended. Intervals are those of Clopper and Pearson (95 %), as if all plates were independent; those
+of a batch have plastic and seat in common.
 """
 
 import argparse
@@ -20,12 +22,14 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy import stats
 
 from anisoscope.base.errors import MeasurementError
 from anisoscope.cli.demo import plates as demo
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Grid, Placement, View
 from anisoscope.kinds.plates.code_grades import OVERALL
+from anisoscope.kinds.plates.code_symbol import read_drawn
 from anisoscope.kinds.plates.decision import PlateDecision, decide_plate, predicted_code
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
 from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate
@@ -55,6 +59,7 @@ LIGHT_DEG = 10.0
 OPTICS = OpticsPart(pixel_um=10.0, blur_um=6.0, axis_px=(0.0, 0.0))
 SENSOR = SensorPart(rows=288, cols=288)
 EXPOSURE_S, FRAMES = 0.006, 4
+MARKS = "<!-- plate campaign -->", "<!-- end of plate campaign -->"
 PLACE_PX = 0.03
 """Standard deviation of the registration."""
 
@@ -121,11 +126,11 @@ def photograph(
 
 def plate(number: int, seed: int, recipe_: PlateRecipe, expected: ExpectedPlate) -> dict[str, Any]:
     """One plate of the campaign: what it is, what was measured, and what its height map predicts."""
-    table, rng = table_of(seed, number), np.random.default_rng([seed, number, 1])
+    lot_table, rng = table_of(seed, number), np.random.default_rng([seed, number, 1])
     kind = KINDS[number % len(KINDS)]
     defects = defects_of(kind, rng)
     made = lot(seed, number // LOT).lot_mate(rng, defects)
-    seat = seating_rotation(*table["seating_tilt_deg"])
+    seat = seating_rotation(*lot_table["seating_tilt_deg"])
     sensor = Sensor(SENSOR, rng)
     views = [photograph(made, seat, pose, sensor, rng) for pose in expected.poses]
     found: dict[str, Any] = {"number": number, "kind": kind}
@@ -178,7 +183,7 @@ def judged(
         Grid((0.0, 0.0), 0.01, fields.shape[1:]),
         0.0,
         row["alike"],
-        tuple(row["texts"]),
+        readings_of(row),
     )
     decided = decide_plate(expected, seen, recipe_)
     if "map" not in row:
@@ -214,16 +219,48 @@ def summary(rows: list[dict[str, Any]], recipe_: PlateRecipe, expected: Expected
         if of_map_ is None:
             continue
         readings, predicted = of_map_
-        count("decode of picture and of predicted picture agree", holds=readings == tuple(row["texts"]))
-        for pose in range(len(predicted)):
-            grades = [one for one in decided.details.code.grades if one.parameter == OVERALL]
-            count(
-                "predicted overall grade within half a grade",
-                holds=abs(grades[pose].measured_grade - predicted[pose]) <= 0.5,
-            )
-    return {
-        name: f"{sum(held)} of {len(held)} ({np.mean(held):.1%})" for name, held in sorted(counts.items())
-    }
+        code = decided.details.code
+        seen = {one.stage_deg: one.measured_grade for one in code.grades if one.parameter == OVERALL}
+        for number, pose in enumerate(expected.poses):
+            if not code.required[number]:
+                continue
+            agree = readings[number] == code.readings[number]
+            count("decode: picture and predicted picture agree", holds=agree)
+            off = seen[pose.stage_deg] - predicted[number]
+            count("overall grade: predicted within half a grade", holds=abs(off) <= 0.5)
+    return {name: rate(held) for name, held in sorted(counts.items())}
+
+
+def readings_of(row: dict[str, Any]) -> tuple[str | None, ...]:
+    """What the code says in every pose; rows of earlier readers hold what pictures alone gave."""
+    pairs = zip(row["texts"], row["radiance"], strict=True)
+    return tuple(
+        read_drawn(np.array(fields), "datamatrix") if text is None else text for text, fields in pairs
+    )
+
+
+def rate(held: list[bool]) -> str:
+    """How many of how many, and the interval of the share."""
+    count, total = sum(held), len(held)
+    low = 0.0 if count == 0 else float(stats.beta.ppf(0.025, count, total - count + 1))
+    high = 1.0 if count == total else float(stats.beta.ppf(0.975, count + 1, total - count))
+    return f"{count} of {total} ({100.0 * low:.2g} to {100.0 * high:.3g} %)"
+
+
+def table(found: dict[str, str], plates: int) -> str:
+    """The rates as a table of Markdown."""
+    rows = [f"| {name} | {value} |" for name, value in found.items()]
+    return "\n".join([f"| of {plates} plates | count (95 % interval) |", "|---|---|", *rows])
+
+
+def into_docs(path: Path, text: str) -> None:
+    """Replace what stands between the marks of a page."""
+    page = path.read_text(encoding="utf-8")
+    head, _, rest = page.partition(MARKS[0])
+    _, _, tail = rest.partition(MARKS[1])
+    if not tail:
+        raise SystemExit(f"{path}: the marks {MARKS[0]} and {MARKS[1]} are missing")
+    path.write_text(f"{head}{MARKS[0]}\n{text}\n{MARKS[1]}{tail}", encoding="utf-8")
 
 
 NAMES = {
@@ -242,16 +279,20 @@ def main() -> None:
     parser.add_argument("--plates", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--summary", action="store_true", help="judge the plates there are, and print rates")
+    parser.add_argument("--docs", type=Path, help="page whose table of rates is replaced, with --summary")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     path = given.folder / "plates.jsonl"
     done = len(path.read_text(encoding="utf-8").splitlines()) if path.is_file() else 0
-    recipe_ = recipe(demo.READ_AT_DEG)
+    recipe_ = recipe(demo.ANGLES_DEG)
     expected = expected_plate(recipe_, recipe_.plan.plan(), LIGHT_DEG, cached=True)
     if given.summary:
         rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-        for name, value in summary(rows, recipe_, expected).items():
+        found = summary(rows, recipe_, expected)
+        for name, value in found.items():
             sys.stdout.write(f"{name}: {value}\n")
+        if given.docs is not None:
+            into_docs(given.docs, table(found, len(rows)))
         return
     with path.open("a", encoding="utf-8") as stream:
         for number in range(done, given.plates):

@@ -10,6 +10,7 @@ LEAST_P = 1e-9
 _MINUS = re.compile(r"(?<![\w)\]°])-(?=[\d.])")
 _OLD_CONTRAST = re.compile(r"(-?[\d.]+)°/(-?[\d.]+)° at tilt (-?[\d.]+)°(, (?=-?[\d.]+°/))?")
 _NUMBER = re.compile(r"(ln|Michelson|difference) (-?[\d.]+)-(-?[\d.]+)(?: @(-?[\d.]+))?$")
+_OF_CLASSES = re.compile(r"ln (\S)(?:/(\S) at (-?[\d.]+)| (-?[\d.]+)-(-?[\d.]+))(?: @(-?[\d.]+))?$")
 _NUMBER_KINDS = {"ln": "ln ratio", "Michelson": "Michelson contrast", "difference": "difference [1/sr]"}
 NUMBER_WORDS = {
     "d2": "squared distance D²",
@@ -35,7 +36,17 @@ def quantity_name(kind: str, from_deg: float, to_deg: float, tilt_deg: float) ->
 
 
 def number_name(label: str) -> str:
-    """A number of the history for people: ``ln 0-90 @10`` becomes ``ln ratio 0° / 90°, tilt 10°``."""
+    """A number of the history for people: ``ln 0-90 @10`` becomes ``ln ratio 0° / 90°, tilt 10°``.
+
+    Classes of fields: ``ln A/B at 0`` becomes ``ln ratio A / B at 0°, tilt 0°``.
+    """
+    of_classes = _OF_CLASSES.match(label)
+    if of_classes is not None:
+        one, other, at, *between, tilt = of_classes.groups()
+        tilt_deg = float(tilt or 0.0)
+        if other is None:
+            return f"ln ratio of {one} {contrast_name(float(between[0]), float(between[1]), tilt_deg)}"
+        return f"ln ratio {one} / {other} at {at}°, tilt {tilt_deg:g}°"
     found = _NUMBER.match(label)
     if found is None:
         return NUMBER_WORDS.get(label, label)

@@ -5,6 +5,7 @@ which the others lie clockwise, so that the answer does not depend on how the ma
 from one field into the next is left out, and so are the points next to borders where regions hold four ridges.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -46,6 +47,10 @@ PREDICTED = 2
 SEATING = "seating tilt about x", "seating tilt about y"
 ALIKE = 0.1
 """Relative difference up to which the areas of two classes count as equal."""
+LEVEL = -1
+WINDOW_PITCHES, LINED, LEVEL_SHARE, OTHER_DEG = 0.35, 0.5, 0.5, 30.0
+"""Window of the structure tensor in pitches; its coherence, and its slope over that of the facets, below which land is
+level; and the angle to the line of the class of a field beyond which a facet has another one."""
 
 
 @dataclass(frozen=True)
@@ -188,9 +193,12 @@ def predict_fields(
     convention: Convention,
     bounces: int | None = None,
 ) -> FloatArray:
-    """(P, rows, cols) radiance of fields of a height map, facet by facet, each with the lobe of its class.
+    """(P, rows, cols) radiance of fields of a height map, facet by facet, with the lobe turned as the surface lies.
 
-    Shadows are those of the whole map; light that reflects more than once is that of the ideal ridges of the class.
+    The lobe of a facet has the frame of the class of its field; where slopes lie more than 30° off, as in a field of a
+    wrong direction, that of the nearest class; on level land, whose roughness has no direction of its own, that of the
+    first class. Shadows are those of the whole map; light that reflects more than once is that of the ideal ridges of
+    these classes, and none on level land.
 
     Args:
         surface: the map, which the fields fill.
@@ -200,9 +208,11 @@ def predict_fields(
         convention: how angles are counted; ``facet_azimuth_deg`` turns the map.
         bounces: largest number of reflections; None follows all.
     """
-    found = np.full((len(poses), *fields.classes.shape), np.nan)
+    frames = _frames(surface, fields)
+    size = len(poses), *(n - 1 for n in surface.shape)
+    direct, indirect = np.zeros(size, dtype=np.float32), np.zeros((len(poses), *fields.classes.shape))
     for number, azimuth in enumerate(fields.azimuths_deg):
-        mine = fields.classes == number
+        mine = np.isin(frames, (number, LEVEL)) if number == 0 else frames == number
         if not mine.any():
             continue
         groove = groove_of_design(fields.ridges[number], bounces)
@@ -213,27 +223,56 @@ def predict_fields(
         relief = Relief(turned_clockwise(surface, quarters), None, 1.0, "symmetric", _direction(rest), rest)
 
         to_light, to_camera = directions(poses, frame)
-        maps = radiance_maps(relief, to_light, to_camera, material)
-        radiance = np.array([_field_means(np.rot90(one, -quarters), fields) for one in maps])
+        for pose, one in enumerate(radiance_maps(relief, to_light, to_camera, material)):
+            direct[pose][mine] = np.rot90(one, -quarters)[mine]
         if groove is not None:
-            radiance += groove.light(to_light, to_camera, material)[:, None, None]
-        found[:, mine] = radiance[:, mine]
-        if number == 0:
-            found[:, fields.classes < 0] = radiance[:, fields.classes < 0]
+            share = _field_means((frames == number).astype(np.float32), fields)
+            indirect += groove.light(to_light, to_camera, material)[:, None, None] * share
+    return np.array([_field_means(one, fields) for one in direct]) + indirect
+
+
+def _frames(surface: HeightMap, fields: FieldGrid) -> npt.NDArray[np.int16]:
+    """(rows − 1, cols − 1) class whose frame every facet has: that of its field, unless the surface lies otherwise.
+
+    A facet whose slopes lie along another line than those of its class, as in a field of a wrong direction, has the
+    frame of the class whose line is nearest. Level land is `LEVEL`, and so are the borders, which are not used.
+    """
+    from anisoscope.profiles.metrology.regions import local_directions  # noqa: PLC0415 - OpenCV, for few maps
+
+    turns = np.exp(-2j * np.radians(fields.azimuths_deg))
+    width_um = WINDOW_PITCHES * fields.ridges[0].pitch_um
+    steep = [np.tan(np.radians(one.ridge_angle_deg)) for one in fields.ridges]
+    found = np.full([n - 1 for n in surface.shape], LEVEL, dtype=np.int16)
+    for row, col, inner in _interiors(fields, (found.shape[0], found.shape[1])):
+        lines, slopes = local_directions(surface.with_height(surface.height_um[inner]), width_um)
+        number = int(fields.classes[row, col])
+        of_class = (lines[..., None] * turns).real
+        certain = np.abs(lines)
+        found[inner] = number
+        if number >= 0:
+            off = of_class[..., number] < np.cos(np.radians(2.0 * OTHER_DEG)) * certain
+            found[inner][off] = of_class[off].argmax(axis=-1)
+            certain = np.where(slopes < LEVEL_SHARE * steep[number], certain, 1.0)
+        found[inner][certain < LINED] = LEVEL
     return found
+
+
+def _interiors(fields: FieldGrid, shape: tuple[int, int]) -> Iterator[tuple[int, int, tuple[slice, slice]]]:
+    """Row and column of every field, and the points of a map of a shape that its middle takes."""
+    (tall, wide), (rows, cols) = shape, fields.classes.shape
+    margin = 0.5 * (1.0 - fields.interior)
+    for row in range(rows):
+        low, high = (round((rows - 1 - row + part) * tall / rows) for part in (margin, 1.0 - margin))
+        for col in range(cols):
+            left, right = (round((col + part) * wide / cols) for part in (margin, 1.0 - margin))
+            yield row, col, (slice(low, high), slice(left, right))
 
 
 def _field_means(values: npt.NDArray[np.floating], fields: FieldGrid) -> FloatArray:
     """(rows, cols) means of the middles of the fields of a map of facets, first row at the top."""
-    (tall, wide), (rows, cols) = values.shape, fields.classes.shape
-    found = np.empty((rows, cols))
-    margin = 0.5 * (1.0 - fields.interior)
-    for row in range(rows):
-        low, high = (round((rows - 1 - row + part) * tall / rows) for part in (margin, 1.0 - margin))
-        band = values[low:high]
-        for col in range(cols):
-            left, right = (round((col + part) * wide / cols) for part in (margin, 1.0 - margin))
-            found[row, col] = float(np.nanmean(band[:, left:right], dtype=float))
+    found = np.empty(fields.classes.shape)
+    for row, col, inner in _interiors(fields, (values.shape[0], values.shape[1])):
+        found[row, col] = float(np.nanmean(values[inner], dtype=float))
     return found
 
 

@@ -202,6 +202,26 @@ def field_leans(surface: HeightMap, rows: int, cols: int) -> npt.NDArray[np.comp
     return np.array(bands)
 
 
+def local_directions(
+    surface: HeightMap, width_um: float
+) -> tuple[npt.NDArray[np.complex64], npt.NDArray[np.float32]]:
+    """Directions in which the surface falls or rises, doubled in angle, and root mean square slopes about every point.
+
+    By the structure tensor of the slopes. The angle of a direction is twice the azimuth, alike for facets and walls;
+    its length is 1 where all slopes lie along one line, near 0 on a texture, 0 on level land. Both are (rows, cols).
+
+    Args:
+        surface: heights; missing ones count as level.
+        width_um: standard deviation of the normal window.
+    """
+    fall_x, fall_y = _falls(surface, LOCAL)
+    fall = fall_x + 1j * fall_y
+    sigma = width_um / surface.pixel_x_um
+    square = _smoothed(np.abs(fall) ** 2, sigma)
+    lines = _smoothed(fall * fall, sigma) / np.maximum(square, FLAT_SLOPE**2)
+    return np.asarray(lines, dtype=np.complex64), np.asarray(np.sqrt(square), dtype=np.float32)
+
+
 def _none(surface: HeightMap) -> DirectionRegions:
     return DirectionRegions(surface, np.zeros(surface.shape, dtype=np.int32), (), False, ())
 

@@ -1,5 +1,6 @@
-"""Common files of the demos of all kinds: the folder, and one bench and one rig file a part."""
+"""Common files of the demos of all kinds: the folder, one bench and one rig file a part, and the flat of a tile."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,8 @@ import numpy as np
 import tomli_w
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.progress import Advance
+from anisoscope.calibration.pictures import take_flat
 
 FIXTURE = {
     "marker_mm": 0.52,
@@ -18,6 +21,9 @@ FIXTURE = {
     ],
 }
 """Four markers round the part."""
+TILE, TILE_REFLECTANCE = "white-tile", 0.99
+FLAT, FLAT_FRAMES = "flat.tif", 16
+PORT, BENCH = "sim://elliptec?bench=${here}/bench.toml", {"bench": "${here}/bench.toml"}
 
 
 def begin(out: Path, seed: int) -> tuple[Path, np.random.Generator]:
@@ -43,3 +49,73 @@ def write_bench(folder: Path, name: str, bench: dict[str, Any], rig: dict[str, A
     place.mkdir(parents=True, exist_ok=True)
     (place / "bench.toml").write_text(tomli_w.dumps(bench), encoding="utf-8")
     (place / "rig.toml").write_text(tomli_w.dumps(rig), encoding="utf-8")
+
+
+def tile_sample() -> dict[str, Any]:
+    """The sample table of the white tile."""
+    return {"kind": TILE, "reflectance": TILE_REFLECTANCE}
+
+
+def write_benches(
+    folder: Path,
+    parts: Iterable[str],
+    files: Callable[[str], tuple[dict[str, Any], dict[str, Any]]],
+    exposure_s: float,
+    advance: Advance,
+) -> None:
+    """Write the files of all parts and of a white tile, and take the flat of the tile on the virtual rig.
+
+    Args:
+        folder: of the demo.
+        parts: their names.
+        files: tables of bench and rig by the name of a part, called for the parts in turn and for `TILE`.
+        exposure_s: of the tile.
+        advance: progress.
+    """
+    for name in (*parts, TILE):
+        write_bench(folder, name, *files(name))
+    advance("flat of the white tile", 0, 1)
+    take_flat(
+        folder / "bench" / TILE / "rig.toml",
+        folder / FLAT,
+        exposure_s=exposure_s,
+        frames=FLAT_FRAMES,
+        reflectance=TILE_REFLECTANCE,
+    )
+
+
+def flat_of(name: str) -> str | None:
+    """Path of the flat from the folder of a part; None for the white tile, which has none yet."""
+    return None if name == TILE else f"../../{FLAT}"
+
+
+def rig_table(
+    title: str,
+    camera: dict[str, Any],
+    light: dict[str, Any],
+    *,
+    flat: str | None,
+    tilts: bool = False,
+) -> dict[str, Any]:
+    """The rig file of a bench: stage, camera and light, and an axis that tilts the arm.
+
+    Args:
+        title: name of the rig.
+        camera, light: keys beside driver and bench.
+        flat: path of the flat; None for the rig that takes it.
+        tilts: whether there is an axis for tilts.
+    """
+    axis = {"driver": "elliptec", "port": PORT}
+    found: dict[str, Any] = {
+        "schema": 1,
+        "name": title,
+        "stage": {**axis, "zero_deg": 10.0, "options": {"address": "0"}},
+        "camera": {"driver": "simulated", **camera, "options": BENCH},
+        "light": {"driver": "simulated", **light, "options": BENCH},
+        "fixture": FIXTURE,
+    }
+    if tilts:
+        found["tilt"] = {**axis, "zero_deg": 30.0, "options": {"address": "1"}}
+    if flat is not None:
+        found["calibration"] = {"flat": flat}
+    return found

@@ -11,8 +11,7 @@ import tomli_w
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
-from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
+from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import Plan
 
@@ -35,6 +34,7 @@ RESOLVED_ALPHA = 0.03
 DEAD = ((3, 4), (6, 8), (9, 2))
 WORN_UM = 20.0
 """Radius of the crests of the worn plate."""
+EXPOSURE_S = 0.006
 READ_AT_DEG = [0.0, 90.0]
 ANGLES_DEG = [*READ_AT_DEG, 180.0]
 """At 180° worn and filled ridges shine, which face away otherwise."""
@@ -59,16 +59,11 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
     rows = plan_rows()
     (folder / "plan.csv").write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
     (folder / "recipe.toml").write_text(tomli_w.dumps(recipe()), encoding="utf-8")
-    for name in (*PARTS, "white-tile"):
-        write_bench(folder, name, bench(sample(name, rows, rng), int(rng.integers(2**31))), rig(name))
-    advance("flat of the white tile", 0, 1)
-    take_flat(
-        folder / "bench" / "white-tile" / "rig.toml",
-        folder / "flat.tif",
-        exposure_s=0.006,
-        frames=16,
-        reflectance=0.99,
-    )
+
+    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        return bench(sample(name, rows, rng), int(rng.integers(2**31))), rig(name)
+
+    write_benches(folder, PARTS, files, EXPOSURE_S, advance)
     return folder
 
 
@@ -99,7 +94,7 @@ def recipe() -> dict[str, Any]:
         "plan": {"file": "plan.csv", "module_mm": MODULE_MM, "facet_azimuths_deg": AZIMUTHS_DEG},
         "code": {"text": TEXT, "symbology": "datamatrix", "read_at_deg": READ_AT_DEG},
         "poses": {"angles_deg": ANGLES_DEG},
-        "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
+        "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.4, 2.4]},
         "decision": {"tolerance": 0.2, "alpha": 0.001},
         "uncertainty": {"seating_tilt_deg": 0.05},
@@ -108,8 +103,8 @@ def recipe() -> dict[str, Any]:
 
 def sample(name: str, rows: tuple[str, ...], rng: np.random.Generator) -> dict[str, Any]:
     """The sample table of a part."""
-    if name == "white-tile":
-        return {"kind": "white-tile", "reflectance": 0.99}
+    if name == TILE:
+        return tile_sample()
 
     def spread(value: float, share: float) -> float:
         return float(value * (1.0 + share * rng.standard_normal()))
@@ -152,22 +147,7 @@ def bench(sample: dict[str, Any], seed: int) -> dict[str, Any]:
 
 def rig(name: str) -> dict[str, Any]:
     """The rig file of a part; the white tile's has no flat yet."""
-    found: dict[str, Any] = {
-        "schema": 1,
-        "name": "virtual rig",
-        "stage": {
-            "driver": "elliptec",
-            "port": "sim://elliptec?bench=${here}/bench.toml",
-            "zero_deg": 10.0,
-            "options": {"address": "0"},
-        },
-        "camera": {"driver": "simulated", "pixel_um": 5.0, "options": {"bench": "${here}/bench.toml"}},
-        "light": {"driver": "simulated", "angle_deg": 10.0, "options": {"bench": "${here}/bench.toml"}},
-        "fixture": FIXTURE,
-    }
-    if name != "white-tile":
-        found["calibration"] = {"flat": "../../flat.tif"}
-    return found
+    return rig_table("virtual rig", {"pixel_um": 5.0}, {"angle_deg": 10.0}, flat=flat_of(name))
 
 
 MOST_TRIAL_MM, TRIAL_PIXELS, TRIAL_STATES = 8.0, 10, 2
@@ -252,21 +232,22 @@ def photograph(
         },
     }
     pixels = int(np.ceil(4000.0 * scale / pixel_um))
-    for name, one in (("plate", table), ("white-tile", sample("white-tile", (), np.random.default_rng(0)))):
-        changed_bench = bench(one, 1) | {
+
+    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        changed_bench = bench(tile_sample() if name == TILE else table, 1) | {
             "sensor": {"rows": pixels, "cols": pixels},
             "optics": {"pixel_um": pixel_um, "blur_um": 0.8 * pixel_um},
             "fixture": fixture,
         }
         changed_rig = rig(name) | {"fixture": fixture}
         changed_rig["camera"]["pixel_um"] = pixel_um
-        write_bench(place, name, changed_bench, changed_rig)
+        return changed_bench, changed_rig
+
+    write_benches(place, ("plate",), files, EXPOSURE_S, advance)
     recipe_table = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
     recipe_table["material"] |= KNOWN_PLASTIC
     recipe_table["plan"]["file"] = "../plan.csv"
     (place / "recipe.toml").write_text(tomli_w.dumps(recipe_table), encoding="utf-8")
-    tile = place / "bench" / "white-tile" / "rig.toml"
-    take_flat(tile, place / "flat.tif", exposure_s=0.006, frames=16, reflectance=0.99)
 
     def note(kind: "AnyKind", record: "Record", pictures: "Pictures") -> "Sections":
         seen.extend(pictures.aligned)

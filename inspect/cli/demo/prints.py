@@ -7,8 +7,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.base.progress import Advance
-from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
+from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
 
 PARTS = {"good": "PASS", "brushed": "FAIL", "wrong-ink": "FAIL", "spot": "FAIL"}
 MEGABYTES = 300
@@ -16,7 +15,7 @@ MEGABYTES = 300
 
 INK = "synthetic-green"
 LAMP = "led-white"
-EXPOSURE_S = 0.008
+EXPOSURE_S, FLAT_EXPOSURE_S = 0.008, 0.012
 PIXEL_UM, PIXELS = 6.3, 640
 TILTS_DEG = [0.0, 10.0, 20.0, -20.0, -10.0]
 DEFECTS: dict[str, dict[str, Any]] = {
@@ -44,20 +43,12 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
     """
     folder, rng = begin(out, seed)
     (folder / "recipe.toml").write_text(tomli_w.dumps(recipe_of(INK)), encoding="utf-8")
-    for name in (*PARTS, "white-tile"):
-        sample = {"kind": "white-tile", "reflectance": 0.99}
-        if name != "white-tile":
-            sample = print_sample(DEFECTS[name], rng)
-        rig = rig_of(None if name == "white-tile" else "../../flat.tif")
-        write_bench(folder, name, bench_of(sample, int(rng.integers(2**31))), rig)
-    advance("flat of the white tile", 0, 1)
-    take_flat(
-        folder / "bench" / "white-tile" / "rig.toml",
-        folder / "flat.tif",
-        exposure_s=0.012,
-        frames=16,
-        reflectance=0.99,
-    )
+
+    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        sample = tile_sample() if name == TILE else print_sample(DEFECTS[name], rng)
+        return bench_of(sample, int(rng.integers(2**31))), rig_of(flat_of(name))
+
+    write_benches(folder, PARTS, files, FLAT_EXPOSURE_S, advance)
     return folder
 
 
@@ -108,26 +99,7 @@ def bench_of(sample: dict[str, Any], seed: int) -> dict[str, Any]:
 
 def rig_of(flat: str | None) -> dict[str, Any]:
     """The rig file of such a bench."""
-    port = "sim://elliptec?bench=${here}/bench.toml"
-    found: dict[str, Any] = {
-        "schema": 1,
-        "name": "virtual colour rig",
-        "stage": {"driver": "elliptec", "port": port, "zero_deg": 10.0, "options": {"address": "0"}},
-        "tilt": {"driver": "elliptec", "port": port, "zero_deg": 30.0, "options": {"address": "1"}},
-        "camera": {
-            "driver": "simulated",
-            "pixel_um": PIXEL_UM,
-            "sensitivities": "synthetic",
-            "options": {"bench": "${here}/bench.toml"},
-        },
-        "light": {
-            "driver": "simulated",
-            "angle_deg": 10.0,
-            "spectrum": LAMP,
-            "options": {"bench": "${here}/bench.toml"},
-        },
-        "fixture": FIXTURE,
-    }
-    if flat is not None:
-        found["calibration"] = {"flat": flat}
-    return found
+    camera = {"pixel_um": PIXEL_UM, "sensitivities": "synthetic"}
+    return rig_table(
+        "virtual colour rig", camera, {"angle_deg": 10.0, "spectrum": LAMP}, tilts=True, flat=flat
+    )

@@ -7,8 +7,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.base.progress import Advance
-from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
+from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 
@@ -22,6 +21,7 @@ LOBE = {"alpha_along": 0.055, "alpha_across": 0.095, "albedo": 0.2, "index": 1.5
 TAIL = 0.5  # of Student's distribution with γ = 3, which the bench's path tracer has
 U_TAIL = 0.0  # as of a plastic whose lobe is calibrated: both give the same numbers
 RESOLVED_ALPHA = 0.03
+EXPOSURE_S = 0.006
 
 
 def lay_out(out: Path, seed: int, advance: Advance) -> Path:
@@ -43,16 +43,11 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
     advance("reference height map", 0, 1)
     _write_reference(folder / "reference.x3p", rng)
     (folder / "recipe.toml").write_text(tomli_w.dumps(_recipe()), encoding="utf-8")
-    for name in (*PARTS, "white-tile"):
-        write_bench(folder, name, _bench(_sample(name, rng), int(rng.integers(2**31))), _rig(name))
-    advance("flat of the white tile", 0, 1)
-    take_flat(
-        folder / "bench" / "white-tile" / "rig.toml",
-        folder / "flat.tif",
-        exposure_s=0.006,
-        frames=16,
-        reflectance=0.99,
-    )
+
+    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        return _bench(_sample(name, rng), int(rng.integers(2**31))), _rig(name)
+
+    write_benches(folder, PARTS, files, EXPOSURE_S, advance)
     return folder
 
 
@@ -83,7 +78,7 @@ def _recipe() -> dict[str, Any]:
             "u_index": 0.005,
         },
         "poses": {"angles_deg": [0.0, 90.0, 180.0]},
-        "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
+        "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.0, 2.0]},
         "decision": {"contrast": "log_ratio", "tolerance": 0.4, "alpha": 0.001, "deviation": "fail"},
         "area": {"cell_deviation": 0.3, "max_share": 0.03},
@@ -92,8 +87,8 @@ def _recipe() -> dict[str, Any]:
 
 
 def _sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    if name == "white-tile":
-        return {"kind": "white-tile", "reflectance": 0.99}
+    if name == TILE:
+        return tile_sample()
 
     def spread(value: float, share: float) -> float:
         return float(value * (1.0 + share * rng.standard_normal()))
@@ -121,19 +116,4 @@ def _bench(sample: dict[str, Any], seed: int) -> dict[str, Any]:
 
 
 def _rig(name: str) -> dict[str, Any]:
-    found: dict[str, Any] = {
-        "schema": 1,
-        "name": "virtual rig",
-        "stage": {
-            "driver": "elliptec",
-            "port": "sim://elliptec?bench=${here}/bench.toml",
-            "zero_deg": 10.0,
-            "options": {"address": "0"},
-        },
-        "camera": {"driver": "simulated", "pixel_um": 4.0, "options": {"bench": "${here}/bench.toml"}},
-        "light": {"driver": "simulated", "angle_deg": 10.0, "options": {"bench": "${here}/bench.toml"}},
-        "fixture": FIXTURE,
-    }
-    if name != "white-tile":
-        found["calibration"] = {"flat": "../../flat.tif"}
-    return found
+    return rig_table("virtual rig", {"pixel_um": 4.0}, {"angle_deg": 10.0}, flat=flat_of(name))

@@ -12,8 +12,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.base.progress import Advance
-from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
+from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
 from anisoscope.profiles.files.load import write_height_map
 
 if TYPE_CHECKING:
@@ -40,11 +39,11 @@ LIGHT = {
     "lamp_half_angle_deg": 0.3,
     "aperture_half_angle_deg": 0.7,
 }
+FLAT_EXPOSURE_S = 0.03
 EXPOSURE_S = 2.5e-5  # grains in the spike of wrong etching shine five to ten times as bright as their mean
 REFLECTANCE, SCATTER = 0.9, 0.001
 SEATING_DEG, TILT_ZERO_DEG = 0.05, 0.02
 ETCH_DEPTH_NM, ETCH_WIDTH_NM = 1.0, 20.0
-PORT = "sim://elliptec?bench=${here}/bench.toml"
 
 
 def lay_out(out: Path, seed: int, advance: Advance) -> Path:
@@ -66,11 +65,11 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
     advance("wafer design", 0, 1)
     write_tile(folder, rng)
     (folder / "recipe.toml").write_text(tomli_w.dumps(recipe()), encoding="utf-8")
-    for name in (*PARTS, "white-tile"):
-        write_bench(folder, name, bench(sample(name, rng), int(rng.integers(2**31))), rig(name))
-    advance("flat of the white tile", 0, 1)
-    white = folder / "bench" / "white-tile" / "rig.toml"
-    take_flat(white, folder / "flat.tif", exposure_s=0.03, frames=16, reflectance=0.99)
+
+    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        return bench(sample(name, rng), int(rng.integers(2**31))), rig(name)
+
+    write_benches(folder, PARTS, files, FLAT_EXPOSURE_S, advance)
     return folder
 
 
@@ -149,8 +148,8 @@ def recipe() -> dict[str, Any]:
 
 def sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
     """The sample table of a part: etching, lamp, lens and seating with the recipe's uncertainties, and its defect."""
-    if name == "white-tile":
-        return {"kind": "white-tile", "reflectance": 0.99}
+    if name == TILE:
+        return tile_sample()
 
     def about(value: float, u: float) -> float:
         return float(value + u * rng.standard_normal())
@@ -189,27 +188,13 @@ def bench(sample: dict[str, Any], seed: int) -> dict[str, Any]:
 
 def rig(name: str) -> dict[str, Any]:
     """The rig file of a part; the white tile's has no flat yet."""
-    found: dict[str, Any] = {
-        "schema": 1,
-        "name": "virtual rig, lamp along the camera's axis",
-        "stage": {"driver": "elliptec", "port": PORT, "zero_deg": 10.0, "options": {"address": "0"}},
-        "tilt": {"driver": "elliptec", "port": PORT, "zero_deg": 30.0, "options": {"address": "1"}},
-        "camera": {
-            "driver": "simulated",
-            "pixel_um": 6.0,
-            "half_angle_deg": LIGHT["aperture_half_angle_deg"],
-            "options": {"bench": "${here}/bench.toml"},
-        },
-        "light": {
-            "driver": "simulated",
-            "angle_deg": 0.0,
-            "wavelength_nm": LIGHT["wavelength_nm"],
-            "bandwidth_nm": LIGHT["bandwidth_nm"],
-            "half_angle_deg": LIGHT["lamp_half_angle_deg"],
-            "options": {"bench": "${here}/bench.toml"},
-        },
-        "fixture": FIXTURE,
+    camera = {"pixel_um": 6.0, "half_angle_deg": LIGHT["aperture_half_angle_deg"]}
+    light = {
+        "angle_deg": 0.0,
+        "wavelength_nm": LIGHT["wavelength_nm"],
+        "bandwidth_nm": LIGHT["bandwidth_nm"],
+        "half_angle_deg": LIGHT["lamp_half_angle_deg"],
     }
-    if name != "white-tile":
-        found["calibration"] = {"flat": "../../flat.tif"}
-    return found
+    return rig_table(
+        "virtual rig, lamp along the camera's axis", camera, light, tilts=True, flat=flat_of(name)
+    )

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from anisoscope.profiles.plates import Plan
 
 LIGHT_DEG = 10.0
+READ_AT_DEG = 0.0, 90.0
 
 
 @everyday(
@@ -118,14 +119,14 @@ def code(
     make.write(out, plan, design, pixel)
     (out / "plan.csv").write_text(plan_text(plan), encoding="utf-8")
     tables = recipe_of(plan, design, f"{symbology} {text} of ridges")
-    tables["code"] = {"text": text, "symbology": symbology, "read_at_deg": [0.0, 90.0]}
+    tables["code"] = {"text": text, "symbology": symbology, "read_at_deg": list(READ_AT_DEG)}
     (out / "recipe.toml").write_text(recipe_text(tables), encoding="utf-8")
     recipe = kind_named("plates").read_recipe(out / "recipe.toml")
     assert isinstance(recipe, PlateRecipe)
     expected = expected_plate(recipe, plan, LIGHT_DEG, cached=True)
     ends = float(expected.radiance.min()), float(expected.radiance.max())
     title, plastic = f"{symbology} {text}", recipe.material.material()
-    write_plate_page(out / "appearance.html", title, plan, design, plastic, LIGHT_DEG, (0.0, 90.0), ends)
+    write_plate_page(out / "appearance.html", title, plan, design, plastic, LIGHT_DEG, READ_AT_DEG, ends)
     tried = None
     if trial:
         lobe = {
@@ -158,6 +159,8 @@ def _print(
     rows = list[dict[str, Any]]()
     readings, grades = predicted_code(expected, symbology)
     for number, pose in enumerate(expected.poses):
+        if pose.stage_deg not in READ_AT_DEG:
+            continue
         darker = int(np.argmin(expected.radiance[:, number]))
         light, dim = float(expected.radiance[:, number].max()), float(expected.radiance[:, number].min())
         rows.append(

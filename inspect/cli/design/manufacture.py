@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 60_000_000
 """Points of a height map: half a gigabyte."""
+MOST_ANGLES = 3
 MOULD = Group("Mould and tool", sort_key=20)
 
 
@@ -135,11 +136,21 @@ def recipe_of(plan: "Plan", design: "RidgeDesign", product: str) -> dict[str, ob
         "surface": {"pitch_um": design.pitch_um, "design": ridges},
         "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2},
         "plan": fields,
-        "poses": {"angles_deg": [0.0, 90.0]},
+        "poses": {"angles_deg": inspected_at((0.0, 90.0))},
         "acquisition": {"exposure_s": 0.006},
         "region": {"size_mm": [round(one, 6) for one in plan.size_mm]},
         "decision": {"tolerance": 0.4},
     }
+
+
+def inspected_at(stages_deg: tuple[float, ...]) -> list[float]:
+    """Stage angles of an inspection: those at which a plate is looked at, and others until there are three.
+
+    Worn and filled ridges shine after half a turn, where good ones face away.
+    """
+    others = [stages_deg[0] + turn for turn in (180.0, 90.0)]
+    others = [one for one in others if all((one - seen) % 360.0 for seen in stages_deg)]
+    return [*stages_deg, *sorted(others[: MOST_ANGLES - len(stages_deg)])]
 
 
 def recipe_text(tables: dict[str, object]) -> str:

@@ -7,7 +7,14 @@ import numpy as np
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.design.manufacture import Manufacture, new_folder, plan_text, recipe_of, recipe_text
+from anisoscope.cli.design.manufacture import (
+    Manufacture,
+    inspected_at,
+    new_folder,
+    plan_text,
+    recipe_of,
+    recipe_text,
+)
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
@@ -116,8 +123,7 @@ def plate(
     (out / "fields.csv").write_text(_fields_text(found), encoding="utf-8")
     tables = recipe_of(found.plan, design, f"plate that shows {' and '.join(path.name for path in paths)}")
     lobe = {"alpha_along": alpha_along, "alpha_across": alpha_across, "albedo": albedo}
-    poses = stages if len(stages) > 1 else (stages[0], stages[0] + 90.0)  # an inspection compares two
-    tables |= {"material": lobe, "poses": {"angles_deg": list(poses)}}
+    tables |= {"material": lobe, "poses": {"angles_deg": inspected_at(stages)}}
     (out / "recipe.toml").write_text(recipe_text(tables), encoding="utf-8")
     kind_named("plates").read_recipe(out / "recipe.toml")
     title = " and ".join(path.stem for path in paths)

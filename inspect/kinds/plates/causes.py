@@ -1,7 +1,7 @@
 """Causes of deviating plates: defects of single fields, counted by their kind, and causes that change the whole plate.
 
 The whole plate is explained as ridges are (`anisoscope.diagnosis.ranking`): ln L of all classes in all poses, and the
-turn of the fields against the fixture, are data, and every cause has a signature for them, from direct light of the
+turn of the fields against the fixture, are data, and every cause has a signature for them, from the light of the
 ideal ridges of every class. A field with a defect is called by the defect whose change is nearest.
 """
 
@@ -20,7 +20,7 @@ from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.kinds.plates.decision import PlateDecision
-from anisoscope.kinds.plates.expectation import ExpectedPlate, direct_light
+from anisoscope.kinds.plates.expectation import ExpectedPlate, quick_light
 from anisoscope.kinds.plates.field_judgement import TESTS
 from anisoscope.kinds.plates.measurement import MeasuredPlate
 from anisoscope.kinds.plates.recipe import PlateRecipe
@@ -39,11 +39,12 @@ UNKNOWN_TURN_DEG = 10.0
 TURNED = "turned"
 SHARES = (-0.5, -0.3, -0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 0.8)
 DEGREES = (-3.0, -2.0, -1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0, 2.0, 3.0)
-OF_PITCH = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
+OF_PITCH = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0)
 OF_HEIGHT = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 DOUBT_OF_MODEL = 0.05
-"""Relative uncertainty of a change of direct light for that of all light."""
+"""Least relative uncertainty of a change by ideal ridges."""
 
+UNCLEAR = "fields-unclear"
 _TOOL = "Reject the plate, and have the insert checked"
 FIELD_WORDS: Mapping[str, CauseWords] = {
     "fields-missing": CauseWords(
@@ -65,6 +66,11 @@ FIELD_WORDS: Mapping[str, CauseWords] = {
     "fields-filled": CauseWords(
         "Fields that are not filled: {size}",
         "Reject the plate; raise melt or mould temperature or packing pressure, and clean the vents",
+        percent=False,
+    ),
+    UNCLEAR: CauseWords(
+        "Fields with a defect that these poses do not tell from another: {size}",
+        f"{_TOOL} at the fields in the list; a pose at 180° in the recipe tells more defects apart",
         percent=False,
     ),
     "fields-unlike": CauseWords(
@@ -118,7 +124,10 @@ def explain_plate(
 def field_causes(fields: tuple[FieldRecord, ...]) -> tuple[ComponentRecord, ...]:
     """Kinds of defects of the fields that fail, or else of those that deviate, the most frequent first."""
     failed = [one for one in fields if one.verdict == "FAIL"] or [one for one in fields if one.significant]
-    names = [f"fields-{(one.looks_like or 'unlike').replace(' ', '-')}" for one in failed]
+    names = [
+        UNCLEAR if one.or_like else f"fields-{(one.looks_like or 'unlike').replace(' ', '-')}"
+        for one in failed
+    ]
     counted = sorted(dict.fromkeys(names), key=lambda name: -names.count(name))
     return tuple(
         ComponentRecord(
@@ -139,6 +148,7 @@ FIELD_TITLES = {
     "fields-wrong-direction": "fields with ridges of another direction",
     "fields-worn": "fields with worn crests",
     "fields-filled": "fields that are not filled",
+    UNCLEAR: "fields with a defect that these poses do not tell from another",
     "fields-unlike": "fields that are unlike any known defect",
 }
 
@@ -225,7 +235,7 @@ def _inputs(recipe: PlateRecipe, decided: PlateDecision, covariance: FloatArray)
 def plate_signatures(recipe: PlateRecipe, expected: ExpectedPlate) -> Signatures:
     """Change of ln L of all classes in all poses, and of the turn, along every cause."""
     design, material = recipe.surface.ridge_design(), recipe.material.material()
-    direct = direct_light(recipe, expected.poses, expected.convention)
+    quick = quick_light(recipe, expected.poses, expected.convention)
     azimuths = [expected.plan.azimuths_deg[letter] for letter in expected.plan.letters]
     light, pitch = expected.convention.light_angle_deg, design.pitch_um
     known = {one.name: one for one in all_causes(design.ridge_angle_deg, pitch)}
@@ -240,7 +250,7 @@ def plate_signatures(recipe: PlateRecipe, expected: ExpectedPlate) -> Signatures
     ) -> FloatArray:
         classes = zip(ridges, azimuths, strict=True)
         return np.append(
-            np.concatenate([direct(each, one + turn, plastic, lamp) for each, one in classes]), turn
+            np.concatenate([quick(each, one + turn, plastic, lamp) for each, one in classes]), turn
         )
 
     def scaled(name: str) -> Callable[[float], FloatArray]:

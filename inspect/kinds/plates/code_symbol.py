@@ -18,6 +18,12 @@ Mask = npt.NDArray[np.bool_]
 
 FIELD_POINTS = 6
 """Points of a module along its side, where modules are drawn to be read."""
+READ_POINTS = 6, 4, 8, 9
+"""Points of a module along its side, with which fields are drawn to be read; readers depend on it by chance."""
+APERTURES = 0.35, 0.5, 0.7
+"""Sides of the squares over which pictures are averaged before they are read, in fields."""
+DRAWN_POINTS, DRAWN_BLUR = 20, 0.04
+"""Points of a field of a predicted picture along its side, and the blur of its borders in fields."""
 FRAME_POINTS = 24
 """Points about a picture that is read."""
 SQUARE_REGIONS = (26, 1), (52, 2), (104, 4), (144, 6)
@@ -150,6 +156,41 @@ def _alignments(version: int) -> list[int]:
     count, last = version // 7 + 2, 4 * version + 10
     step = 26 if version == 32 else (version * 4 + count * 2 + 1) // (count * 2 - 2) * 2
     return [6, *(last - step * n for n in reversed(range(count - 1)))]
+
+
+def read_plate(
+    picture: npt.NDArray[np.float32], points: int, fields: FloatArray, symbology: str
+) -> str | None:
+    """Text of a code in a picture of a plate; None where none is read. The first reading counts.
+
+    Ridges are finer than modules: what is read are means over a good part of a module, as with larger apertures. Then
+    the fields themselves are drawn and read, with several numbers of points a module.
+
+    Args:
+        picture: (rows · points, cols · points) known everywhere.
+        points: of a field along its side.
+        fields: (rows, cols) their means.
+        symbology: "datamatrix" or "qr".
+    """
+    for share in APERTURES:
+        blurred = np.asarray(cv2.blur(picture, (max(1, round(share * points)),) * 2), dtype=np.float32)
+        found = read_picture(blurred, symbology)
+        if found is not None:
+            return found
+    return read_drawn(fields, symbology)
+
+
+def read_drawn(fields: FloatArray, symbology: str) -> str | None:
+    """Text of a code in its fields alone, drawn with several numbers of points; None where none is read."""
+    drawn = (read_picture(np.kron(fields, np.ones((count,) * 2)), symbology) for count in READ_POINTS)
+    return next((one for one in drawn if one is not None), None)
+
+
+def read_fields(fields: FloatArray, symbology: str) -> str | None:
+    """Text of a code whose fields have (rows, cols) radiances, read as a photograph of it; None where none is read."""
+    picture = np.kron(fields, np.ones((DRAWN_POINTS,) * 2)).astype(np.float32)
+    picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), DRAWN_BLUR * DRAWN_POINTS), dtype=np.float32)
+    return read_plate(picture, DRAWN_POINTS, fields, symbology)
 
 
 def read_picture(picture: FloatArray | npt.NDArray[np.float32], symbology: str) -> str | None:

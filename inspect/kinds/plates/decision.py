@@ -8,7 +8,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
 from anisoscope.kinds.plates.code_grades import Cells, Grade, graded
-from anisoscope.kinds.plates.code_symbol import FIELD_POINTS, Symbol, find_symbol, read_picture
+from anisoscope.kinds.plates.code_symbol import Symbol, find_symbol, read_fields
 from anisoscope.kinds.plates.expectation import ExpectedPlate
 from anisoscope.kinds.plates.field_judgement import (
     TESTS,
@@ -272,7 +272,7 @@ def predicted_code(
 ) -> tuple[tuple[str | None, ...], tuple[tuple[Grade, ...], ...]]:
     """What a reader makes of the predicted fields in every pose, and their grades; no grades without a symbol."""
     fields, cosines = predicted_fields(expected), _light_cosines(expected)
-    readings = tuple(read_picture(np.kron(one, np.ones((FIELD_POINTS,) * 2)), symbology) for one in fields)
+    readings = tuple(read_fields(one, symbology) for one in fields)
     symbol = _symbol(expected, symbology)
     if symbol is None:
         return readings, ((),) * len(readings)
@@ -385,7 +385,8 @@ def _together(details: PlateDetails, recipe: PlateRecipe, p_value: float) -> str
 
 def contrast_text(one: PlateContrastRecord) -> str:
     """A contrast with its tolerance."""
+    name = one.title
     return (
-        f"{one.name}: measured {one.measured:+.3f}, predicted {one.predicted:+.3f} (u {one.u:.3f}, tolerance "
+        f"{name}: measured {one.measured:+.3f}, predicted {one.predicted:+.3f} (u {one.u:.3f}, tolerance "
         f"±{one.tolerance:g})"
     )

@@ -27,8 +27,10 @@ from anisoscope.profiles.plates import Plan
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.material import Material
 
-FLAT_DEG = 0.2
+FLAT_DEG = 0.01
 """Ridge angle of a field without ridges."""
+REFLECTIONS = 2
+"""Reflections after which light of changed ridges is no more followed; the rest is below .5 % of dark fields."""
 WORN_SHARE, FILLED_LOSS, MERGED_SHARE = 0.2, 0.6, 0.5
 """Radius of worn crests over the pitch; height loss of filled fields; share of another direction in merged ones."""
 FAINTEST = 1e-9
@@ -43,7 +45,7 @@ class Lying:
         mirrored: whether the places are mirrored left to right, as on the plan of the mould; with or without the
             directions.
         classes: (rows, cols) of the fields as they lie, -1 for flat ones.
-        ln: (C, P) ln of direct light of the classes.
+        ln: (C, P) ln radiance of the classes, by `quick_light`.
     """
 
     quarters: int
@@ -65,7 +67,7 @@ class ExpectedPlate:
         per_degree: (C, P) change of ln L per degree of stage angle.
         lying: positions of the plate, the right one first.
         defects: by name the (C, P) change of ln L of a field with this defect.
-        flat: (P,) radiance of a flat field, estimated from direct light.
+        flat: (P,) radiance of a flat field.
         optics: rays or waves, and why.
         fields: (P, rows, cols) radiance of every field by the height map; None without one.
     """
@@ -116,7 +118,7 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
     design = recipe.surface.ridge_design()
     designs = [plan.design_of(letter, design) for letter in plan.letters]
 
-    direct = direct_light(recipe, poses, convention)
+    quick = quick_light(recipe, poses, convention)
 
     places = plan.classes()
     lying = tuple(
@@ -126,7 +128,7 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
             np.rot90(places[:, ::-1] if mirrored else places, quarters),
             np.array(
                 [
-                    direct(each, (180.0 - one if leaning else one) + 90.0 * quarters)
+                    quick(each, (180.0 - one if leaning else one) + 90.0 * quarters)
                     for each, one in zip(designs, azimuths, strict=True)
                 ]
             ),
@@ -135,7 +137,7 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
         for quarters in range(4)
     )
     upright = lying[0].ln
-    flat = direct(replace(design, ridge_angle_deg=FLAT_DEG, edge_radius_um=0.0), 0.0)
+    flat = quick(replace(design, ridge_angle_deg=FLAT_DEG, edge_radius_um=0.0), 0.0)
     radiance, fields = np.array([one.radiance for one in found]), None
     if surface is not None:
         fields = fields_by_map(surface, recipe, plan, poses, convention)
@@ -149,7 +151,7 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
         _components(found, azimuths),
         np.array([one.per_degree for one in found]),
         lying,
-        _defects(designs, azimuths, upright, flat, direct),
+        _defects(designs, azimuths, upright, flat, quick),
         np.exp(flat + level),
         found[0].optics,
         found[0].model if fields is None else "relief",
@@ -157,12 +159,15 @@ def expected_plate(recipe: PlateRecipe, plan: Plan, light_angle_deg: float, *, c
     )
 
 
-def direct_light(
+def quick_light(
     recipe: PlateRecipe, poses: tuple[Pose, ...], convention: Convention
 ) -> Callable[..., FloatArray]:
-    """A function of ridges, of the azimuth toward which they lean, and of a plastic: (P,) ln of direct light."""
+    """A function of ridges, of the azimuth toward which they lean, and of a plastic: (P,) ln radiance.
 
-    def direct(
+    Of light reflected up to `REFLECTIONS` times, by ideal ridges.
+    """
+
+    def quick(
         ridges: RidgeDesign,
         azimuth_deg: float,
         material: Material | None = None,
@@ -175,10 +180,14 @@ def direct_light(
         )
         plastic = recipe.material.material() if material is None else material
         return np.asarray(
-            np.log(np.maximum(predict_design(ridges, plastic, poses, frame, bounces=1).radiance, FAINTEST))
+            np.log(
+                np.maximum(
+                    predict_design(ridges, plastic, poses, frame, bounces=REFLECTIONS).radiance, FAINTEST
+                )
+            )
         )
 
-    return direct
+    return quick
 
 
 def _components(found: list[Expectation], azimuths: list[float]) -> tuple[Component, ...]:
@@ -217,12 +226,12 @@ def _defects(
     azimuths: list[float],
     good: FloatArray,
     flat: FloatArray,
-    direct: Callable[[RidgeDesign, float], FloatArray],
+    quick: Callable[[RidgeDesign, float], FloatArray],
 ) -> dict[str, FloatArray]:
     """(C, P) changes of ln L of fields with defects, by name."""
 
     def changed(**change: float) -> FloatArray:
-        shown = [direct(replace(one, **change), turn) for one, turn in zip(designs, azimuths, strict=True)]
+        shown = [quick(replace(one, **change), turn) for one, turn in zip(designs, azimuths, strict=True)]
         return np.array(shown) - good
 
     found = {"missing": np.array([flat - one for one in good])}

@@ -23,6 +23,8 @@ NEAR = 0.5
 """Distance from the change of a defect, in shares of the deviation, up to which a field looks like it."""
 EXTENTS = {"worn": (0.4, 1.6), "filled": (0.4, 1.1), "merged": (0.4, 1.1)}
 """Ranges of the extents of defects, relative to the predicted ones; others are of one extent."""
+TIE = 4.0
+"""Difference of twice the log likelihoods of two defects below which they tie."""
 DOUBT = 0.1
 """Relative uncertainty of the predicted change of ln L by a defect."""
 LISTED = 3
@@ -100,6 +102,7 @@ def judge_fields(
         if verdict == "PASS" and not significant:
             continue
         changes = {name: one[number] for name, one in expected.defects.items()}
+        likely = looks_like(off, changes, scatters[number])
         found.append(
             FieldRecord(
                 row=int(row),
@@ -108,7 +111,8 @@ def judge_fields(
                 deviations=tuple(float(one) for one in off),
                 u=u,
                 verdict=verdict,
-                looks_like=looks_like(off, changes, scatters[number]),
+                looks_like=next(iter(likely), None),
+                or_like=likely[1:],
                 p_value=p_value,
                 significant=significant,
             )
@@ -141,8 +145,12 @@ def _powers(
     )
 
 
-def looks_like(off: FloatArray, defects: dict[str, FloatArray], scatter: Scatter | None = None) -> str | None:
-    """The defect whose change of ln L is nearest to (P,) offsets; None where none is near.
+def looks_like(
+    off: FloatArray, defects: dict[str, FloatArray], scatter: Scatter | None = None
+) -> tuple[str, ...]:
+    """The defect whose change of ln L is nearest to (P,) offsets, and those that cannot be told from it.
+
+    Empty where none is near. Defects tie where their likelihoods differ by less than a factor of seven.
 
     Args:
         off: (P,) offset of a field.
@@ -151,7 +159,7 @@ def looks_like(off: FloatArray, defects: dict[str, FloatArray], scatter: Scatter
     """
     known = np.isfinite(off)
     own = 1e-4 * np.eye(off.size) if scatter is None else scatter.covariance
-    apart = dict[str, float]()
+    scores, apart = dict[str, float](), dict[str, float]()
     for name, change in defects.items():
         doubted = (own + np.diag((DOUBT * change) ** 2))[np.ix_(known, known)]
         inverse = np.linalg.inv(doubted)
@@ -159,11 +167,10 @@ def looks_like(off: FloatArray, defects: dict[str, FloatArray], scatter: Scatter
         left = off[known] - extents[:, None] * change[known]
         left = np.vstack([left, off[known]])
         size = np.einsum("np,pq,nq->n", left, inverse, left)
+        scores[name] = float(size[:-1].min() + np.linalg.slogdet(doubted)[1])
         apart[name] = float(np.sqrt(size[:-1].min() / max(size[-1], 1e-12)))
-    if not apart:
-        return None
-    best = min(apart, key=lambda name: apart[name])
-    return best if apart[best] <= NEAR else None
+    near = sorted((name for name in scores if apart[name] <= NEAR), key=lambda name: scores[name])
+    return tuple(name for name in near if scores[name] - scores[near[0]] < TIE)
 
 
 def fields_text(fields: list[FieldRecord]) -> str:
@@ -185,5 +192,5 @@ def places_text(fields: list[FieldRecord]) -> str:
 
 
 def _field_text(one: FieldRecord) -> str:
-    looks = one.looks_like or UNLIKE
+    looks = one.likeness or UNLIKE
     return f"row {one.row + 1}, column {one.col + 1} ({looks})"

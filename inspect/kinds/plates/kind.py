@@ -262,10 +262,12 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         if found.code is not None and found.code.unread and worst.verdict != "FAIL":
             text = repr(found.code.text)
             return f"The code is not read as {text}"
-        off, spread = worst.measured - worst.predicted, 2.0 * worst.u
+        name, off, spread = worst.title, worst.measured - worst.predicted, 2.0 * worst.u
         if worst.tolerance is None:
-            return f"Largest deviation: {worst.name} is off by {off:+.3f} ± {spread:.2f} (no tolerance set)"
-        return f"Largest deviation: {worst.name} is off by {off:+.3f} ± {spread:.2f} (tolerance ±{worst.tolerance:g})"
+            return f"Largest deviation: {name} is off by {off:+.3f} ± {spread:.2f} (no tolerance set)"
+        return (
+            f"Largest deviation: {name} is off by {off:+.3f} ± {spread:.2f} (tolerance ±{worst.tolerance:g})"
+        )
 
     def pictures(
         self, recipe: PlateRecipe, expected: ExpectedPlate, measured: MeasuredPlate, decided: PlateDecision
@@ -308,7 +310,7 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
             return CommandOutput({"plate": None})
         rows = [
             [
-                one.name,
+                one.title,
                 f"{one.measured:+.3f}",
                 f"{one.predicted:+.3f}",
                 f"{one.measured - one.predicted:+.3f}",
@@ -316,17 +318,19 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
                 "–" if one.tolerance is None else f"±{one.tolerance:g}",
                 "" if one.tolerance is None else one.verdict,
             ]
-            for one in found.contrasts
+            for one in found.listed
         ]
         columns = ["contrast", "measured", "predicted", "deviation", "u", "tolerance", ""]
-        tables = [Table(f"{record.serial}: {record.product}", columns, rows)]
+        hidden = len(found.contrasts) - len(rows)
+        caption = f"{hidden} more contrasts pass, or deviate less" if hidden else None
+        tables = [Table(f"{record.serial}: {record.product}", columns, rows, caption)]
         if found.fields:
             listed = [
                 [
                     f"{one.row + 1}, {one.col + 1}",
                     one.direction_class,
                     f"{max(one.deviations, key=abs):+.2f}",
-                    one.looks_like or "–",
+                    one.likeness or "–",
                     one.verdict,
                 ]
                 for one in found.fields

@@ -1,8 +1,7 @@
 """What a plate shows: the mean radiance of every field in every pose, and whether it is the plate of the plan."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -11,7 +10,7 @@ from anisoscope.base.errors import MeasurementError, RegistrationError
 from anisoscope.imaging.pose_radiance import check_light, check_view
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import Grid, View, resample
-from anisoscope.kinds.plates.code_symbol import read_picture
+from anisoscope.kinds.plates.code_symbol import read_plate
 from anisoscope.kinds.plates.expectation import ExpectedPlate, Lying
 from anisoscope.kinds.plates.field_places import FieldPlaces, field_places
 from anisoscope.kinds.plates.recipe import PlateRecipe
@@ -35,10 +34,10 @@ UNLIKE_SHARE = 0.35
 LEAST_SCATTER = 0.05
 """Scatter of ln L over the fields of a plan below which there is nothing to correlate with."""
 MOST_MISSING = 0.02
-APERTURES = 0.35, 0.5, 0.7
-"""Sides of the squares over which pictures are averaged before they are read, in fields; the first reading counts."""
 MOST_SHIFT, MOST_TURN_DEG = 0.25, 2.0
 """Shift in fields, and turn against the fixture, beyond which a plate does not lie in its seat."""
+LEAST_FOLLOWED = 0.05
+"""Shift in fields from which on the fields are measured where they lie."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,15 +112,13 @@ def measure_plate(
         check_view(view, alike, recipe, pixel_um)
     check_views(views)
     grid, points = plate_grid(recipe, expected.plan, pixel_um)
-    aligned = tuple(resample(view.image.value, view.placement, grid) for view in views)
+    aligned = _aligned(views, grid)
+    places = tuple(field_places(one, points) for one in aligned)
+    x, y = check_places(places, expected.plan.module_mm)
+    if np.hypot(x, y) > LEAST_FOLLOWED * expected.plan.module_mm:
+        grid = moved_grid(grid, x, y)
+        aligned = _aligned(views, grid)
     interior = recipe.fields.interior
-    for view, picture in zip(views, aligned, strict=True):
-        missing = float(np.mean(~np.isfinite(picture)))
-        if missing > MOST_MISSING:
-            raise RegistrationError(
-                f"at {view.stage_deg:g}° {missing:.1%} of the plate are outside the picture or saturated: centre the "
-                "fixture, correct region.center_mm, or shorten acquisition.exposure_s"
-            )
     radiance = np.array([field_means(one, points, interior) for one in aligned])
     if not np.nanmin(radiance) > 0.0:
         raise MeasurementError(
@@ -141,24 +138,50 @@ def measure_plate(
         again = field_means(resample(closing.image.value, closing.placement, grid), points, interior)
         drift = float(np.nanmean(again) / np.nanmean(radiance[0]) - 1.0)
     correlation = check_plan(radiance, expected)
-    places = tuple(field_places(one, points) for one in aligned)
-    check_places(places, expected.plan.module_mm)
     texts = tuple(read_code(one, recipe, points) for one in aligned)
     return MeasuredPlate(
         radiance, per_um * recipe.u_place_um, noise, aligned, grid, drift, correlation, texts, places
     )
 
 
-def check_places(places: tuple[FieldPlaces | None, ...], module_mm: float) -> None:
+def _aligned(views: list[View], grid: Grid) -> tuple[Image, ...]:
+    """The pictures on the raster of the fields.
+
+    Raises:
+        RegistrationError: it does not lie in the pictures.
+    """
+    found = tuple(resample(view.image.value, view.placement, grid) for view in views)
+    for view, picture in zip(views, found, strict=True):
+        missing = float(np.mean(~np.isfinite(picture)))
+        if missing > MOST_MISSING:
+            raise RegistrationError(
+                f"at {view.stage_deg:g}° {missing:.1%} of the plate are outside the picture or saturated: centre the "
+                "fixture, correct region.center_mm, or shorten acquisition.exposure_s"
+            )
+    return found
+
+
+def moved_grid(grid: Grid, x_mm: float, y_mm: float) -> Grid:
+    """A raster moved along its own axes, y up."""
+    turn = np.radians(grid.turn_deg)
+    cos, sin = float(np.cos(turn)), float(np.sin(turn))
+    x, y = grid.center_mm
+    return replace(grid, center_mm=(x + cos * x_mm - sin * y_mm, y + sin * x_mm + cos * y_mm))
+
+
+def check_places(places: tuple[FieldPlaces | None, ...], module_mm: float) -> tuple[float, float]:
     """Check that the plate lies in its seat.
+
+    Returns:
+        Shift (x, y) of the fields in mm, y up; 0 where no borders show.
 
     Raises:
         RegistrationError: it is shifted or turned against the markers.
     """
     known = [one for one in places if one is not None]
     if not known:
-        return
-    x, y = np.median([one.shift for one in known], axis=0)
+        return 0.0, 0.0
+    x, y = (float(one) for one in np.median([one.shift for one in known], axis=0))
     if max(abs(x), abs(y)) > MOST_SHIFT:
         raise RegistrationError(
             f"the fields lie {x * module_mm:+.3f} mm, {y * module_mm:+.3f} mm (x, y) off their places (limit "
@@ -169,6 +192,7 @@ def check_places(places: tuple[FieldPlaces | None, ...], module_mm: float) -> No
         raise RegistrationError(
             f"the plate lies turned by {turn:+.1f}° in its seat (limit ±{MOST_TURN_DEG:g}°): seat it against its stops"
         )
+    return x * module_mm, y * module_mm
 
 
 def _noise(view: View, points: int, pixel_um: float, grid: Grid) -> float:
@@ -259,10 +283,5 @@ def read_code(picture: Image, recipe: PlateRecipe, points: int) -> str | None:
     if recipe.code is None:
         return None
     known = np.nan_to_num(picture, nan=float(np.nanmedian(picture)))
-    # ridges are finer than modules: what is read are means over a good part of a module, as with larger apertures
-    for share in APERTURES:
-        grey = np.asarray(cv2.blur(known, (max(1, round(share * points)),) * 2), dtype=np.float32)
-        found = read_picture(grey, recipe.code.symbology)
-        if found is not None:
-            return found
-    return None
+    means = field_means(known, points, recipe.fields.interior)
+    return read_plate(known, points, means, recipe.code.symbology)

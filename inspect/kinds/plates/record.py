@@ -2,8 +2,12 @@
 
 from pydantic import BaseModel, ConfigDict
 
+from anisoscope.base.notation import number_name
 from anisoscope.record.details import Details
 from anisoscope.record.verdict import Verdict
+
+MOST_LISTED = 24
+"""Contrasts that a table shows; a plate of many classes has hundreds."""
 
 
 class _Part(BaseModel):
@@ -21,13 +25,19 @@ class PlateContrastRecord(_Part):
     guard: float | None
     verdict: Verdict
 
+    @property
+    def title(self) -> str:
+        """Its name for people."""
+        return number_name(self.name)
+
 
 class FieldRecord(_Part):
     """A field that deviates from its class: row and column from 0 at the top left, ln ratio to the class by pose.
 
     With a height map it is the ln ratio to what the map predicts. ``looks_like`` names the defect whose predicted
-    change is nearest, None where none is near. ``p_value`` is that of the scatter of its class, Holm-adjusted over the
-    plate; ``significant`` says whether it is below the level of fields.
+    change is nearest, None where none is near, and ``or_like`` those that these poses do not tell from it. ``p_value``
+    is that of the scatter of its class, Holm-adjusted over the plate; ``significant`` says whether it is below the
+    level of fields.
     """
 
     row: int
@@ -37,8 +47,14 @@ class FieldRecord(_Part):
     u: float
     verdict: Verdict
     looks_like: str | None
+    or_like: tuple[str, ...] = ()
     p_value: float = 1.0
     significant: bool = False
+
+    @property
+    def likeness(self) -> str | None:
+        """The defects that it looks like, the most likely one first; None where there are none."""
+        return None if self.looks_like is None else ", perhaps ".join((self.looks_like, *self.or_like))
 
 
 class PowerRecord(_Part):
@@ -87,6 +103,27 @@ class GradeRecord(_Part):
     predicted: float
     predicted_grade: int
 
+    @property
+    def texts(self) -> tuple[str, str]:
+        """Grades with their values, measured and predicted."""
+        return (
+            _graded(self.parameter, self.measured, self.measured_grade),
+            _graded(self.parameter, self.predicted, self.predicted_grade),
+        )
+
+
+VALUES = {
+    "overall grade": "{grade}",
+    "decode": "{grade}",
+    "cell modulation": "{grade} (weakest cell {value:.2f})",
+    "fixed pattern damage": "{grade} ({value:.0%} of a segment)",
+}
+"""How a grade is shown with the value of its parameter; others have it in brackets."""
+
+
+def _graded(parameter: str, value: float, grade: int) -> str:
+    return VALUES.get(parameter, "{grade} ({value:.2f})").format(grade=grade, value=value)
+
 
 class CodeRecord(_Part):
     """The code in every pose: what was read, whether that is right, and the grades."""
@@ -122,6 +159,16 @@ class PlateDetails(Details):
     field_offsets: tuple[tuple[tuple[float | None, ...], ...], ...] = ()
     """(P, rows, cols) ln L of every field less the middle of its class; none of plates of very many fields."""
     golden: GoldenPlatesRecord | None = None
+
+    @property
+    def listed(self) -> tuple[PlateContrastRecord, ...]:
+        """Contrasts to be shown: all of a few; of many those that do not pass, then those that are most off."""
+        if len(self.contrasts) <= MOST_LISTED:
+            return self.contrasts
+        ranked = sorted(
+            self.contrasts, key=lambda one: (one.verdict == "PASS", -abs(one.measured - one.predicted))
+        )
+        return tuple(ranked[:MOST_LISTED])
 
     def numbers(self) -> dict[str, float]:
         """The contrasts by their names, and the number of fields that deviate."""

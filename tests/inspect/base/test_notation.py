@@ -21,6 +21,8 @@ def test_a_contrast_always_names_its_tilt():
 def test_numbers_of_the_history_are_called_as_in_the_report():
     assert number_name("ln 0-90") == "ln ratio 0° / 90°, tilt 0°"
     assert number_name("difference 90-180 @-10") == "difference [1/sr] 90° / 180°, tilt -10°"
+    assert number_name("ln A/B at 90") == "ln ratio A / B at 90°, tilt 0°"
+    assert number_name("ln A 0-90 @10") == "ln ratio of A 0° / 90°, tilt 10°"
     assert [number_name(one) for one in ("p", "print alpha x")] == [
         "p of the squared distance",
         "print alpha x",

@@ -39,6 +39,7 @@ def test_a_data_matrix_becomes_part_insert_and_recipe(anisoscope, tmp_path):
     assert np.mean((middle == light) == ~modules_of_code("A17", "datamatrix")) > 0.97
     recipe = PLATES.read_recipe(out / "recipe.toml")
     assert recipe.code.text == "A17"
+    assert recipe.poses.angles_deg == (0.0, 90.0, 180.0)  # at 180° worn ridges shine
     assert recipe.plan.plan().shape == (12, 12)
     again = anisoscope("design", "code", "A17", "--out", out)
     assert again.code == 64
@@ -62,7 +63,7 @@ def test_a_trial_reads_the_code_on_the_virtual_rig(anisoscope, tmp_path):
     assert done.code == 0, done.err
     assert done.json["trial"]["verdict"] == "PASS"
     (record,) = (tmp_path / "code" / "trial" / "inspections").glob("TRIAL-*")
-    assert read_record(record).details.code.readings == ("A17", "A17")
+    assert read_record(record).details.code.readings[:2] == ("A17", "A17")
 
 
 def test_a_qr_code_with_draft_is_read_in_its_predicted_picture(anisoscope, tmp_path):

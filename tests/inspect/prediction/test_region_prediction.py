@@ -1,6 +1,7 @@
 """Maps of several ridge directions: each region is predicted in the frame of its own ridges."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 from anisoscope.base.errors import HeightMapError
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design
-from anisoscope.prediction.region_prediction import predict_map
+from anisoscope.prediction.region_prediction import FieldGrid, predict_fields, predict_map
 from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.profiles.patterns import checkerboard
+from anisoscope.profiles.plates import Plan, plate_map
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.material import Material
 
@@ -90,3 +92,25 @@ def test_what_cannot_be_predicted_by_regions_is_refused():
     height[:200] = np.nan
     with pytest.raises(HeightMapError, match=r"50\.0% of the heights of this map are missing"):
         predict_map(surface.with_height(height), PLASTIC, POSES, Convention())
+
+
+def test_the_lobe_of_a_field_turns_with_its_own_ridges_and_not_with_the_plan():
+    azimuths, design = {"A": 0.0, "B": -90.0}, RidgeDesign(50.0, 10.0)
+    plan = Plan(("ABB", "BAB"), azimuths, 0.2)
+    surface = plate_map(plan, design, 2.0)
+    height = surface.height_um.copy()
+    first = height[:100, 100:200].copy()  # row index rises with y: an A in the second row of the plan
+    height[100:, 100:200] = first
+    height[100:, 250:] = first[:, :50]
+    height[:100, 200:] = height.mean()
+    grid = FieldGrid(plan.classes(), (0.0, -90.0), (design, design), 0.7)
+    found = predict_fields(surface.with_height(height), grid, PLASTIC, POSES[:2], Convention())
+    light, dark = found[:, 1, 1]
+    assert light > 5.0 * dark
+    np.testing.assert_allclose(found[:, 0, 0], found[:, 1, 1], rtol=0.01)
+    np.testing.assert_allclose(found[:, 1, 0], [dark, light], rtol=0.01)
+    np.testing.assert_allclose(found[:, 0, 1], [light, dark], rtol=0.01)  # of a wrong direction
+    np.testing.assert_allclose(found[:, 0, 2], 0.5 * (light + dark), rtol=0.05)  # half of one
+    of_first = replace(grid, classes=np.zeros((2, 3), dtype=np.int64))
+    level = predict_fields(surface.with_height(height), of_first, PLASTIC, POSES[:2], Convention())
+    np.testing.assert_allclose(found[:, 1, 2], level[:, 1, 2], rtol=1e-6)  # level land: as of the first class

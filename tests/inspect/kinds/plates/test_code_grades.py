@@ -6,7 +6,9 @@ import pytest
 from anisoscope.kinds.plates.code_grades import (
     AVERAGE_STEPS,
     AXIAL_STEPS,
+    CLOCK_STEPS,
     CONTRAST_STEPS,
+    FINDER_STEPS,
     GRID_STEPS,
     MODULATION_STEPS,
     SIDE_STEPS,
@@ -123,7 +125,7 @@ def test_damage_of_a_qr_code_is_counted_in_its_finders():
 
 
 def test_tables_are_those_of_the_standards():
-    """As vendors of verifiers print them: ISO/IEC 15415 and 29158; Cognex DataMan 475, VisionPro, Omron V430."""
+    """As makers of verifiers print them: Cognex DataMan 475, VisionPro, Omron V430, NI Vision, and two open ones."""
     for steps, published in (
         (UNUSED_STEPS, {0.63: 4, 0.55: 3, 0.4: 2, 0.3: 1, 0.2: 0}),
         (MODULATION_STEPS, {0.55: 4, 0.45: 3, 0.35: 2, 0.25: 1, 0.1: 0}),
@@ -134,6 +136,8 @@ def test_tables_are_those_of_the_standards():
     for steps, published in (
         (AXIAL_STEPS, {0.06: 4, 0.07: 3, 0.09: 2, 0.11: 1, 0.13: 0}),
         (GRID_STEPS, {0.38: 4, 0.5: 3, 0.63: 2, 0.75: 1, 0.76: 0}),
+        (CLOCK_STEPS, {0.10: 4, 0.15: 3, 0.2: 2, 0.25: 1, 0.26: 0}),
+        (FINDER_STEPS, {0: 4, 1: 3, 2: 2, 3: 1, 4: 0}),
         (SIDE_STEPS, {0.0: 4, 0.09: 3, 0.13: 2, 0.17: 1, 0.18: 0}),
     ):
         assert {value: int(at_most(value, steps)) for value in published} == published
