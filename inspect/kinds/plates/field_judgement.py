@@ -148,7 +148,7 @@ def _powers(
 def looks_like(
     off: FloatArray, defects: dict[str, FloatArray], scatter: Scatter | None = None
 ) -> tuple[str, ...]:
-    """The defect whose change of ln L is nearest to (P,) offsets, and those that cannot be told from it.
+    """Names of the defect whose change of ln L is nearest to (P,) offsets, and of those that tie with it.
 
     Empty where none is near. Defects tie where their likelihoods differ by less than a factor of seven.
 
