@@ -1,5 +1,6 @@
 """The database of a history: SQLite in a file, or PostgreSQL by URL; transactions in which one process writes."""
 
+import logging
 import os
 import socket
 import sqlite3
@@ -17,6 +18,8 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from anisoscope.history.address import Address
 from anisoscope.history.problems import HistoryError
 
+# What becomes of a connection that the server cut is in our own message; the pool's traceback goes to the log only.
+logging.getLogger("sqlalchemy").addHandler(logging.NullHandler())
 WAIT_S = 12
 IDLE_S = 60
 """A client of PostgreSQL that does nothing within a transaction for so long is cut off; it takes milliseconds else."""

@@ -1,6 +1,7 @@
 """Files of others, media that cannot be written, and rigs that vanish while they write."""
 
 import contextlib
+import logging
 import os
 import shutil
 import sqlite3
@@ -112,6 +113,24 @@ def test_who_writes_for_too_long_is_named_and_the_others_can_still_read(postgres
             assert history.count() == 1
         writer.close()
         waiting.close()
+
+
+def test_a_connection_that_is_cut_is_one_line(postgresql_place, capfd, monkeypatch):
+    monkeypatch.setattr(
+        logging.getLogger(), "handlers", []
+    )  # as in a program: those of pytest write elsewhere
+    cut, other = Database(parse_address(postgresql_place)), Database(parse_address(postgresql_place))
+    with pytest.raises(HistoryError, match="cannot read the history") as caught, cut.reading() as connection:
+        number = connection.scalar(text("SELECT pg_backend_pid()"))
+        with other.reading() as its:
+            assert its.scalar(text(f"SELECT pg_terminate_backend({number}, 10000)"))
+        connection.execute(text("SELECT 1"))
+    assert "\n" not in str(caught.value)
+    with cut.reading() as connection:
+        assert connection.scalar(text("SELECT 1")) == 1
+    cut.close()
+    other.close()
+    assert capfd.readouterr().err == ""
 
 
 def test_the_server_misses_a_rig_that_lost_its_power(postgresql_place):
