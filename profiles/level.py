@@ -135,7 +135,8 @@ def _powers(order: int) -> list[tuple[int, int]]:
 class _Folded:
     """A sample of points of a ridged map: height = profile of the place on the ridge + form.
 
-    The points are in the order of their bins, so that sums over a bin are sums over neighbours.
+    The points are in the order of the halves of the map that predict each other, in each by their bin: the sums over a
+    bin of a half are sums over neighbours, and those over the map are those of both halves.
     """
 
     def __init__(self, surface: HeightMap, period: Period) -> None:
@@ -145,70 +146,98 @@ class _Folded:
         (ex, ey), (ux, uy) = period.across(), period.along()
         phase = (ex * surface.pixel_x_um * j + ey * surface.pixel_y_um * i) / period.pitch_um
         place = ((phase - np.floor(phase)) * FORM_BINS).astype(np.intp) % FORM_BINS
-        order = np.argsort(place, kind="stable")
-        known, i, j = known[order], i[order], j[order]
-        ridge, self.bin = np.floor(phase[order]), place[order]
-        _, self.starts, self.sizes = np.unique(self.bin, return_index=True, return_counts=True)
         along = ux * surface.pixel_x_um * j + uy * surface.pixel_y_um * i
         tile = np.floor((along - along.min()) / max(float(np.ptp(along)), 1e-9) * TILES)
-        self.half = (ridge + tile) % 2 == 0
+        even = (np.floor(phase) + tile) % 2 == 0
+        order = np.argsort(place + FORM_BINS * even, kind="stable")
+        known, i, j, self.bin = known[order], i[order], j[order], place[order]
+        odd = known.size - int(np.count_nonzero(even))
+        self.halves = slice(odd, None), slice(odd)
+        self.count = np.bincount(self.bin, minlength=FORM_BINS)
         self.z = surface.height_um.ravel()[known]
         at = np.linspace(-1.0, 1.0, cols)[j], np.linspace(-1.0, 1.0, rows)[i]
-        right, up = (np.polynomial.legendre.legvander(one, FORM_ORDERS[-1]) for one in at)
-        powers = np.array(_powers(FORM_ORDERS[-1]))
-        self.terms = right[:, powers[:, 0]] * up[:, powers[:, 1]]
+        legendre = np.polynomial.legendre
+        right, up = (legendre.legval(one, np.eye(FORM_ORDERS[-1] + 1)) for one in at)
+        self.lines = np.empty((1 + len(_powers(FORM_ORDERS[-1])), self.z.size))
+        self.lines[0] = self.z
+        for number, (a, b) in enumerate(_powers(FORM_ORDERS[-1]), start=1):
+            np.multiply(right[a], up[b], out=self.lines[number])
         self.weight = np.ones(self.z.size)
 
-    def normal(self, order: int, use: FloatArray) -> "_Normal":
-        """Normal equations up to an order, of the points that ``use`` weighs."""
-        chosen = np.flatnonzero(use)
-        part = np.column_stack([self.terms[chosen, : len(_powers(order))], self.z[chosen]])
-        part *= np.sqrt(use[chosen])[:, None]
-        starts = np.flatnonzero(np.diff(self.bin[chosen], prepend=-1))
-        weight, sums = use[chosen], np.add.reduceat(part * np.sqrt(use[chosen])[:, None], starts)
-        sums /= np.sqrt(np.add.reduceat(weight, starts))[:, None]
-        return _Normal(part.T @ part - sums.T @ sums, float(weight.sum()))
+    def moments(self, order: int, half: slice) -> "_Moments":
+        """Weighted sums of heights and terms up to an order over one half."""
+        weight, place = self.weight[half], self.bin[half]
+        root = np.sqrt(weight)
+        part = self.lines[: 1 + len(_powers(order)), half] * root
+        products = part @ part.T
+        part *= root
+        found = np.zeros((len(part), FORM_BINS))
+        starts = np.flatnonzero(np.diff(place, prepend=-1))
+        found[:, place[starts]] = np.add.reduceat(part, starts, axis=1)
+        return _Moments(products, found, np.bincount(place, weight, FORM_BINS))
+
+    def factors(self, order: int) -> FloatArray:
+        """Least-squares factors of a form up to an order."""
+        first, second = (self.moments(order, half) for half in self.halves)
+        return first.joined(second).normal().factors(order)
 
     def residual(self, factors: FloatArray) -> FloatArray:
         """Heights of all points over the form and the weighted mean of their bin."""
-        left = self.z - self.terms[:, : factors.size] @ factors
-        total, sums = (np.add.reduceat(one, self.starts) for one in (self.weight, self.weight * left))
-        return np.asarray(left - np.repeat(sums / np.maximum(total, 1e-300), self.sizes))
+        left = self.z - factors @ self.lines[1 : 1 + factors.size]
+        total, sums = (np.bincount(self.bin, one, FORM_BINS) for one in (self.weight, self.weight * left))
+        return np.asarray(left - (sums / np.maximum(total, 1e-300))[self.bin])
 
     def reweigh(self, residual: FloatArray) -> None:
         """Points of bins that scatter (walls) weigh little, those that stand out (burrs) nothing."""
         size = np.abs(residual)
         spread = 1.4826 * self._medians(size)
-        spread = np.maximum(spread, 0.1 * float(np.median(spread)) + 1e-9)
-        everywhere = np.repeat(spread, self.sizes)
+        spread = np.maximum(spread, 0.1 * float(np.median(spread[self.count > 0])) + 1e-9)
+        everywhere = spread[self.bin]
         self.weight = np.where(size <= FORM_CLIP * everywhere, everywhere**-2.0, 0.0)
 
     def _medians(self, size: FloatArray) -> FloatArray:
-        """Median of values from 0 on in every bin, by one sort of bin and share of the largest value."""
+        """(bins,) median of values from 0 on in every bin, by one sort of bin and share of the largest value."""
         largest = max(float(size.max()), 1e-300) * 1.001
         ordered = np.sort(self.bin + size / largest)
-        low, high = (ordered[self.starts + half] for half in ((self.sizes - 1) // 2, self.sizes // 2))
-        return np.asarray(largest * (0.5 * (low + high) - self.bin[self.starts]))
+        starts = np.minimum(np.cumsum(self.count) - self.count, ordered.size - 1)
+        low, high = (ordered[starts + half] for half in (np.maximum(self.count - 1, 0) // 2, self.count // 2))
+        return np.asarray(largest * (0.5 * (low + high) - np.arange(FORM_BINS)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Moments:
+    """Weighted sums over points: products of heights and terms, heights and terms in every bin, and weights there."""
+
+    products: FloatArray
+    sums: FloatArray
+    weight: FloatArray
+
+    def joined(self, other: "_Moments") -> "_Moments":
+        """Those of two samples together."""
+        return _Moments(self.products + other.products, self.sums + other.sums, self.weight + other.weight)
+
+    def normal(self) -> "_Normal":
+        """Normal equations of a form about a profile that is free in every bin."""
+        sums = self.sums / np.sqrt(np.where(self.weight > 0.0, self.weight, 1.0))
+        return _Normal(self.products - sums @ sums.T)
 
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Weighted products of the terms and the heights, each less its mean in the same bin."""
+    """Weighted products of the heights and the terms, each less its mean in the same bin; heights first."""
 
     gram: FloatArray
-    weight: float
 
     def factors(self, order: int) -> FloatArray:
         """Least-squares factors up to an order."""
-        count = len(_powers(order))
-        found = np.linalg.lstsq(self.gram[:count, :count], self.gram[:count, -1], rcond=1e-10)[0]
+        count = 1 + len(_powers(order))
+        found = np.linalg.lstsq(self.gram[1:count, 1:count], self.gram[1:count, 0], rcond=1e-10)[0]
         return np.asarray(found, dtype=np.float64)
 
     def left(self, factors: FloatArray) -> float:
         """Sum of squares that a form leaves."""
-        n = factors.size
-        gram = self.gram
-        return float(gram[-1, -1] - 2.0 * factors @ gram[:n, -1] + factors @ gram[:n, :n] @ factors)
+        away = np.append(1.0, -factors)
+        return float(away @ self.gram[: away.size, : away.size] @ away)
 
 
 def periodic_form(surface: HeightMap, period: Period) -> PeriodicForm:
@@ -219,11 +248,12 @@ def periodic_form(surface: HeightMap, period: Period) -> PeriodicForm:
     predicts the others best, if it leaves 0.5 % less than a tilt.
     """
     folded = _Folded(surface, period)
-    if folded.z.size < 4 * folded.terms.shape[1]:
+    if folded.z.size < 4 * (len(folded.lines) - 1):
         return PeriodicForm(1, np.zeros(2))
     for order in FORM_REWEIGHED:
-        folded.reweigh(folded.residual(folded.normal(order, folded.weight).factors(order)))
-    halves = [folded.normal(FORM_ORDERS[-1], folded.weight * half) for half in (folded.half, ~folded.half)]
+        folded.reweigh(folded.residual(folded.factors(order)))
+    moments = [folded.moments(FORM_ORDERS[-1], half) for half in folded.halves]
+    halves = [one.normal() for one in moments]
 
     def missed(order: int) -> float:
         return sum(one.left(other.factors(order)) for one, other in (halves, halves[::-1]))
@@ -233,7 +263,7 @@ def periodic_form(surface: HeightMap, period: Period) -> PeriodicForm:
         left = missed(order)
         if left < least:
             best, least = order, FORM_GAIN * left
-    return PeriodicForm(best, folded.normal(best, folded.weight).factors(best))
+    return PeriodicForm(best, moments[0].joined(moments[1]).normal().factors(best))
 
 
 def _plane_tilt(surface: HeightMap) -> tuple[float, float]:

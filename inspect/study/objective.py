@@ -182,6 +182,21 @@ class Scoring:
             self, tolerances=None, quantile=None, score=self.score if self.noise.present else "contrast"
         )
 
+    def reflections(self, part: Part) -> FloatArray:
+        """(P,) light of the nominal part in 1/sr that reflects more than once; 0 where it cannot be manufactured."""
+        return self.light_after(None if self.bounces == "all" else self.bounces, part)
+
+    def light_after(self, bounces: int | None, part: Part) -> FloatArray:
+        """The same up to another number of reflections; None follows all."""
+        try:
+            design = RidgeDesign(
+                part.pitch, part.ridge_angle, part.wall, part.height_loss, edge_radius_um=part.edge_radius
+            )
+            material = Material(part.alpha_along, part.alpha_across, part.albedo, part.index)
+            return Groove(design, bounces).light(*directions(self.poses, self.convention), material)
+        except AnisoscopeError:
+            return np.zeros(len(self.poses))
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -306,21 +321,8 @@ def _scored(parts: Sequence[Part], scoring: Scoring) -> tuple[FloatArray, FloatA
     """Score, mean contrast and standard deviation of D parts, (D,) each; NaN where no part can be manufactured."""
     radiance = _radiance(parts, *_sample(scoring))
     if scoring.bounces != 1:
-        radiance = radiance + np.array([_reflections(one, scoring) for one in parts])[:, None]
+        radiance = radiance + np.array([scoring.reflections(one) for one in parts])[:, None]
     return _summary(radiance, scoring)
-
-
-def _reflections(part: Part, scoring: Scoring) -> FloatArray:
-    """(P,) light of the nominal part in 1/sr that reflects more than once; 0 where it cannot be manufactured."""
-    try:
-        design = RidgeDesign(
-            part.pitch, part.ridge_angle, part.wall, part.height_loss, edge_radius_um=part.edge_radius
-        )
-        groove = Groove(design, None if scoring.bounces == "all" else scoring.bounces)
-        material = Material(part.alpha_along, part.alpha_across, part.albedo, part.index)
-        return groove.light(*directions(scoring.poses, scoring.convention), material)
-    except AnisoscopeError:
-        return np.zeros(len(scoring.poses))
 
 
 def _summary(radiance: FloatArray, scoring: Scoring) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.study.box import LIMITS, Bounds, Box, check_bounds, scores_of_task, value_of
+from anisoscope.study.box import LIMITS, Bounds, Box, check_bounds, scores_of_task, tabled, value_of
 from anisoscope.study.objective import Part, Scored, Scoring, score
 from anisoscope.study.sweep import Workers, sweep
 
@@ -234,6 +234,7 @@ def optimum(
     steps = (GRID if scoring.tolerances is None else ROBUST_GRID)[len(names)]
     units = np.linspace(0.0, 1.0, steps)
     points = [box.at(point) for point in product(units, repeat=len(names))]
+    exact, scoring = scoring, tabled(box, scoring)
     values = _scored(points, scoring, workers, advance, "searching the grid")
     grid = np.reshape(values, (steps,) * len(names))
     if not np.isfinite(grid).any():
@@ -254,8 +255,8 @@ def optimum(
     found = box.at(best[1])
     return Optimum(
         found,
-        score(found, scoring),
-        score(found, scoring.nominal),
+        score(found, exact),
+        score(found, exact.nominal),
         slices,
         Landscape(
             names,

@@ -1,5 +1,7 @@
 """Designs under tolerances: a sample in arrays against one part after the other, and the search against scipy's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -16,6 +18,12 @@ pytestmark = pytest.mark.benchmark
 TOLERANCES = Tolerances(ridge_angle=0.3, alpha=0.1, height_loss=0.03, seating=0.3)
 SCORING = Scoring(tolerances=TOLERANCES)
 ANGLES = (3.0, 20.0)
+BOUNDS = {
+    "ridge_angle": ANGLES,
+    "pitch": (50.0, 150.0),
+    "alpha_along": (0.03, 0.2),
+    "alpha_across": (0.05, 0.2),
+}
 
 
 def one_by_one(angle):
@@ -62,14 +70,28 @@ def test_the_search_against_scipy(bench):
 
 
 def test_the_search_by_the_number_of_variables(bench):
-    bounds = {
-        "ridge_angle": ANGLES,
-        "pitch": (50.0, 150.0),
-        "alpha_along": (0.03, 0.2),
-        "alpha_across": (0.05, 0.2),
-    }
     works = {}
     for count in (1, 2, 4):
-        varied = dict(list(bounds.items())[:count])
+        varied = dict(list(BOUNDS.items())[:count])
         works[f"{count} varied"] = lambda v=varied: optimum(Part(edge_radius=3.0), v, SCORING, Workers())
     bench.compare("robust designs with rounded crests", works, rounds=2, warm=False)
+
+
+def test_the_search_with_reflections(bench):
+    """All reflections while four parameters are varied; the search has those after the second from a table."""
+    part, all_ = Part(edge_radius=3.0), replace(SCORING, bounces="all")
+    found = bench.compare(
+        "robust designs with rounded crests, 4 varied",
+        {
+            "all reflections": lambda: optimum(part, BOUNDS, all_, Workers()),
+            "two reflections": lambda: optimum(part, BOUNDS, replace(all_, bounces=2), Workers()),
+            "direct light": lambda: optimum(part, BOUNDS, SCORING, Workers()),
+        },
+        rounds=1,
+        warm=False,
+    )
+    best = found["all reflections"].result
+    bench.note(
+        f"{best.evaluations} designs; score of the optimum {best.scored.score:.5f}, from the table {best.hills[0]:.5f}"
+    )
+    assert best.hills[0] == pytest.approx(best.scored.score, rel=2e-3)

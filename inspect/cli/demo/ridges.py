@@ -67,6 +67,7 @@ def _write_reference(path: Path, rng: np.random.Generator) -> None:
 def _recipe() -> dict[str, Any]:
     return {
         "schema": 1,
+        "kind": "ridges",
         "product": "ridged demo plate, pitch 100 µm, ridge angle 10°",
         "surface": {"height_map": "reference.x3p", "pitch_um": PITCH_UM},
         "material": {

@@ -141,9 +141,10 @@ def tables(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> "lis
     return tables
 
 
-def notes(best: "Optimum") -> list[str]:
+def notes(best: "Optimum", scoring: "Scoring") -> list[str]:
     """Notes on an optimum."""
-    found = ["Model: corrected, direct light; reflections between facet and wall are left out."]
+    light = {1: "direct light; reflections between facet and wall are left out", "all": "all reflections"}
+    found = [f"Model: corrected, {light.get(scoring.bounces, f'up to {scoring.bounces} reflections')}."]
     if best.scored.score <= 0.0:
         found.append(
             "The score is not positive: the tolerances exceed the contrast everywhere within these bounds."
@@ -163,7 +164,7 @@ def print_best(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> 
     """Print the optimum."""
     for table in tables(best, plain, scoring):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows])
-    for text in (scoring_text(scoring), *notes(best)):
+    for text in (scoring_text(scoring), *notes(best, scoring)):
         console().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -291,7 +292,7 @@ def optimise(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Find the ridge design with the most contrast, nominal or under tolerances, in direct light.
+    """Find the ridge design with the most contrast, nominal or under tolerances.
 
     The box of --vary is searched on a grid, then refined at the highest maxima. --bounces adds light that ridges
     reflect onto each other. The pitch matters only if something has an absolute size (--edge-radius, or a tolerance of
@@ -350,7 +351,7 @@ def optimise(
             scoring_text(scoring),
             drawn,
             tables(best, plain, scoring),
-            notes(best),
+            notes(best, scoring),
         )
     if plot is not None:
         write_picture(plot, drawn)

@@ -225,6 +225,7 @@ _TEMPLATE = """\
 # What a print should look like, how it is photographed, and how it is judged. Angles in degrees.
 # `anisoscope recipe check` says what this recipe can tell.
 schema = 1
+kind = "prints"
 product = {product}
 version = 1
 

@@ -30,6 +30,7 @@ _TEMPLATE = """\
 # What a part should look like, how it is photographed, and how it is judged. Angles in degrees.
 # `anisoscope recipe check` says what this recipe can tell; `anisoscope recipe teach` sets exposure, region, tolerances.
 schema = 1
+kind = "ridges"
 product = {product}
 version = 1
 

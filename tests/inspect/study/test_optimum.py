@@ -6,6 +6,7 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.study import box
 from anisoscope.study import optimum as search
+from anisoscope.study.box import Box, TabledScoring, tabled
 from anisoscope.study.objective import Part, Scored, Scoring, Tolerances, score
 from anisoscope.study.optimum import optimum
 from anisoscope.study.sweep import Workers
@@ -127,3 +128,27 @@ def test_more_spread_moves_the_robust_optimum_to_a_flatter_place():
 def test_senseless_bounds_are_refused(bounds, match):
     with pytest.raises(UsageError, match=match):
         optimum(Part(), bounds, Scoring(), Workers())
+
+
+def test_light_that_reflects_often_comes_from_a_table_while_searching():
+    asked, box_of_angles = Scoring(bounces="all"), Box(Part(), ("ridge_angle",), (3.0,), (20.0,))
+    searched = tabled(box_of_angles, asked)
+    assert isinstance(searched, TabledScoring)
+    assert searched.table.shape == (6, 2)
+    for angle in (3.0, 7.3, 20.0):
+        part = Part(ridge_angle=angle)
+        exact, twice = (score(part, one).score for one in (asked, Scoring(bounces=2)))
+        found = score(part, searched).score
+        assert found == pytest.approx(exact, rel=5e-4)
+        assert abs(found - exact) < 0.4 * abs(
+            twice - exact
+        )  # the table holds nearly all of what two leave out
+    assert tabled(box_of_angles, Scoring(bounces=2)) == Scoring(bounces=2)
+
+
+def test_where_parts_of_the_box_cannot_be_made_there_is_no_table():
+    asked = Scoring(bounces=3)
+    searched = tabled(Box(Part(edge_radius=30.0), ("pitch",), (2.0,), (400.0,)), asked)
+    assert searched.table is None
+    part = Part(edge_radius=30.0, pitch=400.0)
+    assert score(part, searched) == score(part, asked)
