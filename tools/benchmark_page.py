@@ -9,6 +9,7 @@ import json
 import statistics
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,145 @@ hold under load and on other machines; seconds do not. The trend of all ratios i
 
 Run = dict[str, Any]
 Key = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A number that a benchmark should reach.
+
+    Attributes:
+        work: what is timed.
+        title: of the comparison.
+        label: of the timing.
+        goal: what it should reach: seconds at most, or with ``against`` a ratio at least.
+        clock: "wall_s" or "processor_s"; minima count.
+        against: label of what is divided by the timing; with ``less`` it is taken off.
+        less: label of what is taken off.
+        limit: what keeps it from the goal.
+    """
+
+    work: str
+    title: str
+    label: str
+    goal: float
+    clock: str = "wall_s"
+    against: str | None = None
+    less: str | None = None
+    limit: str = ""
+
+    def reached(self, run: Run) -> float | None:
+        """The number of a run; None where it was not measured."""
+        for one in run["comparisons"]:
+            if one["title"] == self.title and self.label in one["timings"]:
+                least = {label: min(timing[self.clock]) for label, timing in one["timings"].items()}
+                if self.against is not None:
+                    return float(least[self.against] / least[self.label])
+                return float(least[self.label] - (least[self.less] if self.less is not None else 0.0))
+        return None
+
+    def row(self, run: Run) -> str:
+        """The line of the table."""
+        found = self.reached(run)
+        goal = f"≥ {self.goal:g} ×" if self.against is not None else f"≤ {seconds(self.goal)}"
+        if found is None:
+            return f"| {self.work} | {goal} | not measured in this run | |"
+        met = found >= self.goal if self.against is not None else found <= self.goal
+        number = f"{found:.3g} ×" if self.against is not None else seconds(found)
+        clock = "processor" if self.clock == "processor_s" else "wall"
+        return f"| {self.work} | {goal} | {number} ({clock}) | {'met' if met else f'missed: {self.limit}'} |"
+
+
+DISK = "10 frames of 2448 × 2048 on disk"
+COLD = "`anisoscope inspect --frames` of 24 frames of a megapixel"
+DIRECT, REFLECTED = (
+    f"{light}, 15 poses, 1000 × 1000 points" for light in ("direct light", "up to 5 reflections")
+)
+KEPT, ALL = "relief, prepared map", "relief, map to radiances"
+NEW = "the same, not asked before"
+DESIGN, MAP = "`anisoscope predict --ridge-angle 10`", "`anisoscope predict map.x3p --pitch 100`"
+PLATE, HALFTONE = "1000 × 1000 points, ridges at 0°", "512 × 512 pixels, two lights, three inks, halftone"
+YIELD, FOUR = "1000 toleranced parts to verdicts", "robust designs with rounded crests, 4 varied"
+INK = "polynomial, memory of the frame before"
+IMPORTS = "imports of SciPy, Matplotlib and Pydantic are half of it"
+KERNELS = "a third of it is loading numba and its kernels"
+GOALS = (
+    Goal("3 poses of 5 MP TIFF on disk to verdict and sealed record", DISK, "verdict and sealed record", 0.5),
+    Goal(
+        "its report",
+        DISK,
+        "verdict, report and sealed record",
+        0.6,
+        "processor_s",
+        less="verdict and sealed record",
+    ),
+    Goal(
+        "`inspect` in a process of its own, without camera",
+        COLD,
+        "command",
+        2.0,
+        "processor_s",
+        limit=IMPORTS,
+    ),
+    Goal(
+        "the same, more for the first time with a recipe",
+        COLD,
+        "the first with a recipe",
+        5.0,
+        "processor_s",
+        less="command",
+        limit="prediction, causes and views of the map are computed once a recipe",
+    ),
+    Goal("`predict` of a design, not asked before", DESIGN, NEW, 0.5),
+    Goal("`predict` of a map, not asked before", MAP, NEW, 1.5, limit=KERNELS),
+    Goal("ridges of 1000 × 1000 points", PLATE, "measure_ridges", 0.3),
+    Goal("reading x3p of 10 million points", "reading x3p, by points", "1.00046e+07", 0.5),
+    Goal("writing it", "writing x3p, by points", "1.00046e+07", 1.0),
+    Goal("relief of 4000 × 4000 points, 15 poses", "15 poses, by points", "1.6e+07", 3.0, "processor_s"),
+    *(
+        Goal(
+            f"{title.partition(',')[0]}, scene kept, Mitsuba {variant}",
+            title,
+            KEPT,
+            1.5,
+            against=f"Mitsuba {variant}, scene kept",
+        )
+        for title in (DIRECT, REFLECTED)
+        for variant in ("scalar_rgb", "llvm_ad_rgb")
+    ),
+    *(
+        Goal(
+            f"reflections, map to radiances, Mitsuba {variant}",
+            REFLECTED,
+            ALL,
+            6.0,
+            against=f"Mitsuba {variant}, map to radiances",
+            limit="paths are followed one by one, LLVM follows several in one vector",
+        )
+        for variant in ("scalar_rgb", "llvm_ad_rgb")
+    ),
+    Goal("robust design, 1 varied", "robust designs with rounded crests", "1 varied", 1.0),
+    Goal("robust design, 4 varied", "robust designs with rounded crests", "4 varied", 10.0),
+    Goal("the same with all reflections", FOUR, "all reflections", 60.0),
+    Goal("1000 toleranced parts to verdicts", YIELD, "one process", 20.0),
+    Goal("the same on two processes", YIELD, "two processes", 1.8, against="one process"),
+    Goal("ink frame of three inks, halftone", HALFTONE, INK, 0.0015),
+    Goal("fit of an ink", "4592 readings", "fit with all checks", 0.004),
+    Goal(
+        "15 directions × 31 wavelengths, 4096 × 4096",
+        "15 directions × 31 wavelengths, by heights",
+        "1.67772e+07",
+        15.0,
+        "processor_s",
+    ),
+    Goal(
+        "wafer window by waves, with budget",
+        "wafer window of 896 × 896 points by waves, three poses",
+        "prediction with its budget",
+        5.0,
+    ),
+    Goal("`--help`", "`anisoscope --help`", "command", 0.25),
+    Goal("`profile info`", "`anisoscope profile info map.x3p`", "command", 0.5),
+)
 
 
 def main(arguments: list[str]) -> int:
@@ -113,6 +253,7 @@ def page(run: Run) -> Iterator[str]:
     yield f"{machine['processor']}, {machine['cores']} cores, load at the start {machine['load_start']:.1f};"
     yield f"Python {machine['python']}, {libraries}."
     yield ""
+    yield from goals(run)
     yield from growth_laws(run)
     for name, comparisons in by_file(run).items():
         yield f"## {name}"
@@ -128,6 +269,20 @@ def by_file(run: Run) -> dict[str, list[Run]]:
         name = one["test"].split("::")[0].removeprefix("test_").removesuffix(".py").replace("_", " ")
         found.setdefault(name.capitalize(), []).append(one)
     return found
+
+
+def goals(run: Run) -> Iterator[str]:
+    """A table of what was aimed at."""
+    yield "## Goals"
+    yield ""
+    yield "Minima on two cores. The simulated camera is in [where the time goes](time-of-an-inspection.md); there is no"
+    yield "GPU backend ([why](../decisions/0021-no-gpu-yet.md))."
+    yield ""
+    yield "| work | goal | reached | |"
+    yield "|---|---|---|---|"
+    for one in GOALS:
+        yield one.row(run)
+    yield ""
 
 
 def growth_laws(run: Run) -> Iterator[str]:
@@ -166,10 +321,15 @@ def section(one: Run) -> Iterator[str]:
         yield ""
 
 
-def span(seconds: list[float]) -> str:
+def span(spans: list[float]) -> str:
     """Minimum and median with their unit."""
-    scale, unit = (1e3, "ms") if statistics.median(seconds) < 1.0 else (1.0, "s")
-    return f"{scale * min(seconds):.3g} / {scale * statistics.median(seconds):.3g} {unit}"
+    scale, unit = (1e3, "ms") if statistics.median(spans) < 1.0 else (1.0, "s")
+    return f"{scale * min(spans):.3g} / {scale * statistics.median(spans):.3g} {unit}"
+
+
+def seconds(value: float) -> str:
+    """A time with its unit."""
+    return f"{value:.3g} s" if value >= 0.1 else f"{1e3 * value:.3g} ms"
 
 
 if __name__ == "__main__":

@@ -60,3 +60,26 @@ def test_the_page_states_ratios_and_growth_laws(recorded):
     text = page.PAGE.read_text(encoding="utf-8")
     assert "| growth | 1, 10 | 1.00 |" in text
     assert "| theirs | 1 / 1.5 s | 1 / 1.5 s | 1.67 |" in text
+
+
+def test_goals_say_what_was_reached_and_what_limits_the_rest():
+    found = run(0.6, 1.0)
+    goals = {
+        ("ours", 1.0, None): "| w | ≤ 1 s | 0.6 s (wall) | met |",
+        ("ours", 0.05, None): "| w | ≤ 50 ms | 0.6 s (wall) | missed: why |",
+        ("ours", 1.5, "theirs"): "| w | ≥ 1.5 × | 1.67 × (wall) | met |",
+        ("others", 1.0, None): "| w | ≤ 1 s | not measured in this run | |",
+    }
+    for (label, goal, against), row in goals.items():
+        assert page.Goal("w", "work", label, goal, against=against, limit="why").row(found) == row
+    assert "| growth | 1, 10 | 1.00 |" in page.page(found)
+
+
+def test_every_goal_names_a_comparison_of_the_benchmarks():
+    """Titles and labels are those that benchmarks give, as far as these are literals."""
+    folder = Path(__file__).resolve().parents[1] / "benchmarks"
+    text = "".join(path.read_text(encoding="utf-8") for path in folder.glob("test_*.py"))
+    for goal in page.GOALS:
+        for named in (goal.label, goal.against, goal.less):
+            known = named is None or named[0].isdigit() or named.startswith("Mitsuba") or f'"{named}"' in text
+            assert known, goal

@@ -276,7 +276,7 @@ def optimise(
     bounces: Annotated[
         int | Literal["all"],
         Parameter(
-            help="Most reflections; 1: direct light; 2 holds most of what 'all' adds, in a tenth of its time."
+            help="Most reflections; 1: direct light; 2 holds most of what 'all' adds, in half of its time."
         ),
     ] = 1,
     light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
