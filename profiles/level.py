@@ -174,7 +174,7 @@ class _Folded:
         found = np.zeros((len(part), FORM_BINS))
         starts = np.flatnonzero(np.diff(place, prepend=-1))
         found[:, place[starts]] = np.add.reduceat(part, starts, axis=1)
-        return _Moments(products, found, np.bincount(place, weight, FORM_BINS))
+        return _Moments(products, found, np.bincount(place, weight, FORM_BINS).astype(np.float64))
 
     def factors(self, order: int) -> FloatArray:
         """Least-squares factors of a form up to an order."""
