@@ -148,7 +148,7 @@ COMMANDS = {
         "profile": ("profile.profile:app", "Read, measure, edit, compare, convert and make height maps."),
         "optimise": (
             "study.optimise:optimise",
-            "Find the ridge design with the most contrast, nominal or under tolerances, in direct light.",
+            "Find the ridge design with the most contrast, nominal or under tolerances.",
         ),
         "design": (
             "design.design:app",
