@@ -22,6 +22,7 @@ from typing import Any
 from anisoscope.base.errors import NotConnected, RigError
 
 POLL_S = 0.05
+PROC = Path("/proc")
 SIMULATED = "sim://"  # exists in its own process only
 
 
@@ -52,12 +53,7 @@ class Holder:
     @property
     def is_alive(self) -> bool:
         """Whether that very process still runs."""
-        try:
-            if os.name != "nt":  # there it would end the process
-                os.kill(self.pid, 0)
-        except OSError:
-            return False
-        return _started(self.pid) == self.started
+        return _started(self.pid) == self.started != ""
 
     def interrupt(self) -> None:
         """Request an orderly end, as Ctrl-C in its terminal does.
@@ -239,13 +235,26 @@ def _read(note: Path) -> Holder | None:
 
 
 def _started(pid: int) -> str:
-    """When a process was started, from /proc; "" on systems without it."""
+    """When a process was started; "" for one that has ended."""
+    if not PROC.is_dir():
+        return _started_elsewhere(pid)
     try:
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        text = (PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
     fields = text.rpartition(")")[2].split()  # from field 3 of proc(5); the name before it may hold anything
     return "" if fields[0] == "Z" else fields[19]  # what has ended and was not waited for holds nothing
+
+
+def _started_elsewhere(pid: int) -> str:
+    """As `_started`, on Windows and macOS. Not on Linux, where it changes with the clock."""
+    import psutil  # noqa: PLC0415 - slow to import, and not needed on Linux
+
+    try:
+        process = psutil.Process(pid)
+        return "" if process.status() == psutil.STATUS_ZOMBIE else repr(process.create_time())
+    except psutil.Error:
+        return ""
 
 
 def _handled_signal() -> str:

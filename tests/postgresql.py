@@ -1,7 +1,6 @@
 """A PostgreSQL server of a test run's own: a new cluster on a free port, for all workers, removed at the run's end."""
 
 import contextlib
-import fcntl
 import json
 import os
 import secrets
@@ -85,6 +84,8 @@ def stop(folder: Path, data: Path) -> None:
 
 def address(run_folder: Path) -> str:
     """Address of the server of a test run; whichever worker asks first starts it."""
+    import fcntl  # POSIX only; every run imports this module, also where no server is asked for
+
     programs()
     with (run_folder / "postgresql.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

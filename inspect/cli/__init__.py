@@ -3,6 +3,7 @@
 Commands import what they need when they run, so that ``--help`` answers at once.
 """
 
+import io
 import os
 import signal
 import sys
@@ -26,6 +27,7 @@ from anisoscope.cli.help_page import (
 from anisoscope.cli.log import listening, options_of, report
 from anisoscope.cli.recipe_options import apply_recipe
 from anisoscope.cli.setup.project_place import project_files
+from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
 
 EXIT_INTERRUPTED = 130
 
@@ -316,11 +318,17 @@ def _call(arguments: list[str]) -> object:
     return result
 
 
+def take_any_letter(*streams: object) -> None:
+    """Have streams write "?" for letters that their encoding lacks, such as σ on a Windows pipe, instead of failing."""
+    for stream in streams:
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
 def main() -> NoReturn:
     """Entry point of the ``anisoscope`` command."""
-    # SIGHUP: the terminal was closed; nohup ignores it, and Windows knows none.
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    for number in (signal.SIGINT, *numbers):
+    take_any_letter(sys.stdout, sys.stderr)
+    for number in INTERRUPTIONS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _terminate)
     try:
@@ -331,6 +339,6 @@ def main() -> NoReturn:
         code = 0
     except KeyboardInterrupt:  # a second one, while the first was being reported
         code = EXIT_INTERRUPTED
-    for number in (signal.SIGINT, *numbers):  # all is done; nobody needs a traceback of the end
+    for number in INTERRUPTIONS:  # all is done; nobody needs a traceback of the end
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)

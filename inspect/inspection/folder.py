@@ -1,11 +1,15 @@
 """The folder of an inspection: its name, who works in it, and what is left when nothing came of it."""
 
 import contextlib
+import errno
+import hashlib
 import os
+import tempfile
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, cast
 
 from anisoscope.base.errors import RecordError
 from anisoscope.record.schema import RECORD_NAME
@@ -17,6 +21,14 @@ JOB = "job.json"
 SCAN = "scan.json"  # of a reflectance scan, which is no inspection
 INPUTS = "inputs"
 LONGEST_NAME = 160
+# Names of devices, which Windows takes for them with any ending.
+_DEVICES = {
+    "CON",
+    "PRN",
+    "AUX",
+    "NUL",
+    *(f"{kind}{number}" for kind in ("COM", "LPT") for number in range(1, 10)),
+}
 
 
 def make_folder(out: Path, serial: str) -> Path:
@@ -45,6 +57,8 @@ def _as_file_name(serial: str) -> str:
     """The serial number in letters that every file system and shell takes, at most 160 bytes of UTF-8."""
     plain = unicodedata.normalize("NFC", serial).replace("#", "")
     safe = "".join(one if one.isalnum() or one in "._+-" else "_" for one in plain)
+    if safe.partition(".")[0].upper() in _DEVICES:
+        safe = f"_{safe}"
     return safe.encode()[:LONGEST_NAME].decode(errors="ignore")
 
 
@@ -78,30 +92,39 @@ def add_resume_hint(folder: Path, error: BaseException) -> None:
 
 @contextlib.contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """Lock an inspection folder for exclusive work.
-
-    The lock dies with its process; where the system has no such locks, there is none.
+    """Lock an inspection folder for exclusive work. The lock dies with its process.
 
     Raises:
         RecordError: somebody else works in it, or there is no such folder.
     """
     try:
-        import fcntl  # noqa: PLC0415 - POSIX only
-    except ImportError:
-        yield
-        return
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor, lock = _open_lock(folder)
     except OSError as error:
         raise RecordError(f"{folder}: cannot be opened: {error.strerror}") from error
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            lock(descriptor)
+        except (BlockingIOError, PermissionError):  # what POSIX says, and what Windows says
             raise RecordError(f"{folder}: another process is at work on this inspection") from None
         yield
     finally:
         os.close(descriptor)
+
+
+def _open_lock(folder: Path) -> tuple[int, Callable[[int], None]]:
+    """A descriptor and what locks it: of the folder itself; on Windows, which locks files only, of one elsewhere."""
+    try:
+        import fcntl  # noqa: PLC0415 - POSIX only
+    except ImportError:
+        import msvcrt  # noqa: PLC0415 - Windows only
+
+        if not folder.is_dir():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from None
+        name = hashlib.sha256(os.path.normcase(folder.resolve()).encode()).hexdigest()[:24]
+        place = Path(tempfile.gettempdir()) / f"anisoscope-{name}.lock"
+        take = cast("Any", msvcrt)  # whose types exist on Windows only
+        return os.open(place, os.O_RDWR | os.O_CREAT), lambda one: take.locking(one, take.LK_NBLCK, 1)
+    return os.open(folder, os.O_RDONLY), lambda one: fcntl.flock(one, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _has_frames(folder: Path) -> bool:

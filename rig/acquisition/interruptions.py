@@ -1,19 +1,27 @@
-"""Ctrl-C, SIGTERM and SIGHUP wait while something is done that must not be left half done."""
+"""Signals that end a program, and how they wait while something is done that must not be left half done."""
 
 import contextlib
 import signal
 import threading
 from collections.abc import Iterator
-from types import FrameType
+from types import FrameType, ModuleType
 
-INTERRUPTIONS = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+
+def interruptions(module: ModuleType = signal) -> tuple[int, ...]:
+    """The signals that ask this system's programs to end.
+
+    SIGHUP: the terminal was closed; Windows has none. SIGBREAK: Ctrl-Break or a closed console; only Windows has it.
+    """
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+    return tuple(getattr(module, name) for name in names if hasattr(module, name))
+
+
+INTERRUPTIONS = interruptions()
 
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """Hold back Ctrl-C, SIGTERM and SIGHUP; what came meanwhile is delivered at the end.
+    """Hold back `INTERRUPTIONS`; what came meanwhile is delivered at the end.
 
     Only the main thread gets signals; in other threads this does nothing.
     """

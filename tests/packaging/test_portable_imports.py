@@ -53,7 +53,7 @@ GUARDED = {
     ("sim/bench/serve.py", "pty"): "imported when a pseudo terminal is asked for; its absence is a RigError",
     ("sim/bench/serve.py", "tty"): "likewise",
     ("sim/bench/serve.py", "os.ttyname"): "likewise",
-    ("inspect/inspection/folder.py", "fcntl"): "where it is missing, the folder is not locked",
+    ("inspect/inspection/folder.py", "fcntl"): "where it is missing, Windows' msvcrt locks",
     ("rig/portholder.py", "os.getuid"): "behind hasattr(os, 'getuid')",
     ("profiles/files/decoder_worker.py", "resource"): "on Linux only; elsewhere the parent limits time",
     ("profiles/files/decoder_worker.py", "signal.setitimer"): "likewise",
@@ -118,3 +118,12 @@ def test_nothing_needs_posix(folder):
             assert not at_import, f"{name}: {use} is needed as soon as it is imported"
             found.add((name, use))
     assert found == {key for key in GUARDED if key[0].startswith(f"{folder}/")}, "a guard that guards nothing"
+
+
+def test_processes_are_spawned_or_of_loky():
+    """A fork copies threads and locks, and Windows has none: nobody relies on one."""
+    for path in MODULES:
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(
+            r"get_context\((?!\"spawn\"\))|set_start_method|multiprocessing import .*Pool", text
+        ), path

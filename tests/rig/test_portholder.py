@@ -13,7 +13,15 @@ from serial.tools import list_ports
 
 from anisoscope.base.errors import NotConnected, RigError
 from anisoscope.rig import portholder
-from anisoscope.rig.portholder import Holder, actual_port, claim, holder_of, release, wait_until_released
+from anisoscope.rig.portholder import (
+    Holder,
+    actual_port,
+    claim,
+    holder_of,
+    is_abandoned,
+    release,
+    wait_until_released,
+)
 from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
@@ -185,3 +193,17 @@ def test_a_port_named_by_its_usb_device_is_found_under_any_number(monkeypatch, n
 def test_the_holder_of_a_port_is_found_by_its_usb_device(other, port, monkeypatch):
     monkeypatch.setattr(list_ports, "comports", lambda: [usb(port)])
     assert holder_of("usb:DK0A1B2C").pid == other.pid
+
+
+def test_without_proc_a_killed_process_holds_nothing_either(other, port, folder, monkeypatch):
+    """As on Windows and macOS: psutil says when a process was started, and that it has ended."""
+    monkeypatch.setattr(portholder, "PROC", folder / "no such folder")
+    (note,) = folder.glob("*.json")
+    started = portholder._started(other.pid)
+    assert started != ""
+    note.write_text(json.dumps(json.loads(note.read_text()) | {"started": started}))
+    assert holder_of(port).pid == other.pid
+    other.kill()
+    other.wait()
+    assert holder_of(port) is None
+    assert is_abandoned(port)

@@ -20,6 +20,7 @@ from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
+from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.watch import Watch
@@ -187,8 +188,7 @@ def _until_signalled() -> Iterator[threading.Event]:
             )
         del number
 
-    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    for number in numbers:
+    for number in INTERRUPTIONS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             before[number] = signal.signal(number, on_signal)
     try:

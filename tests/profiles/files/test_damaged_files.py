@@ -1,6 +1,5 @@
 """Truncated files and files with flipped header bytes: HeightMapError or a plausible map, and nothing else."""
 
-import resource
 import time
 from pathlib import Path
 
@@ -28,6 +27,7 @@ REAL_HEADERS = {
 @pytest.fixture
 def little_memory():
     """No more than 1 GiB above what is in use; the guarded process has limits of its own."""
+    resource = pytest.importorskip("resource", reason="Windows has no limits of memory")
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limits = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY_BYTES, limits[1]))

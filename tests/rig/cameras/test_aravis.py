@@ -4,7 +4,6 @@ One is in this folder (`gige_camera.py`) and has faults at chosen frames; the ot
 """
 
 import contextlib
-import fcntl
 import shutil
 import signal
 import subprocess
@@ -285,6 +284,8 @@ def fake():
     """``with fake(lost) as address``: Aravis' fake camera. It has one address, so that one user of it at a time."""
     if not FAKE:
         pytest.skip("apt-get install aravis-tools")
+    import fcntl  # where the camera is, there is POSIX
+
     lock = Path(tempfile.gettempdir(), "anisoscope-fake-gv-camera.lock").open("w")  # noqa: SIM115
     fcntl.flock(lock, fcntl.LOCK_EX)
 
