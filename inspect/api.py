@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from anisoscope.quality.control import ControlStudy
     from anisoscope.recipe.base import RecipeBase
     from anisoscope.record.schema import Record
+    from anisoscope.rig.acquisition.nexus import write_nexus
     from anisoscope.rig.acquisition.opening import open_rig
     from anisoscope.rig.discovery import find_ports
     from anisoscope.rig.drivers import open_camera, open_light, open_stage
@@ -92,6 +93,7 @@ _HOME = {
     "Specification": "anisoscope.quality.capability",
     "ControlStudy": "anisoscope.quality.control",
     "Record": "anisoscope.record.schema",
+    "write_nexus": "anisoscope.rig.acquisition.nexus",
     "open_rig": "anisoscope.rig.acquisition.opening",
     "find_ports": "anisoscope.rig.discovery",
     "open_camera": "anisoscope.rig.drivers",
@@ -179,6 +181,7 @@ __all__ = [
     "verify",
     "write_height_map",
     "write_height_map_report",
+    "write_nexus",
 ]
 
 

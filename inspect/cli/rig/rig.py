@@ -51,6 +51,7 @@ _register("anisoscope.cli.rig.focus:focus", _move)
 _register("anisoscope.cli.rig.hold:hold", _move)
 _register("anisoscope.cli.rig.markers:markers", _set_up)
 _register("anisoscope.cli.rig.scan:scan", _set_up)
+_register("anisoscope.cli.rig.export:export", _look)
 for _check in ("commission", "check"):
     _register(f"anisoscope.cli.rig.commission:{_check}", _set_up)
 app.command(
