@@ -1,8 +1,8 @@
 """Pictures of ridges against Mitsuba 3: the exported body, path traced, shows both pictures.
 
-64 × 64 fields of 100 µm from two photographs of scikit-image; isotropic roughness, because Mitsuba's lobe cannot turn
-with the fields. The body of the part is read from its STL by VTK. Parallel rays from above, 8 × 8 pixels a field, light
-reflected up to five times; a field is the mean of its pixels.
+64 × 64 and 256 × 256 fields of 100 µm from two photographs of scikit-image; isotropic roughness, because Mitsuba's lobe
+cannot turn with the fields. The body of the part is read from its STL by VTK. Parallel rays from above, 8 × 8 pixels a
+field, light reflected up to five times; a field is the mean of its pixels.
 """
 
 import cv2
@@ -26,19 +26,19 @@ pytestmark = [
     pytest.mark.benchmark,
     pytest.mark.skipif(mitsuba is None, reason="needs the extra [benchmark]: make benchmark installs it"),
 ]
-FIELDS, FIELD_UM, PIXELS, SAMPLES = 64, 100.0, 8, 4
+FIELD_UM, PIXELS, SAMPLES = 100.0, 8, 4
 STAGES = (0.0, 90.0)
 ALPHA, ALBEDO, LIGHT_DEG = 0.08, 0.2, 10.0
 VARIANT, DEPTH = "scalar_rgb", 6
 
 
-def photographs():
+def photographs(fields):
     grey = [skimage.data.camera(), cv2.cvtColor(skimage.data.astronaut(), cv2.COLOR_RGB2GRAY)]
-    return np.array([cv2.resize(one, (FIELDS, FIELDS), interpolation=cv2.INTER_AREA) / 255.0 for one in grey])
+    return np.array([cv2.resize(one, (fields, fields), interpolation=cv2.INTER_AREA) / 255.0 for one in grey])
 
 
-def traced(path, stage_deg):
-    """(FIELDS, FIELDS) radiance of the fields of a body, first row at the top; it stays, and the light turns."""
+def traced(path, fields, stage_deg):
+    """(fields, fields) radiance of the fields of a body, first row at the top; it stays, and the light turns."""
     mitsuba.set_variant(VARIANT)
     body = pyvista.read(path)
     points = np.asarray(body.points, dtype=np.float32)
@@ -60,7 +60,7 @@ def traced(path, stage_deg):
     parameters = mitsuba.traverse(mesh)
     parameters["vertex_positions"], parameters["faces"] = points.ravel(), faces.ravel()
     parameters.update()
-    half = 0.5 * FIELDS * FIELD_UM * 1e-3
+    half = 0.5 * fields * FIELD_UM * 1e-3
     around, lean = np.radians(-stage_deg), np.radians(LIGHT_DEG)
     way = [-np.sin(lean) * np.cos(around), -np.sin(lean) * np.sin(around), -np.cos(lean)]
     frame = np.eye(4)
@@ -78,8 +78,8 @@ def traced(path, stage_deg):
             "far_clip": 10.0,
             "film": {
                 "type": "hdrfilm",
-                "width": FIELDS * PIXELS,
-                "height": FIELDS * PIXELS,
+                "width": fields * PIXELS,
+                "height": fields * PIXELS,
                 "pixel_format": "luminance",
                 "component_format": "float32",
                 "rfilter": {"type": "box"},
@@ -88,7 +88,7 @@ def traced(path, stage_deg):
         },
     }
     picture = np.array(mitsuba.render(mitsuba.load_dict(scene), seed=1))[..., 0]
-    return picture.reshape(FIELDS, PIXELS, FIELDS, PIXELS).mean(axis=(1, 3))
+    return picture.reshape(fields, PIXELS, fields, PIXELS).mean(axis=(1, 3))
 
 
 def cross_talk(shown, own, other):
@@ -98,17 +98,19 @@ def cross_talk(shown, own, other):
     return abs(weight[1] / weight[0])
 
 
-def test_the_exported_body_shows_both_pictures(bench, tmp_path):
-    pictures = photographs()
+@pytest.mark.parametrize("fields", [64, 256])
+def test_the_exported_body_shows_both_pictures(bench, tmp_path, fields):
+    pictures = photographs(fields)
     ridges = RidgeDesign(50.0, 8.0, 10.0, edge_radius_um=1.0)
     material = Material(ALPHA, ALPHA, ALBEDO)
     found = design_pictures(pictures, STAGES, ridges, FIELD_UM, material, LIGHT_DEG)
     write_body(Body(found.plan, ridges, 1000.0), tmp_path / "part.stl", "part")
     works = {"predicted": found.likeness}
     works |= {
-        f"Mitsuba at {stage:g}°": lambda one=stage: traced(tmp_path / "part.stl", one) for stage in STAGES
+        f"Mitsuba at {stage:g}°": lambda one=stage: traced(tmp_path / "part.stl", fields, one)
+        for stage in STAGES
     }
-    run = bench.compare(f"{FIELDS} × {FIELDS} fields, two pictures", works, rounds=1, warm=False)
+    run = bench.compare(f"{fields} × {fields} fields, two pictures", works, rounds=1, warm=False)
     predicted, talk = run["predicted"].result
     for number, stage in enumerate(STAGES):
         light = run[f"Mitsuba at {stage:g}°"].result

@@ -308,6 +308,8 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         found = record.details
         if not isinstance(found, PlateDetails):
             return CommandOutput({"plate": None})
+        if not found.contrasts:
+            return CommandOutput({"plate": found.model_dump(mode="json")})
         rows = [
             [
                 one.title,

@@ -1,6 +1,7 @@
 """Plates: prediction of their classes, gates, verdict on classes and fields, and the code."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -25,11 +26,13 @@ from anisoscope.kinds.plates.measurement import (
     field_means,
     measure_plate,
 )
+from anisoscope.kinds.plates.record import PlateContrastRecord, PlateDetails
 from anisoscope.kinds.plates.reference_plates import GoldenPlate, GoldenPlates, reference_table
 from anisoscope.kinds.registry import kind_of
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import Plan, plate_map
+from anisoscope.record.verdict import Verdict
 from anisoscope.sim.design.plates import modules_of_code
 
 LIGHT_DEG = 10.0
@@ -529,3 +532,19 @@ def test_classes_with_a_ridge_angle_of_their_own_are_predicted_with_it(recipe):
     both = [expected_plate(one, plain, LIGHT_DEG, cached=True).radiance for one in (recipe, other)]
     np.testing.assert_allclose(found.radiance, [both[0][0], both[1][1]], rtol=1e-9)
     assert not np.allclose(both[0][1], both[1][1], rtol=0.1)
+
+
+def test_of_many_contrasts_those_are_shown_that_do_not_pass_and_then_the_largest_deviations():
+    rows = [
+        PlateContrastRecord(
+            name=f"ln A/B at {number}", measured=0.001 * number, predicted=0.0, u=0.01, tolerance=0.2, guard=0.02,
+            verdict=Verdict.FAIL if number == 3 else Verdict.PASS,
+        )
+        for number in range(60)
+    ]  # fmt: skip
+    shown = PlateDetails(contrasts=tuple(rows)).listed
+    assert len(shown) == 24
+    assert [one.title for one in shown[:2]] == [f"ln ratio A / B at {n}°, tilt 0°" for n in (3, 59)]
+    assert PlateDetails(contrasts=tuple(rows[:5])).listed == tuple(rows[:5])
+    record = SimpleNamespace(details=PlateDetails(), serial="P", product="plate")
+    assert PLATES.summary(record).tables == ()  # an INVALID plate has none
