@@ -4,6 +4,10 @@ Photographs and radiances are those of `calibrate material` (`inspection.materia
 places of the poses, a folder from which the scan can be resumed, and the budget of every value (JCGM 100:2008): noise,
 flicker, flat, linearity, drift, stray light and registration as of an inspection, the scale of the white tile, and the
 angles, through the slopes of the scanned lobe itself.
+
+The seating of a coupon is found from its scan: a lobe fitted to the radiances stands about the normal of the coupon
+(`fit.lobe`), and the directions of the table are those that the coupon sees. Parts of the region whose radiances follow
+other normals say how flat it is.
 """
 
 import json
@@ -19,9 +23,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.csv_style import csv_text, number_text
-from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.errors import AnisoscopeError, CalibrationError, RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.bsdf.directions_table import COLUMNS, DirectionsTable, polar_degrees
+from anisoscope.fit.lobe import Scan, fit_lobe
 from anisoscope.fit.table import read_readings
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.inspection.folder import SCAN, sweep, working_in
@@ -32,12 +37,17 @@ from anisoscope.inspection.material_calibration import Setup, measure_scan, phot
 from anisoscope.record.schema import Particulars
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 from anisoscope.rig.rigfile import check_arm
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
+from anisoscope.sim.light.material import Material
 
-TABLE, READINGS, BUDGET = "brdf.csv", "readings.csv", "budget.json"
+TABLE, READINGS, BUDGET, GONIOMETER = "brdf.csv", "readings.csv", "budget.json", "goniometer.csv"
+FLATNESS_LIMIT_DEG = 0.5
+"""Normals of a coupon may lean so far from their mean."""
 BRACKETS = (4.0, 16.0)
 """Exposures that a recipe without brackets gets: a lobe spans more than one frame."""
 _FINE_STAGE, _FINE_TILT = 2.5, 0.5
+_SEATING_STEP_DEG = 0.05
+_PARTS = 3  # along a side of the region
 _SPREAD = 0.4  # share of the poses that are spread evenly, whatever the lobe
 
 
@@ -70,6 +80,8 @@ class ScanResult:
         to_camera: (P, 3).
         brdf: (P,) in 1/sr.
         budget: relative standard uncertainties (P,) by their source.
+        wavelength_nm: of the lamp, where the rig file states it.
+        coupon: seating and flatness; None of a part, whose seating is that of the recipe's uncertainty.
     """
 
     poses: tuple[Pose, ...]
@@ -77,6 +89,8 @@ class ScanResult:
     to_camera: FloatArray
     brdf: FloatArray
     budget: dict[str, FloatArray]
+    wavelength_nm: float | None = None
+    coupon: "CouponSeat | None" = None
 
     @property
     def u(self) -> FloatArray:
@@ -87,7 +101,46 @@ class ScanResult:
         """The rows that `fit brdf` reads."""
         angles = np.column_stack([polar_degrees(self.to_light), polar_degrees(self.to_camera)])
         rows = np.column_stack([angles, self.brdf, self.brdf * self.u])
-        return DirectionsTable((*COLUMNS, "u"), rows)
+        if self.wavelength_nm is None:
+            return DirectionsTable((*COLUMNS, "u"), rows)
+        rows = np.column_stack([rows, np.full(len(rows), self.wavelength_nm)])
+        return DirectionsTable((*COLUMNS, "u", "wavelength_nm"), rows)
+
+    def goniometer_csv(self) -> str:
+        """The rows that `ink fit --values brdf` reads, of a scan whose wavelength is known.
+
+        A structural-colour ink depends on the angle of the half vector and on the mean of both inclinations alone
+        (Pranovich 2024, Eq. 5): each row is the pair in the plane of incidence that has the same two.
+        """
+        assert self.wavelength_nm is not None
+        half = self.to_light + self.to_camera
+        lean = np.degrees(np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2]))
+        mean = 0.5 * (polar_degrees(self.to_light)[:, 0] + polar_degrees(self.to_camera)[:, 0])
+        rows = [
+            [number_text(f"{x:.9g}") for x in (a + b, a - b, self.wavelength_nm, value)]
+            for a, b, value in zip(mean, lean, self.brdf, strict=True)
+        ]
+        return csv_text([("theta_i_deg", "theta_o_deg", "wavelength_nm", "value"), *rows])
+
+
+@dataclass(frozen=True, eq=False)
+class CouponSeat:
+    """How a coupon lies on the stage, found from its scan.
+
+    Attributes:
+        about_x_deg, about_y_deg: seating, as of `seating_rotation`.
+        u_deg: standard uncertainties of both.
+        log_slopes: (P, 2) change of ln L per degree about x and about y.
+        flatness_deg: largest angle between the normal of a ninth of the region and their mean.
+        u_flatness_deg: its standard uncertainty.
+    """
+
+    about_x_deg: float
+    about_y_deg: float
+    u_deg: tuple[float, float]
+    log_slopes: FloatArray
+    flatness_deg: float
+    u_flatness_deg: float
 
 
 def planned_poses(
@@ -285,11 +338,23 @@ def _measured(folder: Path, job: Job, setup: Setup, manifest: Manifest, on_progr
         for pose, value, u in zip(found.poses, found.brdf * found.to_light[:, 2], found.u, strict=True)
     ]
     write_text(folder / READINGS, csv_text([("stage_deg", "tilt_deg", "value", "u"), *rows]))
+    seat = found.coupon
     budget = {
+        "seating": None
+        if seat is None
+        else {
+            "about_x_deg": seat.about_x_deg,
+            "about_y_deg": seat.about_y_deg,
+            "u_deg": list(seat.u_deg),
+            "flatness_deg": seat.flatness_deg,
+            "u_flatness_deg": seat.u_flatness_deg,
+        },
         "unit": "relative standard uncertainty of each row of brdf.csv, k = 1",
         "sources": {name: part.tolist() for name, part in found.budget.items()},
         "combined": found.u.tolist(),
     }
+    if found.wavelength_nm is not None:
+        write_text(folder / GONIOMETER, found.goniometer_csv())
     write_text(folder / BUDGET, json.dumps(budget, indent=1) + "\n")
     return found
 
@@ -301,11 +366,83 @@ def _result(job: Job, setup: Setup, measured: Measured) -> ScanResult:
     budget["scale of the white tile"] = np.full(len(light), uncertainty.scale_share)
     by_stage, by_tilt = log_slopes(setup.poses, measured.radiance)
     budget["stage angle"] = np.abs(by_stage) * uncertainty.stage_deg
-    budget["tilt and seating"] = np.abs(by_tilt) * uncertainty.seating_tilt_deg
+    seat = None
+    if setup.specimen.name == "coupon":
+        seat = coupon_seat(setup, measured)
+        turn = seating_rotation(seat.about_x_deg, seat.about_y_deg)
+        light, camera = light @ turn, camera @ turn
+        budget["seating, found from the scan"] = np.hypot(*(seat.log_slopes * seat.u_deg).T)
+        budget["tilt"] = np.abs(by_tilt) * uncertainty.tilt_deg
+    else:
+        budget["tilt and seating"] = np.abs(by_tilt) * uncertainty.seating_tilt_deg
     # The half vector turns by half of what the light does, in a plane across that of the tilt.
     across = np.hypot(by_tilt, by_stage / np.maximum(_tangent(light, camera), 0.02))
     budget["light angle"] = 0.5 * across * uncertainty.light_angle_deg
-    return ScanResult(setup.poses, light, camera, measured.radiance / light[:, 2], budget)
+    brdf = measured.radiance / light[:, 2]
+    return ScanResult(setup.poses, light, camera, brdf, budget, job.rig.light.wavelength_nm, seat)
+
+
+def coupon_seat(setup: Setup, measured: Measured) -> CouponSeat:
+    """Seating of a coupon, and how flat it is.
+
+    Raises:
+        CalibrationError: it leans too far, or is not flat.
+    """
+    own = [one.relative**2 for one in measured.components if not one.shared]
+    noise = np.sqrt(np.sum(own, axis=0)) if own else np.zeros(len(setup.poses))
+    scan = Scan(setup.poses, setup.convention, measured.radiance, noise)
+    found = fit_lobe(scan, setup.specimen, setup.material, ("tail",)).information
+    values = dict(zip(found.names, map(float, found.values), strict=True))
+    seat = values["seating_x_deg"], values["seating_y_deg"]
+    slopes = seating_slopes(setup, found.material, seat)
+    flat, u_flat = flatness(np.log(np.maximum(measured.cells, 1e-12)), slopes)
+    if flat > FLATNESS_LIMIT_DEG + 2.0 * u_flat:
+        raise CalibrationError(
+            f"the coupon is not flat: normals of parts of the region lean by up to {flat:.2f}° from their mean (u "
+            f"{u_flat:.2f}°, limit {FLATNESS_LIMIT_DEG:g}°): take a flatter piece or a smaller region, and see that "
+            "the lamp stands far away"
+        )
+    u = found.u["seating_x_deg"], found.u["seating_y_deg"]
+    return CouponSeat(*seat, u, slopes, flat, u_flat)
+
+
+def seating_slopes(setup: Setup, material: Material, seat: tuple[float, float]) -> FloatArray:
+    """(P, 2) change of ln L per degree of seating about x and about y, by the fitted lobe."""
+    light, camera = directions(setup.poses, setup.convention)
+    columns = []
+    for axis in (0, 1):
+        ends = []
+        for side in (1.0, -1.0):
+            moved = list(seat)
+            moved[axis] += side * _SEATING_STEP_DEG
+            turn = seating_rotation(*moved)
+            ends.append(
+                np.log(setup.specimen.direct(light @ turn, camera @ turn, setup.specimen.design, material))
+            )
+        columns.append((ends[0] - ends[1]) / (2.0 * _SEATING_STEP_DEG))
+    return np.stack(columns, axis=-1)
+
+
+def flatness(log_cells: FloatArray, slopes: FloatArray) -> tuple[float, float]:
+    """Largest angle in degrees between normals of parts of a region and their mean, and its standard uncertainty.
+
+    Each part follows ln L of the whole by its own normal and a factor of its own (albedo, shading), by least squares.
+
+    Args:
+        log_cells: (P, rows, cols) ln of the radiance of cells.
+        slopes: (P, 2) change of ln L per degree about x and about y.
+    """
+    rows, cols = (np.array_split(np.arange(n), min(_PARTS, n)) for n in log_cells.shape[1:])
+    parts = np.array(
+        [log_cells[:, r[0] : r[-1] + 1, c[0] : c[-1] + 1].mean(axis=(1, 2)) for r in rows for c in cols]
+    )
+    apart = parts - parts.mean(axis=0)
+    design = np.column_stack([slopes, np.ones(len(slopes))])
+    found, *_ = np.linalg.lstsq(design, apart.T, rcond=None)
+    left = apart.T - design @ found
+    scatter = np.sqrt(np.sum(left**2) / max(left.size - 3 * len(parts), 1))
+    spread = scatter * np.sqrt(np.trace(np.linalg.pinv(design.T @ design)[:2, :2]))
+    return float(np.hypot(found[0], found[1]).max()), float(spread)
 
 
 def _tangent(light: FloatArray, camera: FloatArray) -> FloatArray:

@@ -42,8 +42,9 @@ def scan(
 ) -> int:
     """Measure the BRDF of a coupon or a part over stage and tilt, with the uncertainty of every value.
 
-    Poses are dense where facets mirror the light. Writes brdf.csv for bsdf fit, readings.csv for calibrate material
-    --readings, and budget.json. The stage homes and turns: keep its path free.
+    Poses are dense where facets mirror the light. The seating of a coupon is found from the scan; one that is not flat
+    is refused. Writes brdf.csv for bsdf fit, readings.csv for calibrate material --readings, budget.json, and with a
+    lamp of known wavelength goniometer.csv for ink fit. The stage homes and turns: keep its path free.
 
     Examples:
         anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan
@@ -94,10 +95,14 @@ def _show_plan(settings: "ScanSettings", frames: int, *, as_json: bool) -> int:
 def _show(found: "ScanResult", folder: Path, *, as_json: bool) -> int:
     import numpy as np
 
+    seat = found.coupon
     rms = {name: float(np.sqrt(np.mean(part**2))) for name, part in found.budget.items()}
     if as_json:
         print_json({"folder": str(folder), "poses": len(found.poses), "u_rms": rms,
                     "u_median": float(np.median(found.u)), "u_largest": float(found.u.max()),
+                    "seating_deg": seat and [seat.about_x_deg, seat.about_y_deg],
+                    "u_seating_deg": seat and list(seat.u_deg),
+                    "flatness_deg": seat and seat.flatness_deg, "u_flatness_deg": seat and seat.u_flatness_deg,
                     "brdf": [float(found.brdf.min()), float(found.brdf.max())]})  # fmt: skip
         return 0
     rows = [
@@ -106,6 +111,11 @@ def _show(found: "ScanResult", folder: Path, *, as_json: bool) -> int:
     ]
     rows.append(["combined", f"{100.0 * np.sqrt(np.mean(found.u**2)):.2f}", f"{100.0 * found.u.max():.2f}"])
     print_table("Uncertainty (k = 1)", ["source", "rms [%]", "largest [%]"], rows)
+    if seat is not None:
+        _line(
+            f"seated {seat.about_x_deg:+.3f}° about x and {seat.about_y_deg:+.3f}° about y (u {seat.u_deg[0]:.3f}°, "
+            f"{seat.u_deg[1]:.3f}°), flat within {seat.flatness_deg:.2f}° (u {seat.u_flatness_deg:.2f}°)"
+        )
     _line(
         f"{folder / 'brdf.csv'}: {len(found.poses)} rows, {found.brdf.min():.3g} to {found.brdf.max():.3g} 1/sr; "
         f"median u {np.median(found.u):.2%}"
