@@ -171,10 +171,13 @@ def test_a_part_is_scanned(coupon_rig, virtual_rigs, anisoscope, tmp_path):
     assert done.json["seating_deg"] is None
     table = read_brdf(out / "brdf.csv")
     value, u = table.readings.value, np.sqrt(np.diag(table.readings.covariance))
-    wanted = corrected.radiance(table.to_light, table.to_camera, RidgeDesign(100.0, 10.0), Material(), None)
+    sides = table.to_light, table.to_camera, RidgeDesign(100.0, 10.0), Material()
+    wanted, direct = corrected.radiance(*sides, None), corrected.radiance(*sides, 1)
+    clear = wanted < 1.1 * direct  # walls of one pixel reflect less between facet and wall than ideal ones
     off = value / (wanted / table.to_light[:, 2]) - 1.0
-    assert np.max(np.abs(off) / (u / value)) < 3.0
-    assert np.median(np.abs(off)) < 0.02
+    assert np.count_nonzero(clear) >= 9
+    assert np.max((np.abs(off) / (u / value))[clear]) < 2.0
+    assert np.max((u / value)[clear]) < 0.03
 
 
 def ink_scan(ink, nm, poses):
