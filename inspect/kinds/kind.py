@@ -31,6 +31,7 @@ from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.logo import check_logo
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
@@ -186,18 +187,6 @@ class Explanation:
     diagnosis: DiagnosisRecord | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class NewRecipe:
-    """Options of ``anisoscope recipe new``; None where one was not given."""
-
-    product: str | None
-    pitch_um: float
-    ridge_angle_deg: float | None
-    u_ridge_angle_deg: float | None
-    height_map: Path | None
-    ink: str | None
 
 
 def usable(reference: Reference | None) -> Reference | None:

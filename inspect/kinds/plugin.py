@@ -20,7 +20,6 @@ from anisoscope.kinds.kind import (
     Explanation,
     Kind,
     Measured,
-    NewRecipe,
     Reference,
     Results,
     Sitting,
@@ -28,6 +27,7 @@ from anisoscope.kinds.kind import (
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
 from anisoscope.record.schema import (

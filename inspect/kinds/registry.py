@@ -6,8 +6,9 @@ from typing import Any
 from anisoscope.base.errors import ConfigError, RecipeError, RecordError, UsageError
 from anisoscope.base.plugins import installed
 from anisoscope.base.toml_table import read_toml
-from anisoscope.kinds.kind import AnyKind, Kind, NewRecipe
+from anisoscope.kinds.kind import AnyKind, Kind
 from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.details import GROUP, kind_of_recipe, recorded_kind
 

@@ -71,8 +71,8 @@ def new(
         anisoscope recipe new --height-map good-part.x3p --out part.toml
         anisoscope recipe new --ink synthetic-red --out print.toml
     """
-    from anisoscope.kinds.kind import NewRecipe
     from anisoscope.kinds.registry import kind_of_new
+    from anisoscope.recipe.new_recipe import NewRecipe
 
     if out.exists():
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")

@@ -14,7 +14,7 @@ from anisoscope.imaging.pose_radiance import mean_of
 from anisoscope.imaging.registration.placement import resample
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
-from anisoscope.kinds.kind import Explanation, Kind, NewRecipe, Reference, Results, Sitting, usable
+from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
 from anisoscope.kinds.plates.causes import FIELD_WORDS, PLATE_WORDS, explain_plate
 from anisoscope.kinds.plates.code_grades import OVERALL
 from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate
@@ -26,6 +26,7 @@ from anisoscope.kinds.plates.recipe import PlateRecipe
 from anisoscope.kinds.plates.record import CodeRecord, GradeRecord, PlateDetails
 from anisoscope.kinds.plates.reference_plates import GoldenPlates, reference_table
 from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.record.schema import ConclusionRecord, DiagnosisRecord, Record
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile

@@ -15,7 +15,7 @@ from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, check_light, check
 from anisoscope.imaging.quality_gates import beyond_part, check_views
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
-from anisoscope.kinds.kind import Explanation, Kind, NewRecipe, Reference, Results, Sitting, usable
+from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
 from anisoscope.kinds.prints.causes import PRINT_WORDS, explain_print
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print, nothing_wrong, print_results
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -32,6 +32,7 @@ from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import DiagnosisRecord, Record
 from anisoscope.report.inspection_page import Pictures, Sections

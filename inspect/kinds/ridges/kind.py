@@ -9,10 +9,10 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.predicted_cells import predicted_cells
 from anisoscope.imaging.quality_gates import check_part
 from anisoscope.imaging.registration.placement import View
-from anisoscope.kinds.kind import NewRecipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.prediction.expectation import Expectation
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import MapPlaceRecord, ShapeRecord
 

@@ -9,7 +9,7 @@ from pydantic import model_validator
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.toml_edits import toml_literal
-from anisoscope.kinds.kind import NewRecipe
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, read_surface_recipe
 
 

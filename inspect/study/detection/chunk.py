@@ -81,7 +81,7 @@ from anisoscope.study.detection.surrogate import (
 
 Image = npt.NDArray[np.float32]
 Bounces = tuple[tuple[str, tuple[float, ...]], ...]
-"""Radiances in 1/sr of light that reflects more than once, by class; empty takes those of smooth ridges."""
+"""Radiances in 1/sr of light that reflects more than once, by class; empty: local defects do not change it."""
 
 TILE = 0.99
 DARK = 1e-3
@@ -186,7 +186,7 @@ def radiance_of_part(
     rig: RigState,
     extent: float,
     task: SurrogateTask,
-    bounces: FloatArray | None,
+    bounced: FloatArray | None,
 ) -> tuple[list[Image], FloatArray]:
     """The part's radiance in every view, and (V,) its mean without errors of the stage: the true value.
 
@@ -196,8 +196,7 @@ def radiance_of_part(
         rig: its rig.
         extent: of its defect.
         task: world and class, as for `surrogate_of`; the extent is put in here.
-        bounces: (P,) radiance of light that reflects more than once on the nominal part, with the local defects of
-            the class; None takes that of smooth ridges.
+        bounced: (P,) factor of the local defects of its class on the light that reflects more than once; None: 1.
     """
     good = _surrogate(SurrogateTask(task.world, GOOD, 0.0, task.folder))
     base = extent if extent in bases_of(task.kind) else 0.0
@@ -208,8 +207,8 @@ def radiance_of_part(
     usual = np.maximum(good.radiance(0.0 * state), DARK)
     ratio, true_ratio = own.radiance(state) / usual, own.radiance(ideal) / usual
     reflected = own.reflected(state)
-    if bounces is not None:
-        reflected = reflected * bounces[[*range(len(SEEN)), 0]] / good.reflected(0.0 * state)
+    if bounced is not None:
+        reflected = reflected * bounced[[*range(len(SEEN)), 0]]
     views, truth = [], []
     inner_rows, inner_cols = slice(POINTS // 2, -(POINTS // 2) or None), slice(POINTS // 2, None)
     for view in range(len(VIEWS)):
@@ -400,13 +399,13 @@ def _inspected(task: ChunkTask) -> list[Row]:
     bounces = {kind: np.array(light) for kind, light in task.bounces}
     for kind, count in size.counts.items():
         sheet = sheet_of(task.sheet(kind))
-        light = bounces.get(kind, bounces.get(GOOD))
+        bounced = bounces[kind] / bounces[GOOD] if kind in bounces else None
         for _ in range(count):
             rng = np.random.default_rng(parts[len(rows)])
             specimen, extent = draw(BY_NAME.get(kind), rng)
             where = cut(sheet, kind, size, rng)
             own = SurrogateTask(task.world, kind, extent, task.folder)
-            radiance, truth = radiance_of_part(sheet.radiance[:, *where], specimen, rig, extent, own, light)
+            radiance, truth = radiance_of_part(sheet.radiance[:, *where], specimen, rig, extent, own, bounced)
             views = photograph(radiance, specimen, rig, cameras, size, rng)
             rows.append(
                 {

@@ -190,7 +190,8 @@ def cut(sheet: Sheet, kind: str, size: Size, rng: np.random.Generator) -> tuple[
 def bounces_of(which: tuple[World, str]) -> FloatArray:
     """(P,) radiance of light that reflects more than once on good parts or a local class in a traced world, 1/sr.
 
-    Smooth over the picture: traced on a few ridges of the class.
+    Smooth over the picture: traced on a few ridges of the class. Their mesh cuts corners, so that only the ratio of two
+    classes is used (`anisoscope.study.detection.chunk`).
     """
     world, kind = which
     sides = directions(SEEN, Convention(LIGHT_DEG))

@@ -46,7 +46,9 @@ from anisoscope.study.detection.product import (
 from anisoscope.study.detection.sheets import POINTS
 
 TRACED_ROWS, FINE = 12, 1000
-"""Rows of a profile that is traced, and its points a pitch: corners between two points are cut."""
+"""Rows of a profile that is traced, and its points a pitch for direct light: corners between two points are cut."""
+CORNERED = range(901, 1001)
+"""Points a pitch for light that reflects more than once: as many as come nearest to all corners of the profile."""
 UNITS = np.array(
     [RIDGE_ANGLE_SPREAD_DEG, ALPHA_SPREAD, ALPHA_SPREAD, ALBEDO_SPREAD, 0.1, 0.1, 0.1, TILT_ZERO_DEG, 0.03]
 )
@@ -244,6 +246,20 @@ def _profile(task: SurrogateTask, design: RidgeDesign, points: int) -> HeightMap
     return HeightMap(np.tile(row, (TRACED_ROWS, 1)), surface.pixel_x_um, surface.pixel_y_um, {})
 
 
+def cornered(design: RidgeDesign) -> int:
+    """The number of points a pitch of `CORNERED` of which some are nearest to foot and edges of the ridge.
+
+    Evenly spaced points cut the corners that are between two of them: 200 a pitch lose a tenth to a quarter of the
+    light that reflects more than once, much of it next to the foot.
+    """
+    facet, loss = design.facet_width_um, design.height_loss
+    corners = np.array([facet, facet * loss, facet + design.wall_width_um * (1.0 - loss)]) / design.pitch_um
+    counts = np.array(CORNERED)
+    places = counts[:, None] * corners
+    off = np.abs(places - np.rint(places)).max(axis=1) / counts
+    return int(counts[off.argmin()])
+
+
 def direct_of(task: SurrogateTask, state: FloatArray) -> FloatArray:
     """(P, POINTS) direct radiance over one pitch of smooth ridges in a state (K,), as the world renders it, 1/sr."""
     design, material, sides = _ridge(task, state)
@@ -263,7 +279,7 @@ def reflected_of(task: SurrogateTask, state: FloatArray, seed: int = 1) -> Float
     design, material, sides = _ridge(task, state)
     if not WORLDS[task.world].traced:
         return indirect_of_groove(task.kind, task.extent, design, material, sides)
-    profile = _profile(task, design, FINE // 5)
+    profile = _profile(task, design, cornered(design))
     tracer = PathTracer(profile, plastic_of(task.world, material), pitch_um=PITCH_UM, paths=PATHS, seed=seed)
     return np.array([tracer.indirect(light, camera).mean for light, camera in zip(*sides, strict=True)])
 
