@@ -2,21 +2,35 @@
 
 With ``area.cell_deviation = "auto"`` the thresholds are those of the part, and its good cells scatter more than those
 of a smooth predicted surface. Signatures therefore state by how much their cells deviate, in levels.
+
+A camera smears a picture: its lens, its pixels, and what resamples them put some of the light of a cell into its
+neighbours, and a grain that is much smaller than a cell is hidden by it. Levels are stated for several smears.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.imaging.defect_regions import MarkForm, form_of
 from anisoscope.imaging.deviation_map import cell_deviations
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 
 STEP = 0.025
 """Ln ratio between two levels; thresholds are rounded to it."""
 HIGHEST = 80
 """A ln ratio of 2: what deviates by more counts as this."""
+SMEARS = (0.0, 0.08, 0.16)
+"""Standard deviations in pitches of what smears the pictures for which levels are stated."""
+SMEAR_PX = 0.64
+"""Standard deviation in pixels of a usual picture: its pixels (0.29), a focused lens (0.4), and resampling (0.41)."""
+USUAL_SMEAR = 0.08
+"""In pitches: that of a camera of 8 pixels a pitch."""
+U_SMEAR = 0.2
+"""Relative standard uncertainty of the smear: the lens is not measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,3 +65,86 @@ class CellLevels:
     def share(self, thresholds: Sequence[float] | FloatArray) -> float:
         """Share of the cells that deviate in some pair, by (pairs,) thresholds."""
         return float(self.deviating(thresholds).mean())
+
+
+@dataclass(frozen=True)
+class Deviating:
+    """Cells of a predicted map that deviate by the thresholds of a part.
+
+    Attributes:
+        share: of all cells.
+        variance: of the share by the number of marks: groups of s cells among N are counted, Σ s²/N² (a compound
+            Poisson process).
+        form: of them; None where none deviates.
+    """
+
+    share: float
+    variance: float
+    form: MarkForm | None
+
+    @classmethod
+    def of(cls, over: npt.NDArray[np.bool_]) -> "Deviating":
+        """Those of (cell rows, cell cols) True where a cell deviates."""
+        _, _, stats, _ = cv2.connectedComponentsWithStats(over.astype(np.uint8), connectivity=8)
+        sizes = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
+        return cls(float(over.mean()), float(np.sum(sizes**2)) / over.size**2, form_of(over))
+
+
+@dataclass(frozen=True, eq=False)
+class SmearedLevels:
+    """Levels of the cells of one predicted map.
+
+    Attributes:
+        each: one of every `SMEARS`.
+    """
+
+    each: tuple[CellLevels, ...]
+
+    @classmethod
+    def of(cls, fine: FloatArray, per_cell: int, pairs: Sequence[tuple[int, int]]) -> "SmearedLevels":
+        """Levels of a map of contrasts.
+
+        Args:
+            fine: (P, rows, cols) radiances of parts of cells.
+            per_cell: parts a side of a cell.
+            pairs: of poses.
+        """
+        return cls(tuple(CellLevels.of(contrasts(fine, per_cell, pairs, one)) for one in SMEARS))
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return int(self.each[0].places.size)
+
+    def deviating(self, thresholds: Sequence[float] | FloatArray, smear: float) -> Deviating:
+        """Cells that deviate by (pairs,) thresholds in a picture that is smeared by a share of the pitch.
+
+        Shares follow the square of the smear nearly linearly; between `SMEARS` they are interpolated.
+        """
+        squares = np.square(SMEARS)
+        place = float(np.interp(smear**2, squares, np.arange(len(SMEARS))))
+        low = min(int(place), len(SMEARS) - 2)
+        weight = place - low
+        less, more = (Deviating.of(one.deviating(thresholds)) for one in self.each[low : low + 2])
+        return Deviating(
+            (1.0 - weight) * less.share + weight * more.share,
+            (1.0 - weight) * less.variance + weight * more.variance,
+            (less if weight < 0.5 and less.form is not None else more).form or less.form,
+        )
+
+
+def contrasts(
+    fine: FloatArray, per_cell: int, pairs: Sequence[tuple[int, int]], smear: float = 0.0
+) -> FloatArray:
+    """(pairs, cell rows, cell cols) ln ratios of whole cells; arguments as for `SmearedLevels.of`."""
+    sigma = smear * CELLS_PER_PITCH * per_cell
+    seen = fine
+    if sigma > 0.0:
+        seen = np.stack(
+            [cv2.GaussianBlur(one, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE) for one in fine]
+        )
+    rows, cols = (size // per_cell for size in fine.shape[1:])
+    whole = seen[:, : rows * per_cell, : cols * per_cell]
+    means = whole.reshape(-1, rows, per_cell, cols, per_cell).mean(axis=(2, 4))
+    safe = np.maximum(means, 1e-6)
+    return np.stack([np.log(safe[i] / safe[j]) for i, j in pairs])

@@ -140,7 +140,8 @@ def _information(
     found = change @ np.linalg.pinv(covariance[0], hermitian=True) @ change.T
     if evidence.share is not None:
         share = np.array([slope for _, slope in slopes])
-        found = found + np.outer(share, share) / float(evidence.share_variance(shares)[0])
+        counted = sum(float(one.share_scatter(extent)) for one, extent in acting)
+        found = found + np.outer(share, share) / (float(evidence.share_variance(shares)[0]) + counted)
     if evidence.pitch is not None:
         pitch = np.array([signature.cause.name == PITCH for signature, _ in acting], dtype=np.float64)
         found = found + np.outer(pitch, pitch) / evidence.pitch[1] ** 2
@@ -279,6 +280,7 @@ def joint_costs(acting: Sequence[Act], evidence: Evidence, *, as_input: bool = F
         as_input: the covariance excludes the inputs of the prediction that are causes here.
     """
     changes, shares, covariances = _joint(acting, evidence, as_input=as_input)
+    counted = np.sqrt(sum((one.share_scatter(extents) for one, extents in acting), np.zeros(1)))
     chi2, size = _quadratic(covariances, evidence.deviation - changes)
     cost = _minus_two_ln(chi2, evidence) + size
     guessed, percent = np.zeros(1), np.zeros(1)
@@ -286,7 +288,7 @@ def joint_costs(acting: Sequence[Act], evidence: Evidence, *, as_input: bool = F
         guessed = guessed + signature.cause.guessed * np.abs(extents)
         percent = percent + (extents if signature.cause.name == PITCH else 0.0)
     for off, more in (
-        _share_costs(evidence, shares, guessed),
+        _share_costs(evidence, shares, guessed, counted),
         _form_costs(evidence, shares, _form_of(acting, len(shares)), guessed),
         _pitch_costs(evidence, percent),
     ):
@@ -359,7 +361,7 @@ def _joint(
 
 
 def _share_costs(
-    evidence: Evidence, shares: FloatArray, guessed: float | FloatArray, spread: float = 0.0
+    evidence: Evidence, shares: FloatArray, guessed: float | FloatArray, spread: float | FloatArray = 0.0
 ) -> Costs:
     """(E,) −2 ln of the likelihood of the share of deviating cells, above its least, and with the normalisation.
 
@@ -368,7 +370,7 @@ def _share_costs(
     """
     if evidence.share is None:
         return np.zeros(1), np.zeros(1)
-    known = evidence.share_variance(shares) + spread**2
+    known = evidence.share_variance(shares) + np.square(spread)
     squared = (evidence.share - evidence.background - shares) ** 2
     wide = known + np.asarray(guessed) ** 2 + shares**2
     other = np.where(np.asarray(guessed) > 0.0, OTHER_TEXTURE, 0.0)

@@ -13,6 +13,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.decision import Decision
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
+from anisoscope.diagnosis.cell_levels import SMEAR_PX
 from anisoscope.diagnosis.discriminating_poses import advice_for
 from anisoscope.diagnosis.evidence import (
     Evidence,
@@ -64,7 +65,9 @@ def explain(
     try:
         light_angle_deg = expected.convention.light_angle_deg
         known = cached_signatures(recipe, light_angle_deg, advance, causes)
-        known = known.by_thresholds(None if decision.area is None else decision.area.cell_deviations)
+        if (area := decision.area) is not None:
+            smear = SMEAR_PX * measured.grid.pixel_mm * 1000.0 / recipe.surface.pitch_um
+            known = known.by_thresholds(area.cell_deviations, smear, area.cells)
         evidence = evidence_of(recipe, expected, measured, decision, golden)
         if any(one.cause.name == PITCH for one in known.found):
             evidence = replace(evidence, pitch=measured_pitch(measured, recipe))

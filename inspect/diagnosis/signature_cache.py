@@ -14,7 +14,7 @@ from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.causes import TAILS, tail_cause
-from anisoscope.diagnosis.cell_levels import CellLevels
+from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, SmearedLevels
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.prediction.expectation import part_uncertainty
@@ -139,24 +139,24 @@ def _packed(found: Signatures) -> bytes:
     return buffer.getvalue()
 
 
-def _packed_levels(name: str, levels: tuple[CellLevels, ...]) -> dict[str, np.ndarray]:
+def _packed_levels(name: str, levels: tuple[SmearedLevels, ...]) -> dict[str, np.ndarray]:
     """Levels of several surfaces in three arrays; none for none."""
     if not levels:
         return {}
+    each = [one for smeared in levels for one in smeared.each]
     return {
-        name: np.concatenate([one.levels for one in levels]),
-        f"{name}-places": np.stack([one.places for one in levels]),
-        f"{name}-size": np.array([len(one.levels) for one in levels]),
+        name: np.concatenate([one.levels for one in each]),
+        f"{name}-places": np.stack([one.places for one in each]),
+        f"{name}-size": np.array([len(one.levels) for one in each]),
     }
 
 
-def _unpacked_levels(name: str, stored: Mapping[str, np.ndarray]) -> tuple[CellLevels, ...] | None:
+def _unpacked_levels(name: str, stored: Mapping[str, np.ndarray]) -> tuple[SmearedLevels, ...] | None:
     if name not in stored:
         return None
     levels = np.split(stored[name], np.cumsum(stored[f"{name}-size"])[:-1])
-    return tuple(
-        CellLevels(one, places) for one, places in zip(levels, stored[f"{name}-places"], strict=True)
-    )
+    each = tuple(map(CellLevels, levels, stored[f"{name}-places"]))
+    return tuple(SmearedLevels(each[k : k + len(SMEARS)]) for k in range(0, len(each), len(SMEARS)))
 
 
 def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signatures:

@@ -22,7 +22,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, TAIL, Cause, all_causes, tail_cause
-from anisoscope.diagnosis.cell_levels import CellLevels
+from anisoscope.diagnosis.cell_levels import U_SMEAR, USUAL_SMEAR, SmearedLevels, contrasts
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.defect_regions import MarkForm, form_of
 from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_thresholds
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
 ROWS_PITCHES = 8
 POINTS_ACROSS, POINTS_ALONG = 50, 25  # a pitch
 MAX_ROWS, MAX_COLS = 200, 1000
+PER_CELL = (4, 2)
 TABLE = 193
 PROFILE_PITCHES = 6
 PROFILE_PIXEL_UM = 0.34  # the largest ball that rolls along edges may have 60 points in its radius
@@ -82,6 +83,8 @@ class Signature:
             no map was predicted.
         forms: (S, 2) `MarkForm.in_line` and ``along`` of the deviating cells; NaN where none deviates, None without a
             map.
+        u_share: (S,) standard uncertainty of the share, by the number of marks and the smear of the picture; None
+            where the recipe states its threshold.
     """
 
     cause: Cause
@@ -89,8 +92,9 @@ class Signature:
     change: FloatArray
     share: FloatArray
     tangents: Tangents | None = None
-    levels: tuple[CellLevels, ...] | None = None
+    levels: tuple[SmearedLevels, ...] | None = None
     forms: FloatArray | None = None
+    u_share: FloatArray | None = None
 
     @cached_property
     def _curve(self) -> "PchipInterpolator":
@@ -122,18 +126,42 @@ class Signature:
         columns = [np.interp(at, self.extents[known], column[known]) for column in self.forms.T]
         return np.stack(columns, axis=-1)
 
+    def share_scatter(self, extent: float | FloatArray) -> FloatArray:
+        """(…,) variance of the share at extents, by the number of marks and the smear of the picture."""
+        if self.u_share is None:
+            return np.zeros_like(np.asarray(extent, dtype=np.float64))
+        return np.asarray(np.interp(extent, self.extents, self.u_share) ** 2)
+
     def of(self, poses: Sequence[int]) -> "Signature":
         """That of some of the poses, by their numbers."""
         tangents = self.tangents and self.tangents.of(poses)
-        return replace(self, change=self.change[:, list(poses)], tangents=tangents, levels=None, forms=None)
+        change = self.change[:, list(poses)]
+        return replace(self, change=change, tangents=tangents, levels=None, forms=None, u_share=None)
 
-    def by_thresholds(self, good_share: float, thresholds: Sequence[float]) -> "Signature":
+    def by_thresholds(
+        self, good_share: float, thresholds: Sequence[float], smear: float, cells: int | None
+    ) -> "Signature":
         """The same with the shares that (pairs,) thresholds of a part give, beyond that of the good part."""
         if self.levels is None:
             return self
-        maps = [one.deviating(thresholds) for one in self.levels]
-        shares = [max(float(one.mean()) - good_share, 0.0) for one in maps]
-        return replace(self, share=np.array(shares), forms=_forms([form_of(one) for one in maps]))
+        found = [one.deviating(thresholds, smear) for one in self.levels]
+        sharper, softer = (
+            np.array([one.deviating(thresholds, (1.0 + step) * smear).share for one in self.levels])
+            for step in (-U_SMEAR, U_SMEAR)
+        )
+        # marks are counted on this map, and once more on the part
+        counted = np.array(
+            [
+                one.variance * (1.0 + (0.0 if cells is None else levels.cells / cells))
+                for one, levels in zip(found, self.levels, strict=True)
+            ]
+        )
+        return replace(
+            self,
+            share=np.array([max(one.share - good_share, 0.0) for one in found]),
+            forms=_forms([one.form for one in found]),
+            u_share=np.sqrt(counted + (0.5 * (sharper - softer)) ** 2),
+        )
 
     def slope(self, extent: float) -> tuple[FloatArray, float]:
         """(P,) derivative of the change and derivative of the share with respect to the extent."""
@@ -164,15 +192,23 @@ class Signatures:
     found: tuple[Signature, ...]
     left_out: tuple[tuple[str, str], ...]
     tail: Signature | None = None
-    levels: CellLevels | None = None
+    levels: SmearedLevels | None = None
     thresholds: tuple[float, ...] | None = None
 
-    def by_thresholds(self, thresholds: Sequence[float] | None) -> "Signatures":
-        """The same with the shares that (pairs,) thresholds of a part give, unless the recipe states a threshold."""
+    def by_thresholds(
+        self, thresholds: Sequence[float] | None, smear: float = USUAL_SMEAR, cells: int | None = None
+    ) -> "Signatures":
+        """The same with the shares that the thresholds of a part give, unless the recipe states a threshold.
+
+        Args:
+            thresholds: (pairs,) of the part.
+            smear: standard deviation in pitches of what smears its pictures.
+            cells: number of its cells, among which its marks are counted; None: infinitely many.
+        """
         if self.levels is None or thresholds is None:
             return self
-        share = self.levels.share(thresholds)
-        found = tuple(one.by_thresholds(share, thresholds) for one in self.found)
+        share = self.levels.deviating(thresholds, smear).share
+        found = tuple(one.by_thresholds(share, thresholds, smear, cells) for one in self.found)
         return replace(self, share=share, found=found)
 
     def of(self, poses: Sequence[int]) -> "Signatures":
@@ -270,7 +306,7 @@ class _Look:
 
     radiance: FloatArray
     share: float | None = None
-    levels: CellLevels | None = None
+    levels: SmearedLevels | None = None
     thresholds: tuple[float, ...] | None = None
     form: MarkForm | None = None
 
@@ -293,7 +329,8 @@ def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False
             return base
         groove = scene.groove_with(cause, extent)
         if profile is not None:
-            return _Look(scene.look_along(cause.change(profile, scene.state, extent)[0], groove))
+            assert scene.design is not None
+            return _Look(scene.look_along(scene.spoiled_profile(cause, scene.design, extent), groove))
         return scene.look(*cause.change(scene.surface, scene.state, extent), groove, with_map=with_map)
 
     looks = {extent: look for extent in cause.extents if np.all((look := seen(extent)).radiance > 0.0)}
@@ -425,6 +462,16 @@ class _Scene:
             self._slopes_of_good[along] = slopes
         return slopes
 
+    def spoiled_profile(self, cause: Cause, design: RidgeDesign, extent: float) -> HeightMap:
+        """A profile of ridges with a cause that is uniform along them.
+
+        Worn crests are exact arcs: a ball that rolls along points leaves notches at some radii, which shine at 180°.
+        """
+        if cause.name == "wear" and extent > 0.0:
+            with contextlib.suppress(HeightMapError):  # no arc of this radius touches facet and wall
+                return _profile(replace(design, edge_radius_um=max(extent, design.edge_radius_um)))
+        return cause.change(_profile(design), self.state, extent)[0]
+
     def _is_uniform(self, cause: Cause) -> bool:
         """Whether a cause leaves the ridges of a design uniform along their length."""
         return self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
@@ -433,9 +480,10 @@ class _Scene:
         """Predictor of the surface with a cause as a function of the good shape, and its state."""
         along = self._is_uniform(cause)
         predictor = self._along if along else self._band
-        base = self.profile if along else self.surface
-        assert base is not None
-        surface, state = cause.change(base, self.state, extent)
+        surface, state = cause.change(self.surface, self.state, extent)
+        if along:
+            assert self.design is not None
+            surface = self.spoiled_profile(cause, self.design, extent)
         groove = self.groove_with(cause, extent)
         nominal = self._with_reflections(predictor(surface), groove)
 
@@ -443,10 +491,13 @@ class _Scene:
             if self.design is None or shape == self.state.shape:
                 return nominal
             turned = replace(self.design, ridge_angle_deg=shape.ridge_angle_deg)
-            good = _profile(turned) if along else _ideal(turned)
             step = shape.ridge_angle_deg - self.state.shape.ridge_angle_deg
             steeper = groove and groove.turned(max(groove.design.ridge_angle_deg + step, LEAST_ANGLE_DEG))
-            return self._with_reflections(predictor(cause.change(good, self.state, extent)[0]), steeper)
+            if along:
+                steep = self.spoiled_profile(cause, turned, extent)
+            else:
+                steep = cause.change(_ideal(turned), self.state, extent)[0]
+            return self._with_reflections(predictor(steep), steeper)
 
         return shaped, state
 
@@ -464,21 +515,27 @@ class _Scene:
         if groove is not None:
             assert self._stand_in is not None
             indirect = self._stand_in.of(groove)(to_light, to_camera, self._lobe(state.material))
-        side = self.pitch_um / CELLS_PER_PITCH
-        material = self._lobe(state.material)
-        means, cells = radiance_of_cells(relief, to_light, to_camera, material, side)
-        return _Look(means + indirect, *self._deviating(cells + indirect[:, None, None]))
+        side, material = self.pitch_um / CELLS_PER_PITCH, self._lobe(state.material)
+        fine = self._per_cell if self.cell_deviation == "auto" else 1
+        means, cells = radiance_of_cells(relief, to_light, to_camera, material, side / fine)
+        return _Look(means + indirect, *self._deviating(cells + indirect[:, None, None], fine))
+
+    @property
+    def _per_cell(self) -> int:
+        """Parts a side of a cell, each of at least two points of the surface."""
+        least = 2.0 * max(self.relief.pixels_um)
+        return next((n for n in PER_CELL if n * least <= self.pitch_um / CELLS_PER_PITCH), 1)
 
     def _deviating(
-        self, cells: FloatArray
-    ) -> tuple[float, CellLevels | None, tuple[float, ...], MarkForm | None]:
+        self, cells: FloatArray, per_cell: int
+    ) -> tuple[float, SmearedLevels | None, tuple[float, ...], MarkForm | None]:
         """Share of deviating cells, levels where the thresholds are those of every part, thresholds, and form."""
         assert self.cell_deviation is not None
-        safe = np.maximum(cells, 1e-6)
-        ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
+        pairs = consecutive_pairs(self.poses)
+        ratios = contrasts(cells, per_cell, pairs)
         thresholds = cell_thresholds(ratios, self.cell_deviation)
         found = CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
-        levels = CellLevels.of(ratios) if self.cell_deviation == "auto" else None
+        levels = SmearedLevels.of(cells, per_cell, pairs) if self.cell_deviation == "auto" else None
         over = found.deviating()
         return float(np.mean(over)), levels, tuple(map(float, thresholds)), form_of(over)
 

@@ -30,6 +30,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import chi2_tail, log_basis
 from anisoscope.decision.consistency_test import OF_THE_RIG, contrast_scatter, distances
 from anisoscope.decision.predictive_test import Scatter, predictive_test
+from anisoscope.diagnosis.cell_levels import SMEAR_PX
 from anisoscope.diagnosis.evidence import (
     Evidence,
     against,
@@ -492,13 +493,15 @@ def _diagnosis(
     cause, rows = BY_NAME[kind].cause, judge.numbers(kind)[:DIAGNOSED]
     golden, all_rigs = judge.numbers(GOLDEN), judge.columns["rig"]
     truth = true_extents(kind, judge.columns, rows, Size())
+    smear = SMEAR_PX * Size().pixel_um / PITCH_UM
     first, tied, wrong, held = [], [], [], []
     names: list[str] = []
     for number, row in enumerate(rows):
         mates = golden[all_rigs[golden] == all_rigs[row]]
         chosen = mates[golden_of(int(all_rigs[row]), number, DIAGNOSED_WITH, len(mates))]
         thresholds = judge.columns[f"areas/{name}/thresholds"][row]
-        own = known.by_thresholds(None if np.isnan(thresholds).any() else thresholds.tolist())
+        cells = int(judge.columns[f"areas/{name}/cells"][row])
+        own = known.by_thresholds(None if np.isnan(thresholds).any() else thresholds.tolist(), smear, cells)
         found = diagnose(own, evidence(judge, name, int(row), [int(one) for one in chosen]))
         ties = {one.cause for one in found.ties}
         names.append(found.causes[0].cause)
