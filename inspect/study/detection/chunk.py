@@ -399,7 +399,10 @@ def _inspected(task: ChunkTask) -> list[Row]:
     bounces = {kind: np.array(light) for kind, light in task.bounces}
     for kind, count in size.counts.items():
         sheet = sheet_of(task.sheet(kind))
-        bounced = bounces[kind] / bounces[GOOD] if kind in bounces else None
+        bounced = None
+        if kind in bounces:  # 1 where so few paths were traced that none of them came back
+            usual = bounces[GOOD]
+            bounced = np.divide(bounces[kind], usual, out=np.ones_like(usual), where=usual > 0.0)
         for _ in range(count):
             rng = np.random.default_rng(parts[len(rows)])
             specimen, extent = draw(BY_NAME.get(kind), rng)

@@ -7,7 +7,7 @@ import pytest
 
 from anisoscope.decision.decision import decide
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
-from anisoscope.diagnosis.cell_levels import CellLevels
+from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, Deviating, SmearedLevels
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.diagnosis.signature_cache import _packed, _unpacked, cached_signatures
 from anisoscope.diagnosis.signatures import signatures
@@ -49,6 +49,12 @@ def few(recipe):
     causes = replace(PLASTIC_CAUSES, signatures=lambda *_: known)
     cached_signatures(recipe, LIGHT_DEG, causes=causes)
     return replace(PLASTIC_CAUSES, signatures=lambda *_: pytest.fail("stored before"))
+
+
+@pytest.fixture(scope="module")
+def marks(recipe):
+    """Signatures of burrs and dust."""
+    return signatures(recipe, LIGHT_DEG, names=("burrs", "dust"))
 
 
 def cells_of_part(recipe, coverage):
@@ -121,11 +127,53 @@ def test_levels_give_the_share_and_the_form_of_every_threshold(rng):
         np.testing.assert_array_equal(levels.deviating(thresholds), direct)
 
 
-def test_signatures_state_the_form_of_their_marks_by_the_thresholds_of_a_part(recipe):
+def test_a_grain_much_smaller_than_a_cell_is_hidden_by_a_smeared_picture():
+    """The light of a pixel-sized spot is spread as by a Gaussian; what a large mark changes is not."""
+    fine = np.ones((2, 64, 64))
+    fine[0, 17:19, 17:19] = 0.0  # a quarter of a cell
+    fine[0, 40:56, 40:56] = 0.5  # 4 by 4 cells
+    levels = SmearedLevels.of(fine, 4, [(0, 1)])
+    sharp, between, smeared = (levels.deviating([0.25], one) for one in (0.0, SMEARS[1] / 2.0, SMEARS[1]))
+    assert levels.cells == 256
+    assert sharp.share == 17 / 256
+    assert sharp.variance == (16**2 + 1) / 256**2
+    assert smeared.share == 16 / 256
+    assert between.share == pytest.approx((0.75 * 17 + 0.25 * 16) / 256)  # by the square of the smear
+    assert between.form.groups == 2
+    assert levels.deviating([2.0], 0.05).form is None
+
+
+def test_marks_scatter_by_their_number(rng):
+    """The variance of the share is that of maps with as many marks, each of two cells, at random."""
+    shares, stated = [], []
+    for _ in range(400):
+        over = np.zeros((40, 61), dtype=bool)
+        for _ in range(rng.poisson(12)):
+            row, col = rng.integers(40), 3 * rng.integers(20)
+            over[row, col : col + 2] = True
+        found = Deviating.of(over)
+        shares.append(found.share)
+        stated.append(found.variance)
+    assert np.mean(stated) == pytest.approx(np.var(shares), rel=0.25)
+
+
+def test_the_uncertainty_of_a_share_is_that_of_both_maps_that_are_counted(marks):
+    known = replace(marks, found=marks.found[1:])
+    (alone,), (small,) = (
+        known.by_thresholds([0.1, 0.1], cells=one).found for one in (None, known.levels.cells)
+    )
+    (sharp,) = known.by_thresholds([0.1, 0.1], 0.0).found
+    assert sharp.at(150.0)[1] > 1.2 * alone.at(150.0)[1] > 0.0
+    more = small.share_scatter(150.0) - alone.share_scatter(150.0)
+    counted = known.found[0].levels[2].deviating([0.1, 0.1], 0.08).variance
+    assert known.found[0].extents[2] < 150.0
+    assert more > counted > 0.0
+
+
+def test_signatures_state_the_form_of_their_marks_by_the_thresholds_of_a_part(recipe, marks):
     """Burrs are at the crests and extend along them; dust is anywhere. Stored signatures say the same."""
-    known = signatures(recipe, LIGHT_DEG, names=("burrs", "dust"))
-    again = _unpacked(_packed(known), recipe, PLASTIC_CAUSES)
-    for found in (known, again):
+    again = _unpacked(_packed(marks), recipe, PLASTIC_CAUSES)
+    for found in (marks, again):
         burrs, dust = found.by_thresholds([0.1, 0.1]).found
         at_crests, along = burrs.form_at(0.05)
         anywhere, alone = dust.form_at(200.0)
@@ -133,4 +181,4 @@ def test_signatures_state_the_form_of_their_marks_by_the_thresholds_of_a_part(re
         assert anywhere < 0.7
         assert along > 0.6
         assert alone < 0.3
-    assert np.isnan(known.by_thresholds([2.0, 2.0]).found[1].form_at(20.0)).all()  # nothing deviates so much
+    assert np.isnan(marks.by_thresholds([2.0, 2.0]).found[1].form_at(20.0)).all()  # nothing deviates so much

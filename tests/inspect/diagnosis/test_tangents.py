@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.evidence import Evidence, covariance_of, inputs_of
 from anisoscope.diagnosis.likelihood import fit_extent, interval
-from anisoscope.diagnosis.signatures import DOUBTFUL, signatures
+from anisoscope.diagnosis.signatures import DOUBTFUL, _Scene, signatures
 from anisoscope.diagnosis.tangents import A_SIDE, Tangents, looked_at, slopes_of
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
@@ -15,7 +16,7 @@ from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention
+from anisoscope.sim.light.geometry import Convention, directions
 
 LOSS = 0.1
 SPREAD = 0.3
@@ -106,6 +107,18 @@ def by_closed_form(recipe, loss, source, poses, bounces):
     states = [state for state, _ in ends]
     low, high = evaluate(fixed(cut(loss, bounces=bounces)), states, poses, Convention(LIGHT))
     return np.log(high / low) / ends[0][1]
+
+
+def test_worn_crests_are_arcs_whatever_their_radius(recipe):
+    """By the closed form, in the poses where the crest shines: a ball that rolls along points leaves notches in it."""
+    scene = _Scene(recipe, LIGHT)
+    wear = next(one for one in all_causes(10.0) if one.name == "wear")
+    sides = directions(scene.poses, Convention(LIGHT))
+    for radius_um in (5.0, 8.0, 20.0):
+        found = scene.look_along(scene.spoiled_profile(wear, scene.design, radius_um), None)
+        worn = replace(scene.design, edge_radius_um=radius_um)
+        closed = corrected.radiance(*sides, worn, scene.state.material, bounces=1)
+        np.testing.assert_allclose(np.log(found / closed), 0.0, atol=0.008)
 
 
 @pytest.mark.parametrize("bounces", [1, None])
