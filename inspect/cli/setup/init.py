@@ -65,8 +65,8 @@ def init(
         anisoscope init job --ridge-angle 10 --pitch 100
         anisoscope init job --kind prints --ink synthetic-red --station "rig 2"
     """
-    from anisoscope.kinds.kind import NewRecipe
     from anisoscope.kinds.registry import kind_of_new
+    from anisoscope.recipe.new_recipe import NewRecipe
 
     recipe, rig, project = (folder / name for name in ("recipe.toml", "rig.toml", PROJECT_NAME))
     for path in (recipe, rig, project):
