@@ -1,4 +1,4 @@
-"""What a new recipe is asked for, by ``anisoscope recipe new``."""
+"""Options of a new recipe, as ``anisoscope recipe new`` takes them."""
 
 from dataclasses import dataclass
 from pathlib import Path
