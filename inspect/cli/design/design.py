@@ -35,6 +35,8 @@ app.command("anisoscope.cli.design.masks:height")
 app.command("anisoscope.cli.design.codes:code")
 app.command("anisoscope.cli.design.plates:plate")
 app.command("anisoscope.cli.design.resolution:resolution")
+app.command("anisoscope.cli.design.pictures:picture")
+app.command("anisoscope.cli.design.pictures:hologram")
 
 
 @Parameter(name="*")

@@ -84,7 +84,8 @@ def compare(
             from anisoscope.ink.fitting import fit
 
             fitted = fit(read)
-            warnings += [f"{name}: {warning}" for warning in fitted.warnings]
+            if not synthetic:  # made-up readings have on purpose what the fit would warn of
+                warnings += [f"{name}: {warning}" for warning in fitted.warnings]
             ink = fitted.ink(name, "fitted to the readings")
             # A given roughness replaces the fitted one only in the models, not in the readings they are compared with.
             ink = ink if alpha is None else replace(ink, alpha=alpha)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
 HORIZON_DEG = 90.0
+NEEDED_NM = (400.0, 700.0)
 
 app = App(name="ink", help="Fit, show, halftone and soft-proof structural-colour inks.")
 app.command("anisoscope.cli.ink.halftone:halftone")
@@ -107,6 +108,65 @@ def _white(reflectance: float | None, table: Path | None, readings: Path | None)
         None if table is None else read_correction(table),
         None if readings is None else read_goniometer(readings),
     )
+
+
+@app.command(name="import")
+def import_(
+    table: Path,
+    /,
+    *,
+    alpha: Annotated[float, Parameter(help="Roughness α of the print, which a table does not hold.")],
+    out: Annotated[Path, Parameter(help="Ink file *.toml to write.")],
+    scale: Annotated[
+        Literal["brdf", "factor"],
+        Parameter(help="Scale of ρ: Eq. 5 gives 1/sr (brdf), or the ratio to a white reference (factor)."),
+    ] = "brdf",
+    reflectance: Annotated[
+        float | None, Parameter(help="Reflectance of the white reference of a factor; 0.99 if not given.")
+    ] = None,
+    name: Annotated[str | None, Parameter(help="Name of the ink; else that of the file.")] = None,
+    source: Annotated[str, Parameter(help="Where the table is from.")] = "",
+    overwrite: OverwriteOption = False,
+    json_: Json = False,
+) -> int:
+    """Make an ink file of a published table of spectral parameters.
+
+    Args:
+        table: CSV wavelength_nm,rho,c: a row a wavelength, from 400 nm or less to 700 nm or more.
+
+    Examples:
+        anisoscope ink import red.csv --alpha 0.19 --out red.toml
+    """
+    from anisoscope.sim.light.ink.ink import SPECTRALON
+    from anisoscope.sim.light.ink.model import albedo_warning
+    from anisoscope.sim.materials.inks import read_ink_table, write_ink
+
+    if scale == "brdf" and reflectance is not None:
+        raise UsageError("--reflectance needs --scale factor: a BRDF has no white reference")
+    check_suffix(out, "--out", ".toml")
+    check_new((out,), overwrite=overwrite)
+    white = SPECTRALON if reflectance is None else reflectance
+    ink = read_ink_table(table, alpha, convention=scale, white=white, name=name or table.stem, source=source)
+    low, high = float(ink.nm.min()), float(ink.nm.max())
+    if low > NEEDED_NM[0] or high < NEEDED_NM[1]:
+        raise UsageError(
+            f"{table}: wavelengths from {low:g} to {high:g} nm have no colour; 400 to 700 nm are needed"
+        )
+    write_ink(ink, out)
+    warning = albedo_warning(ink)
+    if json_:
+        print_json(
+            {
+                "ink": ink.name, "alpha": alpha, "wavelengths": int(ink.nm.size), "from_nm": low, "to_nm": high,
+                "scale": scale, "written": out, "warnings": [] if warning is None else [warning],
+            }
+        )  # fmt: skip
+        return 0
+    print_line(f"{ink.name}: {ink.nm.size} wavelengths from {low:g} to {high:g} nm, alpha {alpha:g}")
+    if warning is not None:
+        print_line(f"warning: {warning}")
+    print_line(f"{out}: written")
+    return 0
 
 
 @app.command

@@ -137,3 +137,30 @@ def test_files_are_replaced_only_on_demand(anisoscope, folder, tmp_path, argumen
         done = anisoscope("ink", *arguments, kept, "--overwrite", cwd=folder)
         assert done.code == 0, done.err
         assert kept.read_bytes() != b"mine"
+
+
+def test_a_table_of_spectral_parameters_becomes_an_ink(anisoscope, tmp_path):
+    """The synthetic red ink, written as a table and imported, has the BRDF it had."""
+    ink = synthetic_ink("synthetic-red")
+    table, out = tmp_path / "red.csv", tmp_path / "red.toml"
+    rows = [f"{nm:g},{rho},{c}" for nm, rho, c in zip(ink.nm, ink.rho_brdf, ink.c_values, strict=True)]
+    table.write_text("wavelength_nm,rho,c\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    done = anisoscope("ink", "import", table, "--alpha", ink.alpha, "--out", out, "--json")
+    assert done.code == 0, done.err
+    assert done.json["wavelengths"] == ink.nm.size
+    np.testing.assert_allclose(
+        brdf_at_angles(read_ink(out), 30.0, 35.0), brdf_at_angles(ink, 30.0, 35.0), rtol=1e-5
+    )
+    short = tmp_path / "short.csv"
+    short.write_text("wavelength_nm,rho,c\n450,0.1,1\n650,0.2,1\n", encoding="utf-8")
+    for arguments, words in (
+        ([table, "--alpha", 0.2, "--out", out], "--overwrite"),
+        ([table, "--alpha", 0.2, "--out", tmp_path / "x.csv"], "--out writes *.toml"),
+        ([short, "--alpha", 0.2, "--out", tmp_path / "y.toml"], "400 to 700 nm are needed"),
+        ([table, "--alpha", 2, "--out", tmp_path / "z.toml"], "alpha"),
+        ([table, "--alpha", 0.2, "--reflectance", 0.9, "--out", tmp_path / "z.toml"], "--scale factor"),
+    ):
+        wrong = anisoscope("ink", "import", *arguments)
+        assert wrong.code not in (0, 1)
+        assert words in wrong.err
+        assert wrong.err.count("\n") == 1

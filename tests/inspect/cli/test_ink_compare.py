@@ -59,6 +59,7 @@ def test_made_up_readings_are_called_so(anisoscope):
         "Convention: encoded",
     ):
         assert words in done.out
+    assert "warning" not in done.out  # the fit warns of real readings only
 
 
 def test_mistakes_are_told_in_one_line(anisoscope, readings, tmp_path):

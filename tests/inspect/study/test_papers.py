@@ -13,6 +13,7 @@ from anisoscope.study.papers.rows import Paper, Row
 PAPERS = (levin.PAPER, luongo.PAPER, pranovich.PAPER)
 LONG = {
     levin.fig_2, levin.fig_5, levin.fig_6, levin.fig_8, levin.fig_9, levin.fig_10, levin.fig_11, levin.appendix_b,
+    levin.eq_15, levin.section_5,
     luongo.fig_8, pranovich.fig_4, pranovich.table_1, pranovich.fig_5,
 }  # fmt: skip
 """Rows of more than a fifth of a second; `make docs` makes them all."""

@@ -1,0 +1,326 @@
+"""Height maps whose angular reflectance is a picture, grey or in colour, found by gradients.
+
+The reflected wave of a periodic unit of N × N cells is a Fourier transform of its phases, and the gradient of any error
+of the picture with respect to all heights is one inverse transform for each wavelength. The search starts from random
+steps and follows the gradient (Adam, Kingma and Ba 2015); heights are rounded to the etched levels in every step, and
+the gradient is passed through the rounding. Wavelengths are drawn anew in every step from even parts of the band, so
+that the picture holds for the whole spectrum. Half vectors with h_z = 1: light and camera near the normal.
+"""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
+from anisoscope.base.json_fields import LEFT_OUT
+from anisoscope.base.progress import Advance, silent
+from anisoscope.sim.light import threads
+from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.light.colour.observer import xyz_weights
+from anisoscope.sim.light.colour.spaces import SRGB_TO_XYZ, SRGB_WHITE, XYZ_TO_SRGB, ciede2000, encode, lab
+from anisoscope.sim.light.wave.correlation import angular_map
+from anisoscope.sim.light.wave.surface import WaveSurface
+from anisoscope.sim.light.wave.windows import Extent, Window
+
+Floats = npt.NDArray[np.float32]
+Labels = npt.NDArray[np.uint16]
+
+FLOOR = 0.003
+"""Linear light added before the square root that the error is measured in."""
+
+BETAS = (0.9, 0.99)
+BAND_NM = (400.0, 700.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PictureTask:
+    """A wanted picture and what can be etched.
+
+    Attributes:
+        wanted: (M, M, 3) linear sRGB or (M, M, 1) grey over h from −reach to reach, rows along rising h_y.
+        levels_um: heights of the etched levels.
+        illuminant: of a picture in colour; None for one wavelength.
+        wavelength_um: of a grey picture.
+        cells: N, cells of the unit along each axis.
+        cell_um: side of a cell, the smallest feature.
+        coherence_um: Δc of the source at the wavelength of the design (in colour 550 nm).
+        reach: largest |h|.
+        bands: wavelengths in a step of a picture in colour.
+
+    Raises:
+        ModelError: a picture that is none, or directions beyond what the cells diffract to.
+    """
+
+    wanted: FloatArray
+    levels_um: tuple[float, ...]
+    illuminant: Illuminant | None = None
+    wavelength_um: float = 0.55
+    cells: int = 512
+    cell_um: float = 0.5
+    coherence_um: float = 64.0
+    reach: float = 0.12
+    bands: int = 10
+
+    def __post_init__(self) -> None:
+        shape = self.wanted.shape
+        if len(shape) != 3 or shape[0] != shape[1] or shape[2] != (1 if self.illuminant is None else 3):
+            raise ModelError(f"a picture to design is a square, grey or with a light in colour, not {shape}")
+        if not np.isfinite(self.wanted).all() or self.wanted.min() < 0.0 or self.wanted.max() <= 0.0:
+            raise ModelError("a picture to design has no negative light, and some above 0")
+        shortest = self.wavelength_um if self.illuminant is None else 1e-3 * BAND_NM[0]
+        widest = shortest / (4.0 * self.cell_um)
+        if not 0.0 < self.reach <= widest:
+            raise ModelError(
+                f"cells of {self.cell_um:g} µm diffract {1e3 * shortest:g} nm to |h| = {widest:.3f}, not to "
+                f"{self.reach:g}: take a smaller --reach, or smaller cells (--min-width)"
+            )
+        unit = self.cells * self.cell_um
+        if len(self.levels_um) < 2 or not 0.0 < 2.0 * self.coherence_um <= unit:
+            raise ModelError(
+                f"a unit of {unit:g} µm must hold two coherence lengths of {self.coherence_um:g} µm or more along each "
+                "axis, and steps need two levels"
+            )
+
+    @property
+    def h(self) -> FloatArray:
+        """(M,) half vectors of the picture."""
+        return np.linspace(-self.reach, self.reach, self.wanted.shape[0])
+
+    def source(self, wavelength_um: float) -> float:
+        """Coherence length at a wavelength: the same source throughout."""
+        design = self.wavelength_um if self.illuminant is None else 0.55
+        return self.coherence_um * wavelength_um / design
+
+
+@dataclass(frozen=True, eq=False)
+class DesignedPicture:
+    """The best unit that was found.
+
+    Attributes:
+        task: what was asked for.
+        labels: (N, N) number of the level of every cell, rows along rising y.
+        error: rms of the difference of the square roots of light, at the scale that fits best.
+        history: error at the last step of each tenth of the search.
+    """
+
+    task: PictureTask
+    labels: Labels = field(repr=False)
+    error: float
+    history: tuple[float, ...]
+
+    @property
+    def height_um(self) -> FloatArray:
+        """(N, N) heights in µm."""
+        return np.asarray(self.task.levels_um, dtype=np.float64)[self.labels]
+
+
+class _Line:
+    """One wavelength of a picture: from heights to light over the half vectors, and its gradient back."""
+
+    def __init__(self, task: PictureTask, wavelength_um: float) -> None:
+        self.turns = 4.0 * np.pi / wavelength_um
+        unit = task.cells * task.cell_um
+        step = 1.0 / unit
+        self.box = max(1.0, unit / task.source(wavelength_um))
+        self.place = 2.0 * task.h / wavelength_um / step
+        f = np.fft.fftfreq(task.cells, task.cell_um)
+        self.cell = (np.sinc(f * task.cell_um) ** 2).astype(np.float32)
+        # a rect of `box` orders, linear between orders: sampled as the difference of two running sums
+        self.matrix = self._matrix(task.cells)
+
+    def _matrix(self, count: int) -> Floats:
+        """(M, N) weight of every order along one axis in every direction."""
+        order = np.fft.fftfreq(count, 1.0 / count)
+        off = np.abs(order[None, :] - self.place[:, None])
+        inside = np.clip(0.5 * self.box + 0.5 - off, 0.0, 1.0)
+        return np.asarray(inside / self.box * self.cell[None, :], dtype=np.float32)
+
+    def light(self, height: Floats) -> tuple[Floats, npt.NDArray[np.complex64], npt.NDArray[np.complex64]]:
+        """(M, M) light over the half vectors, the wave and its spectrum."""
+        from scipy import fft  # noqa: PLC0415 - slow to import
+
+        phase = (-self.turns * height).astype(np.float32)
+        wave = np.empty(phase.shape, dtype=np.complex64)
+        np.cos(phase, out=wave.real)
+        np.sin(phase, out=wave.imag)
+        spectrum = fft.fft2(wave, workers=threads.count()) / np.float32(wave.size)
+        power = spectrum.real**2 + spectrum.imag**2
+        return np.asarray(self.matrix @ power @ self.matrix.T), wave, spectrum
+
+    def gradient(
+        self, by_light: Floats, wave: npt.NDArray[np.complex64], spectrum: npt.NDArray[np.complex64]
+    ) -> Floats:
+        """(N, N) derivative by the heights, of the derivative by the light."""
+        from scipy import fft  # noqa: PLC0415 - slow to import
+
+        by_power = self.matrix.T @ by_light @ self.matrix
+        back = fft.ifft2(by_power * spectrum, workers=threads.count())
+        return np.asarray(2.0 * self.turns * (back.conj() * wave).imag, dtype=np.float32)
+
+
+def _lines(
+    task: PictureTask, rng: np.random.Generator, fixed: dict[float, _Line]
+) -> tuple[list[_Line], Floats]:
+    """Wavelengths of a step and their (B, channels) weights in linear sRGB."""
+    if task.illuminant is None:
+        if not fixed:
+            fixed[task.wavelength_um] = _Line(task, task.wavelength_um)
+        return list(fixed.values()), np.ones((1, 1), dtype=np.float32)
+    edges = np.linspace(*BAND_NM, task.bands + 1)
+    found, weights = [], []
+    table, nm = _weights(task.illuminant), np.arange(BAND_NM[0], BAND_NM[1] + 1.0, 5.0)
+    for low, high in pairwise(edges):
+        inside = (nm >= low) & ((nm < high) | (high == edges[-1]))
+        # whole steps of 5 nm, so that what belongs to a wavelength is made once; it stands for its whole part
+        one = float(rng.choice(nm[inside]))
+        if one not in fixed:
+            fixed[one] = _Line(task, 1e-3 * one)
+        found.append(fixed[one])
+        weights.append(table[inside].sum(axis=0))
+    return found, np.stack(weights)
+
+
+_CACHED: dict[str, Floats] = {}
+
+
+def _weights(illuminant: Illuminant) -> Floats:
+    """(61, 3) linear sRGB of the mean power of orders in steps of 5 nm, with the γ² = 1/λ² of a surface."""
+    if illuminant.name not in _CACHED:
+        nm = np.arange(BAND_NM[0], BAND_NM[1] + 1.0, 5.0)
+        weights = xyz_weights(illuminant, nm) @ XYZ_TO_SRGB.T * (550.0 / nm[:, None]) ** 2
+        _CACHED[illuminant.name] = np.asarray(weights, dtype=np.float32)
+    return _CACHED[illuminant.name]
+
+
+def design_picture(
+    task: PictureTask,
+    rng: np.random.Generator,
+    steps: int = 400,
+    *,
+    rate: float = 0.02,
+    advance: Advance = silent,
+) -> DesignedPicture:
+    """Find a unit whose angular reflectance comes close to a picture.
+
+    Args:
+        task: the picture.
+        rng: of the start and the wavelengths.
+        steps: of the search.
+        rate: of a step, as a share of the range of heights.
+        advance: receives the progress.
+
+    Raises:
+        ModelError: fewer than 10 steps.
+    """
+    if steps < 10:
+        raise ModelError(f"a picture takes 10 steps or more, not {steps}")
+    levels = np.sort(np.asarray(task.levels_um, dtype=np.float32))
+    span = float(levels[-1] - levels[0])
+    height = rng.uniform(levels[0], levels[-1], (task.cells, task.cells)).astype(np.float32)
+    mean, square = np.zeros_like(height), np.zeros_like(height)
+    root = np.sqrt(task.wanted.astype(np.float32) / float(task.wanted.max()) + FLOOR)
+    fixed: dict[float, _Line] = {}
+    scale, history, error = 0.0, [], float("nan")
+    middles = 0.5 * (levels[1:] + levels[:-1])
+    for step in range(steps):
+        label = np.searchsorted(middles, height)
+        rounded = levels[label]
+        lines, weights = _lines(task, rng, fixed)
+        done = [line.light(rounded) for line in lines]
+        light = np.einsum("bij,bc->ijc", np.stack([one[0] for one in done]), weights)
+        lit = np.maximum(light, 0.0)
+        best = _scale(lit, root)
+        scale = best if scale == 0.0 else 0.9 * scale + 0.1 * best
+        shown = np.sqrt(scale * lit + FLOOR)
+        rest = shown - root
+        error = float(np.sqrt(np.mean(rest**2)))
+        by_light = np.where(light > 0.0, rest * scale / shown, -scale) / rest.size
+        total = np.zeros_like(height)
+        for line, one, weight in zip(lines, done, weights, strict=True):
+            total += line.gradient((by_light @ weight).astype(np.float32), one[1], one[2])
+        mean = BETAS[0] * mean + (1.0 - BETAS[0]) * total
+        square = BETAS[1] * square + (1.0 - BETAS[1]) * total**2
+        m = mean / (1.0 - BETAS[0] ** (step + 1))
+        s = np.sqrt(square / (1.0 - BETAS[1] ** (step + 1)))
+        cooled = rate * span * 0.5 * (1.0 + np.cos(np.pi * step / steps))
+        height -= (cooled * m / (s + 1e-20)).astype(np.float32)
+        np.clip(height, levels[0], levels[-1], out=height)
+        advance(f"error {error:.4f}", step + 1, steps)
+        if (step + 1) % max(1, steps // 10) == 0:
+            history.append(error)
+    label = np.searchsorted(middles, height)
+    order = np.argsort(np.asarray(task.levels_um))
+    return DesignedPicture(task, order[label].astype(np.uint16), error, tuple(history))
+
+
+def _scale(light: Floats, root: Floats) -> float:
+    """Factor on the light that brings it closest to the wanted one."""
+    wanted = root**2 - FLOOR
+    return float(np.sum(light * wanted) / max(float(np.sum(light * light)), 1e-30))
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A unit, tiled endlessly, against its picture: by the correlation of 2 × 2 units, each height a whole cell.
+
+    Attributes:
+        ssim: structural similarity of encoded sRGB at the scale that fits best (Gaussian window, σ 1.5 points).
+        median_de2000: median ΔE2000 over the picture; None in grey.
+        light_share: share of all light that goes into the picture, mean over the wavelengths.
+        srgb: (M, M, 1 or 3) encoded picture, rows along rising h_y.
+    """
+
+    ssim: float
+    median_de2000: float | None
+    light_share: float
+    srgb: FloatArray = field(metadata=LEFT_OUT)
+
+
+def judged(found: DesignedPicture, depth_factor: float = 1.0) -> Judged:
+    """Compare a unit with its picture, in colour at 31 wavelengths.
+
+    Args:
+        found: the unit.
+        depth_factor: all depths times this: over-etching above 1.
+    """
+    from skimage.metrics import structural_similarity  # noqa: PLC0415 - slow to import
+
+    task = found.task
+    surface = WaveSurface.of(np.tile(depth_factor * found.height_um, (2, 2)), task.cell_um, cells=True)
+    lamp = task.illuminant
+    nm = (
+        np.array([1e3 * task.wavelength_um])
+        if lamp is None
+        else np.arange(BAND_NM[0], BAND_NM[1] + 1.0, 10.0)
+    )
+    weights = np.ones((1, 1)) if lamp is None else xyz_weights(lamp, nm) @ XYZ_TO_SRGB.T
+    y, x = np.meshgrid(task.h, task.h, indexing="ij")
+    light, share = np.zeros(task.wanted.shape), 0.0
+    step = float(task.h[1] - task.h[0])
+    for one, weight in zip(nm, weights, strict=True):
+        um = 1e-3 * float(one)
+        window = Window(Extent("rect", um / task.source(um)))
+        density = np.maximum(angular_map(surface, um, window, padding=1.0).at(x, y), 0.0)
+        share += float(density.sum()) * (2.0 * step / um) ** 2 / nm.size
+        # γ² of a surface is 1/λ²
+        light += density[..., None] / um**2 * weight
+    wanted = task.wanted / task.wanted.max()
+    light *= float(np.sum(light * wanted) / max(float(np.sum(light * light)), 1e-30))
+    shown, aim = encode(light).srgb, encode(wanted).srgb
+    similar = structural_similarity(  # type: ignore[no-untyped-call]
+        shown,
+        aim,
+        channel_axis=-1,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    median = None
+    if lamp is not None:
+        pair = [lab(one @ SRGB_TO_XYZ.T, SRGB_WHITE) for one in (np.clip(light, 0.0, None), wanted)]
+        median = float(np.median(ciede2000(*pair)))
+    return Judged(float(similar), median, share, shown)
