@@ -8,6 +8,9 @@ import numpy.typing as npt
 from numba import njit
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.kernel_compilation import log_compilation
+
+log_compilation(__file__)
 
 Mask = npt.NDArray[np.bool_]
 

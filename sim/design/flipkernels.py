@@ -9,9 +9,9 @@ only rows from ``first`` on are used; the others mirror them.
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
+from anisoscope.base.kernel_compilation import jit_kernel, log_compilation
 
-log_compilation()
+log_compilation(__file__)
 
 Floats = npt.NDArray[np.float32]
 

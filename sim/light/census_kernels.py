@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.kernel_compilation import jit_kernel
+from anisoscope.base.kernel_compilation import jit_kernel
 from anisoscope.sim.light.kernels import (
     EDGE,
     around_edge,

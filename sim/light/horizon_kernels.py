@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from anisoscope.sim.light.kernel_compilation import log_compilation
+from anisoscope.base.kernel_compilation import log_compilation
 
-log_compilation()
+log_compilation(__file__)
 
 Floats = npt.NDArray[np.float32]
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.kernel_compilation import jit_kernel
+from anisoscope.base.kernel_compilation import jit_kernel
 from anisoscope.sim.light.shadowing import (
     LAMBDA_BELLS,
     LAMBDA_NODES,

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
+from anisoscope.base.kernel_compilation import jit_kernel, log_compilation
 from anisoscope.sim.light.material import SHADOWING_ENDS, SLANTS_PER_E_FOLD
 from anisoscope.sim.light.shine import LobeShape, Shine, Vector
 
-log_compilation()
+log_compilation(__file__)
 
 ShareArray = npt.NDArray[np.float32]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.kernel_compilation import jit_kernel
+from anisoscope.base.kernel_compilation import jit_kernel
 
 HeightArray = npt.NDArray[np.float32]
 Axis = tuple[float, float, float, int]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from anisoscope.sim.light.kernel_compilation import jit_kernel
+from anisoscope.base.kernel_compilation import jit_kernel
 from anisoscope.sim.light.relief_blocks import leap
 
 HeightArray = npt.NDArray[np.float32]

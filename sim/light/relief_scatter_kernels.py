@@ -6,7 +6,7 @@ need not run along y of the map: a turn (cosine, sine) leads from the axes of th
 
 import math
 
-from anisoscope.sim.light.kernel_compilation import jit_kernel
+from anisoscope.base.kernel_compilation import jit_kernel
 from anisoscope.sim.light.kernels import _fresnel, _table, density, shadowing
 from anisoscope.sim.light.shine import Plastic
 

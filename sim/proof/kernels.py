@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
+from anisoscope.base.kernel_compilation import jit_kernel, log_compilation
 
-log_compilation()
+log_compilation(__file__)
 
 Ranks = npt.NDArray[np.int64]
 Pattern = npt.NDArray[np.bool_]
@@ -82,7 +82,7 @@ def rank(points: Pattern, kernel: FloatArray, size: int, energy: FloatArray, ord
         _change(energy, kernel, size, void, 1.0)
 
 
-log_compilation()
+log_compilation(__file__)
 
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
@@ -262,7 +262,7 @@ def count_blocks(
                 aimed[i, j, k] += cover[r, c, k]
 
 
-log_compilation()
+log_compilation(__file__)
 
 IntArray = npt.NDArray[np.int64]
 

@@ -9,9 +9,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
+from anisoscope.base.kernel_compilation import jit_kernel, log_compilation
 
-log_compilation()
+log_compilation(__file__)
 
 Float32 = npt.NDArray[np.float32]
 Vector = tuple[float, float, float]

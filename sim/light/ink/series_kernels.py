@@ -9,10 +9,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.kernel_compilation import jit_kernel, log_compilation
 from anisoscope.sim.light.ink.kernels import FAINT, HALF, ONE, PI, ZERO, Vector
-from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 
-log_compilation()
+log_compilation(__file__)
 
 Float32 = npt.NDArray[np.float32]
 

@@ -8,9 +8,9 @@ over |t| ≤ ½; they are off by less than 1e-6.
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
+from anisoscope.base.kernel_compilation import jit_kernel, log_compilation
 
-log_compilation()
+log_compilation(__file__)
 
 Floats = npt.NDArray[np.float32]
 

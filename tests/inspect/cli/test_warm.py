@@ -8,7 +8,7 @@ import sys
 import pytest
 
 LATER = (
-    "profile make ridges --size 300,600 --pitch 60 --out map.npz",
+    "profile make ridges --size 300,600 --pitch 60 --out map.npz --overwrite",
     "profile ridges map.npz",
     "predict map.npz",
     "predict --ridge-angle 10",

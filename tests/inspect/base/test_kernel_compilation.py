@@ -1,6 +1,6 @@
 import os
 
-from anisoscope.sim.light.kernel_compilation import remove_stale
+from anisoscope.base.kernel_compilation import remove_stale
 
 
 def test_kernels_older_than_any_source_are_forgotten(tmp_path):

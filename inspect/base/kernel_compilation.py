@@ -50,13 +50,20 @@ class _Announcer(event.Listener):
 
 
 _announcer = _Announcer()
+_looked_through: set[Path] = set()
 
 
-def log_compilation() -> None:
-    """Log a warning at the first compilation from now on; asking twice changes nothing."""
+def log_compilation(source: str) -> None:
+    """Log a warning at the first compilation from now on, and remove stale kernels next to a source file.
+
+    Asking twice changes nothing.
+    """
+    folder = Path(source).parent
+    if folder not in _looked_through:
+        _looked_through.add(folder)
+        remove_stale(folder)
     if not _announcer.listening:
         _announcer.listening = True
-        remove_stale(Path(__file__).parent)
         event.register("numba:compile", _announcer)  # type: ignore[no-untyped-call]
 
 
