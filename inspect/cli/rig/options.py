@@ -126,6 +126,14 @@ def home_axis(axis: "RotationStage", part: "MotorPart", *, yes: bool) -> None:
     from anisoscope.rig.rigfile import BY_HAND
 
     if part.driver != BY_HAND:  # there the operator is asked for every single motion
-        way = "turn a full turn" if part.unit == "deg" else "move over its whole travel"
-        confirm(f"homing {axis.name}: it searches its reference and may {way}", yes=yes)
+        if part.unit == "deg":
+            confirm(
+                message("homing {name}: it searches its reference and may turn a full turn", name=axis.name),
+                yes=yes,
+            )
+        else:
+            confirm(
+                message("homing {name}: it searches its reference over its whole travel", name=axis.name),
+                yes=yes,
+            )
     axis.home()
