@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,10 +64,20 @@ def warm(
 
 
 def _read_sources() -> None:
-    """Parse what keys of the cache are made of: the sources of all commands, and of the kinds of parts."""
-    from anisoscope.record.details import GROUP
+    """Parse what keys of the cache are made of: the sources of all commands, of the kinds of parts, and of devices.
 
-    read_sources("anisoscope.cli", *(entry.module for entry in installed(GROUP).values()))
+    Commands and devices are named by text, which no import statement says.
+    """
+    from anisoscope.record.details import GROUP
+    from anisoscope.rig.drivers import CAMERAS, LIGHTS, STAGES
+
+    folder = Path(__file__).parent.parent
+    sources = [path.relative_to(folder).with_suffix("").parts for path in folder.rglob("*.py")]
+    commands = [".".join(("anisoscope.cli", *parts)).removesuffix(".__init__") for parts in sources]
+    plugins = [
+        entry.module for group in (GROUP, STAGES, CAMERAS, LIGHTS) for entry in installed(group).values()
+    ]
+    read_sources(*commands, *(name for name in plugins if name.startswith("anisoscope.")))
 
 
 def _timed(name: str) -> float:
