@@ -19,6 +19,10 @@ from anisoscope.sim.bench.serialports import protocol_sim
 from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
 HURRY = {"timeout_s": 0.3, "boot_s": 0.0, "settle_s": 0.1}
+PATIENT = HURRY | {"timeout_s": 20.0}
+"""Where the answer comes at once: a busy computer may take its time."""
+BABBLED = HURRY | {"timeout_s": 1.0}
+"""Where three tries wait to the end, and each must hear something."""
 FAULTS = {
     "silent": (NotConnected, "silent"),
     "silent:4": (NotConnected, "silent"),
@@ -33,6 +37,8 @@ FAULTS = {
     "lost-homing": (RigError, "switched on, but says that it is off"),
     "lost-reply": (NotConnected, "silent"),
 }
+
+SILENT = {fault for fault, end in FAULTS.items() if end is not None and end[1] == "silent"}
 
 
 @pytest.fixture
@@ -61,7 +67,7 @@ def served(request, in_process, monkeypatch):
 
 def test_a_day_in_the_life(served):
     firmware = LightFirmware(faults=("split", "garbage"))
-    light = open_light("serial", port=served(firmware), level_percent=60, **HURRY)
+    light = open_light("serial", port=served(firmware), level_percent=60, **PATIENT)
     assert isinstance(light, Light)
     assert light.name == "light ANISOLIGHT 1 L0001"
     assert firmware.lamp.level == 0.0
@@ -87,7 +93,7 @@ def test_a_fault_ends_in_its_error(request, served, fault):
         if FAULTS[fault] is not None:
             error, message = FAULTS[fault]
             stack.enter_context(pytest.raises(error, match=message))
-        light = SerialLight(port, **HURRY)
+        light = SerialLight(port, **(BABBLED if fault == "babble" else HURRY if fault in SILENT else PATIENT))
         stack.callback(light.close)
         light.on()
         assert firmware.lamp.level == 1.0
