@@ -66,9 +66,10 @@ def warm(
 def _read_sources() -> None:
     """Parse what keys of the cache are made of: the sources of all commands, of the kinds of parts, and of devices.
 
-    Commands and devices are named by text, which no import statement says.
+    Commands, devices and the program that draws surfaces are named by text, which no import statement says.
     """
     from anisoscope.record.details import GROUP
+    from anisoscope.report.surface_view import DRAWS
     from anisoscope.rig.drivers import CAMERAS, LIGHTS, STAGES
 
     folder = Path(__file__).parent.parent
@@ -77,7 +78,7 @@ def _read_sources() -> None:
     plugins = [
         entry.module for group in (GROUP, STAGES, CAMERAS, LIGHTS) for entry in installed(group).values()
     ]
-    read_sources(*commands, *(name for name in plugins if name.startswith("anisoscope.")))
+    read_sources(*commands, DRAWS, *(name for name in plugins if name.startswith("anisoscope.")))
 
 
 def _timed(name: str) -> float:
@@ -115,10 +116,11 @@ def _rendered_map() -> None:
     import numpy as np
 
     from anisoscope.sim.light.material import Material
-    from anisoscope.sim.light.relief import Relief, radiance_maps
+    from anisoscope.sim.light.relief import Relief, radiance_maps, radiance_of_cells
 
     up, aslant = np.array([[0.0, 0.0, 1.0]]), np.array([[0.8, 0.0, 0.6]])
     list(radiance_maps(Relief(_small_map(), 50.0), aslant, up, Material()))
+    radiance_of_cells(Relief(_small_map(), 50.0), aslant, up, Material(), 12.5)
 
 
 def _traced_scene() -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.design.image import read_image
 from anisoscope.cli.design.output import check_seed
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
@@ -229,15 +230,9 @@ def _picture(image: Path, size: str | None, dot: float) -> "npt.NDArray[np.uint8
     import cv2
     import numpy as np
 
-    try:
-        data = np.frombuffer(image.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise UsageError(f"{image}: cannot be read ({error.strerror}); check the path") from None
-    grey = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    if grey is None:
-        raise UsageError(f"{image}: not a picture; give a PNG, TIFF or JPEG")
+    grey = read_image(image)
     if size is None:
-        return np.asarray(grey, dtype=np.uint8)
+        return grey
     wide = parse_numbers(size, "--plate-size")
     if len(wide) not in (1, 2) or min(wide) <= 0.0:
         raise UsageError(f"--plate-size takes one or two positive numbers of mm, not {size!r}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.design.image import read_image
 from anisoscope.cli.design.output import check_seed
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
@@ -112,13 +113,7 @@ def _target(path: Path, reach: float) -> "FloatArray":
         table = read_table(path, (("h", "density"),), not_negative=("h", "density"))
         found = radial_target(table.column("h"), table.column("density"), POINTS, reach)
     else:
-        try:
-            data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-        grey = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-        if grey is None:
-            raise UsageError(f"{path}: not a picture; give a PNG, TIFF or JPEG, or a CSV h,density")
+        grey = read_image(path, others=", or a CSV h,density")
         side = min(grey.shape)
         top, left = (grey.shape[0] - side) // 2, (grey.shape[1] - side) // 2
         square = grey[top : top + side, left : left + side].astype(np.float64)
@@ -321,13 +316,7 @@ def _wanted(path: Path, points: int, *, colour: bool) -> "FloatArray":
     import cv2
     import numpy as np
 
-    try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    found = cv2.imdecode(data, cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE) if data.size else None
-    if found is None:
-        raise UsageError(f"{path}: not a picture; give a PNG, TIFF or JPEG")
+    found = read_image(path, colour=colour)
     how = cv2.INTER_AREA if min(found.shape[:2]) > points else cv2.INTER_LINEAR
     small = cv2.resize(found, (points, points), interpolation=how)[::-1]
     if not small.any():

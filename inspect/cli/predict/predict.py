@@ -553,17 +553,8 @@ def predict(
 
 
 _WITH_A_MAP = (
-    *(
-        "height_map",
-        "alpha_along",
-        "alpha_across",
-        "pixel",
-        "role",
-        "waves",
-        "sizes",
-        "over_directions",
-        "json_",
-    ),
+    *("height_map", "alpha_along", "alpha_across", "pixel", "role"),
+    *("waves", "sizes", "over_directions", "json_"),
 )
 
 

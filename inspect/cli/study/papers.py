@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.ink.options import check_suffix
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -41,8 +42,9 @@ def papers(
     from anisoscope.study.papers.luongo import PAPER as LUONGO
     from anisoscope.study.papers.pranovich import PAPER as PRANOVICH
 
-    if html is not None and html.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(f"--html {html}: a page is named *.html")
+    check_suffix(html, "--html", ".html")
+    if html is not None and not html.parent.is_dir():
+        raise UsageError(f"--html {html}: there is no folder {html.parent}")
     chosen = [one for one in (LEVIN, LUONGO, PRANOVICH) if only in (None, one.key)]
     total = sum(len(one.makers) for one in chosen)
     found: list[tuple[Paper, list[Row]]] = []

@@ -11,6 +11,7 @@ LATER = (
     "profile make ridges --size 300,600 --pitch 60 --out map.npz --overwrite",
     "profile ridges map.npz",
     "predict map.npz",
+    "demo --out demo",
     "predict --ridge-angle 10",
     "render frame map.npz --out frame.png --panel 64",
     "profile make staircase --size 20 --pixel 0.1 --out steps.npz",
@@ -24,7 +25,7 @@ LATER = (
 
 @pytest.mark.soak
 def test_after_warm_no_command_compiles(tmp_path):
-    """About two minutes of processor time in an empty folder of compiled kernels."""
+    """About three minutes of processor time in an empty folder of compiled kernels."""
 
     def run(line):
         return subprocess.run(
