@@ -1,6 +1,6 @@
 """Histogram of the slopes of a height map, shared by many poses (see `census_kernels`)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -56,6 +56,7 @@ class Census:
         edges: cells that straddle an edge, counted as their two parts, as `census_kernels.facets_left` gives them.
         apart: cells evaluated one by one, likewise.
         total: weight of all facets with known heights.
+        rows: rows of cells.
     """
 
     u: Floats
@@ -69,6 +70,30 @@ class Census:
     edges: Cells
     apart: Cells
     total: float
+    rows: int
+
+    def band(self, first: int, last: int) -> "Census":
+        """That of the rows of cells from ``first`` to before ``last``, for what is hidden in them."""
+        parts = 2 if len(self.u) > self.rows else 1
+        u, v = (
+            a.reshape(parts, self.rows, -1)[:, first:last].reshape(parts * (last - first), -1)
+            for a in (self.u, self.v)
+        )
+        return replace(
+            self,
+            u=u,
+            v=v,
+            rows=last - first,
+            edges=_in(self.edges, first, last),
+            apart=_in(self.apart, first, last),
+        )
+
+
+def _in(cells: Cells, first: int, last: int) -> Cells:
+    """Those of some rows, counted from the first of them."""
+    where, slopes = cells
+    inside = (where[:, 0] >= first) & (where[:, 0] < last)
+    return where[inside] - np.array([first, 0]), slopes[inside]
 
 
 def take_census(
@@ -120,7 +145,7 @@ def take_census(
     weight = found.sum(axis=0).ravel()[at]
     missing = np.isnan(v).sum(axis=0) if left.any() else np.zeros(cols)
     total = float((len(v) - missing) @ weights)
-    return Census(u, v, weights, grid, nodes, at, shape, weight, edges, apart, total)
+    return Census(u, v, weights, grid, nodes, at, shape, weight, edges, apart, total, rows)
 
 
 def _limits(surface: HeightMap, spacing: tuple[float, float], steepest: FloatArray) -> FloatArray:
@@ -154,12 +179,7 @@ def _around(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return cells
 
 
-def mean_radiance(census: Census, shine: Shine, horizon: Horizon) -> float:
-    """Mean radiance [1/sr] of the surface in one pose, whose shadows ``horizon`` knows."""
-    return _mean(census, shine, horizon, _at_nodes(census, shine))
-
-
-def _at_nodes(census: Census, shine: Shine) -> FloatArray:
+def shine_at_nodes(census: Census, shine: Shine) -> FloatArray:
     """(N,) what the nodes of the grid shine, all of it lit and seen."""
     from anisoscope.sim.light.census_kernels import shine_at  # noqa: PLC0415 - start-up time
 
@@ -175,24 +195,30 @@ def _sky(census: Census, at_nodes: FloatArray) -> Floats:
     return sky
 
 
-def _mean(census: Census, shine: Shine, horizon: Horizon, at_nodes: FloatArray) -> float:
-    """Mean radiance of the surface from what the nodes shine."""
+def added(census: Census, shine: Shine, horizon: Horizon, at_nodes: FloatArray) -> float:
+    """What shadows take from the sum over the counted facets, all lit and seen, and what facets apart add to it.
+
+    Args:
+        census: of the map, or of a band of its rows.
+        shine: the pose.
+        horizon: of the same map, or band.
+        at_nodes: (N,) what the nodes shine.
+    """
     from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415 - start-up time
 
     light, camera = np.array(shine.light), np.array(shine.camera)
-    total = float(census.weight @ at_nodes)
     shadowed = not (horizon.whole(light) and horizon.whole(camera))
     if not shadowed and not len(census.apart[0]):
-        return total / census.total
+        return 0.0
     shares = horizon.shares(light), horizon.shares(camera)
     same_side = float(light[:2] @ camera[:2]) >= 0.0
-    total += kernels.apart_shine(*census.apart, census.weights, *shares, same_side, shine)
+    found = kernels.apart_shine(*census.apart, census.weights, *shares, same_side, shine)
     if shadowed:
         shown = census.weights, census.grid, _sky(census, at_nodes), *shares
-        total -= kernels.hidden(census.u, census.v, *shown, same_side)
+        found -= kernels.hidden(census.u, census.v, *shown, same_side)
         where, slopes = census.edges
-        total -= kernels.hidden_edges(where, slopes, *shown, shine.light, shine.camera)
-    return float(total / census.total)
+        found -= kernels.hidden_edges(where, slopes, *shown, shine.light, shine.camera)
+    return float(found)
 
 
 def cell_radiance(
@@ -212,8 +238,8 @@ def cell_radiance(
     from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415 - start-up time
 
     light, camera = np.array(shine.light), np.array(shine.camera)
-    at_nodes = _at_nodes(census, shine)
-    mean = _mean(census, shine, horizon, at_nodes)
+    at_nodes = shine_at_nodes(census, shine)
+    mean = (float(census.weight @ at_nodes) + added(census, shine, horizon, at_nodes)) / census.total
     shares = horizon.shares(light), horizon.shares(camera)
     same_side = float(light[:2] @ camera[:2]) >= 0.0
     rows, cols = places

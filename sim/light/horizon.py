@@ -1,6 +1,7 @@
 """Visible share of every facet of a height map from a direction."""
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -8,15 +9,17 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.sim.light import threads
 
 Floats = npt.NDArray[np.float32]
 
 LOWEST = 1e-3  # cosine from the normal at which a direction counts as grazing
 MILD = 0.999  # rise along a ray below which, in single precision too, nothing hides anything
-CACHED_DIRECTIONS = 10  # directions whose shares are kept
+CACHED_DIRECTIONS = 4  # directions whose shares are kept
 CACHED_POINTS = (
     8_000_000  # points of all shares that are kept with a surface, for maps of which these are many
 )
+BAND_POINTS = 1_000_000  # facets of a band of rows, so that its shares stay in the processor's cache
 
 
 class Ground(Protocol):
@@ -25,10 +28,6 @@ class Ground(Protocol):
     @property
     def rows_first(self) -> Floats:
         """(rows, cols) heights in µm, NaN = missing."""
-
-    @property
-    def columns_first(self) -> Floats:
-        """(cols, rows) the same, contiguous."""
 
     @property
     def pixels_um(self) -> tuple[float, float]:
@@ -45,6 +44,9 @@ class Ground(Protocol):
     @property
     def steepest(self) -> FloatArray:
         """Lowest and highest slope along x, lowest and highest along y, from point to point."""
+
+    def columns_first(self, low: int, high: int) -> Floats:
+        """(cols, high − low + 1) heights of the rows from ``low`` to ``high``, contiguous."""
 
     def wrap_columns(self) -> int:
         """Columns after which the surface repeats; 0 if it does not."""
@@ -79,23 +81,34 @@ class SharesOfSmallMap:
             self._shares.popitem(last=False)
 
 
+def bands(shape: tuple[int, int]) -> Sequence[tuple[int, int]]:
+    """First row of facets and that after the last of every band of a map with (rows, cols) points."""
+    rows, cols = shape[0] - 1, max(shape[1] - 1, 1)
+    return threads.runs(rows, max(1, rows * cols // BAND_POINTS))
+
+
 class Horizon:
-    """Visible shares of all facets from many directions.
+    """Visible shares of all facets from many directions, or of those in a band of rows.
 
     The shares of the latest ``CACHED_DIRECTIONS`` directions are cached; arrays of older ones are filled anew, because
-    fresh memory costs more than the march itself.
+    fresh memory costs more than the march itself. A band has the shares that the whole map has there, in little memory.
 
     Args:
         ground: the surface.
         shared: shares of the same surface that are common to several horizons.
+        band: first row of facets and that after the last; None takes all, and ``shared`` serves these only.
     """
 
-    def __init__(self, ground: Ground, shared: SharesOfSmallMap | None = None) -> None:
+    def __init__(
+        self, ground: Ground, shared: SharesOfSmallMap | None = None, band: tuple[int, int] | None = None
+    ) -> None:
         self.ground = ground
-        self._shared = shared if shared is not None and shared.is_useful else None
+        self._shared = shared if shared is not None and shared.is_useful and band is None else None
         self._cache: OrderedDict[bytes, Floats] = OrderedDict()
         self._transposed: Floats | None = None
         self._all: Floats | None = None
+        self._band = band or (0, ground.rows_first.shape[0] - 1)
+        self._columns: tuple[tuple[int, int], Floats] | None = None
 
     def whole(self, direction: FloatArray) -> bool:
         """Whether it is certain without a march that a direction (3,) reaches everything: all slopes are milder.
@@ -121,8 +134,7 @@ class Horizon:
         """
         if self.whole(direction):
             if self._all is None:
-                rows, cols = self.ground.rows_first.shape
-                self._all = np.ones((rows - 1, cols - 1), dtype=np.float32)
+                self._all = np.ones(self._shape, dtype=np.float32)
             return self._all
         key = np.round(direction[:2] / direction[2], 12).tobytes()
         if self._shared is not None:
@@ -132,28 +144,29 @@ class Horizon:
         self._cache.move_to_end(key)
         return self._cache[key]
 
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self._band[1] - self._band[0], self.ground.rows_first.shape[1] - 1
+
     def _shared_shares(self, shared: SharesOfSmallMap, key: bytes, direction: FloatArray) -> Floats:
         known = shared.get(key)
         if known is None:
-            rows, cols = self.ground.rows_first.shape
-            known = self._march(direction, np.empty((rows - 1, cols - 1), dtype=np.float32))
+            known = self._march(direction, np.empty(self._shape, dtype=np.float32))
             shared.add(key, known)
         return known
 
     def _room(self) -> Floats:
         if len(self._cache) >= CACHED_DIRECTIONS:
             return self._cache.popitem(last=False)[1]
-        rows, cols = self.ground.rows_first.shape
-        return np.empty((rows - 1, cols - 1), dtype=np.float32)
+        return np.empty(self._shape, dtype=np.float32)
 
     def _march(self, direction: FloatArray, shares: Floats) -> Floats:
-        from anisoscope.sim.light.horizon_kernels import march  # noqa: PLC0415 - numba when first needed
+        from anisoscope.sim.light.horizon_kernels import BLOCK, march  # noqa: PLC0415 - numba when first needed
 
         ground = self.ground
         pixel_x, pixel_y = ground.pixels_um
         tan_x, tan_y = float(direction[0] / direction[2]), float(direction[1] / direction[2])
         along_x = abs(tan_x) / pixel_x >= abs(tan_y) / pixel_y
-        z = ground.columns_first if along_x else ground.rows_first
         major, minor = (tan_x, tan_y) if along_x else (tan_y, tan_x)
         pixels = (pixel_x, pixel_y) if along_x else (pixel_y, pixel_x)
         shift = minor / pixels[1] / (abs(major) / pixels[0])
@@ -161,15 +174,30 @@ class Horizon:
         tangent = float(np.hypot(tan_x, tan_y))
         reach = int(np.ceil(tangent * ground.depth_um / step)) + 1
         wrap = ground.wrap_columns()
-        periods = (wrap, 0) if along_x else (0, wrap)
-        out = self._scratch() if along_x else shares
-        march(z, step, tangent, shift, major < 0, reach, *periods, out)
-        if along_x:
-            np.copyto(shares, out.T)
+        reverse = major < 0
+        facets, (first, last) = ground.rows_first.shape[0] - 1, self._band
+        if along_x:  # slices that slant come from rows outside of the band
+            aside = int(np.ceil(abs(shift) * reach)) + 2 if abs(shift) > 0.0 else 0
+            low, high = max(0, first - aside), min(facets, last + aside)
+            out = self._scratch(high - low)
+            march(self._columns_first(low, high), step, tangent, shift, reverse, reach, wrap, 0, 0, out)
+            np.copyto(shares, out[:, first - low : last - low].T)
+            return shares
+        ahead = reach + 1
+        z = ground.rows_first[
+            max(0, first - ahead) if reverse else first : last + 1 + (0 if reverse else ahead)
+        ]
+        lead = (facets - last if reverse else first) % BLOCK
+        march(z, step, tangent, shift, reverse, reach, 0, wrap, lead, shares)
         return shares
 
-    def _scratch(self) -> Floats:
-        if self._transposed is None:
-            rows, cols = self.ground.rows_first.shape
-            self._transposed = np.empty((cols - 1, rows - 1), dtype=np.float32)
+    def _columns_first(self, low: int, high: int) -> Floats:
+        """(cols, high − low + 1) heights of the rows of points from ``low`` to ``high``, contiguous."""
+        if self._columns is None or self._columns[0] != (low, high):
+            self._columns = (low, high), self.ground.columns_first(low, high)
+        return self._columns[1]
+
+    def _scratch(self, rows: int) -> Floats:
+        if self._transposed is None or self._transposed.shape[1] != rows:
+            self._transposed = np.empty((self.ground.rows_first.shape[1] - 1, rows), dtype=np.float32)
         return self._transposed

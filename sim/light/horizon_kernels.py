@@ -6,7 +6,7 @@ running minimum per slice, the horizon, settles everything in O(N). A slice take
 or a column of the map, so that no crest is missed. All slices march together, one step of the map's major axis at a
 time, so that the inner loops run over neighbouring numbers. A shadow is no longer than the relief is high times the
 tangent, so blocks of the major axis start `reach` steps ahead and need nothing from each other;
-short blocks keep the slices that slant few.
+short blocks keep the slices that slant few. Facets of a large map are filled a band at a time, in the same blocks.
 """
 
 import math
@@ -135,12 +135,13 @@ def march(
     reach: int,
     period_major: int,
     period_minor: int,
+    lead: int,
     shares: Floats,
 ) -> None:
     """Visible share of every facet from a source beyond the high end of axis 0 (the low end if ``reverse``).
 
     Args:
-        z: (major, minor) heights, NaN = missing.
+        z: (major, minor) heights, NaN = missing; those beyond the facets, toward the source, cast shadows only.
         step: length of one step along a slice, in the unit of z.
         tangent: horizontal over vertical component of the direction, ≥ 0.
         shift: columns by which a slice moves toward the source per step, −1 to 1.
@@ -148,27 +149,28 @@ def march(
         reach: steps over which the relief can cast a shadow.
         period_major: steps after which the surface repeats, 0 if it does not.
         period_minor: columns after which the surface repeats, 0 if it does not.
-        shares: (major − 1, minor − 1), filled with shares 0 to 1; between slices they are interpolated.
+        lead: steps of the first block before the first facet: bands of a map have the blocks of the whole.
+        shares: (at most major − 1, minor − 1), filled with shares 0 to 1; between slices they are interpolated.
     """
     major, minor = z.shape
-    blocks = (major - 1 + BLOCK - 1) // BLOCK
-    for block in range(blocks):
-        low, high = block * BLOCK, min((block + 1) * BLOCK, major - 1)
-        # slice k stands at column first + ½ + k + shift·(c − low) at point c; all facets must lie between slices
-        first = math.floor(min(0.0, -shift * (high - low))) - 1
-        count = minor + 2 + math.ceil(abs(shift) * (high - low)) + 1
+    facets_along = shares.shape[0]
+    for origin in range(-lead, facets_along, BLOCK):
+        low, high = max(0, origin), min(origin + BLOCK, facets_along)
+        # slice k stands at column first + ½ + k + shift·(c − origin) at point c; all facets must lie between slices
+        first = math.floor(min(0.0, -shift * (high - origin))) - 1
+        count = minor + 2 + math.ceil(abs(shift) * (high - origin)) + 1
         horizon = np.full(count, np.float32(3e38), dtype=np.float32)
         height, gap = np.empty(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
         far = z[0]
         for c in range(high + reach, low - 1, -1):
             folded = _fold(c, major, period_major)
             near = z[major - 1 - folded] if reverse else z[folded]
-            position = first + 0.5 + shift * (c - low)
+            position = first + 0.5 + shift * (c - origin)
             if c < high:
-                # middle of facet r at the far end: r + ½ + ½·shift; slice k: first + ½ + k + shift·(c + 1 − low)
-                begin = -first - shift * (c + 0.5 - low)
+                # middle of facet r at the far end: r + ½ + ½·shift; slice k: first + ½ + k + shift·(c + 1 − origin)
+                begin = -first - shift * (c + 0.5 - origin)
                 k = math.floor(begin)
-                facets = shares[major - 2 - c] if reverse else shares[c]
+                facets = shares[facets_along - 1 - c] if reverse else shares[c]
                 _shares(
                     near,
                     far,
@@ -183,8 +185,8 @@ def march(
                 line = math.floor(max(position, position + shift))
                 part = (line - position) / shift
                 _crossings(near, far, line, np.float32(part), period_minor, height)
-                _lower(horizon, height, np.float32((c + part - low) * step), np.float32(tangent), gap)
+                _lower(horizon, height, np.float32((c + part - origin) * step), np.float32(tangent), gap)
             start = math.floor(position)
             _heights(near, start, np.float32(position - start), period_minor, height)
-            _lower(horizon, height, np.float32((c - low) * step), np.float32(tangent), gap)
+            _lower(horizon, height, np.float32((c - origin) * step), np.float32(tangent), gap)
             far = near

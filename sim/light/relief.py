@@ -7,7 +7,8 @@ along the azimuths of light and camera (`horizon_kernels`). The map is never rot
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import product
 from threading import Lock
 
 import numpy as np
@@ -22,18 +23,20 @@ from anisoscope.sim.light.census import (
     FACETS,
     Census,
     Facets,
+    added,
     cell_radiance,
-    mean_radiance,
     node_spacing,
+    shine_at_nodes,
     take_census,
 )
-from anisoscope.sim.light.horizon import Horizon, SharesOfSmallMap
+from anisoscope.sim.light.horizon import Horizon, SharesOfSmallMap, bands
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.shine import Shine, shine_in, turn_of
 
 ShareArray = npt.NDArray[np.float32]
 
 MAX_MISSING_SHARE = 0.25
+POSES_AT_ONCE = 16  # of which the values at the nodes of the census are held
 
 
 @dataclass(frozen=True)
@@ -134,9 +137,13 @@ class Relief:
         return np.asarray(height - (np.nanmin(height) + 0.5 * self.depth_um), dtype=np.float32)
 
     @cached_property
-    def columns_first(self) -> ShareArray:
-        """(cols, rows) heights above the middle."""
+    def _columns_first(self) -> ShareArray:
         return np.ascontiguousarray(self.rows_first.T)
+
+    def columns_first(self, low: int, high: int) -> ShareArray:
+        """(cols, high − low + 1) heights above the middle of the rows from ``low`` to ``high``."""
+        whole = high - low + 1 == len(self.rows_first)
+        return self._columns_first if whole else np.ascontiguousarray(self.rows_first[low : high + 1].T)
 
     @cached_property
     def shares(self) -> SharesOfSmallMap:
@@ -236,7 +243,8 @@ def radiance(
     """Mean radiance [1/sr] of the surface per unit irradiance perpendicular to the beam, direct light.
 
     Missing facets are left out; with a known pitch the mean runs over whole pitches. Facets are counted by slope
-    once, so that each further pose costs little more than its shadows; memory does not grow with the poses.
+    once, so that each further pose costs little more than its shadows. Shadows of a large map are found a band of rows
+    at a time: the memory is that of the census, the size of the map, and does not grow with the poses.
 
     Args:
         relief: the surface.
@@ -252,22 +260,40 @@ def radiance(
         ModelError: light or camera stands at or below the horizon of the sample.
     """
     census = relief.census(material)
-    relief.columns_first  # noqa: B018 - prepared once, before threads share it
-    idle = [Horizon(relief, relief.shares) for _ in range(min(threads.count(), len(to_light)))]
-    lock, done = Lock(), 0
+    shines = [
+        shine_in(*pose, material, relief.direction_deg)
+        for pose in zip(relief.on_map(to_light), relief.on_map(to_camera), strict=True)
+    ]
+    rows = bands(relief.surface.shape)
+    if len(rows) == 1:
+        relief.columns_first(*rows[0])  # prepared once, before threads share it
+    idle, lock, done = list[Horizon](), Lock(), 0
 
-    def predict(pose: tuple[FloatArray, FloatArray]) -> float:
+    def predict(work: tuple[tuple[int, int], slice]) -> FloatArray:
+        """(P,) what is hidden in a band of rows, for some of the poses."""
         nonlocal done
-        horizon = idle.pop()
-        value = mean_radiance(census, shine_in(*pose, material, relief.direction_deg), horizon)
-        with lock:
+        band, some = work
+        part = census if len(rows) == 1 else census.band(*band)
+        horizon = idle.pop() if idle else Horizon(relief, relief.shares, None if len(rows) == 1 else band)
+        found = np.zeros(len(shines))
+        for pose in range(len(shines))[some]:
+            found[pose] = added(part, shines[pose], horizon, at_nodes[pose % POSES_AT_ONCE])
+            with lock:
+                done += 1
+                progress("predicting poses", done // len(rows), len(shines))
+        if len(rows) == 1:
             idle.append(horizon)
-            done += 1
-            progress("predicting poses", done, len(to_light))
-        return value
+        return found
 
-    sides = relief.on_map(to_light), relief.on_map(to_camera)
-    return np.array(threads.each(predict, zip(*sides, strict=True)))
+    total = np.zeros(len(shines))
+    for first in range(0, len(shines), POSES_AT_ONCE):
+        group = range(len(shines))[first : first + POSES_AT_ONCE]
+        at_nodes = threads.each(partial(shine_at_nodes, census), [shines[pose] for pose in group])
+        alone = [slice(pose, pose + 1) for pose in group]
+        together = [slice(group.start, group.stop)]
+        total += sum(threads.each(predict, product(rows, alone if len(rows) == 1 else together)))
+        total[group.start : group.stop] += [float(census.weight @ nodes) for nodes in at_nodes]
+    return total / census.total
 
 
 def radiance_of_cells(

@@ -10,7 +10,7 @@ Without the padding the far edges of the dot would interfere, which spoils weak 
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light import threads
+from anisoscope.sim.light.wave.gpu import fft_length, library
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Window
@@ -70,25 +71,26 @@ def angular_map(
 
     ``padding`` below 2 lets the edges of the dot interfere (for tests). A map of 4096² points takes about 1.3 GB.
     """
-    from scipy import fft  # noqa: PLC0415 - slow to import
-
+    on = library()
     rows, cols = surface.shape
-    lengths = [1 if n == 1 else fft.next_fast_len(int(np.ceil(padding * n))) for n in (rows, cols)]
-    power = _power(surface, 2.0 * h_z / wavelength_um, lengths)
+    lengths = [1 if n == 1 else fft_length(int(np.ceil(padding * n))) for n in (rows, cols)]
+    spectrum = on.fft.fft2(wave(surface, 2.0 * h_z / wavelength_um), s=tuple(lengths), **on.fft_options)
+    power = spectrum.real**2 + spectrum.imag**2
+    del spectrum
     pixels = (1.0 if surface.is_profile else surface.pixel_y_um), surface.pixel_x_um
-    lags = [_lags(n, pixel) for n, pixel in zip(lengths, pixels, strict=True)]
-    correlation = fft.rfft2(power, workers=threads.count(), overwrite_x=True)
+    lags = [on.xp.asarray(_lags(n, pixel)) for n, pixel in zip(lengths, pixels, strict=True)]
+    correlation = on.fft.rfft2(power, overwrite_x=True, **on.fft_options)
     half = lengths[1] // 2 + 1
     for start in range(0, lengths[0], _ROWS):
         part = slice(start, start + _ROWS)
         correlation[part] *= window.coherence(
             lags[1][None, :half], lags[0][part, None], wavelength_um, h_z
         ).astype(np.float32)
-    blurred = fft.irfft2(correlation, s=tuple(lengths), workers=threads.count(), overwrite_x=True)
+    blurred = on.fft.irfft2(correlation, s=tuple(lengths), overwrite_x=True, **on.fft_options)
     scale = (surface.pixel_x_um * (1.0 if surface.is_profile else surface.pixel_y_um)) ** 2 / surface.area_um2
     blurred *= np.float32(scale)
-    fy, fx = (fft.fftshift(fft.fftfreq(n, pixel)) for n, pixel in zip(lengths, pixels, strict=True))
-    density: Floats = fft.fftshift(blurred)
+    fy, fx = (np.fft.fftshift(np.fft.fftfreq(n, pixel)) for n, pixel in zip(lengths, pixels, strict=True))
+    density: Floats = on.host(on.fft.fftshift(blurred))
     if surface.cells:
         density *= (np.sinc(fx * surface.pixel_x_um) ** 2).astype(np.float32)
         if not surface.is_profile:
@@ -155,21 +157,15 @@ class DensityLadder:
 
 
 def wave(surface: WaveSurface, cycles_per_um: float) -> npt.NDArray[np.complex64]:
-    """(rows, cols) exp(−2πi·cycles·z) in single precision, without a complex exponential."""
-    turns = surface.height_um * np.float32(cycles_per_um)
-    turns -= np.rint(turns)
+    """(rows, cols) complex64 exp(−2πi·cycles·z), without a complex exponential; on the graphics card if it is used."""
+    on = library()
+    turns = on.heights(surface) * np.float32(cycles_per_um)
+    turns -= on.xp.rint(turns)
     turns *= np.float32(-2.0 * np.pi)
-    found = np.empty(turns.shape, dtype=np.complex64)
-    np.cos(turns, out=found.real)
-    np.sin(turns, out=found.imag)
-    return found
-
-
-def _power(surface: WaveSurface, cycles_per_um: float, lengths: list[int]) -> Floats:
-    from scipy import fft  # noqa: PLC0415 - slow to import
-
-    spectrum = fft.fft2(wave(surface, cycles_per_um), s=tuple(lengths), workers=threads.count())
-    return np.asarray(spectrum.real**2 + spectrum.imag**2)
+    found = on.xp.empty(turns.shape, dtype=np.complex64)
+    on.xp.cos(turns, out=found.real)
+    on.xp.sin(turns, out=found.imag)
+    return cast("npt.NDArray[np.complex64]", found)
 
 
 def _lags(count: int, pixel_um: float) -> FloatArray:
@@ -285,7 +281,8 @@ def correlation_of(
     def run(place: tuple[int, int]) -> ComplexArray:
         return _tile(surface, cycles, place, tapers, (reach_y, reach_x))
 
-    total: ComplexArray = np.asarray(sum(threads.each(run, places)), dtype=np.complex128)
+    tiles = map(run, places) if library().is_card else threads.each(run, places)
+    total: ComplexArray = np.asarray(sum(tiles), dtype=np.complex128)
     total = total / _overlap(rows, starts[0], tapers[0], reach_y, endless=endless)[:, None]
     total = total / _overlap(cols, starts[1], tapers[1], reach_x, endless=endless)
     x = np.arange(-reach_x, reach_x + 1, dtype=np.float64) * surface.pixel_x_um
@@ -317,8 +314,7 @@ def _tile(
     reach: tuple[int, int],
 ) -> ComplexArray:
     """Sums of w·a(p)·w·a*(p − Δ) over one tile."""
-    from scipy import fft  # noqa: PLC0415 - slow to import
-
+    on = library()
     cut = [
         slice(max(0, start), min(count, start + taper.size))
         for start, taper, count in zip(place, tapers, surface.shape, strict=True)
@@ -328,12 +324,13 @@ def _tile(
         for start, taper, part in zip(place, tapers, cut, strict=True)
     ]
     part = WaveSurface(surface.height_um[cut[0], cut[1]], surface.pixel_x_um, surface.pixel_y_um)
-    field = wave(part, cycles) * clipped[0][:, None] * clipped[1]
-    lengths = tuple(fft.next_fast_len(n + r) for n, r in zip(field.shape, reach, strict=True))
-    spectrum = fft.fft2(field, s=lengths)
-    found = fft.ifft2(spectrum.real**2 + spectrum.imag**2)
+    weight_y, weight_x = (on.xp.asarray(weights) for weights in clipped)
+    field = wave(part, cycles) * weight_y[:, None] * weight_x
+    lengths = tuple(fft_length(n + r) for n, r in zip(field.shape, reach, strict=True))
+    spectrum = on.fft.fft2(field, s=lengths)
+    found = on.fft.ifft2(spectrum.real**2 + spectrum.imag**2)
     rows, cols = (np.arange(-r, r + 1) for r in reach)
-    return np.asarray(found[np.ix_(rows, cols)], dtype=np.complex128)
+    return np.asarray(on.host(found[on.xp.ix_(rows, cols)]), dtype=np.complex128)
 
 
 def _overlap(count: int, starts: list[int], taper: FloatArray, reach: int, *, endless: bool) -> FloatArray:

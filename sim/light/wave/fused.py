@@ -10,12 +10,15 @@ halves the taps of a filter that is flat by itself.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light import threads
+from anisoscope.sim.light.wave import gpu
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Window
@@ -61,6 +64,7 @@ class Decimation:
         return np.asarray(np.where(taper > 0.0, taper / np.maximum(response, 1e-3), 0.0))
 
 
+@lru_cache(maxsize=64)
 def decimation(count: int, pixel_um: float, half_width: float) -> Decimation:
     """Decimation that keeps frequencies up to ``half_width`` cycles per µm."""
     pass_band = max(half_width, 2.0 / (count * pixel_um))
@@ -77,9 +81,8 @@ def decimation(count: int, pixel_um: float, half_width: float) -> Decimation:
     return Decimation(count, pixel_um, step, (taps / taps.sum()).astype(np.float32), pass_band)
 
 
-ComplexArray = npt.NDArray[np.complexfloating]
-
 STRIP = 512
+SHARED_OUTPUTS = 2**18  # up to which the weights of a window are kept for further directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,24 +90,34 @@ class Reduced:
     """The wave around one direction, low-passed and decimated.
 
     Attributes:
-        wave: (outputs along y, outputs along x) complex.
+        wave: (outputs along y, outputs along x) complex, on the cores or on the graphics card.
         along_y: how y was decimated; None for a profile.
         along_x: how x was decimated.
     """
 
-    wave: ComplexArray
+    wave: gpu.ComplexArray
     along_y: Decimation | None
     along_x: Decimation
 
 
-def density(surface: WaveSurface, half: HalfVector, wavelength_um: float, window: Window) -> float:
+def density(
+    surface: WaveSurface,
+    half: HalfVector,
+    wavelength_um: float,
+    window: Window,
+    library: gpu.ArrayLibrary | None = None,
+) -> float:
     """Mean power spectrum in one direction, blurred by the window, in µm² (of a profile: µm).
 
     S(ω) = (1/A)·∬∬ a(p)·a*(q)·exp(−2πi·ω·(p − q))·K(p − q), a = exp(−ik·2h_z·z); its integral over all ω is 1.
     Source: Levin et al. 2013, Eq. 1 and 10, with the sign of Eq. 11 mended and Eq. 12 taken over all x0.
     """
-    reduced = reduce(surface, half, wavelength_um, window)
-    form = quadratic_form(reduced, wavelength_um, half.z, window)
+    on = library or gpu.library()
+    if on.is_card:
+        reduced = _reduce_on_card(on, surface, half, wavelength_um, window)
+    else:
+        reduced = reduce(surface, half, wavelength_um, window)
+    form = quadratic_form(on, reduced, wavelength_um, half.z, window)
     return form / surface.area_um2 * cell_response(surface, half, wavelength_um)
 
 
@@ -123,21 +136,36 @@ def cell_response(surface: WaveSurface, half: HalfVector, wavelength_um: float, 
     return float(response**2)
 
 
+def _decimations(
+    surface: WaveSurface, half: HalfVector, wavelength_um: float, window: Window
+) -> tuple[Decimation, Decimation]:
+    """Along y and along x."""
+    rows, cols = surface.shape
+    wide_x, wide_y = window.half_width(wavelength_um, half.z)
+    return decimation(rows, surface.pixel_y_um, wide_y), decimation(cols, surface.pixel_x_um, wide_x)
+
+
+def _turns_of(surface: WaveSurface, half: HalfVector, wavelength_um: float) -> tuple[float, float, float]:
+    """Turns of the phase per µm of height, from column to column, and from row to row."""
+    fx, fy = half.frequency(wavelength_um)
+    return (
+        2.0 * half.z / wavelength_um,
+        fx * surface.pixel_x_um,
+        0.0 if surface.is_profile else fy * surface.pixel_y_um,
+    )
+
+
 def reduce(surface: WaveSurface, half: HalfVector, wavelength_um: float, window: Window) -> Reduced:
-    """Low-pass and decimate the wave around one direction."""
+    """Low-pass and decimate the wave around one direction, on the cores."""
     from anisoscope.sim.light.wave.fused_kernels import gather, strip  # noqa: PLC0415 - numba when first needed
 
     rows, cols = surface.shape
-    fx, fy = half.frequency(wavelength_um)
-    wide_x, wide_y = window.half_width(wavelength_um, half.z)
-    along_x = decimation(cols, surface.pixel_x_um, wide_x)
-    along_y = decimation(rows, surface.pixel_y_um, wide_y)
-    carrier_x = _turns(fx * surface.pixel_x_um, cols)
-    carrier_y = np.zeros(1, dtype=np.float32) if surface.is_profile else _turns(fy * surface.pixel_y_um, rows)
-    cycles = 2.0 * half.z / wavelength_um
+    along_y, along_x = _decimations(surface, half, wavelength_um, window)
+    per_um, per_column, per_row = _turns_of(surface, half, wavelength_um)
+    carrier_x, carrier_y = _turns(per_column, cols), _turns(per_row, rows)
     taps_y = np.pad(along_y.taps, 3)
 
-    def run(columns: tuple[int, int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def run(columns: tuple[int, int]) -> tuple[Floats, Floats]:
         found = np.zeros((2, along_y.outputs, along_x.outputs), dtype=np.float32)
         decimated = np.empty((2, along_y.outputs, STRIP), dtype=np.float32)
         work = np.empty((8, STRIP), dtype=np.float32)
@@ -145,7 +173,7 @@ def reduce(surface: WaveSurface, half: HalfVector, wavelength_um: float, window:
             last = min(first + STRIP, columns[1])
             decimated[:] = 0.0
             strip(
-                surface.height_um, first, last, cycles, carrier_x, carrier_y, taps_y, along_y.step,
+                surface.height_um, first, last, per_um, carrier_x, carrier_y, taps_y, along_y.step,
                 decimated[0], decimated[1], work,
             )  # fmt: skip
             gather(decimated[0], decimated[1], first, last, along_x.taps, along_x.step, found[0], found[1])
@@ -153,35 +181,68 @@ def reduce(surface: WaveSurface, half: HalfVector, wavelength_um: float, window:
 
     parts = threads.each(run, threads.runs(cols, min(threads.count(), max(1, cols // STRIP))))
     real, imag = (np.sum([part[which] for part in parts], axis=0, dtype=np.float32) for which in (0, 1))
-    return Reduced(
-        np.asarray(real + 1j * imag, dtype=np.complex64), None if surface.is_profile else along_y, along_x
-    )
+    wave = np.asarray(real + 1j * imag, dtype=np.complex64)
+    return Reduced(wave, None if surface.is_profile else along_y, along_x)
 
 
-def _turns(cycles_a_pixel: float, count: int) -> npt.NDArray[np.float32]:
+def _reduce_on_card(
+    on: gpu.ArrayLibrary, surface: WaveSurface, half: HalfVector, wavelength_um: float, window: Window
+) -> Reduced:
+    """The same on the graphics card."""
+    along_y, along_x = _decimations(surface, half, wavelength_um, window)
+    turns = _turns_of(surface, half, wavelength_um)
+    wave = gpu.low_pass(on, surface, turns, _filter_on(on, along_y), _filter_on(on, along_x))
+    return Reduced(wave, None if surface.is_profile else along_y, along_x)
+
+
+@lru_cache(maxsize=64)
+def _filter_on(on: gpu.ArrayLibrary, along: Decimation) -> gpu.Filter:
+    return gpu.Filter(on.xp.asarray(along.taps), along.step, along.outputs)
+
+
+def _turns(cycles_a_pixel: float, count: int) -> Floats:
     """(count,) turns of a carrier about the middle, less whole ones."""
     turns = cycles_a_pixel * (np.arange(count) - 0.5 * (count - 1))
     return np.asarray(turns - np.rint(turns), dtype=np.float32)
 
 
-def quadratic_form(reduced: Reduced, wavelength_um: float, h_z: float, window: Window) -> float:
+def quadratic_form(
+    on: gpu.ArrayLibrary, reduced: Reduced, wavelength_um: float, h_z: float, window: Window
+) -> float:
     """Σ a(p)·a*(q)·K(p − q) times the squared area of a pixel, in µm⁴ (of a profile: µm²)."""
-    from scipy import fft  # noqa: PLC0415 - slow to import
+    rough = 0.0 if window.slope_variance is None else h_z
+    blur = (_shared_blur if reduced.wave.size <= SHARED_OUTPUTS else _blur)(
+        on, reduced.along_x, reduced.along_y, wavelength_um, rough, window
+    )
+    spectrum = on.fft.fft2(reduced.wave, blur.shape, **on.fft_options)
+    return float((blur * (spectrum.real**2 + spectrum.imag**2)).sum())
 
-    axes = [(1, reduced.along_x)] if reduced.along_y is None else [(0, reduced.along_y), (1, reduced.along_x)]
-    wave, scale = reduced.wave, 1.0
-    weights: list[FloatArray] = [np.ones(1), np.ones(1)]
-    lags: list[FloatArray] = [np.zeros(1), np.zeros(1)]
-    for axis, along in axes:
+
+def _blur(
+    on: gpu.ArrayLibrary,
+    along_x: Decimation,
+    along_y: Decimation | None,
+    wavelength_um: float,
+    h_z: float,
+    window: Window,
+) -> FloatArray:
+    """(Y, X) weights of the zero-padded power spectrum: the transform of the coherence, equalised, on cores or card."""
+    scale, weights, lags = 1.0, [np.ones(1), np.ones(1)], [np.zeros(1), np.zeros(1)]
+    for axis, along in enumerate((along_y, along_x)):
+        if along is None:
+            continue
         pixel = along.step * along.pixel_um
         extra = 0 if along.step == 1 else 16  # room for the equaliser's response
-        length = fft.next_fast_len(2 * (along.outputs + extra))
-        wave = fft.fft(wave, length, axis=axis, workers=threads.count())
-        weights[axis] = along.equaliser(fft.fftfreq(length, pixel)) ** 2
-        lags[axis] = np.minimum(np.arange(length), length - np.arange(length)) * pixel
-        lags[axis] = np.where(np.arange(length) <= length // 2, lags[axis], -lags[axis])
+        length = gpu.fft_length(2 * (along.outputs + extra))
+        weights[axis] = along.equaliser(np.fft.fftfreq(length, pixel).astype(np.float64)) ** 2
+        index = np.arange(length)
+        lags[axis] = np.where(index <= length // 2, index, index - length) * pixel
         scale *= pixel**2 / length
-    power = (wave.real.astype(np.float64) ** 2 + wave.imag.astype(np.float64) ** 2) * weights[0][:, None]
-    coherence = window.coherence(lags[1][None, :], lags[0][:, None], wavelength_um, h_z)
-    spread = fft.fft2(coherence, workers=threads.count()).real if coherence.size > 1 else coherence
-    return float(np.sum(power * weights[1] * spread)) * scale
+    lag_y, lag_x, weight_y, weight_x = (on.xp.asarray(a) for a in (*lags, *weights))
+    coherence = window.coherence(lag_x[None, :], lag_y[:, None], wavelength_um, h_z)
+    spread = on.fft.fft2(coherence, **on.fft_options).real
+    return cast("FloatArray", spread * (scale * weight_y[:, None] * weight_x))
+
+
+_shared_blur = lru_cache(maxsize=8)(_blur)
+"""Directions share one where no roughness blurs, which alone depends on h_z."""

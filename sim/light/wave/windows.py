@@ -1,5 +1,7 @@
 """What blurs a diffraction pattern: the source, the camera's aperture, roughness below the pixels.
 
+Arrays of distances may be on a graphics card (`gpu`).
+
 Every one of them multiplies the mutual coherence of two points of the surface, a distance (Δx, Δy) apart, by the
 Fourier transform of its distribution over directions: sinc for a rectangle, 2·J₁(r)/r for a disc, a Gaussian for
 slopes. Frequencies are ω = 2·h/λ in cycles per µm, with h = (l + v)/2; an angular extent Δa widens a line of the
@@ -13,6 +15,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.sim.light.wave.gpu import bessel_j1
 
 TAIL = 4.5
 """Standard deviations after which a Gaussian counts as nothing: e⁻¹⁰."""
@@ -45,19 +48,17 @@ class Extent:
     def coherence(self, x_um: FloatArray, y_um: FloatArray, wavelength_um: float) -> FloatArray:
         """Degree of coherence of points (x, y) apart, 1 at no distance; shapes broadcast."""
         if self.size == 0.0:
-            return np.ones(np.broadcast_shapes(np.shape(x_um), np.shape(y_um)))
+            return np.ones_like(x_um + y_um)
         scale = self.size / wavelength_um
         if self.axes is None:
-            u, v = scale * np.asarray(x_um), scale * np.asarray(y_um)
+            u, v = scale * x_um, scale * y_um
         else:
             u, v = (scale * (axis[0] * x_um + axis[1] * y_um) for axis in self.axes)
         if self.shape == "rect":
-            return np.asarray(np.sinc(u) * np.sinc(v))
-        from scipy.special import j1  # noqa: PLC0415 - slow to import
-
+            return np.sinc(u) * np.sinc(v)
         r = np.pi * np.hypot(u, v)
         far = r > 1e-6
-        return np.where(far, 2.0 * j1(np.where(far, r, 1.0)) / np.where(far, r, 1.0), 1.0)
+        return np.where(far, 2.0 * bessel_j1(np.where(far, r, 1.0)) / np.where(far, r, 1.0), 1.0)
 
     @property
     def reach(self) -> tuple[float, float]:

@@ -6,11 +6,13 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.patterns import turned_ridges
 from anisoscope.sim.light import corrected
+from anisoscope.sim.light.census import added, shine_at_nodes
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.horizon import Horizon
+from anisoscope.sim.light.horizon import Horizon, bands
 from anisoscope.sim.light.material import Material, diffuse_scale, facet_brdf, fresnel, transmittance
 from anisoscope.sim.light.relief import Relief, radiance, radiance_maps, radiance_of_cells
 from anisoscope.sim.light.ridge_profile import ridge_polyline
+from anisoscope.sim.light.shine import shine_in
 
 RIDGE_ANGLES = (5.0, 10.0, 15.0, 20.0)
 TABLE = pose_grid((0, 90, 180), (-20, -10, 0, 10, 20))
@@ -77,6 +79,45 @@ def test_what_is_known_to_hide_nothing_needs_no_march(pitch_um, monkeypatch):
     for direction in looking[whole]:
         if np.any(np.abs(direction[:2]) > 1e-9):  # a march needs an azimuth
             np.testing.assert_array_equal(horizon.shares(direction), 1.0)
+
+
+@pytest.mark.parametrize("pitch_um", [None, 100.0])
+@pytest.mark.parametrize("azimuth", [0.0, 180.0, 90.0, -90.0, 30.0, 120.0, -70.0, 215.0])
+def test_a_band_of_rows_has_the_shares_of_the_whole_map(azimuth, pitch_um):
+    """Longer than two blocks of the march, whichever end they are counted from; bands with holes, and at both ends."""
+    relief = Relief(rough_ridges(rows=560, missing=0.01), pitch_um)
+    a = np.radians(azimuth)
+    direction = np.array([0.97 * np.cos(a), 0.97 * np.sin(a), np.sqrt(1.0 - 0.97**2)])
+    whole = Horizon(relief).shares(direction)
+    assert (whole < 1.0).mean() > 0.02
+    for first, last in ((0, 130), (130, 131), (131, 420), (420, 559)):
+        part = Horizon(relief, band=(first, last)).shares(direction)
+        np.testing.assert_allclose(part, whole[first:last], rtol=0.0, atol=2e-6)
+
+
+@pytest.mark.parametrize("facets", ["symmetric", "diagonal"])
+def test_bands_of_rows_add_up_to_the_map(facets):
+    relief, material = Relief(rough_ridges(rows=120, missing=0.01), 100.0, facets=facets), Material()
+    census = relief.census(material)
+    for light, camera in zip(*directions(TABLE, Convention()), strict=True):
+        shine = shine_in(light, camera, material)
+        nodes = shine_at_nodes(census, shine)
+        whole = added(census, shine, Horizon(relief), nodes)
+        parts = ((0, 33), (33, 90), (90, 119))
+        sums = [added(census.band(*rows), shine, Horizon(relief, band=rows), nodes) for rows in parts]
+        assert sum(sums) == pytest.approx(whole, rel=1e-6, abs=1e-9)
+
+
+def test_a_map_in_bands_has_the_radiance_of_its_halves():
+    """Above a million points the bands are taken one by one; the halves are taken whole."""
+    surface = rough_ridges(rows=1601, cols=800)
+    assert len(bands(surface.shape)) == 1
+    assert len(bands((3201, 800))) == 2
+    height = np.concatenate([surface.height_um, surface.height_um[-2::-1]])
+    to_light, to_camera = directions(pose_grid((0.0, 180.0), (-10.0, 10.0)), Convention())
+    found = radiance(Relief(surface.with_height(height), 100.0), to_light, to_camera, Material())
+    half = radiance(Relief(surface, 100.0), to_light, to_camera, Material())
+    np.testing.assert_allclose(found, half, rtol=1e-3)
 
 
 def test_a_map_whose_edge_is_missing_can_be_predicted():
