@@ -7,8 +7,6 @@ import contextlib
 import io
 import json
 import logging
-import os
-import tempfile
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -20,6 +18,7 @@ import numpy.typing as npt
 import tifffile
 from pydantic import Field, TypeAdapter, ValidationError
 
+from anisoscope.base.atomic_write import appearing
 from anisoscope.base.errors import RecordError
 from anisoscope.rig.bayer import Filters, grey_of
 
@@ -135,21 +134,8 @@ def write_frame(frame: Frame, path: Path) -> None:
         RecordError: the folder cannot be written to.
     """
     header = {"anisoscope_frame": SCHEMA} | {name: getattr(frame, name) for name in _NAMES}
-    temporary: str | None = None
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".frame-", delete=False) as file:
-            temporary = file.name
-            tifffile.imwrite(file, frame.counts, description=json.dumps(header), metadata=None)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)  # noqa: PTH105 - a path of our own making
-        temporary = None
-    except OSError as problem:
-        raise RecordError(f"{path}: cannot be written: {problem.strerror or problem}") from problem
-    finally:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                Path(temporary).unlink()
+    with appearing(path) as file:
+        tifffile.imwrite(file, frame.counts, description=json.dumps(header), metadata=None)
 
 
 def read_frame(path: Path) -> Frame:

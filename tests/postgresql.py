@@ -74,6 +74,18 @@ def start(folder: Path, data: Path, *settings: str) -> int:
             return port
 
 
+def load(dump: Path, place: str) -> None:
+    """Fill a database from a file of SQL statements."""
+    done = subprocess.run(
+        [programs() / "psql", "-q", "-v", "ON_ERROR_STOP=1", "-f", dump, place],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def stop(folder: Path, data: Path) -> None:
     """Stop the server and remove its folder."""
     try:

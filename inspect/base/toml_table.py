@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.base.errors import ConfigError
+from anisoscope.base.json_file import is_deeper
 
 MOST_BYTES = 4 << 20
 """Size in bytes; the largest recipes of inspections take some thousand."""
@@ -38,17 +39,9 @@ def read_toml(path: Path, error: type[ConfigError] = ConfigError) -> dict[str, A
         raise error(f"{path}: not valid TOML: {problem}") from None
     except RecursionError:
         raise _too_deep(path, error) from None
-    level: list[Any] = [table]
-    for _ in range(MOST_LEVELS):
-        level = [
-            item
-            for value in level
-            for item in (value.values() if isinstance(value, dict) else value)
-            if isinstance(item, dict | list)
-        ]
-        if not level:
-            return table
-    raise _too_deep(path, error)
+    if is_deeper(table, MOST_LEVELS):
+        raise _too_deep(path, error)
+    return table
 
 
 def _too_deep(path: Path, error: type[ConfigError]) -> ConfigError:

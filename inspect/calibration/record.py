@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError, RecordError, UsageError
+from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.record.schema import UNSEALED, InputFile, sha256_of
 
 Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "check"]
@@ -208,8 +209,8 @@ def read_calibration(path: Path, kind: Kind, picture: Path | None = None) -> Cal
     """
     target = record_path(path)
     try:
-        text = target.read_text(encoding="utf-8").removesuffix("\n")
-        content = json.loads(text)
+        text = bounded_bytes(target).decode().removesuffix("\n")
+        content = parsed_json(text)
         seal = str(content.pop("seal")) if isinstance(content, dict) else ""
         before, _, after = text.rpartition(seal)
         if hashlib.sha256((before + UNSEALED + after).encode()).hexdigest() != seal:
@@ -219,7 +220,7 @@ def read_calibration(path: Path, kind: Kind, picture: Path | None = None) -> Cal
         raise CalibrationError(f"the {kind} calibration {target} does not exist: {advice(kind)}") from None
     except OSError as error:
         raise CalibrationError(f"{target} cannot be read: {error.strerror}: {advice(kind)}") from error
-    except (KeyError, ValueError, RecursionError) as error:
+    except (KeyError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise CalibrationError(
             f"{target} is no record of a calibration ({reason}): {advice(kind)}"

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
+from anisoscope.base.json_file import bounded_bytes, parsed_json
 
 KIND = "anisoscope commissioning"
 _UNSEALED = "0" * 64
@@ -163,8 +164,8 @@ def read_commissioning(path: Path) -> Commissioning:
     """
     advice = "make one with `anisoscope rig commission`"
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text)
+        text = bounded_bytes(path).decode()
+        content = parsed_json(text)
         seal = str(content.pop("seal")) if isinstance(content, dict) else ""
         before, _, after = text.rpartition(seal)
         if hashlib.sha256((before + _UNSEALED + after).encode()).hexdigest() != seal:
@@ -174,6 +175,6 @@ def read_commissioning(path: Path) -> Commissioning:
         raise CalibrationError(f"{path}: there is no such file: {advice}") from None
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror}") from error
-    except (KeyError, ValueError, RecursionError) as error:
+    except (KeyError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise CalibrationError(f"{path} is no record of a commissioning ({reason}): {advice}") from error

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
+from anisoscope.base.json_file import bounded_bytes
 from anisoscope.base.significance import hotelling, log_basis
 from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares
 from anisoscope.recipe.base import AcquisitionPart, RecipeBase
@@ -175,7 +176,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
             CalibrationError: the file is damaged, or belongs to another recipe.
         """
         try:
-            found = cls.model_validate_json(path.read_bytes())
+            found = cls.model_validate_json(bounded_bytes(path))
         except FileNotFoundError:
             return None
         except (OSError, ValidationError) as problem:

@@ -8,6 +8,7 @@ from pathlib import Path
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.history.rows import NewRow, row_of
+from anisoscope.history.spool import deliver
 from anisoscope.history.store import History
 from anisoscope.record.schema import RECORD_NAME, read_record
 
@@ -44,7 +45,7 @@ def finished_folders(places: Sequence[Path]) -> list[Path]:
 
 
 def add_folders(history: History, places: Sequence[Path], advance: Advance = silent) -> Added:
-    """Add finished inspections to a history; those that it has already are passed over.
+    """Add finished inspections to a history, and those that wait for it; those that it has already are passed over.
 
     A record that is damaged is refused and named, and does not keep the others out.
 
@@ -63,6 +64,11 @@ def add_folders(history: History, places: Sequence[Path], advance: Advance = sil
     rows = _rows(folders, refused, advance)
     ids: set[int] = set()
     read = 0
+    for out in dict.fromkeys(home for place in places for home in (place.resolve(), place.resolve().parent)):
+        waited = deliver(history, out)
+        read += len(waited.rows)
+        ids |= {row.id for row in waited.rows}
+        refused += waited.damaged
     while some := list(islice(rows, _AT_ONCE)):
         read += len(some)
         ids |= {row.id for row in history.append_all(some)}

@@ -43,7 +43,7 @@ def read_columns(connection: Connection, filters: Filters, base: Path = Path()) 
     table = inspections.c
     words = (func.coalesce(table[name], "") if name != "recipe" else _recipe() for name in TEXTS)
     selection = (table.created_us, *words, table.layout, table.numbers)
-    found = connection.execute(chosen(select(*selection), filters)).all()[::-1]
+    found = connection.execute(chosen(connection, select(*selection), filters)).all()[::-1]
     moments, *texts, kinds, data = zip(*found, strict=True) if found else ((),) * len(selection)
     return Columns(
         np.array(moments, dtype=np.int64).astype("datetime64[us]"),

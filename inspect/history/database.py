@@ -15,6 +15,7 @@ from urllib.parse import quote
 from sqlalchemy import URL, Connection, Engine, create_engine, event, text
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
+from anisoscope.history import schema
 from anisoscope.history.address import Address
 from anisoscope.history.problems import HistoryError
 
@@ -33,7 +34,8 @@ _SESSION = {
     "tcp_keepalives_count": "3",
     "idle_in_transaction_session_timeout": f"{IDLE_S}s",
 }
-_LOCK_NOT_AVAILABLE = "55P03"
+_ONE_STATE: dict[str, Any] = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
+_LOCK_NOT_AVAILABLE, _NO_RIGHT = "55P03", "42501"
 _HOLDER = """
 SELECT a.application_name, host(a.client_addr), extract(epoch FROM clock_timestamp() - a.xact_start)
 FROM pg_locks l JOIN pg_stat_activity a USING (pid)
@@ -70,8 +72,10 @@ class Database:
         Raises:
             HistoryError: the database cannot be reached or read.
         """
-        with self._explained("read"), self.engine.connect() as connection, connection.begin():
-            yield connection
+        with self._explained("read"), self.engine.connect() as connection:
+            reader = connection if self.is_sqlite else connection.execution_options(**_ONE_STATE)
+            with reader.begin():
+                yield reader
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
@@ -88,6 +92,22 @@ class Database:
                 if not self.is_sqlite:
                     self._wait_for_others(writer)
                 yield writer
+
+    def bring_up_to_date(self, writer: Connection, found: int) -> None:
+        """Make the tables of an earlier version, or none, those of the present one.
+
+        Raises:
+            HistoryError: this user may not.
+        """
+        try:
+            schema.migrate(writer)
+        except DBAPIError as error:
+            if found == 0 or _code(error) != _NO_RIGHT:
+                raise
+            raise HistoryError(
+                f"cannot write the history {self.address}: its tables are of version {found}, this anisoscope needs "
+                f"{schema.VERSION}, and this user may not change them: add something as their owner"
+            ) from error
 
     def close(self) -> None:
         """Close all connections."""

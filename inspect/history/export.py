@@ -1,17 +1,24 @@
-"""The history for other programs: CSV, JSON, and JUnit XML as servers of continuous integration read it."""
+"""The history for other programs: CSV, JSON, and JUnit XML as servers of continuous integration read it.
+
+Everything is written as it is read: the memory that an export takes does not grow with the history.
+"""
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
+from xml.sax.saxutils import quoteattr
 
+from anisoscope.base.atomic_write import appearing
 from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.json_fields import as_json, fields_of
 from anisoscope.history.dispositions import Disposition
 from anisoscope.history.rows import Row, utc_text
 
-Dispositions = Mapping[int, Sequence[Disposition]]
+Decided = tuple[Row, Sequence[Disposition]]
+"""An inspection and what was decided about it."""
 _TEXTS = ("serial", "product", "recipe", "lot", "cavity", "station", "operator", "verdict")
 _LATER = ("folder", "seal", "software", "hash")
 # Spreadsheets take such cells for formulae.
@@ -19,83 +26,109 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a file as its lines come, in UTF-8; it appears whole or not at all.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    with appearing(path) as stream:
+        for line in lines:
+            stream.write(line.encode())
+
+
 def with_dispositions(row: Row, dispositions: Sequence[Disposition] = ()) -> dict[str, Any]:
     """One inspection with what was decided about it, for JSON."""
     return {"id": row.id} | fields_of(row) | {"dispositions": list(dispositions)}
 
 
-def to_json(rows: Sequence[Row], dispositions: Dispositions) -> str:
-    """All inspections as a JSON list."""
-    listed = as_json([with_dispositions(row, dispositions.get(row.id, ())) for row in rows])
-    return json.dumps(listed, indent=1, allow_nan=False) + "\n"
+def json_lines(found: Iterable[Decided]) -> Iterator[str]:
+    """All inspections as a JSON list, a line each."""
+    separator = "[\n"
+    for row, decided in found:
+        yield separator + json.dumps(as_json(with_dispositions(row, decided)), allow_nan=False)
+        separator = ",\n"
+    yield "[]\n" if separator == "[\n" else "\n]\n"
 
 
-def to_csv(rows: Sequence[Row], dispositions: Dispositions) -> str:
-    """All inspections as a table: a line each, a column for every number that one of them has.
+def csv_lines(found: Iterable[Decided], labels: Sequence[str]) -> Iterator[str]:
+    """All inspections as a table: a line each, and a column for every number.
 
     A text that a spreadsheet would take for a formula gets an apostrophe in front; in JSON it stands as it is.
+
+    Args:
+        found: the inspections.
+        labels: of the numbers that some of them have.
     """
-    labels = list(dict.fromkeys(label for row in rows for label in row.numbers))
     columns = ("id", "created_at", *_TEXTS, "reasons", *_LATER, "disposition", "reviewer", "comment")
-    table: list[list[object]] = [[*columns, *map(_cell, labels)]]
-    for row in rows:
-        last = (dispositions.get(row.id) or (None,))[-1]
-        decided = ("", "", "") if last is None else (last.decision, last.reviewer, last.comment)
+    yield csv_text([[*columns, *map(_cell, labels)]], line_end="\r\n")
+    for row, decided in found:
+        last = (decided or (None,))[-1]
+        words = ("", "", "") if last is None else (last.decision, last.reviewer, last.comment)
         texts = [getattr(row, name) or "" for name in _TEXTS]
-        texts += ["; ".join(row.reasons), *(getattr(row, name) for name in _LATER), *decided]
+        texts += ["; ".join(row.reasons), *(getattr(row, name) for name in _LATER), *words]
         numbers = [number_text(repr(row.numbers[label])) if label in row.numbers else "" for label in labels]
-        table.append([row.id, utc_text(row.created_at), *map(_cell, texts), *numbers])
-    return csv_text(table, line_end="\r\n")
+        line = [row.id, utc_text(row.created_at), *map(_cell, texts), *numbers]
+        yield csv_text([line], line_end="\r\n", file=False)
 
 
 def _cell(text: str) -> str:
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 
-def to_junit(rows: Sequence[Row], dispositions: Dispositions) -> str:
+Verdicts = dict[str, dict[str, int]]
+"""How many inspections ended with which verdict, by product, in the order in which the products came."""
+
+
+def junit_lines(verdicts: Verdicts, found: Callable[[str], Iterable[Decided]]) -> Iterator[str]:
     """All inspections as test cases: FAIL is a failure, INVALID an error, INCONCLUSIVE a skipped test.
 
     Suites are products; a case is called by its serial number and id. What reviewers decided stands in the output of a
     case and does not change its outcome.
+
+    Args:
+        verdicts: the totals that servers show, of all suites and of each.
+        found: the inspections of a product.
     """
-    root = ET.Element("testsuites", name="anisoscope")
-    for product in dict.fromkeys(row.product for row in rows):
-        of_product = [row for row in rows if row.product == product]
-        suite = ET.SubElement(root, "testsuite", _suite(product, of_product))
-        for row in of_product:
-            _case(suite, row, dispositions.get(row.id, ()))
-    _count(root, rows)
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    yield '<?xml version="1.0" encoding="UTF-8"?>\n'
+    yield f"<testsuites{_attributes({'name': 'anisoscope'} | _totals(*verdicts.values()))}>\n"
+    for product, counts in verdicts.items():
+        began = ""
+        for row, decided in found(product):
+            if not began:
+                began = utc_text(row.created_at)
+                about = {"name": product, "timestamp": began} | _totals(counts)
+                yield f"  <testsuite{_attributes(about)}>\n"
+            case = _case(row, decided)
+            ET.indent(case, level=2)
+            yield f"    {ET.tostring(case, encoding='unicode')}\n"
+        yield "  </testsuite>\n"
+    yield "</testsuites>\n"
 
 
 _OUTCOMES = {"FAIL": "failure", "INVALID": "error", "INCONCLUSIVE": "skipped"}
 _TOTALS = {"failures": "FAIL", "errors": "INVALID", "skipped": "INCONCLUSIVE"}
 
 
-def _suite(product: str, rows: Sequence[Row]) -> dict[str, str]:
-    return {"name": _xml(product), "timestamp": utc_text(rows[0].created_at)}
+def _totals(*counts: dict[str, int]) -> dict[str, str]:
+    found = {"tests": sum(sum(one.values()) for one in counts)}
+    found |= {total: sum(one.get(verdict, 0) for one in counts) for total, verdict in _TOTALS.items()}
+    return {total: str(number) for total, number in found.items()}
 
 
-def _count(root: ET.Element, rows: Sequence[Row]) -> None:
-    """The totals that servers show: of all suites, and of each."""
-    for suite in (root, *root):
-        cases = list(suite.iter("testcase"))
-        suite.set("tests", str(len(cases)))
-        for total, verdict in _TOTALS.items():
-            suite.set(total, str(sum(case.find(_OUTCOMES[verdict]) is not None for case in cases)))
-    assert root.get("tests") == str(len(rows))
+def _attributes(values: dict[str, str]) -> str:
+    return "".join(f" {name}={quoteattr(_xml(text))}" for name, text in values.items())
 
 
-def _case(suite: ET.Element, row: Row, dispositions: Sequence[Disposition]) -> None:
+def _case(row: Row, dispositions: Sequence[Disposition]) -> ET.Element:
     name = {"classname": _xml(row.recipe), "name": _xml(f"{row.serial} (inspection {row.id})")}
-    case = ET.SubElement(suite, "testcase", name, time="0")
+    case = ET.Element("testcase", name, time="0")
     why = _xml("; ".join(row.reasons))
     if row.verdict in _OUTCOMES:
         outcome = ET.SubElement(case, _OUTCOMES[row.verdict], message=why)
         if row.verdict != "INCONCLUSIVE":
             outcome.set("type", row.verdict)
-            outcome.text = "\n".join(f"{label} = {value:g}" for label, value in row.numbers.items())
+            outcome.text = _xml("\n".join(f"{label} = {value:g}" for label, value in row.numbers.items()))
     lines = [f"folder: {row.folder}", f"created at: {utc_text(row.created_at)}"]
     lines += [
         f"{name}: {getattr(row, name)}"
@@ -104,6 +137,7 @@ def _case(suite: ET.Element, row: Row, dispositions: Sequence[Disposition]) -> N
     ]
     lines += [f"disposition: {one.decision} by {one.reviewer}: {one.comment}" for one in dispositions]
     ET.SubElement(case, "system-out").text = _xml("\n".join(lines))
+    return case
 
 
 def _xml(text: str) -> str:

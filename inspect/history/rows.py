@@ -9,6 +9,7 @@ from pathlib import Path
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.json_fields import json_field
+from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.record.schema import RECORD_NAME, Record, sha256_of
 
 RECIPE_DIGITS = 12
@@ -126,11 +127,11 @@ def seal_of(folder: Path) -> str:
     """
     path = folder / RECORD_NAME
     try:
-        seal = json.loads(path.read_bytes()).get("seal")
+        seal = parsed_json(bounded_bytes(path)).get("seal")
         return str(seal) if seal else sha256_of(path)
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
-    except (ValueError, RecursionError, AttributeError) as error:
+    except (ValueError, AttributeError) as error:
         raise RecordError(f"{path} is damaged: it is no record") from error
 
 

@@ -79,7 +79,24 @@ dispositions = Table(
     Column("hash", LargeBinary, nullable=False),
     Index("dispositions_by_inspection", "inspection"),
 )
-GUARDED = (versions, layouts, inspections, dispositions)
+# Heads of both chains, signed by a station: an envelope of `anisoscope.record.signature`.
+signed_heads = Table(
+    "signed_heads",
+    metadata,
+    Column("id", _id, primary_key=True, autoincrement=False),
+    Column("inspections", BigInteger, nullable=False),
+    Column("dispositions", BigInteger, nullable=False),
+    Column("envelope", Text, nullable=False),
+)
+# What a time-stamping authority answered for a signed head (RFC 3161).
+time_stamps = Table(
+    "time_stamps",
+    metadata,
+    Column("id", _id, primary_key=True, autoincrement=False),
+    Column("signed_head", _id, ForeignKey("signed_heads.id"), nullable=False),
+    Column("response", LargeBinary, nullable=False),
+)
+GUARDED = (versions, layouts, inspections, dispositions, signed_heads, time_stamps)
 _REFUSAL = "the history is append-only"
 
 
@@ -103,8 +120,23 @@ def _third(connection: Connection) -> None:
     del connection
 
 
-MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third)
+def _fourth(connection: Connection) -> None:
+    """Version 4: signed heads; and every filter finds what is rare, or not there at all, without reading all rows."""
+    for name in ("product", "recipe", "cavity", "station", "operator"):
+        connection.execute(
+            text(f"CREATE INDEX IF NOT EXISTS inspections_by_{name} ON inspections ({name}, created_us)")
+        )
+    metadata.create_all(connection, [signed_heads, time_stamps])
+    for table in (signed_heads, time_stamps):
+        _guard(connection, table)
+    if connection.dialect.name == "postgresql":  # rigs that may add inspections may add their signatures
+        connection.execute(text(_POSTGRESQL_GRANTS))
+
+
+MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third, _fourth)
 VERSION = len(MIGRATIONS)
+WITH_DISPOSITIONS, _WITH_SIGNED_HEADS = 2, 4
+"""Versions that brought tables; those before the first cannot be read without being brought up to date."""
 
 
 def version_of(connection: Connection) -> int:
@@ -152,9 +184,10 @@ def unguarded(connection: Connection) -> list[str]:
         statement = "SELECT sql FROM sqlite_master WHERE type = 'trigger'"
         present = {_plain(definition) for definition in connection.scalars(text(statement))}
         suffix = ""
+    guarded = GUARDED if version_of(connection) >= _WITH_SIGNED_HEADS else GUARDED[:4]
     return [
         table.name
-        for table in GUARDED
+        for table in guarded
         if not {_plain(trigger + suffix) for trigger in _triggers(connection, table)} <= present
     ]
 
@@ -198,6 +231,14 @@ _POSTGRESQL_BODY = f"BEGIN RAISE EXCEPTION '{_REFUSAL}'; END"
 _POSTGRESQL_REFUSAL = f"""
 CREATE OR REPLACE FUNCTION anisoscope_refuse() RETURNS trigger LANGUAGE plpgsql AS $body$
 {_POSTGRESQL_BODY} $body$
+"""
+_POSTGRESQL_GRANTS = """
+DO $body$ DECLARE rig text; BEGIN
+FOR rig IN SELECT DISTINCT grantee FROM information_schema.role_table_grants
+WHERE table_schema = current_schema() AND table_name = 'inspections' AND privilege_type = 'INSERT'
+AND grantee NOT IN (current_user, 'PUBLIC')
+LOOP EXECUTE format('GRANT SELECT, INSERT ON signed_heads, time_stamps TO %I', rig); END LOOP;
+END $body$
 """
 _POSTGRESQL_TRIGGERS = """
 SELECT pg_get_triggerdef(t.oid, true), p.prosrc

@@ -22,7 +22,7 @@ from anisoscope.history.chain import (
 from anisoscope.history.columns import columns_of, disposition_from, labels_of, parsed_labels, row_from, to_us
 from anisoscope.history.dispositions import Disposition
 from anisoscope.history.filters import Filters
-from anisoscope.history.rows import NewRow, Row
+from anisoscope.history.rows import RECIPE_DIGITS, NewRow, Row
 from anisoscope.history.schema import dispositions as _dispositions
 from anisoscope.history.schema import inspections, layouts
 
@@ -34,7 +34,7 @@ _JOINED = inspections.join(layouts, inspections.c.layout == layouts.c.id)
 _WHOLE = select(inspections, layouts.c.labels).select_from(_JOINED)
 
 
-def conditions(filters: Filters) -> list[ColumnElement[bool]]:
+def conditions(connection: Connection, filters: Filters) -> list[ColumnElement[bool]]:
     """Filters as SQL conditions; all user input is bound as parameters.
 
     Raises:
@@ -53,7 +53,7 @@ def conditions(filters: Filters) -> list[ColumnElement[bool]]:
                 f"the recipe {filters.recipe[:80]!r} is none: name it as the history shows it, or by the first four "
                 "or more digits of its SHA-256"
             )
-        found.append(table.recipe.startswith(digits[:12], autoescape=True))
+        found.append(table.recipe.in_(_recipes(connection, digits[:RECIPE_DIGITS])))
         if product:
             found.append(table.product == product)
     if filters.limit is not None and filters.limit < 1:
@@ -61,17 +61,58 @@ def conditions(filters: Filters) -> list[ColumnElement[bool]]:
     return found
 
 
-def chosen(statement: Select[Any], filters: Filters) -> Select[Any]:
+def _recipes(connection: Connection, digits: str) -> list[str]:
+    """Recipes whose SHA-256 begins with these digits; one look into the index for each."""
+    column, last, found = inspections.c.recipe, digits, list[str]()
+    condition = column >= digits
+    while (
+        last := connection.scalar(select(func.min(column)).where(condition, column < f"{digits}g"))
+    ) is not None:
+        found.append(last)
+        condition = column > last
+    return found
+
+
+def chosen(connection: Connection, statement: Select[Any], filters: Filters) -> Select[Any]:
     """Selection in descending order of time, limited in number."""
     order = (inspections.c.created_us.desc(), inspections.c.id.desc())
-    statement = statement.where(*conditions(filters)).order_by(*order)
+    statement = statement.where(*conditions(connection, filters)).order_by(*order)
     return statement if filters.limit is None else statement.limit(filters.limit)
 
 
 def rows(connection: Connection, filters: Filters) -> list[Values]:
     """Inspections with their labels, the oldest first."""
-    found = connection.execute(chosen(_WHOLE, filters)).mappings().all()
+    found = connection.execute(chosen(connection, _WHOLE, filters)).mappings().all()
     return [_values(row) for row in reversed(found)]
+
+
+def stream(connection: Connection, filters: Filters, product: str | None = None) -> Iterator[Values]:
+    """Inspections with their labels, the oldest first, as the database delivers them; `product` narrows the filters."""
+    statement = _WHOLE.where(*_selected(connection, filters)).order_by(
+        inspections.c.created_us, inspections.c.id
+    )
+    if product is not None:
+        statement = statement.where(inspections.c.product == product)
+    found = connection.execute(statement, execution_options={"stream_results": True, "yield_per": _AT_ONCE})
+    yield from map(_values, found.mappings())
+
+
+def _selected(connection: Connection, filters: Filters) -> list[ColumnElement[bool]]:
+    """Conditions of the inspections that filters let through, their limit included."""
+    if filters.limit is None:
+        return conditions(connection, filters)
+    return [inspections.c.id.in_(chosen(connection, select(inspections.c.id), filters))]
+
+
+def verdicts(connection: Connection, filters: Filters) -> dict[str, dict[str, int]]:
+    """Number of inspections by product and verdict; the product that came first stands first."""
+    table = inspections.c
+    statement = select(table.product, table.verdict, func.count(), func.min(table.created_us))
+    statement = statement.where(*_selected(connection, filters)).group_by(table.product, table.verdict)
+    found: dict[str, dict[str, int]] = {}
+    for product, verdict, number, _ in sorted(connection.execute(statement).all(), key=lambda row: row[3]):
+        found.setdefault(product, {})[verdict] = int(number)
+    return found
 
 
 def one(connection: Connection, condition: ColumnElement[bool]) -> Values | None:
@@ -94,24 +135,24 @@ def _values(row: Mapping[Any, Any]) -> Values:
 
 def count(connection: Connection, filters: Filters) -> int:
     """Number of inspections; the limit is ignored."""
-    statement = select(func.count()).select_from(inspections).where(*conditions(filters))
+    statement = select(func.count()).select_from(inspections).where(*conditions(connection, filters))
     return int(connection.scalar(statement) or 0)
 
 
 def labels(connection: Connection, filters: Filters) -> tuple[str, ...]:
     """Labels of the numbers that some of the inspections have."""
-    statement = select(layouts.c.labels).where(
-        layouts.c.id.in_(select(inspections.c.layout).where(*conditions(filters)))
-    )
-    found = connection.scalars(statement.order_by(layouts.c.id))
-    return tuple(dict.fromkeys(label for line in found for label in parsed_labels(line)))
+    statement = select(layouts.c.labels).order_by(layouts.c.id)
+    if found := _selected(connection, filters):  # without filters, every layout has a row
+        statement = statement.where(layouts.c.id.in_(select(inspections.c.layout).where(*found)))
+    lines = connection.scalars(statement)
+    return tuple(dict.fromkeys(label for line in lines for label in parsed_labels(line)))
 
 
 def series(connection: Connection, filters: Filters, number: str) -> tuple[list[int], list[int], list[float]]:
     """Ids, times in microseconds and values of one number, the oldest first."""
     table = inspections.c
     reads = _readers(connection, number)
-    statement = chosen(select(table.id, table.created_us, table.layout, table.numbers), filters)
+    statement = chosen(connection, select(table.id, table.created_us, table.layout, table.numbers), filters)
     statement = statement.where(table.layout.in_(list(reads)))
     found = [
         (row_id, moment, reads[layout](data))

@@ -1,13 +1,16 @@
 """The history of all inspections: append-only, chained by hashes, one chain for all rigs that write into it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from sqlalchemy import Connection
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notebook import data_frame, html_table
@@ -23,6 +26,7 @@ from anisoscope.history.rows import NewRow, Row, seal_of
 from anisoscope.record.schema import RECORD_NAME
 
 EVERYTHING = Filters()
+_PORTION = 500
 LATEST = 10  # the latest ones, in a notebook
 
 
@@ -44,12 +48,48 @@ class Series:
         return len(self.ids)
 
 
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Inspections of one state of a history, read as they are needed; from `History.selection`."""
+
+    filters: Filters
+    _connection: Connection
+    _place: Path | None
+
+    def labels(self) -> tuple[str, ...]:
+        """Labels of all numbers that some of the inspections have, each once."""
+        return statements.labels(self._connection, self.filters)
+
+    def verdicts(self) -> dict[str, dict[str, int]]:
+        """Number of inspections by product and verdict, in the order in which the products came."""
+        return statements.verdicts(self._connection, self.filters)
+
+    def decided(self, product: str | None = None) -> Iterator[tuple[Row, list[Disposition]]]:
+        """Inspections with their dispositions, both the oldest first.
+
+        Args:
+            product: only those of this product.
+        """
+        found = statements.stream(self._connection, self.filters, product)
+        while some := [row_from(values, self._place) for values in islice(found, _PORTION)]:
+            decided = _dispositions(self._connection, [row.id for row in some])
+            yield from ((row, decided.get(row.id, [])) for row in some)
+
+
+def _dispositions(connection: Connection, row_ids: Sequence[int]) -> dict[int, list[Disposition]]:
+    found: dict[int, list[Disposition]] = {}
+    for values in statements.dispositions(connection, row_ids):
+        found.setdefault(values["inspection"], []).append(disposition_from(values))
+    return found
+
+
 @dataclass(eq=False)
 class History:
     """Open history from `open_history`; closed on leaving the context."""
 
     address: Address
     _database: Database = field(init=False)
+    _is_present: bool = field(init=False, default=False)  # whether the tables are of the present version
 
     def __post_init__(self) -> None:
         self._database = Database(self.address)
@@ -108,8 +148,20 @@ class History:
         Raises:
             HistoryError: as for `append`.
         """
-        with self._database.writing() as connection:
+        with self._writing() as connection:
             return statements.append_rows(connection, news, self.address.path)
+
+    @contextmanager
+    def _writing(self) -> Iterator[Connection]:
+        """Exclusive write transaction on tables of the present version."""
+        with self._database.writing() as connection:
+            if not self._is_present:
+                found = schema.version_of(connection)
+                schema.check_version(found, self.address)
+                if found < schema.VERSION:
+                    self._database.bring_up_to_date(connection, found)
+            yield connection
+        self._is_present = True
 
     def _row(self, values: Any) -> Row:  # noqa: ANN401 - a row of any query
         return row_from(values, self.address.path)
@@ -123,6 +175,16 @@ class History:
         """
         with self._database.reading() as connection:
             return [self._row(found) for found in statements.rows(connection, filters)]
+
+    @contextmanager
+    def selection(self, filters: Filters = EVERYTHING) -> Iterator[Selection]:
+        """Read inspections in the memory of a few, however many there are.
+
+        Raises:
+            UsageError, HistoryError: as for `rows`.
+        """
+        with self._database.reading() as connection:
+            yield Selection(filters, connection, self.address.path)
 
     def count(self, filters: Filters = EVERYTHING) -> int:
         """Number of inspections; the filter's limit is ignored.
@@ -191,7 +253,7 @@ class History:
             HistoryError: the database cannot be reached or written.
         """
         who, what, why = checked_disposition(reviewer, decision, comment)
-        with self._database.writing() as connection:
+        with self._writing() as connection:
             if statements.one(connection, schema.inspections.c.id == row_id) is None:
                 raise UsageError(f"the history {self.address} has no inspection {row_id}")
             return statements.append_disposition(connection, row_id, who, what, why)
@@ -211,10 +273,7 @@ class History:
             HistoryError: the database cannot be read.
         """
         with self._database.reading() as connection:
-            found: dict[int, list[Disposition]] = {}
-            for values in statements.dispositions(connection, row_ids):
-                found.setdefault(values["inspection"], []).append(disposition_from(values))
-            return found
+            return _dispositions(connection, row_ids)
 
     def verify_chain(self) -> list[Damage]:
         """Recompute every hash; list the damage, each entry naming its row.
@@ -249,7 +308,9 @@ class History:
 
 
 def open_history(place: str | Path, *, create: bool = True) -> History:
-    """Open a history, and bring its tables up to date. The database of another program stays as it is.
+    """Open a history. The database of another program stays as it is.
+
+    Tables of an earlier version are brought up to date before something is added; reading leaves them as they are.
 
     Args:
         place: a file, a folder that holds ``history.sqlite``, or a URL: see `parse_address`.
@@ -269,14 +330,15 @@ def open_history(place: str | Path, *, create: bool = True) -> History:
             raise HistoryError(f"cannot make the history {address}: {error.strerror}") from error
     history = History(address)
     try:
-        _bring_up_to_date(history._database, address, create)  # noqa: SLF001 - the other half of the constructor
+        _check(history, address, create)
     except BaseException:
         history.close()
         raise
     return history
 
 
-def _bring_up_to_date(database: Database, address: Address, create: bool) -> None:
+def _check(history: History, address: Address, create: bool) -> None:
+    database = history._database  # noqa: SLF001 - the other half of the constructor
     with database.reading() as connection:
         found = schema.version_of(connection)
         others = schema.tables(connection) if found == 0 else []
@@ -287,9 +349,9 @@ def _bring_up_to_date(database: Database, address: Address, create: bool) -> Non
         )
     if found == 0 and not create:
         raise _none(address)
-    if found < schema.VERSION:
-        with database.writing() as connection:
-            schema.migrate(connection)
+    if found < schema.WITH_DISPOSITIONS:
+        with history._writing():  # noqa: SLF001
+            pass
 
 
 def _none(address: Address) -> HistoryError:

@@ -136,7 +136,12 @@ def _has_frames(folder: Path) -> bool:
 
 def _remove(folder: Path) -> None:
     """Remove the files of an inspection without frames, and nothing else."""
-    ours = [folder / JOB, folder / JOURNAL, *(folder / INPUTS).glob("*"), *(folder / FRAMES).glob(".frame-*")]
+    ours = [
+        folder / JOB,
+        folder / JOURNAL,
+        *(folder / INPUTS).glob("*"),
+        *(folder / FRAMES).glob(".*.partial"),
+    ]
     for path in ours:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.json_file import bounded_bytes
 from anisoscope.calibration.corrections import calibrations_of
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.inspection.folder import INPUTS, JOB
@@ -151,7 +152,7 @@ def read_job_file(folder: Path) -> Manifest:
     """
     path = folder / JOB
     try:
-        return Manifest.model_validate_json(path.read_bytes())
+        return Manifest.model_validate_json(bounded_bytes(path))
     except OSError as error:
         what = "no inspection of this version began here" if folder.is_dir() else "there is no such folder"
         raise RecordError(f"cannot read {path}: {error.strerror}: {what}") from error

@@ -24,6 +24,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.errors import AnisoscopeError, CalibrationError, RecordError, UsageError
+from anisoscope.base.json_file import bounded_bytes
 from anisoscope.base.progress import Advance, silent
 from anisoscope.bsdf.directions_table import COLUMNS, DirectionsTable, polar_degrees
 from anisoscope.fit.lobe import Scan, fit_lobe
@@ -289,7 +290,7 @@ def resume_scan(folder: Path, on_progress: Advance = silent) -> ScanResult:
         RigError, CalibrationError, MeasurementError: as for `begin_scan`.
     """
     try:
-        settings = ScanSettings.model_validate_json((folder / SCAN).read_bytes())
+        settings = ScanSettings.model_validate_json(bounded_bytes(folder / SCAN))
     except OSError as problem:
         raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
     except ValidationError as problem:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validat
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
+from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.record.details import Details, kind_of_recipe, recorded_kind
 from anisoscope.record.display import record_frame, record_html, record_line, record_plot
 from anisoscope.record.verdict import Verdict
@@ -514,11 +515,11 @@ def recorded_files(folder: Path) -> tuple[InputFile, ...]:
 def _content_of(path: Path) -> tuple[Any, bool]:
     """What is in the file of a record, without its seal, and whether it bears one."""
     try:
-        text = path.read_bytes().decode()
-        content = json.loads(text)
+        text = bounded_bytes(path).decode()
+        content = parsed_json(text)
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
-    except (ValueError, RecursionError) as error:  # damaged, or nested thousands deep
+    except ValueError as error:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
     seal = content.pop("seal", None) if isinstance(content, dict) else None
     if seal is not None and seal != _seal_of(text, str(seal)):

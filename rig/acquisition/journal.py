@@ -15,6 +15,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.json_file import bounded_bytes
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import FrameKind
 
@@ -103,7 +104,7 @@ def read_journal(folder: Path) -> Journal:
     """
     path = folder / JOURNAL
     try:
-        data = path.read_bytes()
+        data = bounded_bytes(path)
     except FileNotFoundError:
         return Journal()
     except OSError as problem:

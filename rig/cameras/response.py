@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
+from anisoscope.base.json_file import bounded_bytes
 from anisoscope.rig.frame import Frame
 
 Mask = npt.NDArray[np.bool_]
@@ -297,7 +298,7 @@ def read_response(path: Path) -> ResponseCurve:
         CalibrationError: there is no such file, or it is no curve.
     """
     try:
-        return ResponseCurve.model_validate_json(path.read_bytes())
+        return ResponseCurve.model_validate_json(bounded_bytes(path))
     except OSError as problem:
         raise CalibrationError(f"{path}: cannot be read: {problem.strerror or problem}") from problem
     except ValidationError as problem:

@@ -384,7 +384,10 @@ def verify(
             for one in head or ()
             if not found.holds(one)
         ]
-        print_verified(damage, found.count(), (found.head(), found.disposition_head()), json_=json_)
+        count = found.count()
+        if count == 0:
+            damage.append("the history holds no inspection: there is nothing to verify")
+        print_verified(damage, count, (found.head(), found.disposition_head()), json_=json_)
     return 1 if damage else 0
 
 
@@ -474,17 +477,20 @@ def export(
         anisoscope export --csv-file week.csv --since 7d
         anisoscope export --junit results.xml --lot L42
     """
-    from anisoscope.base.atomic_write import write_text
-    from anisoscope.history.export import to_csv, to_json, to_junit
+    from anisoscope.history.export import csv_lines, json_lines, junit_lines, write_lines
 
-    targets = [(csv, to_csv), (json, to_json), (junit, to_junit)]
-    files = [(path, make) for path, make in targets if path is not None]
+    files = [path for path in (csv, json, junit) if path is not None]
     if not files:
         raise UsageError("name a file: --csv-file FILE, --json-file FILE or --junit FILE")
-    with opened(place) as found:
-        rows = found.rows(which.filters(limit))
-        decided = found.dispositions_of([row.id for row in rows])
-    for path, make in files:
-        write_text(path, make(rows, decided))
-        write_line(f"{len(rows)} inspections: {path}")
+    with opened(place) as found, found.selection(which.filters(limit)) as selected:
+        if csv is not None:
+            write_lines(csv, csv_lines(selected.decided(), selected.labels()))
+        if json is not None:
+            write_lines(json, json_lines(selected.decided()))
+        verdicts = selected.verdicts()
+        if junit is not None:
+            write_lines(junit, junit_lines(verdicts, selected.decided))
+    count = sum(sum(one.values()) for one in verdicts.values())
+    for path in files:
+        write_line(f"{count} inspections: {path}")
     return 0

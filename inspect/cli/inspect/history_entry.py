@@ -1,13 +1,17 @@
 """How a command enters a finished inspection into the history, without putting its verdict at risk."""
 
+import math
 import os
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from anisoscope.history.rows import NewRow
     from anisoscope.inspection.run import Inspected
 
 HistoryOption = Annotated[
@@ -34,26 +38,71 @@ def history_place(option: str | None, out: Path) -> str | Path | None:
     return place
 
 
-def remember(inspected: "Inspected", place: str | Path | None) -> None:
-    """Enter a finished inspection into the history; on failure print one line with the remedy.
+RETRY_S = 60.0
+_retry_at: dict[str, tuple[float, str]] = {}
+"""By history: until when it is not tried again, and why; a server that is away would hold up every part."""
 
-    Verdict and exit code are those of the part: what becomes of a database changes neither.
+
+def remember(
+    inspected: "Inspected", place: str | Path | None, clock: Callable[[], float] = time.monotonic
+) -> None:
+    """Enter a finished inspection into the history; on failure it waits in a file, and one line says so.
+
+    Verdict and exit code are those of the part: what becomes of a database changes neither. What waits is delivered
+    before the next inspection that can be entered.
     """
     if place is None:
         return
-    try:
-        from anisoscope.history.rows import row_of
-        from anisoscope.history.store import open_history
+    from anisoscope.history.rows import row_of
 
-        with open_history(place) as history:
-            history.append(row_of(inspected.record, inspected.folder))
+    out, key = inspected.folder.parent, str(place)
+    new = None
+    try:
+        new = row_of(inspected.record, inspected.folder)
+        if is_away(place, clock):
+            _put_aside(new, inspected.folder, place, _retry_at[key][1])
+            return
+        _enter(new, out, place)
+        _retry_at.pop(key, None)
     except Exception as error:  # noqa: BLE001 - record and verdict stand, whatever goes wrong here
         problem = " ".join(str(error).split()) or type(error).__name__
-        print(  # noqa: T201
-            f"anisoscope: the inspection is not in the history yet: {problem}; "
-            f"`anisoscope history add {inspected.folder}{_where(place)}` adds it",
-            file=sys.stderr,
-        )
+        _retry_at[key] = clock() + RETRY_S, problem
+        _put_aside(new, inspected.folder, place, problem)
+
+
+def is_away(place: str | Path, clock: Callable[[], float] = time.monotonic) -> bool:
+    """Whether a history failed a moment ago, so that it is not tried again yet."""
+    return clock() < _retry_at.get(str(place), (-math.inf, ""))[0]
+
+
+def _enter(new: "NewRow", out: Path, place: str | Path) -> None:
+    from anisoscope.history.spool import deliver
+    from anisoscope.history.store import open_history
+
+    with open_history(place) as history:
+        found = deliver(history, out, [new])
+    if found.rows:
+        _say(f"{len(found.rows)} inspections that waited are in the history now")
+    for line in found.damaged:
+        _say(line)
+
+
+def _put_aside(new: "NewRow | None", folder: Path, place: str | Path, problem: str) -> None:
+    from anisoscope.history.address import parse_address
+    from anisoscope.history.spool import wait
+
+    later = f"`anisoscope history add {folder}{_where(place)}` adds it"
+    if new is not None:
+        try:
+            waits = wait(new, parse_address(place), folder.parent)
+            later = f"it waits in {waits} for the next one, or {later}"
+        except Exception as error:  # noqa: BLE001 - as for `remember`
+            later = f"it cannot wait either ({error}); {later}"
+    _say(f"the inspection is not in the history yet: {problem}; {later}")
+
+
+def _say(text: str) -> None:
+    print(f"anisoscope: {text}", file=sys.stderr)  # noqa: T201
 
 
 def _where(place: str | Path) -> str:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from anisoscope.base.errors import AnisoscopeError
+from anisoscope.cli.inspect.history_entry import is_away
 
 if TYPE_CHECKING:
     from anisoscope.report.peers import LotMate
@@ -18,7 +19,7 @@ def lot_mates(place: str | Path | None, lot: str | None) -> "tuple[LotMate, ...]
         place: where the history is, or None.
         lot: the lot, or None.
     """
-    if place is None or lot is None:
+    if place is None or lot is None or is_away(place):
         return ()
     from anisoscope.history.filters import Filters
     from anisoscope.history.store import open_history

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.json_file import bounded_bytes
 from anisoscope.inspection.batch.tray import Slot, Tray
 from anisoscope.record.schema import sha256_of
 from anisoscope.record.verdict import Verdict
@@ -144,7 +145,7 @@ def read_batch(folder: Path) -> BatchFile:
     """
     path = folder / BATCH_NAME
     try:
-        return BatchFile.model_validate_json(path.read_bytes())
+        return BatchFile.model_validate_json(bounded_bytes(path))
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: no batch began here") from error
     except ValidationError as error:

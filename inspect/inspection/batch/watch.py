@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from anisoscope.base.crash import crash_line
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import AnisoscopeError, ConfigError, RecordError, UsageError
+from anisoscope.base.json_file import bounded_bytes
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import Part, read_toml_model
 from anisoscope.inspection.batch.codes import Kind
@@ -327,7 +328,7 @@ class WatchJournal:
 
     def _read(self) -> list[Line]:
         try:
-            data = self.path.read_bytes() if self.path.exists() else b""
+            data = bounded_bytes(self.path) if self.path.exists() else b""
         except OSError as error:
             raise RecordError(f"cannot read {self.path}: {error.strerror}") from error
         whole, _, torn = data.rpartition(b"\n")

@@ -124,7 +124,7 @@ def test_a_history_that_cannot_be_reached_changes_no_verdict_and_is_caught_up(ju
 @pytest.mark.parametrize("what", ["program", "file"])
 def test_whatever_goes_wrong_after_the_verdict_is_said_in_one_line(judged, inspect_on, monkeypatch, what):
     if what == "program":
-        monkeypatch.setattr(History, "append", lambda *_: 1 / 0)
+        monkeypatch.setattr(History, "append_all", lambda *_: 1 / 0)
     else:
         judged.out.mkdir(parents=True)
         (judged.out / "history.sqlite").write_text("no database at all, but text " * 40)

@@ -7,9 +7,12 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from anisoscope.history.export import to_csv, to_json, to_junit
+from anisoscope.base.errors import RecordError
+from anisoscope.history.export import csv_lines, json_lines, junit_lines, write_lines
 from anisoscope.history.filters import Filters
+from anisoscope.history.store import open_history
 
+EVERYTHING = Filters()
 HOSTILE = ("=1+1", "+1", "-1", "@x", "\tx", '"', "a,b\n", "<b>&'", "x\x00\x1b\ufffe", "]]>", "[red]")
 
 
@@ -20,13 +23,27 @@ def exported(sqlite_history, new_row):
     sqlite_history.append(new_row(10, product="other", numbers={"d2": 7.0}, lot=None))
     sqlite_history.dispose(3, reviewer="Q", decision="hold")
     sqlite_history.dispose(3, reviewer="R", decision="accept", comment="looks <fine>")
-    rows = sqlite_history.rows()
-    return rows, sqlite_history.dispositions_of([row.id for row in rows])
+    return sqlite_history
+
+
+def to_json(history, filters=EVERYTHING):
+    with history.selection(filters) as selected:
+        return "".join(json_lines(selected.decided()))
+
+
+def to_csv(history, filters=EVERYTHING):
+    with history.selection(filters) as selected:
+        return "".join(csv_lines(selected.decided(), selected.labels()))
+
+
+def to_junit(history, filters=EVERYTHING):
+    with history.selection(filters) as selected:
+        return "".join(junit_lines(selected.verdicts(), selected.decided))
 
 
 def test_json_holds_everything(exported):
-    rows, decided = exported
-    found = json.loads(to_json(rows, decided))
+    rows = exported.rows()
+    found = json.loads(to_json(exported))
     assert [one["id"] for one in found] == [row.id for row in rows]
     assert found[2]["numbers"] == rows[2].numbers
     assert [one["decision"] for one in found[2]["dispositions"]] == ["hold", "accept"]
@@ -35,8 +52,8 @@ def test_json_holds_everything(exported):
 
 
 def test_csv_has_a_line_for_each_and_a_column_for_every_number(exported):
-    rows, decided = exported
-    found = list(csv.DictReader(io.StringIO(to_csv(rows, decided))))
+    rows = exported.rows()
+    found = list(csv.DictReader(io.StringIO(to_csv(exported))))
     assert len(found) == 11
     assert [float(line["ln 0-90"]) for line in found[:10]] == [row.numbers["ln 0-90"] for row in rows[:10]]
     assert (found[10]["ln 0-90"], found[10]["d2"], found[10]["lot"]) == ("", "7.0", "")
@@ -45,14 +62,14 @@ def test_csv_has_a_line_for_each_and_a_column_for_every_number(exported):
 
 def test_csv_holds_no_formula(sqlite_history, new_row):
     sqlite_history.append_all([new_row(number, lot=text) for number, text in enumerate(HOSTILE)])
-    found = [line["lot"] for line in csv.DictReader(io.StringIO(to_csv(sqlite_history.rows(), {})))]
+    found = [line["lot"] for line in csv.DictReader(io.StringIO(to_csv(sqlite_history)))]
     assert found[:5] == ["'=1+1", "'+1", "'-1", "'@x", "'\tx"]
     assert found[5:] == list(HOSTILE[5:])
 
 
 def test_junit_fails_what_failed(exported):
-    rows, decided = exported
-    root = ET.fromstring(to_junit(rows, decided))
+    rows = exported.rows()
+    root = ET.fromstring(to_junit(exported))
     assert (root.tag, root.get("tests")) == ("testsuites", "11")
     verdicts = [row.verdict for row in rows]
     for total, verdict in (("failures", "FAIL"), ("errors", "INVALID"), ("skipped", "INCONCLUSIVE")):
@@ -81,13 +98,41 @@ def test_junit_is_xml_whatever_the_fields_hold(sqlite_history, new_row):
             for number, text in enumerate(texts)
         ]
     )
-    root = ET.fromstring(to_junit(sqlite_history.rows(), {}))
+    root = ET.fromstring(to_junit(sqlite_history))
     assert int(root.get("failures")) == len(texts)
     assert "x\ufffd\ufffd (inspection 9)" in {case.get("name") for case in root.iter("testcase")}
 
 
 def test_nothing_to_export(sqlite_history):
-    rows = sqlite_history.rows(Filters())
-    assert json.loads(to_json(rows, {})) == []
-    assert len(to_csv(rows, {}).splitlines()) == 1
-    assert ET.fromstring(to_junit(rows, {})).get("tests") == "0"
+    assert json.loads(to_json(sqlite_history)) == []
+    assert len(to_csv(sqlite_history).splitlines()) == 1
+    assert ET.fromstring(to_junit(sqlite_history)).get("tests") == "0"
+
+
+def test_an_export_has_the_latest_of_one_state_whatever_is_added_meanwhile(place, new_row):
+    """More inspections than are read at once, on both databases."""
+    with open_history(place) as history, open_history(place) as other:
+        history.append_all([new_row(number, product=f"p{number % 3}") for number in range(1203)])
+        history.dispose(1200, reviewer="Q", decision="hold")
+        latest = Filters(limit=1100)
+        with history.selection(latest) as selected:
+            labels, verdicts = selected.labels(), selected.verdicts()
+            other.append(new_row(5000, product="p0", numbers={"late": 1.0}))
+            found = list(selected.decided())
+            of_products = [row.id for product in verdicts for row, _ in selected.decided(product)]
+        assert [row.id for row, _ in found] == list(range(104, 1204))
+        assert [row.id for row, decided in found if decided] == [1200]
+        assert sorted(of_products) == list(range(104, 1204))
+        assert sum(sum(one.values()) for one in verdicts.values()) == 1100
+        assert "late" not in labels
+        assert other.count() == 1204
+
+
+def test_a_table_that_cannot_be_written_to_its_end_leaves_none(tmp_path):
+    def lines():
+        yield "one"
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(RecordError, match=r"cannot write .*week\.csv: No space left"):
+        write_lines(tmp_path / "week.csv", lines())
+    assert not list(tmp_path.iterdir())
