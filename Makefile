@@ -12,7 +12,7 @@ WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 2)
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all fast soak statistics types lint contracts docs docs-check benchmark benchmark-record lock clean help
+.PHONY: demo test test-all fast rewritten soak statistics types lint contracts docs docs-check benchmark benchmark-record lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
@@ -31,7 +31,8 @@ demo: $(VENV)/.warm-demo
 	  (nohup nice $(BIN)/anisoscope warm --quiet && touch $(VENV)/.warm) >/dev/null 2>&1 </dev/null & \
 	  echo $$! >$(VENV)/.warming; }
 
-test: $(VENV)/.warm lint contracts types docs-check
+test: $(VENV)/.warm rewritten lint contracts types docs-check
+	@while kill -0 $$(cat $(VENV)/.rewriting) 2>/dev/null; do sleep 1; done
 	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal
 
 # The tests without commands and pages, on the other versions of Python: PYTHONS="python3.12 /opt/py/bin/python3.13".
@@ -51,6 +52,10 @@ soak: $(VENV)/.dev
 # Rates over many draws or parts; each has a test of a few fixed draws in make test.
 statistics: $(VENV)/.dev
 	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal -m statistics
+
+# One process rewrites the assertions of all tests while types are checked; otherwise each worker does it for itself.
+rewritten: $(VENV)/.dev
+	@$(BIN)/python -Im pytest --collect-only -q >/dev/null 2>&1 & echo $$! >$(VENV)/.rewriting
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .

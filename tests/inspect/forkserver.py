@@ -68,6 +68,7 @@ def _load() -> None:
     from numba.core.registry import cpu_target
 
     from anisoscope.cli import progress
+    from anisoscope.cli.cache import warm
     from anisoscope.sim.light import material
 
     progress.PATIENCE_S = A_RUN_S
@@ -76,6 +77,10 @@ def _load() -> None:
     cpu_target.target_context.refresh()
     for nodes in (16, 32, 256):
         material._gauss_legendre(nodes)
+    for name in warm.OF_DEMO:  # reads their kernels from the disk, which costs a command a third of a second
+        warm.JOBS[name]()
+    warm._read_sources()
+    assert threading.active_count() == 1
 
 
 def serve(address: str) -> None:
