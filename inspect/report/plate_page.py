@@ -1,10 +1,12 @@
-"""Page of a plate: one self-contained file that shows its fields in WebGL, under light from any side.
+"""Pages of plates and etched wafers: self-contained files that show all fields in WebGL, under light from any side.
 
-Radiances are computed by the page, class by class, as `anisoscope.sim.light.corrected` does for direct light: the page
-holds the outline of the ridges, the lobe, and the table of the transmittance. Light and eye are far away, so that all
-fields of a class are alike.
+Radiances are computed by the page, class by class. Of plates as `anisoscope.sim.light.corrected` does for direct light:
+the page holds the outline of the ridges, the lobe, and the table of the transmittance. Of wafers by the waves of
+`anisoscope.sim.light.wave`: the page holds the rectangles of every tile and sums their waves for the points of the
+lamp. Light and eye are far away, so that all fields of a class, and all dots of a tile, are alike.
 """
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +16,19 @@ from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import Plan, inner_share
 from anisoscope.report.page import packed, scripted, write_page
+from anisoscope.sim.design.layout import Layout
+from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.light.colour.observer import xyz_weights
+from anisoscope.sim.light.colour.spaces import SRGB_TO_XYZ, XYZ_TO_SRGB
 from anisoscope.sim.light.corrected import outline_for
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
 
 FLAT_CLASS = 0xFFFF
+LINES_NM = tuple(float(nm) for nm in range(400, 701, 20))
+MOST_SIDE, MOST_TILES = 4096, 2048
+MOST_TERMS = 3e8
+"""Products of a picture of a wafer: about a second of a browser."""
 
 
 def write_plate_page(
@@ -57,6 +67,10 @@ def write_plate_page(
         "rows": rows,
         "cols": cols,
         "stages": [f"{one:g}" for one in stages_deg],
+        "part": "plate",
+        "field": "field",
+        "exposures": 4,
+        "tones": [("picture", "from black to white, as the picture"), ("eye", "radiance, for the eye (sRGB)")],
         "facts": (
             ("ridges", f"pitch {design.pitch_um:g} µm, {len(plan.letters)} classes of direction and ridge angle"),
             ("roughness", f"α {material.alpha_along:g} along and {material.alpha_across:g} across the ridges"),
@@ -64,7 +78,7 @@ def write_plate_page(
             ("black and white", f"{ends[0]:.4g} and {ends[1]:.4g} 1/sr"),
             ("model", "direct light, rays, light and eye far away; rims of the fields are dark"),
         ),
-        **scripted(_data(plan, design, material, light_angle_deg, stages_deg, ends), "webgl.js", "plate.js"),
+        **scripted(_data(plan, design, material, light_angle_deg, stages_deg, ends), "webgl.js", "fields.js", "plate.js"),
     }  # fmt: skip
     write_page(path, "plate.html", content)
 
@@ -129,3 +143,101 @@ def selftest_cases(stages_deg: tuple[float, ...], elevation_deg: float) -> list[
     found.append({"stage": 30.0, "tilt": 25.0, "azimuth": 140.0, "elevation": 50.0})
     found.append({"stage": -75.0, "tilt": -40.0, "azimuth": -100.0, "elevation": 20.0})
     return found
+
+
+def write_wafer_page(path: Path, title: str, layout: Layout, light: Illuminant | float) -> None:
+    """Write the page of an etched wafer, atomically.
+
+    Every dot is seen by itself, under the square lamp of the design, by an eye without an aperture.
+
+    Args:
+        path: file to write.
+        title: what the wafer shows.
+        layout: its dots.
+        light: in colour, or one wavelength in nm.
+
+    Raises:
+        UsageError: more dots, tiles or rectangles than a browser takes.
+        RecordError: the file cannot be written.
+    """
+    rows, cols = layout.index.shape
+    if max(rows, cols) > MOST_SIDE or len(layout.tiles) > MOST_TILES:
+        raise UsageError(
+            f"a page shows at most {MOST_SIDE} dots a side of {MOST_TILES} tiles, not {cols} × {rows} of "
+            f"{len(layout.tiles)}: cut the layout, or lay out fewer tiles"
+        )
+    if isinstance(light, Illuminant):
+        nm = np.array(LINES_NM)
+        colours = xyz_weights(light, nm) @ XYZ_TO_SRGB.T
+    else:
+        nm, colours = np.array([light]), np.ones((1, 3))
+    source = 1e-3 * layout.wavelength_nm / layout.coherence_um
+    # points of the lamp along each axis: as many as the fringes across a dot need
+    nodes, weights = np.polynomial.legendre.leggauss(
+        8 + int(np.ceil(0.5 * np.pi * layout.dot_um * source / (1e-3 * nm.min())))
+    )
+    tiles = [_rectangles(layout, number) for number in range(len(layout.tiles))]
+    terms = nm.size * sum(
+        nodes.size * (len(one["x"]) * len(one["y"]) + nodes.size * len(one["x"])) for one in tiles
+    )
+    if terms > MOST_TERMS:
+        raise UsageError(
+            f"each picture of this wafer takes {terms:.1g} products, at most {MOST_TERMS:.0e} are taken: lay out fewer "
+            "tiles (--tiles), or show it at one wavelength (--page-light 550)"
+        )
+    start = {"stage": 0, "tilt": 0, "azimuth": 0, "elevation": 83, "zoom": 1, "exposure": 0, "shown": "eye"}
+    data = {
+        "rows": rows,
+        "cols": cols,
+        "fields": packed(layout.index[::-1].astype(np.uint16)),
+        "tiles": tiles,
+        "levels": layout.heights_um.tolist(),
+        "lines": [{"um": 1e-3 * one, "rgb": rgb.tolist()} for one, rgb in zip(nm, colours, strict=True)],
+        "luminance": SRGB_TO_XYZ[1].tolist(),
+        "source": source,
+        "nodes": nodes.tolist(),
+        "weights": (0.5 * weights).tolist(),
+        "area": layout.dot_um**2,
+        "black": 0.0,
+        "start": {**start, "row": 1, "col": 1},
+        "selftest": selftest_cases((0.0, 90.0), 81.0),
+        "selftest_size": 256,
+    }
+    used = "one wavelength" if not isinstance(light, Illuminant) else f"{nm.size} lines of {light.name}"
+    high, wide = (1e-3 * side for side in layout.size_um)
+    content = {
+        "title": f"{title}, etched dots",
+        "subtitle": f"{cols} × {rows} dots of {layout.dot_um:g} µm, {wide:.2f} mm × {high:.2f} mm, under light from any side",
+        "rows": rows,
+        "cols": cols,
+        "stages": ["0", "90"],
+        "part": "wafer",
+        "field": "dot",
+        "exposures": 12,
+        "tones": [("eye", "for the eye (sRGB)"), ("picture", "proportional to light")],
+        "facts": (
+            ("tiles", f"{len(tiles)} of {', '.join(layout.names)}"),
+            ("etch passes", ", ".join(f"{one:.1f}" for one in layout.passes_nm) + " nm"),
+            ("light", f"{used}; square lamp of {np.degrees(source):.2f}°"),
+            ("model", "scalar waves, perfect mirror, no shadows; every dot by itself"),
+        ),
+        **scripted(data, "webgl.js", "fields.js", "wafer.js"),
+    }  # fmt: skip
+    write_page(path, "plate.html", content)
+
+
+def _rectangles(layout: Layout, number: int) -> dict[str, Any]:
+    """Edges of the columns and rows in which a tile changes, µm from its middle, and the level of every rectangle."""
+    tile = layout.tiles[number]
+    cuts, edges = [], []
+    for axis in (1, 0):
+        changes = np.flatnonzero((np.diff(tile, axis=axis) != 0).any(axis=1 - axis)) + 1
+        cuts.append(np.concatenate([[0], changes]))
+        edges.append(np.concatenate([[0], changes, [tile.shape[0]]]) * layout.grid_um - 0.5 * layout.dot_um)
+    return {
+        "name": layout.names[int(layout.tile_class[number])],
+        "x": edges[0].tolist(),
+        "y": edges[1].tolist(),
+        "keys": [hashlib.sha256(one.tobytes()).hexdigest()[:16] for one in edges],
+        "of": packed(tile[np.ix_(cuts[1], cuts[0])].astype(np.uint8)),
+    }

@@ -30,6 +30,7 @@ app = App(
 )
 app.command("anisoscope.cli.design.dots:refine")
 app.command("anisoscope.cli.design.dots:pattern")
+app.command("anisoscope.cli.design.dots:relight")
 app.command("anisoscope.cli.design.masks:mask")
 app.command("anisoscope.cli.design.masks:height")
 app.command("anisoscope.cli.design.codes:code")
@@ -37,6 +38,7 @@ app.command("anisoscope.cli.design.plates:plate")
 app.command("anisoscope.cli.design.resolution:resolution")
 app.command("anisoscope.cli.design.pictures:picture")
 app.command("anisoscope.cli.design.pictures:hologram")
+app.command("anisoscope.cli.design.lobe_photo:compare_lobe")
 
 
 @Parameter(name="*")

@@ -203,6 +203,42 @@ def pattern(
     return _print_written(out, png, html)
 
 
+def relight(
+    layout: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="Page to write, *.html.")],
+    page_light: Annotated[str, Parameter(help="d65, a, led-b3 … or CSV; or one wavelength in nm.")] = "d65",
+) -> int:
+    """Write a page to turn an etched wafer in the browser, under light from any side.
+
+    Every dot has the radiance that wave optics gives its tile; each is seen by itself.
+
+    Args:
+        layout: Layout *.npz of ``design pattern`` or ``design refine``.
+
+    Examples:
+        anisoscope design relight disc.npz --out disc.html
+        anisoscope design relight disc.npz --page-light 520 --out disc.html
+    """
+    from anisoscope.report.plate_page import write_wafer_page
+    from anisoscope.sim.design.designfile import read_layout
+    from anisoscope.sim.materials.spectra import find_illuminant
+
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out writes *.html, not {out.name}")
+    _check_written(None, out)
+    try:
+        line: float | None = float(page_light)
+    except ValueError:
+        line = None
+    if line is not None and not 200.0 <= line <= 2000.0:
+        raise UsageError(f"--page-light takes 200 to 2000 nm, or the name of a light, not {page_light}")
+    found, _ = read_layout(layout)
+    write_wafer_page(out, layout.stem, found, find_illuminant(page_light) if line is None else line)
+    return _print_written(out)
+
+
 def _check_written(out: Path | None, *others: Path | None) -> None:
     """Check the output paths before the search: results that cannot be written would be lost."""
     if out is not None and out.suffix.lower() != ".npz":

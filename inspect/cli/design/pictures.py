@@ -63,8 +63,8 @@ def picture(
     from anisoscope.sim.design.designfile import DesignFile, write_design
     from anisoscope.sim.design.targets import TargetTask, design_target
 
-    _check(png, ".png", "--png")
-    _check(out, ".toml", "--out")
+    check_target(png, ".png", "--png")
+    check_target(out, ".toml", "--out")
     if not 1 <= etch_passes <= 4:
         raise UsageError(f"--etch-passes takes 1 to 4, not {etch_passes}")
     factors = [1.0] * len(targets) if weights is None else list(parse_numbers(weights, "--weights"))
@@ -158,10 +158,13 @@ def _draw(found: "TargetDesign", path: Path) -> None:
         (found.achieved, "achieved", "inferno", 0.0),
         (found.unreachable, "wanted − achieved", "PuOr", -top),
     )
-    _panels([(values, title, colours, low, top) for values, title, colours, low in panels], reach, path)
+    draw_panels([(values, title, colours, low, top) for values, title, colours, low in panels], reach, path)
 
 
-def _panels(panels: "list[tuple[FloatArray, str, str, float, float]]", reach: float, path: Path) -> None:
+def draw_panels(
+    panels: "list[tuple[FloatArray, str, str, float, float]]", reach: float, path: Path
+) -> None:
+    """Draw (values, title, colours, low, top) of half vectors side by side into a PNG."""
     from anisoscope.base.atomic_write import write_bytes
     from anisoscope.report.figures import new_figure
 
@@ -187,7 +190,12 @@ def _panels(panels: "list[tuple[FloatArray, str, str, float, float]]", reach: fl
     write_bytes(path, stream.getvalue())
 
 
-def _check(path: Path | None, ending: str, option: str) -> None:
+def check_target(path: Path | None, ending: str, option: str) -> None:
+    """Refuse a file to write with another ending, or in no folder.
+
+    Raises:
+        UsageError: so.
+    """
     if path is not None and path.suffix.lower() != ending:
         raise UsageError(f"{option} writes *{ending}, not {path.name}")
     if path is not None and not path.parent.is_dir():
@@ -263,8 +271,8 @@ def hologram(
     from anisoscope.sim.proof.separation import decode_srgb
 
     check_seed(seed)
-    _check(png, ".png", "--png")
-    _check(out, ".npz", "--out")
+    check_target(png, ".png", "--png")
+    check_target(out, ".npz", "--out")
     if not 64 <= cells <= 1024 or not 16 <= picture_points <= 256:
         raise UsageError("--cells takes 64 to 1024, --picture-points 16 to 256")
     if not -20.0 <= over_etch <= 20.0:
@@ -295,7 +303,7 @@ def hologram(
         write_layout(layout, out)
     if png is not None:
         shown = [(wanted, "wanted"), (plain.srgb, "achieved"), (deep.srgb, f"depths {over_etch:+g} %")]
-        _panels(
+        draw_panels(
             [(one[..., 0] if one.shape[2] == 1 else one, title, "gray", 0.0, 1.0) for one, title in shown],
             reach, png,
         )  # fmt: skip
