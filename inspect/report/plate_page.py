@@ -70,7 +70,10 @@ def write_plate_page(
         "part": "plate",
         "field": "field",
         "exposures": 4,
-        "tones": [("picture", "from black to white, as the picture"), ("eye", "radiance, for the eye (sRGB)")],
+        "tones": [
+            ("picture", "from black to white, as the picture"),
+            ("eye", "radiance, for the eye (sRGB)"),
+        ],
         "facts": (
             ("ridges", f"pitch {design.pitch_um:g} µm, {len(plan.letters)} classes of direction and ridge angle"),
             ("roughness", f"α {material.alpha_along:g} along and {material.alpha_across:g} across the ridges"),
@@ -78,7 +81,9 @@ def write_plate_page(
             ("black and white", f"{ends[0]:.4g} and {ends[1]:.4g} 1/sr"),
             ("model", "direct light, rays, light and eye far away; rims of the fields are dark"),
         ),
-        **scripted(_data(plan, design, material, light_angle_deg, stages_deg, ends), "webgl.js", "fields.js", "plate.js"),
+        **scripted(
+            _data(plan, design, material, light_angle_deg, stages_deg, ends), "webgl.js", "fields.js", "plate.js"
+        ),
     }  # fmt: skip
     write_page(path, "plate.html", content)
 
@@ -207,7 +212,8 @@ def write_wafer_page(path: Path, title: str, layout: Layout, light: Illuminant |
     high, wide = (1e-3 * side for side in layout.size_um)
     content = {
         "title": f"{title}, etched dots",
-        "subtitle": f"{cols} × {rows} dots of {layout.dot_um:g} µm, {wide:.2f} mm × {high:.2f} mm, under light from any side",
+        "subtitle": f"{cols} × {rows} dots of {layout.dot_um:g} µm, {wide:.2f} mm × {high:.2f} mm, "
+        "under light from any side",
         "rows": rows,
         "cols": cols,
         "stages": ["0", "90"],
@@ -234,10 +240,17 @@ def _rectangles(layout: Layout, number: int) -> dict[str, Any]:
         changes = np.flatnonzero((np.diff(tile, axis=axis) != 0).any(axis=1 - axis)) + 1
         cuts.append(np.concatenate([[0], changes]))
         edges.append(np.concatenate([[0], changes, [tile.shape[0]]]) * layout.grid_um - 0.5 * layout.dot_um)
+    levels = tile[np.ix_(cuts[1], cuts[0])].astype(np.uint8)
+    # the sum over columns is taken for every pair of points of the lamp, that over rows for every point
+    turned = edges[0].size > edges[1].size
+    if turned:
+        edges, levels = edges[::-1], levels.T
     return {
         "name": layout.names[int(layout.tile_class[number])],
+        "turned": turned,
         "x": edges[0].tolist(),
         "y": edges[1].tolist(),
-        "keys": [hashlib.sha256(one.tobytes()).hexdigest()[:16] for one in edges],
-        "of": packed(tile[np.ix_(cuts[1], cuts[0])].astype(np.uint8)),
+        # integrals over the same edges at the same frequencies serve several tiles
+        "keys": [f"{int(turned)}{hashlib.sha256(one.tobytes()).hexdigest()[:16]}" for one in edges],
+        "of": packed(levels),
     }

@@ -50,7 +50,9 @@ class Screen:
         if not 0.0 < self.distance_mm < float("inf"):
             raise ModelError(f"a screen stands at a positive distance, not {self.distance_mm:g} mm")
         if not 0.0 <= self.light_deg[0] < 80.0 or max(map(abs, self.tilt_deg)) > 75.0:
-            raise ModelError("the lamp stands 0 to 80° from the normal, and a screen is tilted by 75° at most")
+            raise ModelError(
+                "the lamp stands 0 to 80° from the normal, and a screen is tilted by 75° at most"
+            )
 
     @property
     def to_light(self) -> FloatArray:
@@ -117,7 +119,7 @@ class Grid:
         light = screen.to_light
         y, x = np.meshgrid(2.0 * h - light[1], 2.0 * h - light[0], indexing="ij")
         square = x**2 + y**2
-        if not 0.0 < reach or float(square.max()) > 0.98:
+        if not reach > 0.0 or float(square.max()) > 0.98:
             raise ModelError(
                 f"half vectors to {reach:g} go below the horizon of the sample: take a smaller --reach"
             )
@@ -158,7 +160,9 @@ def designed_intensity(
                 heights = np.tile(heights, (2, 2))
             fine = np.repeat(np.repeat(heights, times, axis=0), times, axis=1)
             surface = WaveSurface.of(fine, design.grid_um / times, cells=True)
-            ladder = DensityLadder(surface, um, Window(designed, square), (float(h_z.min()), float(h_z.max())))
+            ladder = DensityLadder(
+                surface, um, Window(designed, square), (float(h_z.min()), float(h_z.max()))
+            )
             density += many / count.sum() * ladder.at(h_x, h_y, h_z)
     gamma = np.sum(grid.half**2, axis=-1) / h_z
     return np.asarray(np.maximum(density, 0.0) * gamma**2)
@@ -251,7 +255,9 @@ def compared_lobes(photographed: FloatArray, designed: FloatArray, grid: Grid) -
     seen = photographed / total
     whole = np.where(known, seen, due)
     top = float(due.max())
-    first, second = (encode(np.repeat((one / top)[..., None], 3, axis=-1)).srgb[..., 0] for one in (whole, due))
+    first, second = (
+        encode(np.repeat((one / top)[..., None], 3, axis=-1)).srgb[..., 0] for one in (whole, due)
+    )
     similar = structural_similarity(  # type: ignore[no-untyped-call]
         first, second, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
     )

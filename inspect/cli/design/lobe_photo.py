@@ -208,9 +208,7 @@ def _from_marks(text: str) -> "FloatArray":
     )
     for what in (pixels, places):
         corners = [what[np.array(three)] for three in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]
-        across = [
-            abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) for a, b, c in corners
-        ]
+        across = [abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) for a, b, c in corners]
         if min(across) < 1e-3 * float(np.ptp(what)) ** 2:
             raise UsageError(
                 "--marks: three of the marks lie on a line: take four that are corners of a quadrangle"
@@ -226,9 +224,7 @@ def _from_scale(
 
     if pixel_mm is None or not 0.0 < pixel_mm < float("inf"):
         raise UsageError(f"--pixel-mm must be a positive length, not {pixel_mm}")
-    col, row = (
-        (0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)) if center is None else _pair(center, "--center")
-    )
+    col, row = (0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)) if center is None else _pair(center, "--center")
     along = 1.0 / pixel_mm
     return np.array([[along if from_behind else -along, 0.0, col], [0.0, -along, row], [0.0, 0.0, 1.0]])
 

@@ -161,9 +161,7 @@ def _draw(found: "TargetDesign", path: Path) -> None:
     draw_panels([(values, title, colours, low, top) for values, title, colours, low in panels], reach, path)
 
 
-def draw_panels(
-    panels: "list[tuple[FloatArray, str, str, float, float]]", reach: float, path: Path
-) -> None:
+def draw_panels(panels: "list[tuple[FloatArray, str, str, float, float]]", reach: float, path: Path) -> None:
     """Draw (values, title, colours, low, top) of half vectors side by side into a PNG."""
     from anisoscope.base.atomic_write import write_bytes
     from anisoscope.report.figures import new_figure

@@ -77,7 +77,7 @@ function projection(state, w, h) { // pixels a field along x, and from the pictu
   const turn = frame(state), [a, b, c, d] = [turn[0][0], turn[0][1], turn[1][0], turn[1][1]], det = a * d - b * c;
   return {scale: 0.94 * state.zoom * Math.min(w, h) / Math.hypot(DATA.rows, DATA.cols), into: [d / det, -c / det, -b / det, a / det], turn};
 }
-function draw(state, light, w, h, mode, ground) {
+function draw(state, light, w, h, mode, ground, samples) {
   const {scale, into} = projection(state, w, h);
   gl.viewport(0, 0, w, h);
   gl.useProgram(program);
@@ -94,12 +94,12 @@ function draw(state, light, w, h, mode, ground) {
   gl.uniform1f(u("black"), DATA.black);
   gl.uniform1f(u("white"), DATA.white);
   gl.uniform1i(u("mode"), mode);
-  gl.uniform1i(u("samples"), mode === 2 ? 1 : 3);
+  gl.uniform1i(u("samples"), samples);
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
 const state = {...DATA.start};
-let waiting = false, speaking = 0;
+let waiting = false, speaking = 0, resting = 0, painted = 0;
 let known = {of: "", light: null};
 function coloured(state) { // the palette depends on where part and light are, not on zoom or exposure
   const of = [state.stage, state.tilt, state.azimuth, state.elevation].join();
@@ -113,15 +113,20 @@ function said(light) {
 function redraw() {
   if (waiting) return;
   waiting = true;
-  requestAnimationFrame(() => { waiting = false; paint(); });
+  requestAnimationFrame(() => { waiting = false; paint(1); });
 }
-function paint() {
+function paint(samples) { // one sample a pixel while the part moves, nine when it rests
   const box = canvas.getBoundingClientRect(), ratio = Math.min(window.devicePixelRatio || 1, 2);
   const [w, h] = [Math.max(2, Math.round(box.width * ratio)), Math.max(2, Math.round(box.height * ratio))];
   if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
   const ground = getComputedStyle(canvas).getPropertyValue("--stage").trim().match(/../g).map(v => parseInt(v, 16) / 255);
   const light = coloured(state);
-  draw(state, light, w, h, state.shown === "eye" ? 1 : 0, ground);
+  draw(state, light, w, h, state.shown === "eye" ? 1 : 0, ground, samples);
+  if (samples > 1) return;
+  clearTimeout(resting);
+  const now = performance.now(); // a slow machine must not paint in full between two steps of a drag
+  resting = setTimeout(() => paint(3), Math.min(2000, Math.max(150, 2 * (now - painted))));
+  painted = now;
   clearTimeout(speaking);
   speaking = setTimeout(() => { $("said").textContent = said(light); }, 250); // not at every step of a drag
   document.body.dataset.drawn = String(Number(document.body.dataset.drawn || 0) + 1);
@@ -207,7 +212,7 @@ function selftest() {
   gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, colour);
   const cases = DATA.selftest.map(asked => {
     const all = {...DATA.start, ...asked}, found = new Float32Array(4 * size * size), shown = [];
-    draw(all, kind.palette(all), size, size, 2, [0, 0, 0]);
+    draw(all, kind.palette(all), size, size, 2, [0, 0, 0], 1);
     gl.readPixels(0, 0, size, size, gl.RGBA, gl.FLOAT, found);
     for (let row = size - 1; row >= 0; row--)
       for (let col = 0; col < size; col++) {

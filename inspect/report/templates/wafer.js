@@ -61,8 +61,8 @@ function palette(state) { // linear sRGB, or the line's radiance, of every tile,
     let edges = ["", ""]; // tiles of the same edges share their integrals
     for (let t = 0; t < TILES.length; t++) {
       const tile = TILES[t], spread = 0.5 * DATA.source / line.um;
-      if (tile.keys[0] !== edges[0]) integrals(X, tile.x, 2 * h[0] / line.um, spread);
-      if (tile.keys[1] !== edges[1]) integrals(Y, tile.y, 2 * h[1] / line.um, spread);
+      if (tile.keys[0] !== edges[0]) integrals(X, tile.x, 2 * h[tile.turned ? 1 : 0] / line.um, spread);
+      if (tile.keys[1] !== edges[1]) integrals(Y, tile.y, 2 * h[tile.turned ? 0 : 1] / line.um, spread);
       edges = tile.keys;
       const density = scale * power(tile, cos, sin) / DATA.area;
       for (let k = 0; k < 3; k++) found[4 * t + k] += line.rgb[k] * density;

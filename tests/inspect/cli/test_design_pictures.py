@@ -54,6 +54,71 @@ def test_a_spot_comes_out_as_a_hologram(anisoscope, folder):
     assert layout.dot_um == pytest.approx(32.0)
 
 
+def on_a_screen(layout, distance_mm, pixel_mm, shape):
+    """16 bits: the orders of a unit under a square lamp, each a box, on a screen seen from the side of the sample."""
+    wave = np.exp(-4j * np.pi * layout.heights_um[layout.tiles[0]] / 0.55)
+    n, unit = wave.shape[0], layout.dot_um
+    power = np.fft.fftshift(np.abs(np.fft.fft2(wave)) ** 2)
+    order = np.fft.fftshift(np.fft.fftfreq(n, 1.0 / n))
+    power *= np.outer(*[np.sinc(order / n) ** 2] * 2)
+    across = (np.arange(shape) - 0.5 * (shape - 1)) * pixel_mm
+    y, x = np.meshgrid(-across, -across, indexing="ij")
+    r = np.hypot(np.hypot(x, y), distance_mm)
+    found = np.zeros((shape, shape))
+    wide = 0.5 * unit / layout.coherence_um
+    for row, col in np.argwhere(power > 1e-4 * power.max()):
+        inside = (np.abs(x / r * unit / 0.55 - order[col]) < wide) & (
+            np.abs(y / r * unit / 0.55 - order[row]) < wide
+        )
+        found += power[row, col] * inside
+    found *= (distance_mm / r) ** 3
+    return np.rint(60000.0 * found / found.max()).astype(np.uint16)
+
+
+def test_a_photographed_hologram_is_compared_with_its_unit(anisoscope, folder):
+    design = (
+        "design",
+        "compare-lobe",
+        "photo.png",
+        "--design",
+        "unit.npz",
+        "--wavelength",
+        550,
+        "--reach",
+        0.1,
+    )
+    layout, _ = read_layout(folder / "unit.npz")
+    photo = on_a_screen(layout, 300.0, 0.6, 260)
+    cv2.imwrite(str(folder / "photo.png"), photo)
+    scale = ("--distance", 300, "--pixel-mm", 0.6)
+    done = anisoscope(*design, *scale, "--json", "--png", "lobe.png", cwd=folder)
+    assert done.code == 0, done.err
+    assert done.json["correlation"] > 0.98
+    assert cv2.imread(str(folder / "lobe.png")) is not None
+    marks = ";".join(
+        f"{129.5 - x / 0.6},{129.5 - y / 0.6}={x},{y}"
+        for x, y in ((-50, -40), (45, -50), (50, 50), (-40, 45))
+    )
+    again = anisoscope(*design, "--distance", 300, "--marks", marks, "--json", cwd=folder)
+    assert again.json["correlation"] == pytest.approx(done.json["correlation"], abs=1e-4)
+    behind = anisoscope(*design, *scale, "--from-behind", "--json", cwd=folder)
+    assert behind.json["correlation"] < 0.9
+    for wrong, words in (
+        (("--distance", 300), "either --marks"),
+        (("--distance", 300, "--marks", "1,2=3,4"), "--marks takes COL,ROW=X,Y"),
+        (("--distance", 300, "--marks", "0,0=0,0;1,1=1,1;2,2=2,2;0,5=0,5"), "on a line"),
+        (("--distance", -3, "--pixel-mm", 0.6), "positive distance"),
+        ((*scale, "--background", 70000), "--background takes"),
+        ((*scale, "--light", "3"), "--light takes two numbers"),
+        (("--distance", 900, "--pixel-mm", 0.6), "lie outside of the photograph"),
+        ((*scale, "--lamp-half-angle", 20), "--lamp-half-angle takes"),
+    ):
+        done = anisoscope(*design, *wrong, cwd=folder)
+        assert done.code not in (0, 1), wrong
+        assert words in done.err
+        assert done.err.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [

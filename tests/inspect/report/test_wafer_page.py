@@ -91,7 +91,11 @@ def test_every_dot_is_that_of_the_engine_within_a_percent(page, page_of, wafer):
                 place = turn.apply([col + 0.5 - 0.5 * cols, row + 0.5 - 0.5 * rows, 0.0])
                 seen = pixels[int(0.5 * size - scale * place[1]), int(0.5 * size + scale * place[0])]
                 wanted = due[wafer.index[row, col]]
-                assert seen == pytest.approx(wanted, rel=0.01, abs=0.01 * np.abs(wanted).max()), (case, row, col)
+                assert seen == pytest.approx(wanted, rel=0.01, abs=0.01 * np.abs(wanted).max()), (
+                    case,
+                    row,
+                    col,
+                )
                 lit += np.abs(wanted).max() > 1e-3
     assert lit > 30
     assert page.complaints() == []

@@ -94,8 +94,13 @@ def lit_by(v):
             off = 0.5 * um / COHERENCE_UM * np.array([a, b])
             fx, fy = ((light[k] + off[k] + v[:, k]) / um + 1e-9 for k in (0, 1))
             wave_x, wave_y = (np.exp(-2j * np.pi * np.outer(f, edges)) for f in (fx, fy))
-            wave_x, wave_y = (np.diff(w, axis=1) / (-2j * np.pi * f[:, None]) for w, f in ((wave_x, fx), (wave_y, fy)))
-            sums = [np.einsum("py,yx,px->p", wave_y, which == k, wave_x, optimize=True) for k in range(levels.size)]
+            wave_x, wave_y = (
+                np.diff(w, axis=1) / (-2j * np.pi * f[:, None]) for w, f in ((wave_x, fx), (wave_y, fy))
+            )
+            sums = [
+                np.einsum("py,yx,px->p", wave_y, which == k, wave_x, optimize=True)
+                for k in range(levels.size)
+            ]
             found += wa * wb * np.abs(np.sum(phase.T * sums, axis=0)) ** 2
     dot = v @ light
     return found * ((1.0 + dot) / (v[:, 2] + light[2])) ** 2
@@ -107,7 +112,12 @@ def photograph():
     turn, place = camera()
     middle, _, _, normal = plane()
     row, col = np.mgrid[: SIZE[0], : SIZE[1]]
-    rays = np.stack([(col - 0.5 * (SIZE[1] - 1)) / FOCAL, (row - 0.5 * (SIZE[0] - 1)) / FOCAL, np.ones(SIZE)], -1) @ turn
+    rays = (
+        np.stack(
+            [(col - 0.5 * (SIZE[1] - 1)) / FOCAL, (row - 0.5 * (SIZE[0] - 1)) / FOCAL, np.ones(SIZE)], -1
+        )
+        @ turn
+    )
     along = ((middle - place) @ normal) / (rays @ normal)
     points = place + along[..., None] * rays
     r = np.linalg.norm(points, axis=-1)
@@ -194,7 +204,10 @@ def test_a_dead_area_of_the_lobe_is_named(photograph):
         (lambda: Screen(10.0, (85.0, 0.0)), "0 to 80°"),
         (lambda: Grid.of(Screen(10.0, (60.0, 0.0)), 0.2, 20), "horizon"),
         (lambda: compare(np.zeros((20, 20))), "outside of the photograph"),
-        (lambda: Screen(10.0, (0.0, 0.0), (70.0, 0.0)).places(Grid.of(Screen(10.0), 0.3, 20).v), "do not meet"),
+        (
+            lambda: Screen(10.0, (0.0, 0.0), (70.0, 0.0)).places(Grid.of(Screen(10.0), 0.3, 20).v),
+            "do not meet",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_refused(wrong, words):
