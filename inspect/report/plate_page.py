@@ -150,7 +150,7 @@ def selftest_cases(stages_deg: tuple[float, ...], elevation_deg: float) -> list[
     return found
 
 
-def write_wafer_page(path: Path, title: str, layout: Layout, light: Illuminant | float) -> None:
+def write_layout_page(path: Path, title: str, layout: Layout, light: Illuminant | float) -> None:
     """Write the page of an etched wafer, atomically.
 
     Every dot is seen by itself, under the square lamp of the design, by an eye without an aperture.

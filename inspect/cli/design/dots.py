@@ -221,7 +221,7 @@ def relight(
         anisoscope design relight disc.npz --out disc.html
         anisoscope design relight disc.npz --page-light 520 --out disc.html
     """
-    from anisoscope.report.plate_page import write_wafer_page
+    from anisoscope.report.plate_page import write_layout_page
     from anisoscope.sim.design.designfile import read_layout
     from anisoscope.sim.materials.spectra import find_illuminant
 
@@ -235,7 +235,7 @@ def relight(
     if line is not None and not 200.0 <= line <= 2000.0:
         raise UsageError(f"--page-light takes 200 to 2000 nm, or the name of a light, not {page_light}")
     found, _ = read_layout(layout)
-    write_wafer_page(out, layout.stem, found, find_illuminant(page_light) if line is None else line)
+    write_layout_page(out, layout.stem, found, find_illuminant(page_light) if line is None else line)
     return _print_written(out)
 
 

@@ -1,5 +1,6 @@
-"""Images that a design is made from."""
+"""Images that a design is made from, and pictures of half vectors."""
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,8 @@ from anisoscope.base.errors import UsageError
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
+
+    from anisoscope.base.arrays import FloatArray
 
 
 def read_image(path: Path, *, colour: bool = False, others: str = "") -> "npt.NDArray[np.uint8]":
@@ -32,3 +35,42 @@ def read_image(path: Path, *, colour: bool = False, others: str = "") -> "npt.ND
     if found is None:
         raise UsageError(f"{path}: not a picture; give a PNG, TIFF or JPEG{others}")
     return np.asarray(found, dtype=np.uint8)
+
+
+def draw_panels(panels: "list[tuple[FloatArray, str, str, float, float]]", reach: float, path: Path) -> None:
+    """Draw (values, title, colours, low, top) of half vectors side by side into a PNG."""
+    from anisoscope.base.atomic_write import write_bytes
+    from anisoscope.report.figures import new_figure
+
+    with new_figure(3.4 * len(panels), 3.2) as (figure, axes):
+        axes.remove()
+        for panel, (values, title, colours, low, top) in zip(
+            figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
+        ):
+            shown = panel.imshow(
+                values,
+                origin="lower",
+                cmap=colours,
+                vmin=low,
+                vmax=top,
+                extent=(-reach, reach, -reach, reach),
+            )
+            if values.ndim == 2:
+                figure.colorbar(shown, ax=panel, shrink=0.8)
+            panel.set_title(title, fontsize=9)
+            panel.set_xlabel("h_x [1]")
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
+    write_bytes(path, stream.getvalue())
+
+
+def check_target(path: Path | None, ending: str, option: str) -> None:
+    """Refuse a file to write with another ending, or in no folder.
+
+    Raises:
+        UsageError: so.
+    """
+    if path is not None and path.suffix.lower() != ending:
+        raise UsageError(f"{option} writes *{ending}, not {path.name}")
+    if path is not None and not path.parent.is_dir():
+        raise UsageError(f"{path}: there is no folder {path.parent}; make it first")

@@ -13,9 +13,9 @@ from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
+    from anisoscope.sim.design.appearance import LobeComparison
     from anisoscope.sim.design.designfile import DesignFile
     from anisoscope.sim.design.layout import Layout
-    from anisoscope.sim.design.screen import LobeComparison
 
 MARKS = "COL,ROW=X,Y of four marks, ;-separated"
 
@@ -84,8 +84,8 @@ def compare_lobe(
     Examples:
         anisoscope design compare-lobe lobe.png --design unit.npz --wavelength 532 --distance 500 --pixel-mm 0.5
     """
-    from anisoscope.cli.design.pictures import check_target, draw_panels
-    from anisoscope.sim.design.screen import (
+    from anisoscope.cli.design.image import check_target, draw_panels
+    from anisoscope.sim.design.appearance import (
         Grid,
         Screen,
         compared_lobes,

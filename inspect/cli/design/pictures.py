@@ -1,6 +1,5 @@
 """``anisoscope design picture`` and ``design hologram``: surfaces whose angular reflectance is a picture."""
 
-import io
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.design.image import read_image
+from anisoscope.cli.design.image import check_target, draw_panels, read_image
 from anisoscope.cli.design.output import check_seed
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
@@ -159,45 +158,6 @@ def _draw(found: "TargetDesign", path: Path) -> None:
         (found.unreachable, "wanted − achieved", "PuOr", -top),
     )
     draw_panels([(values, title, colours, low, top) for values, title, colours, low in panels], reach, path)
-
-
-def draw_panels(panels: "list[tuple[FloatArray, str, str, float, float]]", reach: float, path: Path) -> None:
-    """Draw (values, title, colours, low, top) of half vectors side by side into a PNG."""
-    from anisoscope.base.atomic_write import write_bytes
-    from anisoscope.report.figures import new_figure
-
-    with new_figure(3.4 * len(panels), 3.2) as (figure, axes):
-        axes.remove()
-        for panel, (values, title, colours, low, top) in zip(
-            figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
-        ):
-            shown = panel.imshow(
-                values,
-                origin="lower",
-                cmap=colours,
-                vmin=low,
-                vmax=top,
-                extent=(-reach, reach, -reach, reach),
-            )
-            if values.ndim == 2:
-                figure.colorbar(shown, ax=panel, shrink=0.8)
-            panel.set_title(title, fontsize=9)
-            panel.set_xlabel("h_x [1]")
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
-    write_bytes(path, stream.getvalue())
-
-
-def check_target(path: Path | None, ending: str, option: str) -> None:
-    """Refuse a file to write with another ending, or in no folder.
-
-    Raises:
-        UsageError: so.
-    """
-    if path is not None and path.suffix.lower() != ending:
-        raise UsageError(f"{option} writes *{ending}, not {path.name}")
-    if path is not None and not path.parent.is_dir():
-        raise UsageError(f"{path}: there is no folder {path.parent}; make it first")
 
 
 def _written(*paths: Path | None) -> int:

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from anisoscope.base.errors import UsageError
-from anisoscope.report.plate_page import write_wafer_page
+from anisoscope.report.plate_page import write_layout_page
 from anisoscope.sim.design.designfile import DesignFile
 from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.design.models import AntiMirrorModel, LobeModel, MirrorModel
@@ -42,7 +42,7 @@ def wafer():
 @pytest.fixture(scope="module")
 def page_of(wafer, tmp_path_factory):
     path = tmp_path_factory.mktemp("wafer") / "wafer.html"
-    write_wafer_page(path, "three", wafer, standard("d65"))
+    write_layout_page(path, "three", wafer, standard("d65"))
     return path
 
 
@@ -111,5 +111,5 @@ def test_the_page_is_escaped_and_refuses_what_a_browser_cannot_sum(page_of, wafe
         np.zeros((2, 2), dtype=np.uint16), (107.3, 157.5), 0.5, ("unit",),
     )  # fmt: skip
     with pytest.raises(UsageError, match="products"):
-        write_wafer_page(tmp_path / "x.html", "x", dense, standard("d65"))
+        write_layout_page(tmp_path / "x.html", "x", dense, standard("d65"))
     assert not (tmp_path / "x.html").exists()

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.design.layout import Layout
-from anisoscope.sim.design.screen import (
+from anisoscope.sim.design.appearance import (
     Grid,
     Screen,
     compared_lobes,
     designed_intensity,
     photographed_intensity,
 )
+from anisoscope.sim.design.layout import Layout
 
 NM, CELL_UM, CELLS = 532.0, 2.0, 12
 COHERENCE_UM = 12.0
