@@ -313,7 +313,7 @@ def photographed_intensity(
     sigma = 0.3 * step  # about the mean over the square of a direction
     parts = [np.where(known, photograph, 0.0).astype(np.float32), known.astype(np.float32)]
     if sigma > 0.5:
-        parts = [cv2.GaussianBlur(one, (0, 0), sigma) for one in parts]
+        parts = [np.asarray(cv2.GaussianBlur(one, (0, 0), sigma), dtype=np.float32) for one in parts]
     light, weight = (
         cv2.remap(one, col.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR) for one in parts
     )

@@ -3,8 +3,14 @@
 The reflected wave of a periodic unit of N × N cells is a Fourier transform of its phases, and the gradient of any error
 of the picture with respect to all heights is one inverse transform for each wavelength. The search starts from random
 steps and follows the gradient (Adam, Kingma and Ba 2015); heights are rounded to the etched levels in every step, and
-the gradient is passed through the rounding. Wavelengths are drawn anew in every step from even parts of the band, so
-that the picture holds for the whole spectrum. Half vectors with h_z = 1: light and camera near the normal.
+the gradient is passed through the rounding. Wavelengths are drawn anew in every step from even parts of the band, each
+in proportion to what it adds to the colours, so that the picture holds for the whole spectrum. The error of a picture
+in colour follows ΔE2000: differences of lightness, chroma and hue in CIELAB over the S_L, S_C, S_H of the wanted
+colour, large ones counting by their size instead of their square; a second term follows SSIM: squares over the local
+contrast of the wanted picture. Half vectors with h_z = 1: light and camera near the normal.
+
+What limits a picture is the count of unknowns. Every order within it that must be dark costs two numbers at every
+wavelength that the depths tell apart, and a cell gives one: pictures of few orders for many cells come out best.
 """
 
 from dataclasses import dataclass, field
@@ -32,6 +38,9 @@ FLOOR = 0.003
 """Linear light added before the square root that the error is measured in."""
 
 BETAS = (0.9, 0.99)
+LARGE = 5.0
+"""ΔE from which on differences count by their size."""
+
 BAND_NM = (400.0, 700.0)
 
 
@@ -78,10 +87,10 @@ class PictureTask:
                 f"{self.reach:g}: take a smaller --reach, or smaller cells (--min-width)"
             )
         unit = self.cells * self.cell_um
-        if len(self.levels_um) < 2 or not 0.0 < 2.0 * self.coherence_um <= unit:
+        if len(self.levels_um) < 2 or not 0.0 < self.coherence_um <= unit:
             raise ModelError(
-                f"a unit of {unit:g} µm must hold two coherence lengths of {self.coherence_um:g} µm or more along each "
-                "axis, and steps need two levels"
+                f"a unit of {unit:g} µm must hold the coherence length of {self.coherence_um:g} µm along each axis, "
+                "and steps need two levels"
             )
 
     @property
@@ -102,7 +111,7 @@ class DesignedPicture:
     Attributes:
         task: what was asked for.
         labels: (N, N) number of the level of every cell, rows along rising y.
-        error: rms of the difference of the square roots of light, at the scale that fits best.
+        error: rms of the last step: ΔE near ΔE2000; in grey of the difference of the square roots of light.
         history: error at the last step of each tenth of the search.
     """
 
@@ -117,90 +126,159 @@ class DesignedPicture:
         return np.asarray(self.task.levels_um, dtype=np.float64)[self.labels]
 
 
+Waves = npt.NDArray[np.complex64]
+
+
 class _Line:
-    """One wavelength of a picture: from heights to light over the half vectors, and its gradient back."""
+    """One wavelength of a picture: from the wave to light over the half vectors, and the gradient back to heights."""
 
     def __init__(self, task: PictureTask, wavelength_um: float) -> None:
+        self.cells = task.cells
         self.turns = 4.0 * np.pi / wavelength_um
         unit = task.cells * task.cell_um
-        step = 1.0 / unit
-        self.box = max(1.0, unit / task.source(wavelength_um))
-        self.place = 2.0 * task.h / wavelength_um / step
-        f = np.fft.fftfreq(task.cells, task.cell_um)
-        self.cell = (np.sinc(f * task.cell_um) ** 2).astype(np.float32)
+        order = np.fft.fftfreq(task.cells, 1.0 / task.cells)
         # a rect of `box` orders, linear between orders: sampled as the difference of two running sums
-        self.matrix = self._matrix(task.cells)
+        box = max(1.0, unit / task.source(wavelength_um))
+        off = np.abs(order[None, :] - (2.0 * task.h / wavelength_um * unit)[:, None])
+        inside = np.clip(0.5 * box + 0.5 - off, 0.0, 1.0) / box
+        self.orders = np.flatnonzero(inside.any(axis=0))
+        cell = np.sinc(order / task.cells) ** 2
+        self.matrix = np.asarray((inside * cell)[:, self.orders], dtype=np.float32)
 
-    def _matrix(self, count: int) -> Floats:
-        """(M, N) weight of every order along one axis in every direction."""
-        order = np.fft.fftfreq(count, 1.0 / count)
-        off = np.abs(order[None, :] - self.place[:, None])
-        inside = np.clip(0.5 * self.box + 0.5 - off, 0.0, 1.0)
-        return np.asarray(inside / self.box * self.cell[None, :], dtype=np.float32)
+    def wave(self, height_um: FloatArray | Floats) -> Waves:
+        """Reflected wave of heights of any shape."""
+        return np.asarray(np.exp(-1j * self.turns * height_um), dtype=np.complex64)
 
-    def light(self, height: Floats) -> tuple[Floats, npt.NDArray[np.complex64], npt.NDArray[np.complex64]]:
-        """(M, M) light over the half vectors, the wave and its spectrum."""
+    def light(self, wave: Waves) -> tuple[Floats, Waves]:
+        """(M, M) light over the half vectors of an (N, N) wave, and the orders within the picture."""
         from scipy import fft  # noqa: PLC0415 - slow to import
 
-        phase = (-self.turns * height).astype(np.float32)
-        wave = np.empty(phase.shape, dtype=np.complex64)
-        np.cos(phase, out=wave.real)
-        np.sin(phase, out=wave.imag)
-        spectrum = fft.fft2(wave, workers=threads.count()) / np.float32(wave.size)
+        rows = fft.fft(wave, axis=1, workers=threads.count())[:, self.orders]
+        spectrum = fft.fft(rows, axis=0, workers=threads.count())[self.orders] / np.float32(wave.size)
         power = spectrum.real**2 + spectrum.imag**2
-        return np.asarray(self.matrix @ power @ self.matrix.T), wave, spectrum
+        return np.asarray(self.matrix @ power @ self.matrix.T), spectrum
 
-    def gradient(
-        self, by_light: Floats, wave: npt.NDArray[np.complex64], spectrum: npt.NDArray[np.complex64]
-    ) -> Floats:
+    def gradient(self, by_light: Floats, wave: Waves, spectrum: Waves) -> Floats:
         """(N, N) derivative by the heights, of the derivative by the light."""
         from scipy import fft  # noqa: PLC0415 - slow to import
 
-        by_power = self.matrix.T @ by_light @ self.matrix
-        back = fft.ifft2(by_power * spectrum, workers=threads.count())
-        return np.asarray(2.0 * self.turns * (back.conj() * wave).imag, dtype=np.float32)
+        some = np.zeros((self.cells, self.orders.size), dtype=np.complex64)
+        some[self.orders] = (self.matrix.T @ by_light @ self.matrix) * spectrum
+        back = np.zeros((self.cells, self.cells), dtype=np.complex64)
+        back[:, self.orders] = fft.ifft(some, axis=0, workers=threads.count())
+        back = fft.ifft(back, axis=1, workers=threads.count(), overwrite_x=True)
+        return np.asarray(
+            2.0 * self.turns * (back.real * wave.imag - back.imag * wave.real), dtype=np.float32
+        )
 
 
 def _lines(
     task: PictureTask, rng: np.random.Generator, fixed: dict[float, _Line]
-) -> tuple[list[_Line], Floats]:
-    """Wavelengths of a step and their (B, channels) weights in linear sRGB."""
+) -> tuple[list[_Line], FloatArray]:
+    """Wavelengths of a step and their (B, channels) weights: XYZ of the mean light, or 1."""
     if task.illuminant is None:
         if not fixed:
             fixed[task.wavelength_um] = _Line(task, task.wavelength_um)
-        return list(fixed.values()), np.ones((1, 1), dtype=np.float32)
+        return list(fixed.values()), np.ones((1, 1))
     edges = np.linspace(*BAND_NM, task.bands + 1)
     found, weights = [], []
-    table, nm = _weights(task.illuminant), np.arange(BAND_NM[0], BAND_NM[1] + 1.0, 5.0)
+    table = _weights(task.illuminant)
+    each = table.sum(axis=1)
     for low, high in pairwise(edges):
-        inside = (nm >= low) & ((nm < high) | (high == edges[-1]))
-        # whole steps of 5 nm, so that what belongs to a wavelength is made once; it stands for its whole part
-        one = float(rng.choice(nm[inside]))
+        # whole steps of 5 nm, so that what belongs to a wavelength is made once
+        inside = np.flatnonzero((low <= TABLE_NM) & ((high > TABLE_NM) | (high == edges[-1])))
+        share = float(each[inside].sum())
+        if share <= 0.0:
+            continue
+        number = int(rng.choice(inside, p=each[inside] / share))
+        one = float(TABLE_NM[number])
         if one not in fixed:
             fixed[one] = _Line(task, 1e-3 * one)
         found.append(fixed[one])
-        weights.append(table[inside].sum(axis=0))
+        weights.append(table[number] * (share / each[number]))
     return found, np.stack(weights)
 
 
-_CACHED: dict[str, Floats] = {}
+TABLE_NM = np.arange(BAND_NM[0], BAND_NM[1] + 1.0, 5.0)
 
 
-def _weights(illuminant: Illuminant) -> Floats:
-    """(61, 3) linear sRGB of the mean power of orders in steps of 5 nm, with the γ² = 1/λ² of a surface."""
-    if illuminant.name not in _CACHED:
-        nm = np.arange(BAND_NM[0], BAND_NM[1] + 1.0, 5.0)
-        weights = xyz_weights(illuminant, nm) @ XYZ_TO_SRGB.T * (550.0 / nm[:, None]) ** 2
-        _CACHED[illuminant.name] = np.asarray(weights, dtype=np.float32)
-    return _CACHED[illuminant.name]
+def _weights(illuminant: Illuminant) -> FloatArray:
+    """(61, 3) XYZ of the mean power of orders in steps of 5 nm, with the γ² = 1/λ² of a surface."""
+    return np.asarray(xyz_weights(illuminant, TABLE_NM) * (550.0 / TABLE_NM[:, None]) ** 2)
+
+
+SIMILAR = 50.0
+"""Weight of the term that follows SSIM, over that of half of ΔE²."""
+
+LIKENESS = np.array([1.0, 0.25, 0.25]) * 1e-4
+"""Squares of differences of L*, a*, b* as squares of encoded sRGB, about."""
+
+
+class _Wanted:
+    """A wanted picture: how far light is from it, and the derivative of that error."""
+
+    def __init__(self, task: PictureTask) -> None:
+        relative = task.wanted / task.wanted.max()
+        self.colour = task.illuminant is not None
+        self.light = relative @ SRGB_TO_XYZ.T if self.colour else relative
+        if not self.colour:
+            self.root = np.sqrt(relative + FLOOR)
+            return
+        from scipy.ndimage import gaussian_filter  # noqa: PLC0415 - slow to import
+
+        shown, window = encode(relative).srgb, (1.5, 1.5, 0.0)
+        contrast = (gaussian_filter(shown**2, window) - gaussian_filter(shown, window) ** 2).mean(axis=-1)
+        # 1 − SSIM of small differences e with the contrast σ²: e²/(2·σ² + 0.03²)
+        self.calm = gaussian_filter(1.0 / (2.0 * np.maximum(contrast, 0.0) + 9e-4), 1.5)
+        self.lab = lab(self.light, SRGB_WHITE)
+        chroma = np.hypot(self.lab[..., 1], self.lab[..., 2])
+        # rows that turn a difference of L*, a*, b* into lightness, chroma and hue over their weights in ΔE2000
+        middle = (self.lab[..., 0] - 50.0) ** 2
+        to = np.stack([self.lab[..., 1], self.lab[..., 2]], axis=-1) / np.maximum(chroma, 1e-6)[..., None]
+        self.turn = np.zeros((*chroma.shape, 3, 3))
+        self.turn[..., 0, 0] = 1.0 / (1.0 + 0.015 * middle / np.sqrt(20.0 + middle))
+        self.turn[..., 1, 1:] = to / (1.0 + 0.045 * chroma)[..., None]
+        self.turn[..., 2, 1:] = (
+            np.stack([-to[..., 1], to[..., 0]], axis=-1) / (1.0 + 0.015 * chroma)[..., None]
+        )
+
+    def scale(self, light: FloatArray) -> float:
+        """Factor on the light that brings it closest to the wanted one."""
+        return float(np.sum(light * self.light) / max(float(np.sum(light * light)), 1e-30))
+
+    def error(self, light: FloatArray, scale: float) -> tuple[float, FloatArray]:
+        """Rms error of (M, M, C) light times a factor, and the (M, M, C) derivative of what is minimised."""
+        count = light.shape[0] * light.shape[1]
+        if not self.colour:
+            shown = np.sqrt(scale * light + FLOOR)
+            rest = shown - self.root
+            return float(np.sqrt(np.mean(rest**2))), rest * scale / shown / count
+        t = np.maximum(scale * light / SRGB_WHITE, 1e-9)
+        linear = t < (6.0 / 29.0) ** 3
+        f = np.where(linear, t * (841.0 / 108.0) + 4.0 / 29.0, np.cbrt(t))
+        by_t = np.where(linear, 841.0 / 108.0, np.cbrt(t) / (3.0 * t))
+        found = np.stack(
+            [116.0 * f[..., 1] - 16.0, 500.0 * (f[..., 0] - f[..., 1]), 200.0 * (f[..., 1] - f[..., 2])],
+            axis=-1,
+        )
+        off = found - self.lab
+        parts = np.einsum("ijkl,ijl->ijk", self.turn, off)
+        square = np.sum(parts**2, axis=-1)
+        parts /= np.sqrt(1.0 + square / LARGE**2)[..., None]
+        back = np.einsum("ijkl,ijk->ijl", self.turn, parts) + SIMILAR * self.calm[..., None] * off * LIKENESS
+        by_f = np.stack(
+            [500.0 * back[..., 1], 116.0 * back[..., 0] - 500.0 * back[..., 1] + 200.0 * back[..., 2],
+             -200.0 * back[..., 2]], axis=-1,
+        )  # fmt: skip
+        return float(np.sqrt(np.mean(square))), by_f * by_t * scale / SRGB_WHITE / count
 
 
 def design_picture(
     task: PictureTask,
     rng: np.random.Generator,
-    steps: int = 400,
+    steps: int = 1000,
     *,
-    rate: float = 0.02,
+    rate: float | None = None,
     advance: Advance = silent,
 ) -> DesignedPicture:
     """Find a unit whose angular reflectance comes close to a picture.
@@ -209,7 +287,7 @@ def design_picture(
         task: the picture.
         rng: of the start and the wavelengths.
         steps: of the search.
-        rate: of a step, as a share of the range of heights.
+        rate: of a step, as a share of the range of heights; larger for few steps if it is not given.
         advance: receives the progress.
 
     Raises:
@@ -217,30 +295,27 @@ def design_picture(
     """
     if steps < 10:
         raise ModelError(f"a picture takes 10 steps or more, not {steps}")
+    rate = max(0.005, 1.5 / steps) if rate is None else rate
     levels = np.sort(np.asarray(task.levels_um, dtype=np.float32))
     span = float(levels[-1] - levels[0])
     height = rng.uniform(levels[0], levels[-1], (task.cells, task.cells)).astype(np.float32)
     mean, square = np.zeros_like(height), np.zeros_like(height)
-    root = np.sqrt(task.wanted.astype(np.float32) / float(task.wanted.max()) + FLOOR)
+    wanted = _Wanted(task)
     fixed: dict[float, _Line] = {}
     scale, history, error = 0.0, [], float("nan")
     middles = 0.5 * (levels[1:] + levels[:-1])
     for step in range(steps):
         label = np.searchsorted(middles, height)
-        rounded = levels[label]
         lines, weights = _lines(task, rng, fixed)
-        done = [line.light(rounded) for line in lines]
+        waves = [line.wave(levels)[label] for line in lines]
+        done = [line.light(wave) for line, wave in zip(lines, waves, strict=True)]
         light = np.einsum("bij,bc->ijc", np.stack([one[0] for one in done]), weights)
-        lit = np.maximum(light, 0.0)
-        best = _scale(lit, root)
+        best = wanted.scale(light)
         scale = best if scale == 0.0 else 0.9 * scale + 0.1 * best
-        shown = np.sqrt(scale * lit + FLOOR)
-        rest = shown - root
-        error = float(np.sqrt(np.mean(rest**2)))
-        by_light = np.where(light > 0.0, rest * scale / shown, -scale) / rest.size
+        error, by_light = wanted.error(light, scale)
         total = np.zeros_like(height)
-        for line, one, weight in zip(lines, done, weights, strict=True):
-            total += line.gradient((by_light @ weight).astype(np.float32), one[1], one[2])
+        for line, wave, one, weight in zip(lines, waves, done, weights, strict=True):
+            total += line.gradient((by_light @ weight).astype(np.float32), wave, one[1])
         mean = BETAS[0] * mean + (1.0 - BETAS[0]) * total
         square = BETAS[1] * square + (1.0 - BETAS[1]) * total**2
         m = mean / (1.0 - BETAS[0] ** (step + 1))
@@ -254,12 +329,6 @@ def design_picture(
     label = np.searchsorted(middles, height)
     order = np.argsort(np.asarray(task.levels_um))
     return DesignedPicture(task, order[label].astype(np.uint16), error, tuple(history))
-
-
-def _scale(light: Floats, root: Floats) -> float:
-    """Factor on the light that brings it closest to the wanted one."""
-    wanted = root**2 - FLOOR
-    return float(np.sum(light * wanted) / max(float(np.sum(light * light)), 1e-30))
 
 
 @dataclass(frozen=True, eq=False)

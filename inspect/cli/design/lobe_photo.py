@@ -179,7 +179,7 @@ def _photograph(path: Path, background: float, tone: str) -> "FloatArray":
     found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if found is None or found.dtype not in (np.dtype(np.uint8), np.dtype(np.uint16)):
         raise UsageError(f"{path}: no photograph of 8 or 16 bits; give a PNG, TIFF or JPEG")
-    top = float(np.iinfo(found.dtype).max)
+    top = 255.0 if found.dtype == np.uint8 else 65535.0
     channels = np.atleast_3d(found)[..., :3].astype(np.float64)
     if not 0.0 <= background < top:
         raise UsageError(f"--background takes a grey value from 0 to below {top:g}, not {background:g}")

@@ -1,6 +1,7 @@
 """``anisoscope design picture`` and ``design hologram``: surfaces whose angular reflectance is a picture."""
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +18,7 @@ from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
-    from anisoscope.sim.design.gradient import Judged
+    from anisoscope.sim.design.gradient import Judged, PictureTask
     from anisoscope.sim.design.targets import TargetDesign
 
 POINTS = 121
@@ -190,18 +191,19 @@ def hologram(
     wavelength: Annotated[float, Parameter(help="Wavelength of a grey picture, nm.")] = 550.0,
     passes_nm: Annotated[
         str | None,
-        Parameter(help="Depths of 1 to 4 etch passes, nm; else parts of half a wave, in colour 75 to 600."),
+        Parameter(help="Depths of 1 to 4 etch passes, nm; else parts of half a wave, in colour 40 to 320."),
     ] = None,
     cells: Annotated[int, Parameter(help="Cells of the unit along each axis, 64 to 1024.")] = 512,
     min_width: Annotated[
         float, Parameter(help="Smallest feature, µm: 2 for optical lithography, less for electron beams.")
     ] = 0.5,
     coherence: Annotated[
-        float, Parameter(help="Coherence length of the source, µm; 64 is a lamp of 0.5°.")
-    ] = 64.0,
-    reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y| of a target.")] = 0.12,
+        float | None,
+        Parameter(help="Coherence length of the source, µm; the unit's side if not given: 256 is 0.12°."),
+    ] = None,
+    reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y| of a target.")] = 0.06,
     picture_points: Annotated[int, Parameter(help="Directions of the picture along each axis.")] = 64,
-    search_steps: Annotated[int, Parameter(help="Steps of the search by gradients.")] = 300,
+    search_steps: Annotated[int, Parameter(help="Steps of the search by gradients.")] = 1000,
     over_etch: Annotated[float, Parameter(help="Error of all depths to judge as well, %.")] = 2.0,
     seed: Annotated[int, Parameter(help="Seed of start and wavelengths.")] = 0,
     png: Annotated[Path | None, Parameter(help="Picture of wanted, achieved and over-etched light.")] = None,
@@ -239,7 +241,7 @@ def hologram(
     if passes_nm is not None:
         passes = tuple(sorted(parse_numbers(passes_nm, "--passes-nm")))
     elif lamp is not None:
-        passes = (75.0, 150.0, 300.0, 600.0)
+        passes = (40.0, 80.0, 160.0, 320.0)
     else:
         passes = tuple(wavelength / 32.0 * 2**number for number in range(4))
     if not 1 <= len(passes) <= 4:
@@ -247,9 +249,11 @@ def hologram(
     band = BAND_NM if lamp is not None else (wavelength, wavelength)
     wanted = _wanted(image, picture_points, colour=lamp is not None)
     linear = np.asarray(decode_srgb()[np.rint(255.0 * wanted).astype(np.uint8)], dtype=np.float64)
+    coherence = cells * min_width if coherence is None else coherence
     task = PictureTask(
         linear, Depths(passes, band).levels_um, lamp, 1e-3 * wavelength, cells, min_width, coherence, reach
     )
+    light = HologramLight.of(task)
     with progress("hologram", quiet=json_) as advance:
         found = design_picture(task, np.random.default_rng(seed), search_steps, advance=advance)
     plain, deep = judged(found), judged(found, 1.0 + 0.01 * over_etch)
@@ -269,12 +273,42 @@ def hologram(
         print_json(
             {
                 "depths_nm": list(passes), "unit_um": cells * min_width, "error": found.error, "seed": seed,
+                "light": light,
                 "history": list(found.history), "achieved": plain, "over_etch_percent": over_etch, "over_etched": deep,
             }
         )  # fmt: skip
         return 0
-    _print_judged(plain, deep, over_etch)
+    _print_judged(plain, deep, over_etch, light)
     return _written(out, png)
+
+
+@dataclass(frozen=True)
+class HologramLight:
+    """What a picture assumes of light and eye.
+
+    Attributes:
+        spectrum: name of the light, or its wavelength.
+        lamp_deg: side of the square lamp, as seen from the unit.
+        picture_deg: side of the picture from the middle, as seen from the unit.
+        pupil_deg: most that the eye's or camera's pupil may subtend: a direction of the picture.
+    """
+
+    spectrum: str
+    lamp_deg: float
+    picture_deg: float
+    pupil_deg: float
+
+    @classmethod
+    def of(cls, task: "PictureTask") -> "HologramLight":
+        """Of a task, light and eye near the normal."""
+        import numpy as np
+
+        design = task.wavelength_um if task.illuminant is None else 0.55
+        name = f"{1e3 * design:g} nm" if task.illuminant is None else task.illuminant.name
+        reach, step = 2.0 * task.reach, 4.0 * task.reach / (task.wanted.shape[0] - 1)
+        return cls(
+            name, *(float(np.degrees(one)) for one in (design / task.coherence_um, np.arcsin(reach), step))
+        )
 
 
 def _wanted(path: Path, points: int, *, colour: bool) -> "FloatArray":
@@ -291,10 +325,16 @@ def _wanted(path: Path, points: int, *, colour: bool) -> "FloatArray":
     return np.asarray(values / 255.0, dtype=np.float64)
 
 
-def _print_judged(plain: "Judged", deep: "Judged", over_etch: float) -> None:
+def _print_judged(plain: "Judged", deep: "Judged", over_etch: float, light: HologramLight) -> None:
     rows = [
         [name, f"{one.ssim:.3f}", "–" if one.median_de2000 is None else f"{one.median_de2000:.2f}",
          f"{100.0 * one.light_share:.1f}"]
         for name, one in (("as designed", plain), (f"depths {over_etch:+g} %".replace("-", "−"), deep))
     ]  # fmt: skip
-    print_table("picture", ["etched", "SSIM [1]", "median ΔE2000", "light in the picture [%]"], rows)
+    print_table(
+        "picture",
+        ["etched", "SSIM [1]", "median ΔE2000", "light in the picture [%]"],
+        rows,
+        caption=f"{light.spectrum}, square lamp of {light.lamp_deg:.2f}°; picture to ±{light.picture_deg:.1f}°, for a "
+        f"pupil of {light.pupil_deg:.2f}° at most (or a screen); light and eye near the normal, no shadows",
+    )

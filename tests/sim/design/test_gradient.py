@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.design.gradient import PictureTask, _Line, design_picture, judged
+from anisoscope.sim.design.gradient import (
+    LARGE,
+    LIKENESS,
+    SIMILAR,
+    PictureTask,
+    _Line,
+    _Wanted,
+    design_picture,
+    judged,
+)
 from anisoscope.sim.light.colour.illuminant import standard
+from anisoscope.sim.light.colour.spaces import SRGB_WHITE, ciede2000, lab
 
 LEVELS = tuple((np.arange(16) * 0.55 / 32.0).tolist())
 
@@ -19,19 +29,59 @@ def task(**more):
     return PictureTask(spot(), LEVELS, **({"cells": 64, "coherence_um": 12.0} | more))
 
 
-def test_gradient_is_that_of_differences():
-    line, rng = _Line(task(), 0.55), np.random.default_rng(1)
-    height = rng.uniform(0.0, 0.25, (64, 64)).astype(np.float32)
-    by_light = rng.normal(size=(16, 16)).astype(np.float32)
-    _, wave, spectrum = line.light(height)
-    found = line.gradient(by_light, wave, spectrum)
+@pytest.mark.parametrize("colour", [False, True])
+def test_gradient_is_that_of_differences(colour):
+    """Of the error of a whole picture, by one height: two wavelengths in colour, through CIELAB."""
+    lamp = standard("d65") if colour else None
+    wanted_picture = (
+        np.concatenate([spot(), 0.3 * spot() + 0.1, 0.5 - 0.4 * spot()], axis=2) if colour else spot()
+    )
+    asked = PictureTask(wanted_picture, LEVELS, lamp, cells=64, coherence_um=12.0)
+    lines, wanted = [_Line(asked, um) for um in ((0.48, 0.6) if colour else (0.55,))], _Wanted(asked)
+    weights = np.array([[0.3, 0.4, 1.0], [1.0, 0.9, 0.1]]) if colour else np.ones((1, 1))
+    height = np.random.default_rng(1).uniform(0.0, 0.25, (64, 64))
+
+    def light(heights):
+        done = [line.light(line.wave(heights)) for line in lines]
+        return np.einsum("bij,bc->ijc", np.stack([one[0] for one in done]).astype(np.float64), weights), done
+
+    first, done = light(height)
+    scale = wanted.scale(first)
+    _, by_light = wanted.error(first, scale)
+    found = sum(
+        line.gradient((by_light @ weight).astype(np.float32), line.wave(height), one[1])
+        for line, weight, one in zip(lines, weights, done, strict=True)
+    )
+    # the derivative of the error by the light holds for all light; that of the light by a height is the line's
     for place in ((3, 5), (40, 17)):
         ends = []
         for sign in (1.0, -1.0):
             moved = height.copy()
             moved[place] += sign * 0.01
-            ends.append(float(np.sum(by_light.astype(np.float64) * line.light(moved)[0])))
-        assert found[place] == pytest.approx((ends[0] - ends[1]) / 0.02, rel=0.03, abs=1e-6)
+            ends.append(float(np.sum(by_light * light(moved)[0])))
+        assert found[place] == pytest.approx((ends[0] - ends[1]) / 0.02, rel=0.03, abs=1e-7)
+
+
+def test_error_in_colour_is_near_de2000_and_its_derivative_that_of_differences():
+    rng = np.random.default_rng(3)
+    picture = rng.uniform(0.05, 1.0, (16, 16, 3))
+    wanted = _Wanted(PictureTask(picture, LEVELS, standard("d65"), cells=64, coherence_um=12.0))
+    other = wanted.light * rng.uniform(0.93, 1.07, wanted.light.shape)
+    due = ciede2000(lab(other, SRGB_WHITE), lab(wanted.light, SRGB_WHITE))
+    found, by_light = wanted.error(other, 1.0)
+    assert found == pytest.approx(np.sqrt(np.mean(due**2)), rel=0.25)
+    assert wanted.error(wanted.light, 1.0)[0] < 1e-6
+    step = rng.normal(size=other.shape) * 1e-6
+    ends = [_objective(wanted, other + sign * step) for sign in (1.0, -1.0)]
+    assert float(np.sum(by_light * step)) == pytest.approx(0.5 * (ends[0] - ends[1]), rel=1e-3)
+
+
+def _objective(wanted, light):
+    """What is minimised: Charbonnier's function of the differences of every point, and squares over the contrast."""
+    off = lab(light, SRGB_WHITE) - wanted.lab
+    parts = np.einsum("ijkl,ijl->ijk", wanted.turn, off)
+    large = LARGE**2 * (np.sqrt(1.0 + np.sum(parts**2, axis=-1) / LARGE**2) - 1.0)
+    return float(np.mean(large + 0.5 * SIMILAR * wanted.calm * (off**2 @ LIKENESS)))
 
 
 def test_a_spot_without_symmetry_comes_out():
@@ -52,7 +102,7 @@ def test_a_spot_without_symmetry_comes_out():
     ("wrong", "words"),
     [
         (lambda: task(reach=0.3), r"diffract 550 nm to \|h\| = 0.275"),
-        (lambda: task(coherence_um=20.0), "two coherence lengths"),
+        (lambda: task(coherence_um=40.0), "hold the coherence length"),
         (lambda: PictureTask(spot(), LEVELS, standard("d65")), "in colour"),
         (lambda: PictureTask(0.0 * spot(), LEVELS), "some above 0"),
         (lambda: design_picture(task(), np.random.default_rng(1), 3), "10 steps"),
