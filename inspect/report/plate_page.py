@@ -8,15 +8,16 @@ lamp. Light and eye are far away, so that all fields of a class, and all dots of
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import Plan, inner_share
 from anisoscope.report.page import packed, scripted, write_page
-from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import SRGB_TO_XYZ, XYZ_TO_SRGB
@@ -150,7 +151,55 @@ def selftest_cases(stages_deg: tuple[float, ...], elevation_deg: float) -> list[
     return found
 
 
-def write_layout_page(path: Path, title: str, layout: Layout, light: Illuminant | float) -> None:
+class EtchedDots(Protocol):
+    """What the page shows of a layout of dots, as `anisoscope.sim.design.layout.Layout` has it."""
+
+    @property
+    def tiles(self) -> npt.NDArray[np.uint16]:
+        """(T, n, n) number of the level of every grid point of every tile."""
+
+    @property
+    def tile_class(self) -> npt.NDArray[np.integer]:
+        """(T,) number of the name of every tile."""
+
+    @property
+    def index(self) -> npt.NDArray[np.uint16]:
+        """(rows, cols) tile of every dot, row 0 at y = 0."""
+
+    @property
+    def heights_um(self) -> FloatArray:
+        """(levels,) heights."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of reflectances."""
+
+    @property
+    def passes_nm(self) -> tuple[float, ...]:
+        """Depths of the etch passes."""
+
+    @property
+    def grid_um(self) -> float:
+        """Distance of the grid points."""
+
+    @property
+    def dot_um(self) -> float:
+        """Side of a dot."""
+
+    @property
+    def size_um(self) -> tuple[float, float]:
+        """Size along y, and along x."""
+
+    @property
+    def wavelength_nm(self) -> float:
+        """Wavelength of the design."""
+
+    @property
+    def coherence_um(self) -> float:
+        """Coherence length of the design's source."""
+
+
+def write_layout_page(path: Path, title: str, layout: EtchedDots, light: Illuminant | float) -> None:
     """Write the page of an etched wafer, atomically.
 
     Every dot is seen by itself, under the square lamp of the design, by an eye without an aperture.
@@ -232,7 +281,7 @@ def write_layout_page(path: Path, title: str, layout: Layout, light: Illuminant 
     write_page(path, "plate.html", content)
 
 
-def _rectangles(layout: Layout, number: int) -> dict[str, Any]:
+def _rectangles(layout: EtchedDots, number: int) -> dict[str, Any]:
     """Edges of the columns and rows in which a tile changes, µm from its middle, and the level of every rectangle."""
     tile = layout.tiles[number]
     cuts, edges = [], []
