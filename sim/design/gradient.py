@@ -3,8 +3,8 @@
 The reflected wave of a periodic unit of N × N cells is a Fourier transform of its phases, and the gradient of any error
 of the picture with respect to all heights is one inverse transform for each wavelength. The search starts from random
 steps and follows the gradient (Adam, Kingma and Ba 2015); heights are rounded to the etched levels in every step, and
-the gradient is passed through the rounding. Wavelengths are drawn anew in every step from even parts of the band, each
-in proportion to what it adds to the colours, so that the picture holds for the whole spectrum. The error of a picture
+the gradient is passed through the rounding. Wavelengths are drawn anew in every step, one of every part of the
+spectrum that adds alike to the colours, so that the picture holds for the whole spectrum. The error of a picture
 in colour follows ΔE2000: differences of lightness, chroma and hue in CIELAB over the S_L, S_C, S_H of the wanted
 colour, large ones counting by their size instead of their square; a second term follows SSIM: squares over the local
 contrast of the wanted picture. Half vectors with h_z = 1: light and camera near the normal.
@@ -14,7 +14,6 @@ wavelength that the depths tell apart, and a cell gives one: pictures of few ord
 """
 
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -180,22 +179,18 @@ def _lines(
         if not fixed:
             fixed[task.wavelength_um] = _Line(task, task.wavelength_um)
         return list(fixed.values()), np.ones((1, 1))
-    edges = np.linspace(*BAND_NM, task.bands + 1)
     found, weights = [], []
     table = _weights(task.illuminant)
     each = table.sum(axis=1)
-    for low, high in pairwise(edges):
-        # whole steps of 5 nm, so that what belongs to a wavelength is made once
-        inside = np.flatnonzero((low <= TABLE_NM) & ((high > TABLE_NM) | (high == edges[-1])))
-        share = float(each[inside].sum())
-        if share <= 0.0:
-            continue
-        number = int(rng.choice(inside, p=each[inside] / share))
+    # parts of the spectrum that add alike to the colours; whole steps of 5 nm, so that a line is made once
+    up_to = np.cumsum(each) / each.sum()
+    places = (np.arange(task.bands) + rng.random(task.bands)) / task.bands
+    for number in np.minimum(np.searchsorted(up_to, places), each.size - 1):
         one = float(TABLE_NM[number])
         if one not in fixed:
             fixed[one] = _Line(task, 1e-3 * one)
         found.append(fixed[one])
-        weights.append(table[number] * (share / each[number]))
+        weights.append(table[number] * (each.sum() / task.bands / each[number]))
     return found, np.stack(weights)
 
 
@@ -349,7 +344,7 @@ class Judged:
 
 
 def judged(found: DesignedPicture, depth_factor: float = 1.0) -> Judged:
-    """Compare a unit with its picture, in colour at 31 wavelengths.
+    """Compare a unit with its picture, in colour at 61 wavelengths.
 
     Args:
         found: the unit.
@@ -360,11 +355,7 @@ def judged(found: DesignedPicture, depth_factor: float = 1.0) -> Judged:
     task = found.task
     surface = WaveSurface.of(np.tile(depth_factor * found.height_um, (2, 2)), task.cell_um, cells=True)
     lamp = task.illuminant
-    nm = (
-        np.array([1e3 * task.wavelength_um])
-        if lamp is None
-        else np.arange(BAND_NM[0], BAND_NM[1] + 1.0, 10.0)
-    )
+    nm = np.array([1e3 * task.wavelength_um]) if lamp is None else TABLE_NM
     weights = np.ones((1, 1)) if lamp is None else xyz_weights(lamp, nm) @ XYZ_TO_SRGB.T
     y, x = np.meshgrid(task.h, task.h, indexing="ij")
     light, share = np.zeros(task.wanted.shape), 0.0

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
     from anisoscope.sim.design.gradient import Judged, PictureTask
     from anisoscope.sim.design.targets import TargetDesign
+    from anisoscope.sim.light.colour.illuminant import Illuminant
 
 POINTS = 121
 
@@ -188,6 +189,9 @@ def hologram(
     picture_light: Annotated[
         str | None, Parameter(help="Light of a picture in colour: d65, a, led-b3 … or CSV; else grey.")
     ] = None,
+    line_width: Annotated[
+        float, Parameter(help="Full width of the three lines at half of their height, nm.")
+    ] = 10.0,
     wavelength: Annotated[float, Parameter(help="Wavelength of a grey picture, nm.")] = 550.0,
     passes_nm: Annotated[
         str | None,
@@ -211,7 +215,7 @@ def hologram(
 ) -> int:
     """Find a periodic unit of etched cells whose angular reflectance is a picture, grey or in colour.
 
-    Random steps are refined by gradients. The unit is judged by another computation, at 31 wavelengths in colour:
+    Random steps are refined by gradients. The unit is judged by another computation, at 61 wavelengths in colour:
     SSIM and ΔE2000, also with all depths etched too deep.
 
     Args:
@@ -227,7 +231,6 @@ def hologram(
     from anisoscope.sim.design.designfile import write_layout
     from anisoscope.sim.design.gradient import BAND_NM, PictureTask, design_picture, judged
     from anisoscope.sim.design.layout import Layout
-    from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.proof.separation import decode_srgb
 
     check_seed(seed)
@@ -237,7 +240,7 @@ def hologram(
         raise UsageError("--cells takes 64 to 1024, --picture-points 16 to 256")
     if not -20.0 <= over_etch <= 20.0:
         raise UsageError(f"--over-etch takes −20 to 20 %, not {over_etch:g}")
-    lamp = None if picture_light is None else find_illuminant(picture_light)
+    lamp = None if picture_light is None else _lamp(picture_light, line_width)
     if passes_nm is not None:
         passes = tuple(sorted(parse_numbers(passes_nm, "--passes-nm")))
     elif lamp is not None:
@@ -309,6 +312,34 @@ class HologramLight:
         return cls(
             name, *(float(np.degrees(one)) for one in (design / task.coherence_um, np.arcsin(reach), step))
         )
+
+
+def _lamp(text: str, width_nm: float) -> "Illuminant":
+    """A light by name, or three lines balanced to the white of sRGB."""
+    import numpy as np
+
+    from anisoscope.sim.light.colour.illuminant import Illuminant
+    from anisoscope.sim.light.colour.observer import matching_functions
+    from anisoscope.sim.light.colour.spaces import SRGB_WHITE
+    from anisoscope.sim.materials.spectra import find_illuminant
+
+    if "," not in text:
+        return find_illuminant(text)
+    middles = parse_numbers(text, "--picture-light", "620,530,450")
+    if len(middles) != 3 or not 1.0 <= width_nm <= 40.0 or min(middles) < 410.0 or max(middles) > 690.0:
+        raise UsageError("--picture-light takes three lines of 410 to 690 nm, --line-width 1 to 40 nm")
+    nm = np.arange(380.0, 731.0)
+    lines = np.exp(-4.0 * np.log(2.0) * ((nm - np.array(middles)[:, None]) / width_nm) ** 2)
+    fine, matching = matching_functions()
+    each = np.stack([np.interp(fine, nm, one) @ matching for one in lines])
+    share = np.linalg.solve(each.T, SRGB_WHITE)
+    if float(share.min()) <= 0.0:
+        raise UsageError(
+            f"--picture-light {text}: white is no mixture of these lines: take a red, a green and a blue"
+        )
+    return Illuminant(
+        f"lines of {text} nm, {width_nm:g} nm wide", tuple(nm.tolist()), tuple((share @ lines).tolist())
+    )
 
 
 def _wanted(path: Path, points: int, *, colour: bool) -> "FloatArray":
