@@ -408,6 +408,7 @@ def inspect(
     lot: str | None = None,
     cavity: str | None = None,
     station: str | None = None,
+    at_mm: tuple[float, float] | None = None,
     on_progress: "Advance | None" = None,
 ) -> "Inspected":
     """Photograph a part on a rig, or take a folder of frames, and decide: ``anisoscope inspect`` from Python.
@@ -423,6 +424,7 @@ def inspect(
         lot: of the part.
         cavity: of the mould.
         station: where the rig stands.
+        at_mm: (x, y) of the part on the plate from the axis of the stage, at sample angle 0, for the axes x and y.
         on_progress: called with what is being done, steps done and steps in all.
 
     Returns:
@@ -439,7 +441,7 @@ def inspect(
     from anisoscope.inspection.run import inspect_part
     from anisoscope.record.schema import Particulars
 
-    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station)
+    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at_mm)
     advance = silent if on_progress is None else on_progress
     rig_path = None if rig is None else Path(rig)
     if frames is not None:

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NameOrFile, Part, Positive, read_toml_model
 from anisoscope.rig.camera import CameraInfo
+from anisoscope.rig.collisions import AxisTable, Collision
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.stage import Unit
 
@@ -233,13 +234,16 @@ class CalibrationPart(Part):
     stray: LocalPath | None = None
     linearity: LocalPath | None = None
     rotation: LocalPath | None = None
+    focus: LocalPath | None = None
     check: LocalPath | None = None
 
 
 class RigAxes(Part):
     """A rig of which the axes matter; camera and light may be missing. Without `tilt` the camera arm is fixed.
 
-    The linear axes `x`, `y` and `z` may be missing, each.
+    The linear axes `x`, `y` and `z` may be missing, each. Rows of `collisions` forbid readings of several axes
+    together; `home_order` names axes in an order in which their reference searches are safe, wherever those that follow
+    stand.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
@@ -254,6 +258,23 @@ class RigAxes(Part):
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
     calibration: CalibrationPart | None = None
+    collisions: tuple[Collision, ...] = ()
+    home_order: tuple[AxisTable, ...] = ()
+
+    @property
+    def linear(self) -> dict[str, LinearPart]:
+        """The linear axes by their tables."""
+        found = {"x": self.x, "y": self.y, "z": self.z}
+        return {name: part for name, part in found.items() if part is not None}
+
+    def moved_with(self, *tables: str) -> dict[str, MotorPart]:
+        """These axes, and those that stand in a row of `collisions` with one of them, by their tables."""
+        found = set(tables)
+        while more := {
+            name for row in self.collisions if found & row.ranges.keys() for name in row.ranges.keys() - found
+        }:
+            found |= more
+        return {name: part for name, part in self.axes.items() if name in found}
 
     @property
     def axes(self) -> dict[str, MotorPart]:
@@ -264,6 +285,23 @@ class RigAxes(Part):
     def uncalibrated(self, info: CameraInfo) -> bool:
         """Whether contrasts of its camera are: it is not linear, and no calibration knows how it is bent."""
         return not info.linear and (self.calibration is None or self.calibration.linearity is None)
+
+    @model_validator(mode="after")
+    def _axes_are_there(self) -> Self:
+        named = [
+            *(
+                (f"collisions[{number}]", name)
+                for number, row in enumerate(self.collisions)
+                for name in row.ranges
+            ),
+            *(("home_order", name) for name in self.home_order),
+        ]
+        for where, name in named:
+            if name not in self.axes:
+                raise ValueError(f"{where} names {name}, but there is no table [{name}]")
+        if len(set(self.home_order)) < len(self.home_order):
+            raise ValueError("home_order names an axis twice")
+        return self
 
     @model_validator(mode="after")
     def _one_tilt(self) -> Self:

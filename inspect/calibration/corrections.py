@@ -27,11 +27,13 @@ from anisoscope.calibration.white_reference import read_reference
 from anisoscope.imaging.linearisation import Image, Mask, RadianceImage, Stack, WhiteReference
 from anisoscope.imaging.registration.placement import Placement, angle_between
 from anisoscope.recipe.base import RecipeBase
+from anisoscope.rig.acquisition.plan import Seat
 from anisoscope.rig.rigfile import CalibrationPart, read_rig
 
 RecipeT = TypeVar("RecipeT", bound=RecipeBase)
 TURN_DEG = 0.2
 DARK_LEVEL_SHARE = 0.005
+BEYOND_MAP = 1.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +45,14 @@ class Calibrations:
         stray: (rows, cols) stray light in counts per second at gain 1.
         hot: (rows, cols) pixels that the dark calibration found hot.
         files: every file that was read, with its role.
+        followed: whether x and y keep the part in the middle of the picture while the stage turns.
     """
 
     records: Mapping[Kind, CalibrationRecord] = field(default_factory=dict)
     stray: Image | None = None
     hot: Mask | None = None
     files: Mapping[str, Path] = field(default_factory=dict)
+    followed: bool = False
 
     def check_valid(self, at: datetime) -> None:
         """Check that all calibrations are valid at a time.
@@ -81,9 +85,42 @@ class Calibrations:
 
     @property
     def axis_px(self) -> tuple[float, float] | None:
-        """(column, row) of the rotation axis in the picture, where it was calibrated."""
+        """(column, row) of the point about which the part turns in the picture, where it was calibrated."""
         record = self.records.get("rotation")
-        return None if record is None else (record.number("centre_column"), record.number("centre_row"))
+        if record is None:
+            return None
+        if self.followed:
+            return 0.5 * (record.camera.cols - 1), 0.5 * (record.camera.rows - 1)
+        return record.number("centre_column"), record.number("centre_row")
+
+    def seat(self, place_mm: tuple[float, float] | None) -> Seat:
+        """How the axes x, y and z bring a part below the camera.
+
+        Args:
+            place_mm: (x, y) of the part on the plate from the axis of the stage, at sample angle 0; None for there.
+
+        Raises:
+            CalibrationError: the place is beyond the focus map.
+        """
+        found = Seat(place_mm or (0.0, 0.0))
+        rotation, focus = self.records.get("rotation"), self.records.get("focus")
+        if rotation is not None and "x" in rotation.values:
+            found = replace(
+                found,
+                centre_mm=(rotation.number("x"), rotation.number("y")),
+                directions_deg=(rotation.number("x_direction"), rotation.number("y_direction")),
+            )
+        if focus is None:
+            return found
+        x, y = found.place_mm
+        away_mm = float(np.hypot(x - focus.number("middle_x"), y - focus.number("middle_y")))
+        if away_mm > BEYOND_MAP * focus.number("reach"):
+            raise CalibrationError(
+                f"the part lies {away_mm:.3g} mm from the middle of the focus map {focus.id}, which reaches "
+                f"{focus.number('reach'):.3g} mm: {advice('focus')} over all seats"
+            )
+        height = focus.number("z") + focus.number("slope_x") * x + focus.number("slope_y") * y
+        return replace(found, focus_mm=height + focus.number("bow") * (x**2 + y**2))
 
     def applied_to(self, recipe: RecipeT) -> RecipeT:
         """The recipe with the uncertainties that were calibrated in place of those it states."""
@@ -138,6 +175,9 @@ class Calibrations:
         record = self.records.get("rotation")
         if record is None or place.markers == 0:
             return
+        if self.followed:
+            self._check_followed(record, stage_deg, place, limit_um)
+            return
         eccentricity = np.array([record.number("eccentricity_x"), record.number("eccentricity_y")])
         axis = place.homography @ np.append(-eccentricity, 1.0)
         centre = record.number("centre_column"), record.number("centre_row")
@@ -153,6 +193,18 @@ class Calibrations:
             raise RegistrationError(
                 f"at {stage_deg:g}° the fixture stands {turned:+.2f}° from where it stood at the rotation calibration "
                 f"(limit ±{TURN_DEG:g}°): seat the fixture again, or {advice('rotation')}"
+            )
+
+    def _check_followed(
+        self, record: CalibrationRecord, stage_deg: float, place: Placement, limit_um: float
+    ) -> None:
+        middle = 0.5 * (record.camera.cols - 1), 0.5 * (record.camera.rows - 1)
+        off_um = float(np.hypot(*np.subtract(place.axis_px, middle))) * place.pixel_um
+        if off_um > limit_um:
+            raise RegistrationError(
+                f"at {stage_deg:g}° the markers of the part stand {off_um:.0f} µm from where x and y bring them (limit "
+                f"{limit_um:g} µm, limits.fixture_um): seat the part as it was, correct its place on the tray, or "
+                + advice("rotation")
             )
 
     def _response(self, gain: float) -> float:

@@ -18,7 +18,7 @@ from anisoscope.base.errors import CalibrationError, RecordError, UsageError
 from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.record.schema import UNSEALED, InputFile, sha256_of
 
-Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "check"]
+Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "focus", "check"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 VALID_FOR_DAYS: dict[Kind, float] = {
     "flat": 30.0,
@@ -26,6 +26,7 @@ VALID_FOR_DAYS: dict[Kind, float] = {
     "stray": 90.0,
     "linearity": 365.0,
     "rotation": 30.0,
+    "focus": 30.0,
     "check": 1.0,
 }
 MAX_DAYS = 3650.0
@@ -135,7 +136,7 @@ class CalibrationRecord(_Part):
 
 def advice(kind: Kind) -> str:
     """The command that makes a calibration of a kind."""
-    return f"take one with `anisoscope calibrate {kind}`"
+    return f"take one with `anisoscope {'rig focus --map' if kind == 'focus' else f'calibrate {kind}'}`"
 
 
 def days_of(kind: Kind, days: float | None) -> float:

@@ -1,6 +1,7 @@
 """The acquired frames of an inspection, with their poses."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import Frame
@@ -18,6 +19,7 @@ class Shot:
         again: a repetition, used for drift only.
         run: number of the acquisition run.
         check: acquired on resuming, to compare with the frames before the interruption.
+        linear_mm: readings of x, y and z, of a rig that has them.
     """
 
     name: str
@@ -27,6 +29,7 @@ class Shot:
     again: bool
     run: int
     check: bool
+    linear_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,7 +60,8 @@ def read_frames(folder: Path, manifest: Manifest) -> AcquiredFrames:
 def _shot(line: FrameLine, folder: Path, load: Callable[[bytes, str], Frame]) -> Shot:
     """A frame from one read of its file, which is hashed and decoded."""
     frame = load(checked_content(InputFile(name=line.name, sha256=line.sha256), folder), line.name)
-    return Shot(line.name, line.sha256, frame, line.pose, line.again, line.run, check=line.step is None)
+    check = line.step is None
+    return Shot(line.name, line.sha256, frame, line.pose, line.again, line.run, check, line.linear_mm)
 
 
 def _loader(folder: Path, manifest: Manifest) -> Callable[[bytes, str], Frame]:

@@ -1,6 +1,6 @@
 """An inspection before the first picture: what is known and checked."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from anisoscope.base.errors import RigFileError, UsageError
@@ -77,8 +77,12 @@ class Job:
         pixel_um, guides = self.rig.camera.pixel_um, self.kind.guides
         return Viewing(self.white, self.calibrations, self.fixture, pixel_um, self.recipe, guides)
 
-    def plan(self) -> Plan:
-        """What is to be photographed."""
+    def plan(self, place_mm: tuple[float, float] | None = None) -> Plan:
+        """What is to be photographed; with the place of the part on the plate, (x, y) in mm from the stage's axis.
+
+        Raises:
+            CalibrationError: the place is beyond the focus map of the rig.
+        """
         acquisition = self.recipe.acquisition
         return Plan(
             poses=tuple(Pose(pose.stage_deg, pose.tilt_deg) for pose in self.recipe.poses.poses()),
@@ -88,6 +92,7 @@ class Job:
             dark_frames=acquisition.dark_frames,
             settle_s=acquisition.settle_s,
             brackets=acquisition.brackets,
+            seat=self.calibrations.seat(place_mm),
         )
 
 
@@ -129,7 +134,8 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
     white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)
     assert rig.calibration is not None
     check_calibration_files(rig_path, rig.calibration, without)
-    calibrations = read_calibrations(rig.calibration, without)
+    followed = rig.x is not None and rig.y is not None
+    calibrations = replace(read_calibrations(rig.calibration, without), followed=followed)
     white = read_reference(white_path)
     kind.check_filters(white.filters, f"camera {white.camera} of the flat", white.filters)
     sources = (

@@ -183,7 +183,8 @@ def reopen(folder: Path) -> tuple[Manifest, Job]:
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in manifest.inputs)
     known = paths.get("golden parts")
     reference = None if known is None else kind.read_reference(known, recipe)
-    calibrations = calibrations_of(paths)
+    followed = manifest.plan is not None and rig.x is not None and rig.y is not None
+    calibrations = replace(calibrations_of(paths), followed=followed)
     white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
     return manifest, Job(manifest.serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)
 

@@ -257,4 +257,5 @@ def _frame_record(shot: Shot) -> FrameRecord:
         exposure_s=frame.exposure_s,
         gain=frame.gain,
         captured_at=frame.captured_at,
+        linear_mm=dict(shot.linear_mm),
     )

@@ -163,7 +163,7 @@ def inspect_part(
     except CalibrationError:
         refused = _refused(job, rig_path, out, particulars or Particulars(), on_progress, methods)
         return reported(*refused, reports, on_progress)
-    plan = job.plan()
+    plan = job.plan(None if particulars is None else particulars.place_mm)
     with contextlib.ExitStack() as cleanup:
         # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
         with open_rig(job.rig) as rig:

@@ -5,16 +5,33 @@ axis does not enter. Readings are millimetres of the axis.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import MeasurementError
+from anisoscope.base.errors import MeasurementError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.calibration.corrections import Calibrations, read_calibrations
+from anisoscope.calibration.frames import Bed, Taking
+from anisoscope.calibration.record import (
+    CalibrationRecord,
+    Value,
+    dated,
+    record_path,
+    write_calibration,
+)
 from anisoscope.live_view.view import FocusMeasure, focus_of, signal_of
+from anisoscope.rig.acquisition.opening import open_rig
+from anisoscope.rig.acquisition.plan import Plan, Pose
+from anisoscope.rig.acquisition.runner import check_plan, readings_at
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.camera import Camera
+from anisoscope.rig.rigfile import RigFile, read_rig
 from anisoscope.rig.stage import RotationStage
 
 LEAST_RISE = 0.15  # of the sharpest place over the least sharp one, as a share
@@ -244,3 +261,176 @@ class Autofocus:
             grey = counts if info.filters == "mono" else grey_of(counts, info.filters)
             values.append(focus_of(signal_of(grey, info), self._measure))
         return float(np.mean(values))
+
+
+LEAST_SEATS, SEATS_OF_BOW = 3, 6
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Focus over a plate: reading = z + slope·(x, y) + bow·(x² + y²), lengths in mm.
+
+    Attributes:
+        z: at the axis of the stage.
+        slope: by which the reading grows to the right and up.
+        bow: per mm; 0 where the seats are too few to tell.
+        u: standard uncertainties of z, both slopes and bow.
+        residuals: reading minus surface, of every seat.
+    """
+
+    z: float
+    slope: tuple[float, float]
+    bow: float
+    u: tuple[float, float, float, float]
+    residuals: tuple[float, ...]
+
+
+def fit_plane(places_mm: FloatArray, readings: FloatArray, repeatability: float) -> Plane:
+    """The surface of `Plane` through the focus at some seats, by least squares; with its bow from six seats on.
+
+    Args:
+        places_mm: (n, 2) seats.
+        readings: (n,) in mm.
+        repeatability: standard uncertainty of a reading that is assumed at least.
+
+    Raises:
+        UsageError: fewer than three seats, or seats on one line.
+    """
+    columns = [np.ones(len(places_mm)), *places_mm.T]
+    flat = np.column_stack(columns)
+    if len(places_mm) < LEAST_SEATS or np.linalg.matrix_rank(
+        flat, tol=1e-6 * float(np.abs(flat).max())
+    ) < len(columns):
+        raise UsageError(f"a focus map needs {LEAST_SEATS} seats or more that do not lie on one line")
+    squares = np.sum(places_mm**2, axis=1)
+    curved = np.column_stack([flat, squares])
+    bowed = len(places_mm) >= SEATS_OF_BOW and np.linalg.matrix_rank(curved / np.abs(curved).max(axis=0)) == 4
+    design = curved if bowed else flat
+    solution = np.linalg.lstsq(design, readings, rcond=None)[0]
+    rest = readings - design @ solution
+    free = len(readings) - len(solution)
+    scatter = max(math.sqrt(float(rest @ rest) / free) if free else 0.0, repeatability)
+    u = scatter * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    z, right, up, bow = (float(one) for one in (*solution, *([] if bowed else [0.0])))
+    shares = [float(one) for one in (*u, *([] if bowed else [0.0]))]
+    return Plane(
+        z, (right, up), bow, (shares[0], shares[1], shares[2], shares[3]), tuple(float(one) for one in rest)
+    )
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """How the focus is searched at every seat: from and to a reading of z in mm, steps, repeats, measure and frames."""
+
+    low: float
+    high: float
+    steps: int = 15
+    repeats: int = 3
+    measure: FocusMeasure = "tenengrad"
+    average: int = 1
+
+
+def map_focus(
+    rig_path: Path,
+    places_mm: Sequence[tuple[float, float]],
+    out: Path,
+    taking: Taking,
+    sweep: Sweep,
+    on_progress: Advance = silent,
+) -> CalibrationRecord:
+    """Search the focus at the seats of a tray, fit a plane or a bowed surface, and write it as a calibration.
+
+    The stage stands at sample angle 0: a plate that is uneven turns with it, and so do its seats.
+
+    Args:
+        rig_path: rig file with x, y and z.
+        places_mm: (x, y) of the seats from the axis of the stage.
+        out: record to write (JSON).
+        taking: exposure and gain.
+        sweep: the search at every seat.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        UsageError: too few seats, or all on one line.
+        RigFileError, RigError, CalibrationError: the rig.
+        MeasurementError: no focus at a seat, which is named.
+        RecordError: the record cannot be written.
+    """
+    places = np.array(places_mm, dtype=float).reshape(-1, 2)
+    fit_plane(places, np.zeros(len(places)), 0.0)
+    file = read_rig(rig_path)
+    part = file.z
+    if part is None:
+        raise UsageError("nothing moves the focus there: the rig file has no table [z]")
+    known = Calibrations() if file.calibration is None else read_calibrations(file.calibration, "focus")
+    pose = Pose(0.0, 0.0 if file.tilt is not None else file.geometry.tilt_deg)
+    found: list[Focus] = []
+    with open_rig(file) as rig:
+        bed = Bed(rig, pose.tilt_deg, on_progress)
+        plans = [Plan((pose,), taking.exposure_s, taking.gain, seat=known.seat((x, y))) for x, y in places_mm]
+        for plan in plans:
+            check_plan(plan, rig)
+        axes = rig.by_table
+        for axis in rig.unhomed():
+            on_progress(f"homing {axis.name}", 0, len(plans))
+            axis.home()
+        rig.camera.configure(taking.exposure_s, taking.gain)
+        rig.light.on()
+        search = Autofocus(axes["z"], rig.camera, part.approach_mm, sweep.measure, sweep.average)
+        for number, plan in enumerate(plans):
+            on_progress("focus", number, len(plans))
+            targets = readings_at(pose, plan.seat, file)
+            del targets["z"]
+            for table in rig.guard.order({table: (target,) for table, target in targets.items()}):
+                axes[table].move_to(targets[table])
+            try:
+                found.append(search.search(sweep.low, sweep.high, sweep.steps, sweep.repeats))
+            except MeasurementError as problem:
+                x, y = plan.seat.place_mm
+                raise MeasurementError(f"at the seat {x:g} mm, {y:g} mm: {problem}") from None
+        content = bed.content(taking, len(plans) * (2 + sweep.repeats) * sweep.steps * sweep.average)
+    record = dated("focus", content | _map_values(places, found, file), valid_days=taking.valid_days)
+    write_calibration(record, record_path(out))
+    return record
+
+
+def depth_of_field_mm(file: RigFile) -> float | None:
+    """Depth of field λ/NA² in mm by the wavelength and the aperture in a rig file; None where it has not both."""
+    if file.light.wavelength_nm is None or not file.camera.half_angle_deg:
+        return None
+    return 1e-6 * file.light.wavelength_nm / math.sin(math.radians(file.camera.half_angle_deg)) ** 2
+
+
+def _map_values(places: FloatArray, found: Sequence[Focus], file: RigFile) -> dict[str, Any]:
+    readings = np.array([one.best for one in found])
+    spread = [one.repeatability for one in found if not math.isnan(one.repeatability)]
+    repeatability = math.sqrt(float(np.mean(np.square(spread)))) if spread else 0.0
+    plane = fit_plane(places, readings, repeatability / math.sqrt(len(found[0].places)))
+    middle = places.mean(axis=0)
+    rms = math.sqrt(float(np.mean(np.square(plane.residuals))))
+    depth, worst = depth_of_field_mm(file), int(np.argmax(np.abs(plane.residuals)))
+    off = abs(plane.residuals[worst])
+    remarks = []
+    if depth is not None and off > 0.5 * depth:
+        x, y = places[worst]
+        remarks.append(
+            f"the focus at the seat {x:g} mm, {y:g} mm lies {1000.0 * off:.3g} µm off the surface, more than half of "
+            f"the depth of field ({500.0 * depth:.3g} µm): seat the part again, or map more seats"
+        )
+    return {
+        "values": {
+            "z": Value(value=plane.z, u=plane.u[0], unit="mm"),
+            "slope_x": Value(value=plane.slope[0], u=plane.u[1]),
+            "slope_y": Value(value=plane.slope[1], u=plane.u[2]),
+            "bow": Value(value=plane.bow, u=plane.u[3], unit="1/mm"),
+            "residual": Value(value=rms, unit="mm"),
+            "repeatability": Value(value=repeatability, unit="mm"),
+            "middle_x": Value(value=float(middle[0]), unit="mm"),
+            "middle_y": Value(value=float(middle[1]), unit="mm"),
+            "reach": Value(value=float(np.hypot(*(places - middle).T).max()), unit="mm"),
+        },
+        "residuals": plane.residuals,
+        "details": {"seats_mm": places.tolist(), "readings_mm": readings.tolist()},
+        "in_limits": not remarks,
+        "remarks": tuple(remarks),
+    }

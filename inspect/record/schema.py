@@ -34,18 +34,20 @@ class InputFile(_Part):
 
 
 class Particulars(_Part):
-    """Operator, lot, cavity and station, as far as stated."""
+    """Operator, lot, cavity and station, as far as stated; and (x, y) of the part in mm from the axis of the stage."""
 
     operator: str | None = None
     lot: str | None = None
     cavity: str | None = None
     station: str | None = None
+    place_mm: tuple[float, float] | None = None
 
 
 class FrameRecord(InputFile):
     """One frame on disk that the verdict rests on; angles in degrees, exposure in seconds.
 
-    ``again`` marks those that only show drift: after the return to the first pose, or on resuming.
+    ``again`` marks those that only show drift: after the return to the first pose, or on resuming. ``linear_mm`` are
+    the readings of x, y and z, of a rig that has them.
     """
 
     kind: str
@@ -56,6 +58,7 @@ class FrameRecord(InputFile):
     exposure_s: float
     gain: float
     captured_at: str
+    linear_mm: dict[str, float] = Field(default_factory=dict)
 
 
 class PoseRecord(_Part):

@@ -62,6 +62,11 @@ def _inspection(record: Record) -> tuple[tuple[str, str], ...]:
         ("cavity", who.cavity or NOT_STATED),
         ("operator", who.operator or NOT_STATED),
         ("station", who.station or NOT_STATED),
+        *(
+            ()
+            if who.place_mm is None
+            else (("place on the plate", f"{who.place_mm[0]:g} mm, {who.place_mm[1]:g} mm"),)
+        ),
         ("inspected", when(record.created_at)),
         ("frames", f"{len(record.frames)}{rounds}"),
         ("software", record.software),

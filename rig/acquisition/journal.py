@@ -47,7 +47,8 @@ class FrameLine(_Line):
     """A frame on disk: its file and its acquisition settings.
 
     ``pose_deg`` is (stage, tilt) as asked for, ``stage_deg`` and ``tilt_deg`` as read back. ``step`` is the number
-    of the frame in the plan; None for one that checks the first pose on resuming.
+    of the frame in the plan; None for one that checks the first pose on resuming. ``linear_mm`` are the readings of x,
+    y and z, of a rig that has them.
     """
 
     line: Literal["frame"] = "frame"
@@ -63,6 +64,7 @@ class FrameLine(_Line):
     exposure_s: float
     gain: float
     captured_at: str
+    linear_mm: dict[str, float] = Field(default_factory=dict, exclude_if=lambda value: not value)
 
     @property
     def pose(self) -> Pose:

@@ -9,28 +9,46 @@ from typing import Protocol
 from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
+from anisoscope.rig.collisions import Guard
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
 from anisoscope.rig.hold import held_light, held_stage
 from anisoscope.rig.light import Light, rest
-from anisoscope.rig.rigfile import BY_HAND, AxisPart, CameraPart, LightPart, MotorPart, RigFile
+from anisoscope.rig.rigfile import BY_HAND, CameraPart, LightPart, MotorPart, RigAxes, RigFile
 from anisoscope.rig.stage import RotationStage, unit_of
 from anisoscope.rig.transport import shared_ports
 
 
 @dataclass(frozen=True)
 class Rig:
-    """An opened rig: its devices and its file; `tilt` is None where the camera arm is fixed."""
+    """An opened rig: its devices and its file; `tilt` is None where the camera arm is fixed.
+
+    `linear` holds the axes x, y and z that it has; `guard` the combinations that its file forbids.
+    """
 
     stage: RotationStage
     camera: Camera
     light: Light
     file: RigFile
     tilt: RotationStage | None = None
+    linear: Mapping[str, RotationStage] = field(default_factory=dict)
+    guard: Guard = field(default_factory=lambda: Guard((), {}))
+
+    @property
+    def by_table(self) -> dict[str, RotationStage]:
+        """All axes that can move, by their tables."""
+        return {"stage": self.stage, **({} if self.tilt is None else {"tilt": self.tilt}), **self.linear}
 
     @property
     def axes(self) -> tuple[RotationStage, ...]:
         """All axes that can move."""
-        return (self.stage,) if self.tilt is None else (self.stage, self.tilt)
+        return tuple(self.by_table.values())
+
+    def unhomed(self, *, all_axes: bool = False) -> Iterator[RotationStage]:
+        """The axes that were not homed (or all), in the order in which they may search their references."""
+        axes = self.by_table
+        for table in dict.fromkeys((*self.file.home_order, *axes)):
+            if all_axes or not axes[table].is_homed:
+                yield axes[table]
 
     def stop(self) -> tuple[str, ...]:
         """Stop all axes; return what failed. May be called from any thread."""
@@ -48,6 +66,7 @@ class Devices:
     axes: dict[str, RotationStage] = field(default_factory=dict)
     camera: Camera | None = None
     light: Light | None = None
+    guard: Guard = field(default_factory=lambda: Guard((), {}))
 
     @property
     def safe(self) -> str:
@@ -96,18 +115,21 @@ def open_rig(file: RigFile) -> Iterator[Rig]:
 
     Errors, and what they carry, as for `open_devices`.
     """
-    axes: dict[str, AxisPart] = {"stage": file.stage}
-    if file.tilt is not None:
-        axes["tilt"] = file.tilt
-    with open_devices(axes, file.camera, file.light) as found:
+    with open_devices(file.axes, file.camera, file.light, rows_of=file) as found:
         assert found.camera is not None
         assert found.light is not None
-        yield Rig(found.axes["stage"], found.camera, found.light, file, found.axes.get("tilt"))
+        linear = {table: found.axes[table] for table in file.linear}
+        tilt = found.axes.get("tilt")
+        yield Rig(found.axes["stage"], found.camera, found.light, file, tilt, linear, found.guard)
 
 
 @contextlib.contextmanager
 def open_devices(
-    axes: Mapping[str, MotorPart], camera: CameraPart | None = None, light: LightPart | None = None
+    axes: Mapping[str, MotorPart],
+    camera: CameraPart | None = None,
+    light: LightPart | None = None,
+    *,
+    rows_of: RigAxes | None = None,
 ) -> Iterator[Devices]:
     """Connect to some devices; leaving the context switches the light off and disconnects them.
 
@@ -119,6 +141,8 @@ def open_devices(
         axes: axes by their tables of the rig file, ``stage``, ``tilt``, ``x``, ``y`` and ``z``.
         camera: the camera, if it is wanted.
         light: the light, if it is wanted.
+        rows_of: the rig file whose forbidden combinations hold, those of which all axes are among these
+            (`RigAxes.moved_with`).
 
     Raises:
         RigFileError: a driver that is not installed, or an option that it does not know.
@@ -130,6 +154,10 @@ def open_devices(
             for table, part in axes.items():
                 found.axes[table] = open_axis(part, table)
                 stack.push(_closing(found.axes[table]))
+            if rows_of is not None and rows_of.collisions:
+                rows = [row for row in rows_of.collisions if row.ranges.keys() <= axes.keys()]
+                found.guard = Guard(rows, found.axes, rows_of.home_order)
+                found.axes = {table: found.guard.guarded(table) for table in found.axes}
             if camera is not None:
                 found.camera = open_camera(camera.driver, **camera.options)
                 stack.push(_closing(found.camera))

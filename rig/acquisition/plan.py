@@ -21,6 +21,39 @@ class Pose:
 
 
 @dataclass(frozen=True)
+class Seat:
+    """Where a part lies on the plate, and how x, y and z bring it below the camera.
+
+    The axes x and y shift the stage with its axis, so that a part off that axis is followed around it: at the sample
+    angle ψ the axis has to stand at −R(ψ)·place from the middle of the picture.
+
+    Attributes:
+        place_mm: (x, y) of the part from the axis of the stage, at sample angle 0, to the right and up.
+        centre_mm: readings of x and y at which the axis of the stage is in the middle of the picture; None for those at
+            which the rig file has them at 0.
+        directions_deg: directions, counter-clockwise in the picture, in which x moves the stage against the right, and
+            y against up.
+        focus_mm: reading of z; None for that at which the rig file has it at 0.
+    """
+
+    place_mm: tuple[float, float] = (0.0, 0.0)
+    centre_mm: tuple[float, float] | None = None
+    directions_deg: tuple[float, float] = (0.0, 0.0)
+    focus_mm: float | None = None
+
+    def travel_mm(self, stage_deg: float) -> tuple[float, float]:
+        """How far x and y have to go from the centre, at a sample angle in degrees."""
+        turn = complex(math.cos(math.radians(stage_deg)), math.sin(math.radians(stage_deg)))
+        to = -turn * complex(*self.place_mm)
+        along, up = (math.radians(one) for one in self.directions_deg)
+        # to = x (cos along, sin along) + y (−sin up, cos up)
+        share = math.cos(along - up)
+        x = (to.real * math.cos(up) + to.imag * math.sin(up)) / share
+        y = (to.imag * math.cos(along) - to.real * math.sin(along)) / share
+        return x, y
+
+
+@dataclass(frozen=True)
 class LightEvent:
     """Switch the light; `needed` is False at the end, where it may stay on."""
 
@@ -93,6 +126,7 @@ class Plan:
         kind: what lies on the stage.
         rounds: how often all of that is done, dark frames apart.
         brackets: further exposures of every pose, as multiples of `exposure_s`, rising.
+        seat: where the part lies, for the axes x, y and z of a rig that has them.
 
     Raises:
         UsageError: there is no pose, a tilt is visited twice, or a number makes no sense.
@@ -108,6 +142,7 @@ class Plan:
     kind: Literal["sample", "flat"] = "sample"
     rounds: int = 1
     brackets: tuple[float, ...] = ()
+    seat: Seat = Seat()
 
     def __post_init__(self) -> None:
         angles = [angle for pose in self.poses for angle in (pose.stage_deg, pose.tilt_deg)]

@@ -2,7 +2,7 @@
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,40 +24,94 @@ from anisoscope.rig.acquisition.plan import (
     Plan,
     Pose,
     SampleEvent,
+    Seat,
 )
 from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, Shot
 from anisoscope.rig.camera import CameraSettings
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.light import rest
-from anisoscope.rig.rigfile import AxisPart, check_arm
-from anisoscope.rig.stage import RotationStage
+from anisoscope.rig.rigfile import RigFile, check_arm
+from anisoscope.rig.stage import SYMBOLS, RotationStage
 
 
 def check_plan(plan: Plan, rig: Rig) -> None:
     """Check that the rig can carry out the plan, without motion.
 
     Raises:
-        RigError: a tilt that the arm does not have.
-        RigFileError: an angle that cannot be reached from below within the limits of its axis.
+        RigError: a tilt that the arm does not have, or a place without axes that go there.
+        RigFileError: an angle or a place that cannot be reached from below within the limits of its axis.
+        LimitExceeded: axes would collide at a pose, or on the way to it.
     """
+    if any(plan.seat.place_mm) and not {"x", "y"} <= rig.linear.keys():
+        x_mm, y_mm = plan.seat.place_mm
+        raise RigError(
+            f"a part at {x_mm:g} mm, {y_mm:g} mm from the axis of the stage needs axes that bring it below the camera: "
+            f"describe [x] and [y] in the rig file of '{rig.file.name}'"
+        )
+    standing: dict[str, float] = {}
     for pose in plan.poses:
-        _check_reach(rig.file.stage, rig.stage, pose.stage_deg, "stage")
-        if rig.tilt is not None and rig.file.tilt is not None:
-            _check_reach(rig.file.tilt, rig.tilt, pose.tilt_deg, "tilt")
+        targets = readings_at(pose, plan.seat, rig.file)
+        for table, reading in targets.items():
+            _check_reach(rig.file, rig.by_table[table], table, reading, pose)
+        if rig.tilt is None:
+            check_arm(rig.file, [pose.tilt_deg])
+        if not rig.file.collisions:
             continue
-        check_arm(rig.file, [pose.tilt_deg])
+        rig.guard.check_together(targets)
+        if standing:
+            rig.guard.order(_ways(targets, standing, rig.file), standing)
+        standing = targets
 
 
-def _check_reach(part: AxisPart, axis: RotationStage, angle_deg: float, table: str) -> None:
+def readings_at(pose: Pose, seat: Seat, file: RigFile) -> dict[str, float]:
+    """Readings of all axes of a rig at a pose, by their tables, in the order in which they usually move.
+
+    Args:
+        pose: angles of sample and arm.
+        seat: where the part lies.
+        file: the rig file.
+    """
+    found: dict[str, float] = {}
+    if file.tilt is not None:
+        found["tilt"] = file.tilt.reading(pose.tilt_deg)
+    found["stage"] = file.stage.reading(pose.stage_deg)
+    for number, (part, travel) in enumerate(
+        zip((file.x, file.y), seat.travel_mm(pose.stage_deg), strict=True)
+    ):
+        if part is not None:
+            zero = part.zero if seat.centre_mm is None else seat.centre_mm[number]
+            found["xy"[number]] = zero + part.direction * travel
+    if file.z is not None:
+        found["z"] = file.z.zero if seat.focus_mm is None else seat.focus_mm
+    return found
+
+
+def _ways(
+    targets: Mapping[str, float], standing: Mapping[str, float], file: RigFile
+) -> dict[str, tuple[float, ...]]:
+    """Readings over which every axis goes that has to move: below its target if it stands higher, then the target."""
+    below = {table: target - file.axes[table].approach for table, target in targets.items()}
+    return {
+        table: (below[table], target) if standing[table] > below[table] else (target,)
+        for table, target in targets.items()
+        if standing[table] != target
+    }
+
+
+def _check_reach(file: RigFile, axis: RotationStage, table: str, target: float, pose: Pose) -> None:
+    part = file.axes[table]
     low, high = axis.limits_deg
-    target = part.reading(angle_deg)
-    if target - part.approach_deg < low or target > high:
-        what = "sample angle" if table == "stage" else "tilt"
+    if target - part.approach < low or target > high:
+        what = {
+            "stage": f"a sample angle of {pose.stage_deg:g}°",
+            "tilt": f"a tilt of {pose.tilt_deg:g}°",
+        }.get(table, f"the part at a sample angle of {pose.stage_deg:g}°")
         hint = ' (with turns = "ccw": at least stage.approach_deg)' if table == "stage" else ""
+        sign = SYMBOLS[part.unit]
         raise RigFileError(
-            f"a {what} of {angle_deg:g}° needs the {table} at {target:g}° and before at "
-            f"{target - part.approach_deg:g}°, but it reaches {low:g}°…{high:g}°; choose {table}.zero_deg "
-            f"in the rig file so that both fit{hint}"
+            f"{what} needs the {table} at {target:g}{sign} and before at "
+            f"{target - part.approach:g}{sign}, but it reaches {low:g}{sign}…{high:g}{sign}; choose "
+            f"{table}.zero_{part.unit} in the rig file so that both fit{hint}"
         )
 
 
@@ -202,6 +256,8 @@ class _Run:
         self.known: dict[float, CameraSettings] = {}
         self.pose = Pose(0.0, rig.file.geometry.tilt_deg)
         self.at = self.pose
+        self.readings: dict[str, float] = {}
+        self.sent: dict[str, float] = {}
 
     def opening_line(self) -> RunLine:
         info, tilt = self.rig.camera.info, self.rig.tilt
@@ -264,20 +320,18 @@ class _Run:
         self.report(Progress(self.acquired, max(self.total, self.acquired), text))
 
     def _home(self) -> None:
-        for axis in self.rig.axes:
-            if self.number > 0 or not axis.is_homed:
-                self._report(f"homing {axis.name}")
-                axis.home()
+        for axis in self.rig.unhomed(all_axes=self.number > 0):
+            self._report(f"homing {axis.name}")
+            axis.home()
             self._check_halt()
-        self._read_back()
-        self.pose = self.at
+        self.readings = {table: axis.position_deg() for table, axis in self.rig.by_table.items()}
+        self.at = self.pose = self._pose_read()
 
-    def _read_back(self) -> None:
-        file, tilt = self.rig.file, self.rig.tilt
-        tilt_deg = file.geometry.tilt_deg
-        if tilt is not None and file.tilt is not None:
-            tilt_deg = file.tilt.place(tilt.position_deg())
-        self.at = Pose(file.stage.place(self.rig.stage.position_deg()), tilt_deg)
+    def _pose_read(self) -> Pose:
+        file = self.rig.file
+        fixed_deg = file.geometry.tilt_deg
+        tilt_deg = fixed_deg if file.tilt is None else file.tilt.place(self.readings["tilt"])
+        return Pose(file.stage.place(self.readings["stage"]), tilt_deg)
 
     def _do(self, event: Event) -> None:
         match event:
@@ -298,28 +352,38 @@ class _Run:
                 self._take(self.plan.kind, step, again=again)
 
     def _go(self, pose: Pose) -> None:
-        file = self.rig.file
-        stage_deg, tilt_deg = pose.stage_deg, self.at.tilt_deg
-        if self.rig.tilt is not None and file.tilt is not None and pose.tilt_deg != self.pose.tilt_deg:
-            self._report(f"tilting to {pose.tilt_deg:g}°")
-            tilt_deg = file.tilt.place(self._approach(file.tilt, self.rig.tilt, pose.tilt_deg))
-        self._report(f"turning to {pose.stage_deg:g}°")
-        stage_deg = file.stage.place(self._approach(file.stage, self.rig.stage, pose.stage_deg))
-        self.at, self.pose = Pose(stage_deg, tilt_deg), pose
+        """Go to a pose, one axis after the other: tilt, stage, x, y, z, or in another order that is free."""
+        targets = readings_at(pose, self.plan.seat, self.rig.file)
+        ways = {
+            table: self._way(table, target)
+            for table, target in targets.items()
+            if table == "stage" or self.sent.get(table) != target
+        }
+        for table in self.rig.guard.order(ways):
+            reading = targets[table]
+            if table == "tilt":
+                self._report(f"tilting to {pose.tilt_deg:g}°")
+            elif table == "stage":
+                self._report(f"turning to {pose.stage_deg:g}°")
+            else:
+                self._report(f"moving {table} to {reading:.4g} mm")
+            self.sent.pop(table, None)
+            for step in ways[table]:
+                self._check_halt()
+                self.readings[table] = self.rig.by_table[table].move_to(step)
+            self.sent[table] = reading
+        self.at, self.pose = self._pose_read(), pose
 
-    def _approach(self, part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
-        """Move an axis to an angle, always from below; return the reading reached."""
-        target = part.reading(angle_deg)
-        below = target - part.approach_deg
-        if axis.position_deg() > below:
-            axis.move_to(below)
-            self._check_halt()
-        return axis.move_to(target)
+    def _way(self, table: str, target: float) -> tuple[float, ...]:
+        """The readings that an axis goes to, so that it comes to its target from below."""
+        below = target - self.rig.file.axes[table].approach
+        return (below, target) if self.rig.by_table[table].position_deg() > below else (target,)
 
     def _take(self, kind: FrameKind, step: int | None, *, again: bool = False) -> None:
         frame = self._expose(kind)
         self.acquired += 1
-        self.writer.put(Shot(frame, self.pose, step, again))
+        linear = {table: self.readings[table] for table in self.rig.linear}
+        self.writer.put(Shot(frame, self.pose, step, again, linear))
         self._report(f"{kind} frame at {frame.stage_deg:.3f}°")
 
     def _expose(self, kind: FrameKind) -> Frame:

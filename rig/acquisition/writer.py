@@ -5,8 +5,8 @@ import hashlib
 import os
 import queue
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -30,6 +30,7 @@ class FrameRecord:
         pose: the pose that was asked for.
         step: number of the frame in the plan; None for a check on resuming.
         sha256: of the file.
+        linear_mm: readings of x, y and z, of a rig that has them.
     """
 
     path: Path
@@ -38,6 +39,7 @@ class FrameRecord:
     pose: Pose
     step: int | None
     sha256: str
+    linear_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Shot:
     pose: Pose
     step: int | None
     again: bool
+    linear_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 class FrameWriter:
@@ -122,10 +125,13 @@ class FrameWriter:
             exposure_s=frame.exposure_s,
             gain=frame.gain,
             captured_at=frame.captured_at,
+            linear_mm=dict(shot.linear_mm),
         )
         self._journal.append([line])
         self._number += 1
-        self.records.append(FrameRecord(path, frame, shot.again, shot.pose, shot.step, sha256))
+        self.records.append(
+            FrameRecord(path, frame, shot.again, shot.pose, shot.step, sha256, shot.linear_mm)
+        )
 
     def __enter__(self) -> Self:
         self._thread.start()

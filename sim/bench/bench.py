@@ -424,7 +424,7 @@ class Bench:
         image = picture.astype(np.float64)
         if file.fixture is not None:
             view = (file.optics, file.sensor, pose.angle_deg, pose.tilt_deg)
-            around = image_of_fixture(file.fixture, *view, pose.shift_mm)
+            around = image_of_fixture(file.fixture, *view, pose.shift_mm, file.tray.parts)
             if (code := file.sample.code) is not None:
                 around += image_of_code(code, *view, pose.shift_mm, PLATE)
             image = image + (1.0 - cover) * around / np.pi * cos_light

@@ -229,6 +229,8 @@ class LinearPart(Part):
 class TrayPart(Part):
     """Where equal samples lie on the plate, in mm from the axis of the stage; and how uneven the plate is.
 
+    Every one carries the markers of ``fixture`` about its middle.
+
     ``slope`` is by how many mm the plate rises per mm to the right and up, at sample angle 0; ``bow_mm`` by how much at
     a distance of 10 mm from the axis, growing as the square of the distance.
     """

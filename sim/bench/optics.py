@@ -1,5 +1,7 @@
 """What the lens makes of sample and fixture: an image of radiance on the sensor, for any angle of the stage."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -122,8 +124,9 @@ def image_of_fixture(
     angle_deg: float,
     tilt_deg: float = 0.0,
     shift_mm: Place = MIDDLE,
+    centres_mm: Sequence[Place] = (MIDDLE,),
 ) -> Image:
-    """Reflectance of the holder around the sample: a dark plate with white labels that carry the markers.
+    """Reflectance of the holder: a dark plate with white labels that carry the markers, about every one of some places.
 
     Raises:
         RigFileError: OpenCV has no such dictionary, or the dictionary no such marker.
@@ -136,7 +139,7 @@ def image_of_fixture(
     dot_mm = fixture.marker_mm / modules / _DOTS_PER_MODULE
     sigma = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0) / (1000.0 * dot_mm)
     margin = int(4 * sigma) + 1
-    to_pixel = pixel_from_mm(part, sensor, angle_deg, tilt_deg, shift_mm)
+    views = [pixel_from_mm(part, sensor, angle_deg, tilt_deg, shift_mm, centre) for centre in centres_mm]
     for marker in fixture.markers:
         if marker.id >= len(dictionary.bytesList):
             raise RigFileError(f"fixture.markers: {fixture.dictionary} holds no marker {marker.id}")
@@ -146,9 +149,9 @@ def image_of_fixture(
         label = _blurred(np.pad(dots - PLATE, margin).astype(np.float32), (sigma, sigma))
         half = (label.shape[0] - 1) / 2 * dot_mm
         dot_to_mm = np.array([[dot_mm, 0, marker.x_mm - half], [0, -dot_mm, marker.y_mm + half], [0, 0, 1]])
-        plate += cv2.warpAffine(
-            label, to_pixel @ dot_to_mm, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR
-        )
+        for to_pixel in views:
+            matrix = to_pixel @ dot_to_mm
+            plate += cv2.warpAffine(label, matrix, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR)
     return plate
 
 

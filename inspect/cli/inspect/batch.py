@@ -23,7 +23,8 @@ CodeKind = Annotated[
 
 def batch(
     tray: Annotated[
-        Path, Parameter(help="Tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig.")
+        Path,
+        Parameter(help="Tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig,x_mm,y_mm."),
     ],
     /,
     *,
@@ -58,7 +59,8 @@ def batch(
 ) -> int:
     """Inspect the parts of a tray list; a fault at one part does not stop the others.
 
-    Before each part: Enter inspects it, s skips it, q stops; a scanned code is compared with the list. Writes
+    Where the list gives every part's place (x_mm, y_mm), the axes x and y bring one after the other below the camera.
+    Otherwise before each part: Enter inspects it, s skips it, q stops; a scanned code is compared with the list. Writes
     batch.json, batch.html, and one inspection folder per part.
 
     Exit codes: that of the first hardware fault (64 and above); else of the worst verdict: 3 INVALID, 1 FAIL,

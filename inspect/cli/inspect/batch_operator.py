@@ -62,6 +62,14 @@ class Terminal:
             except UsageError as error:
                 _print_line(str(error))
 
+    def place_all(self, parts: int) -> bool:
+        """Have all parts put on the plate: Enter, or q."""
+        if not self.interactive:
+            return True
+        asked = message("place {count} parts on the tray; Enter goes on, q stops", count=parts)
+        text = _line(f"{asked}: ")
+        return text is not None and text.strip() != "q"
+
     def serial_of(self, slot: "SlotResult", why: str) -> "Scan | None":
         """Ask for the serial number of a part whose code cannot be read; Enter gives up."""
         from anisoscope.inspection.batch.scan import read_scan

@@ -45,6 +45,13 @@ def inspect(
     lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
     cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
     station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
+    at: Annotated[
+        tuple[float, float] | None,
+        Parameter(
+            help="Place of the part on the plate for the axes x and y: mm right and up of the stage's axis, at sample "
+            "angle 0."
+        ),
+    ] = None,
     history: HistoryOption = None,
     json_: Json = False,
 ) -> int:
@@ -63,7 +70,11 @@ def inspect(
 
     if serial is None:
         serial, lot = ask_serial(lot)
-    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station)
+    if at is not None and frames is not None:
+        raise UsageError(
+            "--at says where axes bring a part from; with --frames nothing moves: leave one of them out"
+        )
+    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at)
     place = history_place(history, out)
     mates = lot_mates(place, lot)
     with Reports() as reports:

@@ -217,6 +217,12 @@ def rotation(
     gain: _Gain = 1.0,
     angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 12,
     frames: Annotated[int, Parameter(name="--count", help="Frames at every angle.")] = 2,
+    at: Annotated[
+        tuple[float, float],
+        Parameter(
+            help="Place of the fixture on the plate, which x and y follow: mm right and up of the axis."
+        ),
+    ] = (0.0, 0.0),
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
@@ -224,7 +230,8 @@ def rotation(
 ) -> int:
     """Turn the fixture by a full turn: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
 
-    The stage homes and turns: keep its path free. Exit code 0: fit; 3: out of limits.
+    With axes x and y also their readings with the rotation centre in the middle of the picture, and their directions.
+    The axes home and move: keep their paths free. Exit code 0: fit; 3: out of limits.
 
     Examples:
         anisoscope calibrate rotation --rig rig.toml --exposure 0.004 --out rotation.json
@@ -234,7 +241,7 @@ def rotation(
 
     taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
     with progress("rotation", quiet=json_) as advance:
-        record = calibrate_rotation(rig, out, taking, angles=angles, on_progress=advance)
+        record = calibrate_rotation(rig, out, taking, angles=angles, at_mm=at, on_progress=advance)
     return _show(record, out, json_=json_)
 
 

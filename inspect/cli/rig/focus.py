@@ -1,18 +1,19 @@
 """``anisoscope rig focus``: bring the part into focus with the axis z, and say how repeatable that is."""
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import UsageError
-from anisoscope.base.language import decimal, message
+from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, Yes, home_axis
+from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, Yes, confirm, home_axes
 
 if TYPE_CHECKING:
-    from anisoscope.live_view.autofocus import Focus
+    from anisoscope.live_view.autofocus import Focus, Sweep
     from anisoscope.rig.rigfile import RigFile
 
 
@@ -28,33 +29,42 @@ def focus(
     average: Annotated[int, Parameter(help="Frames averaged at each reading.")] = 1,
     measure: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
     light: LightState = "on",
+    map_: Annotated[
+        Path | None,
+        Parameter(name="--map", help="Focus at the seats of this tray list (x_mm, y_mm), as a calibration."),
+    ] = None,
+    out: Annotated[Path, Parameter(help="With --map: record to write.")] = Path("focus.json"),
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
     """Bring the part into focus: sweep z, fit a curve to the sharpness, and go to its peak.
 
     Nothing is moved beyond the search (and z.approach_mm below it). An axis that was not homed is homed first: confirm,
-    or give --yes.
+    or give --yes. With --map x and y bring every seat below the camera, and a surface through its focus is fitted:
+    name the record in the rig file under [calibration] focus, and inspections go to it.
 
     Examples:
         anisoscope rig focus --rig rig.toml --exposure 0.005 --from 9.5 --to 10.5
-        anisoscope rig focus --rig rig.toml --exposure 0.005 --from 8 --to 12 --repeat 5
+        anisoscope rig focus --rig rig.toml --exposure 0.005 --from 8 --to 12 --map tray.csv --yes
     """
-    from anisoscope.live_view.autofocus import Autofocus
+    from anisoscope.live_view.autofocus import Autofocus, Sweep
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.rigfile import read_rig
 
     if not (low < high and steps >= 1 and repeat >= 1 and average >= 1):
         raise UsageError("--from must be below --to, and --steps, --repeat and --average 1 or more")
+    if map_ is not None:
+        sweep = Sweep(low, high, steps, repeat, measure, average)
+        return _map(rig, map_, out, (exposure, gain), sweep, yes=yes, json_=json_)
     file = read_rig(rig)
     if file.z is None:
         raise UsageError("nothing moves the focus there: the rig file has no table [z]")
     lamp = None if light == "as-is" else file.light
-    with open_devices({"z": file.z}, file.camera, lamp) as devices:
+    axes = file.moved_with("z")
+    with open_devices(axes, file.camera, lamp, rows_of=file) as devices:
         axis, camera = devices.axes["z"], devices.camera
         assert camera is not None
-        if not axis.is_homed:
-            home_axis(axis, file.z, yes=yes)
+        home_axes(devices.axes, axes, file, yes=yes)
         camera.configure(exposure, gain)
         if devices.light is not None:
             (devices.light.on if light == "on" else devices.light.off)()
@@ -65,14 +75,49 @@ def focus(
     return 0
 
 
-def depth_of_field_mm(file: "RigFile") -> float | None:
-    """Depth of field λ/NA² in mm by the wavelength and the aperture in a rig file; None where it has not both."""
-    if file.light.wavelength_nm is None or not file.camera.half_angle_deg:
-        return None
-    return 1e-6 * file.light.wavelength_nm / math.sin(math.radians(file.camera.half_angle_deg)) ** 2
+def _map(
+    rig: Path,
+    tray: Path,
+    out: Path,
+    exposed: tuple[float, float],
+    sweep: "Sweep",
+    *,
+    yes: bool,
+    json_: bool,
+) -> int:
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.cli.progress import progress
+    from anisoscope.inspection.batch.tray import read_tray
+    from anisoscope.live_view.autofocus import map_focus
+
+    seats = [slot.place_mm for slot in read_tray(tray).slots if slot.place_mm is not None]
+    confirm(message("the axes search their references and go to {count} seats", count=len(seats)), yes=yes)
+    with progress("focus map", quiet=json_) as advance:
+        record = map_focus(rig, seats, out, Taking(*exposed), sweep, advance)
+    if json_:
+        print_json({"file": str(out), **record.model_dump(mode="json")})
+    else:
+        slope = 1000.0 * math.hypot(record.number("slope_x"), record.number("slope_y"))
+        print(  # noqa: T201
+            message(
+                "{path}: {count} seats, z {place} at the axis, the plate tilted by {slope} µm per mm; off the surface "
+                "{rest} (rms), repeatable within {size}",
+                path=out,
+                count=len(seats),
+                place=decimal(f"{record.number('z'):.4f} mm"),
+                slope=decimal(f"{slope:.3g}"),
+                rest=decimal(f"{1000.0 * record.number('residual'):.2g} µm"),
+                size=decimal(f"{1000.0 * record.number('repeatability'):.2g} µm"),
+            )
+        )
+        for remark in record.remarks:
+            print(translated(remark))  # noqa: T201
+    return 0 if record.in_limits else CalibrationError.exit_code
 
 
 def _show(found: "Focus", file: "RigFile", *, json_: bool) -> None:
+    from anisoscope.live_view.autofocus import depth_of_field_mm
+
     assert file.z is not None
     depth = depth_of_field_mm(file)
     if json_:

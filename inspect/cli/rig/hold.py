@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
-from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, home_axis, write_line
+from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, home_axes, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
@@ -45,11 +45,9 @@ def hold(
     light = light if light is not None and light.port is not None and light.driver != BY_HAND else None
     if any(is_held(part) for part in axes.values()) or (light is not None and is_held(light)):
         raise UsageError("another process holds this rig already; end it with q in its window")
-    with open_devices(axes, light=light) as devices:
+    with open_devices(axes, light=light, rows_of=file) as devices:
         if home:
-            for table, axis in devices.axes.items():
-                if not axis.is_homed:
-                    home_axis(axis, axes[table], yes=yes)
+            home_axes(devices.axes, axes, file, yes=yes)
         served = {table: (axes[table], axis) for table, axis in devices.axes.items()}
         lamp = None if light is None or devices.light is None else (light, devices.light)
         with Owner(served, lamp, "" if which.rig is None else str(which.rig.resolve())) as owner:

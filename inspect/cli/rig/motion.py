@@ -9,7 +9,7 @@ from anisoscope.base.errors import AnisoscopeError, NotConnected, RigError
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, home_axis, write_line
+from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, home_axes, home_axis, write_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,9 +47,9 @@ def home(
     """
     from anisoscope.rig.acquisition.opening import open_devices
 
-    file, part = which.axis(axis)
-    with open_devices({axis: part}) as devices:
-        stage = devices.axes[axis]
+    file, parts = which.axis(axis)
+    with open_devices(parts, rows_of=file) as devices:
+        stage, part = devices.axes[axis], parts[axis]
         before = _position(stage)
         home_axis(stage, part, yes=yes)
         moved = _Moved(axis, stage.name, before, stage.position_deg(), homed=True)
@@ -206,16 +206,16 @@ def _motion(which: Which, axis: AxisName, target: "Target", go: "Go", *, yes: bo
     """Home if need be, and move; a target that cannot be reached is refused before both."""
     from anisoscope.rig.acquisition.opening import open_devices
 
-    file, part = which.axis(axis)
-    with open_devices({axis: part}) as devices:
-        stage = devices.axes[axis]
+    file, parts = which.axis(axis)
+    with open_devices(parts, rows_of=file) as devices:
+        stage, part = devices.axes[axis], parts[axis]
         before = _position(stage)
         homed = not stage.is_homed
         low, high = stage.limits_deg
         zero = min(max(0.0, low), high)
         reading = target(stage, part, zero if homed or before is None else before)
+        home_axes(devices.axes, parts, file, yes=yes)
         if homed:
-            home_axis(stage, part, yes=yes)
             reading = target(stage, part, stage.position_deg())
         go(stage, part, reading)
         moved = _Moved(axis, stage.name, before, stage.position_deg(), homed)

@@ -11,6 +11,8 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from anisoscope.rig.rigfile import MotorPart, RigAxes
     from anisoscope.rig.stage import RotationStage
 
@@ -63,8 +65,10 @@ class Which:
         file = read_axes(self.rig)
         return file, file.axes
 
-    def axis(self, name: AxisName) -> "tuple[RigAxes | None, MotorPart]":
-        """The rig file, if one is named; and one of its axes. Errors as for `read`.
+    def axis(self, name: AxisName) -> "tuple[RigAxes | None, dict[str, MotorPart]]":
+        """The rig file, if one is named; and one of its axes, with those with which it may collide, by table.
+
+        Errors as for `read`.
 
         Raises:
             UsageError: the rig has no such axis.
@@ -74,7 +78,7 @@ class Which:
             raise UsageError(
                 f"--axis {name}: there is no such axis; name a rig file with a table [{name}] for it"
             )
-        return file, axes[name]
+        return file, axes if file is None else file.moved_with(name)
 
 
 NOTHING_NAMED = Which()
@@ -115,6 +119,24 @@ def confirm(what: str, *, yes: bool) -> None:
     print(f"{translated(what)}. {message('Go on? [y/N]')} ", end="", file=sys.stderr, flush=True)  # noqa: T201
     if sys.stdin.readline().strip().lower() not in {"y", "yes", message("yes"), message("yes")[0]}:
         raise UsageError("nothing was moved: the motion was not confirmed")
+
+
+def home_axes(
+    axes: "Mapping[str, RotationStage]",
+    parts: "Mapping[str, MotorPart]",
+    file: "RigAxes | None",
+    *,
+    yes: bool,
+) -> None:
+    """Search the references of those axes that were not homed, in the order of the rig file.
+
+    Raises:
+        UsageError: as for `confirm`.
+    """
+    order = () if file is None else file.home_order
+    for table in dict.fromkeys((*order, *axes)):
+        if table in axes and not axes[table].is_homed:
+            home_axis(axes[table], parts[table], yes=yes)
 
 
 def home_axis(axis: "RotationStage", part: "MotorPart", *, yes: bool) -> None:

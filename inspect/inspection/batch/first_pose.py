@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.inspection.batch.codes import Code, Kind, one_code, read_codes
 from anisoscope.inspection.batch.scan import Scan
 from anisoscope.inspection.frame_table import Replay
@@ -11,7 +12,7 @@ from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
-from anisoscope.rig.acquisition.runner import check_plan
+from anisoscope.rig.acquisition.runner import check_plan, readings_at
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import FrameEntry
 from anisoscope.rig.light import rest
@@ -26,27 +27,35 @@ class Look:
     exposure_s: float | None = None
 
 
-def photograph_first_pose(recipe_path: Path, rig_path: Path, exposure_s: float | None = None) -> Frame:
+def photograph_first_pose(
+    recipe_path: Path,
+    rig_path: Path,
+    exposure_s: float | None = None,
+    place_mm: tuple[float, float] | None = None,
+) -> Frame:
     """Take one lit picture at the first pose of a recipe; stage and light are safe afterwards.
 
     Args:
         recipe_path: recipe file.
         rig_path: rig file.
         exposure_s: exposure; None for that of the recipe.
+        place_mm: (x, y) of the part on its tray, in mm from the stage's axis.
 
     Raises:
-        RecipeError, RigFileError: one of the files.
+        RecipeError, RigFileError, CalibrationError: one of the files.
         RigError: hardware.
     """
     recipe = read_any_recipe(recipe_path)
     first = recipe.poses.poses()[0]
     pose = Pose(first.stage_deg, first.tilt_deg)
     acquisition = recipe.acquisition
-    plan = Plan((pose,), exposure_s or acquisition.exposure_s, gain=acquisition.gain)
-    with open_rig(read_rig(rig_path)) as rig:
+    file = read_rig(rig_path)
+    known = Calibrations() if file.calibration is None else read_calibrations(file.calibration)
+    plan = Plan((pose,), exposure_s or acquisition.exposure_s, acquisition.gain, seat=known.seat(place_mm))
+    with open_rig(file) as rig:
         check_plan(plan, rig)
         settings = rig.camera.configure(plan.exposure_s, plan.gain)
-        reached_deg = _go(rig, pose)
+        reached_deg = _go(rig, plan)
         rig.light.on()
         counts = rig.camera.grab().copy()
         rest(rig.light)
@@ -67,15 +76,17 @@ def photograph_first_pose(recipe_path: Path, rig_path: Path, exposure_s: float |
         )
 
 
-def _go(rig: Rig, pose: Pose) -> float:
-    """Home axes that are not homed, and turn to a pose; the inspection approaches it again with full accuracy."""
-    for axis in rig.axes:
-        if not axis.is_homed:
-            axis.home()
-    if rig.tilt is not None and rig.file.tilt is not None:
-        rig.tilt.move_to(rig.file.tilt.reading(pose.tilt_deg))
-    stage = rig.file.stage
-    return stage.place(rig.stage.move_to(stage.reading(pose.stage_deg)))
+def _go(rig: Rig, plan: Plan) -> float:
+    """Home axes that are not homed, and go to the pose; the inspection approaches it again with full accuracy."""
+    axes = rig.by_table
+    for axis in rig.unhomed():
+        axis.home()
+    targets = readings_at(plan.poses[0], plan.seat, rig.file)
+    reached = {
+        table: axes[table].move_to(targets[table])
+        for table in rig.guard.order({table: (target,) for table, target in targets.items()})
+    }
+    return rig.file.stage.place(reached["stage"])
 
 
 def scan_of(replay: Replay, recipe: RecipeBase, kind: Kind) -> Scan:

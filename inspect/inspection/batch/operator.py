@@ -31,6 +31,10 @@ class Operator(Protocol):
         """Have the part of a slot placed; ``again`` where its inspection was interrupted before."""
         ...
 
+    def place_all(self, parts: int) -> bool:
+        """Have all parts put on the plate at once, of a tray that says where they lie; False stops."""
+        ...
+
     def serial_of(self, slot: SlotResult, why: str) -> Scan | None:
         """Serial number of a part whose code cannot be read, scanned or typed; None without an answer."""
         ...
@@ -60,6 +64,11 @@ class Unattended:
         """Go on: the part is on the stage."""
         del slot, again, needs_serial
         return Answer()
+
+    def place_all(self, parts: int) -> bool:
+        """Go on: they lie there."""
+        del parts
+        return True
 
     def serial_of(self, slot: SlotResult, why: str) -> Scan | None:
         """None: the serial number is unknown."""

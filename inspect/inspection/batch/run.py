@@ -15,7 +15,7 @@ from anisoscope.inspection.batch.journal import (
     now,
     write_batch,
 )
-from anisoscope.inspection.batch.operator import Operator
+from anisoscope.inspection.batch.operator import Answer, Operator
 from anisoscope.inspection.batch.scan import Scan, mismatch
 from anisoscope.inspection.batch.slot_folder import unfinished_in
 from anisoscope.inspection.batch.start import (
@@ -183,6 +183,9 @@ class _Run:
         self.faults = 0
 
     def all_slots(self) -> None:
+        left = sum(slot.state != "done" for slot in self.batch.slots)
+        if self.order.tray.placed and left and not self.operator.place_all(left):
+            return
         number = 0
         while number < len(self.batch.slots):
             if self.batch.slots[number].state == "done":
@@ -202,7 +205,11 @@ class _Run:
         slot, result = self.order.tray.slots[number], self.batch.slots[number]
         unfinished = unfinished_in(self.order.out / slot.label)
         needs_serial = slot.serial is None and self.order.look is None
-        answer = self.operator.place(result, again=unfinished is not None, needs_serial=needs_serial)
+        answer = (
+            Answer()
+            if self.order.tray.placed and not needs_serial
+            else self.operator.place(result, again=unfinished is not None, needs_serial=needs_serial)
+        )
         if answer.what != "go on":
             if answer.what == "skip":
                 self._note(number, state="skipped", finished_at=now())
@@ -245,7 +252,13 @@ class _Run:
         home = order.out / slot.label
         recipe, rig = order.files(slot)
         part = self._identify(number, slot, scan, advance)
-        who = Particulars(operator=order.operator, station=order.station, lot=part.lot, cavity=slot.cavity)
+        who = Particulars(
+            operator=order.operator,
+            station=order.station,
+            lot=part.lot,
+            cavity=slot.cavity,
+            place_mm=slot.place_mm,
+        )
         if part.wrong is not None:
             inspected = refuse_part(
                 recipe,
@@ -291,7 +304,7 @@ class _Run:
         if scan is None and self.order.look is not None:
             advance("reading its code", 0, 1)
             recipe, rig = self.order.files(slot)
-            picture = photograph_first_pose(recipe, rig, self.order.look.exposure_s)
+            picture = photograph_first_pose(recipe, rig, self.order.look.exposure_s, slot.place_mm)
             try:
                 kind = self.order.look.kind
                 scan = one_code(read_codes(picture.grey, kind), kind, "the picture at the first pose").scan

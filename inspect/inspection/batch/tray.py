@@ -4,6 +4,7 @@ import csv
 import difflib
 import hashlib
 import io
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.inspection.job import check_serial
 
-COLUMNS = ("slot", "serial", "lot", "cavity", "recipe", "rig")
+COLUMNS = ("slot", "serial", "lot", "cavity", "recipe", "rig", "x_mm", "y_mm")
 NEEDED = ("slot", "serial")
 SLOT = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")
 MAX_TEXT = 64
@@ -30,6 +31,7 @@ class Slot:
         lot, cavity: as far as the list says them.
         recipe, rig: files for this part only, or None.
         line: number of the line in the file.
+        place_mm: (x, y) of the part from the axis of the stage at sample angle 0, for the axes x and y; or None.
     """
 
     label: str
@@ -39,6 +41,7 @@ class Slot:
     recipe: Path | None = None
     rig: Path | None = None
     line: int = 0
+    place_mm: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -57,13 +60,19 @@ class Tray:
     slots: tuple[Slot, ...]
     notes: tuple[str, ...] = ()
 
+    @property
+    def placed(self) -> bool:
+        """Whether it says of every part where on the plate it lies, so that they are put on all at once."""
+        return all(slot.place_mm is not None for slot in self.slots)
+
 
 def read_tray(path: Path) -> Tray:
     """Read a tray list.
 
     Args:
         path: CSV in UTF-8, with or without a byte order mark, separated by commas, semicolons or tabs; the header
-            names ``slot`` and ``serial`` and, if wanted, ``lot``, ``cavity``, ``recipe`` and ``rig``, in any order.
+            names ``slot`` and ``serial`` and, if wanted, ``lot``, ``cavity``, ``recipe``, ``rig``, and ``x_mm`` with
+            ``y_mm``, in any order.
 
     Raises:
         UsageError: the file cannot be used; line and column are named.
@@ -145,7 +154,27 @@ def _slot(fields: list[str], columns: tuple[str, ...], path: Path, number: int) 
         recipe=_file(texts, "recipe", path, place),
         rig=_file(texts, "rig", path, place),
         line=number,
+        place_mm=_place(texts, place),
     )
+
+
+def _place(texts: Mapping[str, str], place: str) -> tuple[float, float] | None:
+    """Where the part lies on the plate."""
+    found = {column: texts.get(column) for column in ("x_mm", "y_mm")}
+    if not any(found.values()):
+        return None
+    numbers = []
+    for column, text in found.items():
+        if not text:
+            raise UsageError(f"{place}, column {column}: missing; a place on the plate has x_mm and y_mm")
+        try:
+            number = float(text.replace(",", "."))
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise UsageError(f"{place}, column {column}: {text!r} is no length in mm")
+        numbers.append(number)
+    return numbers[0], numbers[1]
 
 
 def _clean(text: str, place: str) -> str:

@@ -186,6 +186,7 @@ def test_the_list_says_what_there_is_and_what_is_missing(virtual_rig, own_flat, 
         "stray": "missing",
         "linearity": "missing",
         "rotation": "missing",
+        "focus": "missing",
         "check": "missing",
     }
     assert "anisoscope calibrate stray" in found["stray"].advice

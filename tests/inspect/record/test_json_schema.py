@@ -29,7 +29,17 @@ KNOWN = {
     "const",
     "pattern",
 }
-KNOWN |= {"title", "description", "default", "$defs", "$schema", "$ref"}
+KNOWN |= {
+    "title",
+    "description",
+    "default",
+    "$defs",
+    "$schema",
+    "$ref",
+    "prefixItems",
+    "minItems",
+    "maxItems",
+}
 
 FIRST_VERSION = """{
   "schema": 1, "software": "anisoscope 0.1.0", "created_at": "2026-01-02T03:04:05+00:00", "serial": "S 1",
@@ -69,8 +79,13 @@ def complaints(value, rule, root, at="record"):
     elif rule.get("type") == "array":
         items = value if isinstance(value, list) else []
         found += [] if isinstance(value, list) else [f"{at}: no list"]
+        if not rule.get("minItems", 0) <= len(items) <= rule.get("maxItems", len(items)):
+            found.append(f"{at}: {len(items)} values")
+        first = rule.get("prefixItems", ())
         for number, one in enumerate(items):
-            found += complaints(one, rule.get("items", {}), root, f"{at}[{number}]")
+            found += complaints(
+                one, first[number] if number < len(first) else rule.get("items", {}), root, f"{at}[{number}]"
+            )
     return found
 
 

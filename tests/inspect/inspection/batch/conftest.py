@@ -31,6 +31,10 @@ class Scripted(Unattended):
             raise answer
         return answer
 
+    def place_all(self, parts):
+        self.asked.append(f"{parts} at once")
+        return True
+
     def serial_of(self, slot, why):
         self.asked.append((slot.slot, why))
         return self._serials.pop(0) if self._serials else None
