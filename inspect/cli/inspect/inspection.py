@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
@@ -21,6 +22,22 @@ if TYPE_CHECKING:
     from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
 
 
+@everyday(
+    *(
+        "recipe",
+        "rig",
+        "serial",
+        "frames",
+        "out",
+        "operator",
+        "lot",
+        "cavity",
+        "station",
+        "at",
+        "history",
+        "json_",
+    )
+)
 def inspect(
     *,
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
@@ -48,8 +65,9 @@ def inspect(
     at: Annotated[
         tuple[float, float] | None,
         Parameter(
+            negative="",
             help="Place of the part on the plate for the axes x and y: mm right and up of the stage's axis, at sample "
-            "angle 0."
+            "angle 0.",
         ),
     ] = None,
     history: HistoryOption = None,

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.language import decimal, message, translated
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, Yes, confirm, home_axes
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from anisoscope.rig.rigfile import RigFile
 
 
+@everyday("rig", "exposure", "low", "high", "gain", "repeat", "light", "map_", "out", "yes", "json_")
 def focus(
     *,
     rig: RigPath,
@@ -31,7 +33,9 @@ def focus(
     light: LightState = "on",
     map_: Annotated[
         Path | None,
-        Parameter(name="--map", help="Focus at the seats of this tray list (x_mm, y_mm), as a calibration."),
+        Parameter(
+            name="--map", help="Focus map: z at the seats of this tray list (x_mm, y_mm), as a calibration."
+        ),
     ] = None,
     out: Annotated[Path, Parameter(help="With --map: record to write.")] = Path("focus.json"),
     yes: Yes = False,
