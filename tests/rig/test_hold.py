@@ -10,11 +10,11 @@ import pytest
 
 from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, RigError
 from anisoscope.rig import hold, holdline, portholder
-from anisoscope.rig.drivers import open_stage
+from anisoscope.rig.acquisition.opening import open_axis
 from anisoscope.rig.hold import HeldLight, HeldStage, Owner, held_stage, key_of
 from anisoscope.rig.holdline import HoldLine, stop_held
-from anisoscope.rig.rigfile import LightPart, StagePart
-from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.rig.rigfile import LightPart, LinearPart, StagePart
+from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.serve import PtyServer
 
@@ -39,12 +39,17 @@ class Lamp:
 class Rig:
     """A stage behind a port that this process owns and serves; `others` uses it as another process would."""
 
-    def __init__(self, opened, time_scale, protocol="elliptec"):
-        self.axis = RotaryAxis(time_scale=time_scale, start_deg=300.0)
+    def __init__(self, opened, time_scale, protocol="elliptec", linear=None):
+        self.axis = (
+            RotaryAxis(time_scale=time_scale, start_deg=300.0)
+            if linear is None
+            else LinearAxis(time_scale=time_scale, start_deg=20.0)
+        )
         self.firmware = build(protocol, [Mount(self.axis)])
         server = opened.enter_context(PtyServer(self.firmware))
-        self.part = StagePart(driver=protocol, port=server.url, options={"margin_s": 5.0})
-        stage = open_stage(protocol, port=server.url, **self.part.options)
+        kind, options = (StagePart, {}) if linear is None else (LinearPart, linear)
+        self.part = kind(driver=protocol, port=server.url, options={"margin_s": 5.0, **options})
+        stage = open_axis(self.part, "z")
         opened.callback(stage.close)
         self.lamp, self.lamp_part = Lamp(), LightPart(driver="serial", port="/dev/lamp")
         owner = Owner({"stage": (self.part, stage)}, (self.lamp_part, self.lamp), "/rig.toml")
@@ -148,6 +153,25 @@ def test_a_stop_reaches_a_motion_of_another_client(rig, in_background, motion):
     assert not held.axis.busy()
     with pytest.raises(RigError, match=f"the {motion.partition('_')[0]} .*was stopped at"):
         finish()
+
+
+def test_a_held_focus_jogs_in_millimetres_and_stops_at_once(rig, in_background):
+    held = rig(protocol="zaber", linear={"counts_per_mm": 1000.0 / 0.047625})
+    z = held.others()
+    assert (z.unit, z.home()) == ("mm", 0.0)
+    assert z.move_to(12.0) == pytest.approx(12.0, abs=1e-4)
+    assert held.others().move_by(-0.5) == pytest.approx(11.5, abs=1e-4)
+    with pytest.raises(LimitExceeded, match=r"mm is outside 0 mm…25\.4 mm; nothing was moved"):
+        z.move_by(-12.0)
+    held.slow_down(SLOW)
+    finish = in_background(lambda: held.others().move_by(5.0))
+    until(lambda: held.axis.position() > 11.51)
+    z.stop()
+    assert not held.axis.busy()
+    assert 11.5 < held.axis.position() < 16.5
+    with pytest.raises(RigError, match=r"the move .*was stopped at"):
+        finish()
+    assert z.is_homed
 
 
 def test_all_that_is_held_is_stopped_without_naming_it(rig, in_background, monkeypatch):
