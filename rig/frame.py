@@ -45,6 +45,7 @@ class Frame:
         captured_at: UTC time, ISO 8601.
         camera: model and serial number.
         filters: the colour filters on its pixels; see `anisoscope.rig.bayer`.
+        serial, lot: the part in the picture, as far as it is one and known.
     """
 
     counts: npt.NDArray[np.uint16]
@@ -59,6 +60,8 @@ class Frame:
     captured_at: str
     camera: str
     filters: str = "mono"
+    serial: str | None = None
+    lot: str | None = None
 
     @property
     def full_scale(self) -> int:
@@ -92,6 +95,8 @@ class Header:
     captured_at: str
     camera: str
     filters: Filters = "mono"
+    serial: str | None = None
+    lot: str | None = None
 
 
 _HEADER = TypeAdapter(Header)

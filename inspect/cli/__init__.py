@@ -182,6 +182,10 @@ COMMANDS = {
             "Compile the kernels of all models for this machine, once; later commands then start without this delay.",
         ),
         "cache": ("cache.cache:app", "Show or clear the cache of results that can be computed again."),
+        "key": (
+            "setup.key:app",
+            "Make, show, trust, retire and revoke the keys that sign records.",
+        ),
         "completion": (
             "setup.completion:completion",
             "Print or install the script by which bash, zsh, fish or PowerShell complete commands and options.",

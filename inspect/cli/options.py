@@ -1,11 +1,16 @@
 """Options that the commands share."""
 
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 
+TrustFile = Annotated[
+    Path | None,
+    Parameter(name="--trust", help="Trust file: one of its keys has to have signed (`anisoscope key`)."),
+]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 

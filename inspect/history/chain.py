@@ -43,13 +43,18 @@ DISPOSITION_FIELDS = ("id", "inspection", "created_us", "reviewer", "decision", 
 
 
 def hash_of(kind: str, fields: Sequence[str], row: Mapping[str, Any]) -> bytes:
-    """SHA-256 over a row as a JSON list: its kind, then its columns in a fixed order, bytes as hexadecimal digits.
+    """SHA-256 of `text_of` of a row."""
+    return hashlib.sha256(text_of(kind, fields, row).encode()).digest()
+
+
+def text_of(kind: str, fields: Sequence[str], row: Mapping[str, Any]) -> str:
+    """A row as a JSON list: its kind, then its columns in a fixed order, bytes as hexadecimal digits.
 
     The hash of the row before is one of the columns. Numbers and texts are told apart, so are nothing and an empty
     text; what two databases return differently (bytes and views of them) is not.
     """
     content = [kind, *(_plain(row[field]) for field in fields)]
-    return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).digest()
+    return json.dumps(content, separators=(",", ":"))
 
 
 def _plain(value: object) -> object:

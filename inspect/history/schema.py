@@ -79,7 +79,7 @@ dispositions = Table(
     Column("hash", LargeBinary, nullable=False),
     Index("dispositions_by_inspection", "inspection"),
 )
-# Heads of both chains, signed by a station: an envelope of `anisoscope.record.signature`.
+# Heads of both chains, signed by a station: an envelope of `anisoscope.base.signature`.
 signed_heads = Table(
     "signed_heads",
     metadata,
@@ -135,7 +135,7 @@ def _fourth(connection: Connection) -> None:
 
 MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third, _fourth)
 VERSION = len(MIGRATIONS)
-WITH_DISPOSITIONS, _WITH_SIGNED_HEADS = 2, 4
+WITH_DISPOSITIONS, WITH_SIGNED_HEADS = 2, 4
 """Versions that brought tables; those before the first cannot be read without being brought up to date."""
 
 
@@ -184,7 +184,7 @@ def unguarded(connection: Connection) -> list[str]:
         statement = "SELECT sql FROM sqlite_master WHERE type = 'trigger'"
         present = {_plain(definition) for definition in connection.scalars(text(statement))}
         suffix = ""
-    guarded = GUARDED if version_of(connection) >= _WITH_SIGNED_HEADS else GUARDED[:4]
+    guarded = GUARDED if version_of(connection) >= WITH_SIGNED_HEADS else GUARDED[:4]
     return [
         table.name
         for table in guarded

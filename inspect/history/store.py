@@ -1,7 +1,7 @@
 """The history of all inspections: append-only, chained by hashes, one chain for all rigs that write into it."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -148,11 +148,15 @@ class History:
         Raises:
             HistoryError: as for `append`.
         """
-        with self._writing() as connection:
+        with self.writing() as connection:
             return statements.append_rows(connection, news, self.address.path)
 
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Transaction that sees one state of the history."""
+        return self._database.reading()
+
     @contextmanager
-    def _writing(self) -> Iterator[Connection]:
+    def writing(self) -> Iterator[Connection]:
         """Exclusive write transaction on tables of the present version."""
         with self._database.writing() as connection:
             if not self._is_present:
@@ -253,7 +257,7 @@ class History:
             HistoryError: the database cannot be reached or written.
         """
         who, what, why = checked_disposition(reviewer, decision, comment)
-        with self._writing() as connection:
+        with self.writing() as connection:
             if statements.one(connection, schema.inspections.c.id == row_id) is None:
                 raise UsageError(f"the history {self.address} has no inspection {row_id}")
             return statements.append_disposition(connection, row_id, who, what, why)
@@ -350,7 +354,7 @@ def _check(history: History, address: Address, create: bool) -> None:
     if found == 0 and not create:
         raise _none(address)
     if found < schema.WITH_DISPOSITIONS:
-        with history._writing():  # noqa: SLF001
+        with history.writing():
             pass
 
 

@@ -1,16 +1,26 @@
 """Is a folder what it was? Hash everything again, and name what is not."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.signature import Trust
 from anisoscope.inspection.folder import JOB, files_in
 from anisoscope.inspection.manifest import read_job_file
 from anisoscope.inspection.report_seal import OWN, SEAL_NAME, ReportState, report_state
-from anisoscope.record.schema import RECORD_NAME, InputFile, recorded_files, sha256_of
+from anisoscope.record.schema import (
+    RECORD_NAME,
+    SIGNATURE_NAME,
+    InputFile,
+    record_signature,
+    recorded_files,
+    sha256_of,
+)
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
+from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.frame import header_of
 
 
 @dataclass(frozen=True)
@@ -23,6 +33,8 @@ class Verified:
         changed: those whose content is not what it was.
         missing: those that are gone.
         additional: those that the inspection did not make.
+        signed_by: station and key that signed the record; None where it is not signed.
+        distrust: why the signature, or a frame, does not belong to this inspection.
         report_written: whether the report is there; a finished inspection without one is intact, unless its record
             lists it, as those of earlier versions do.
     """
@@ -33,18 +45,24 @@ class Verified:
     missing: tuple[str, ...]
     additional: tuple[str, ...]
     report_written: bool = True
+    signed_by: str | None = None
+    distrust: tuple[str, ...] = ()
 
     @property
     def intact(self) -> bool:
-        """Whether everything is as it was."""
-        return not (self.changed or self.missing or self.additional)
+        """Whether everything is as it was, and signed by whom it should be."""
+        return not (self.changed or self.missing or self.additional or self.distrust)
 
 
-def verify(folder: Path) -> Verified:
+def verify(folder: Path, trust: Trust | None = None) -> Verified:
     """Hash every file of an inspection folder again.
 
     A finished inspection is compared with its record, which carries a seal over itself, and its report with
     ``report.sha256``, which is written after both; an unfinished one with ``job.json`` and the journal of its frames.
+
+    Args:
+        folder: the inspection folder.
+        trust: keys of which one has to have signed the record; without it, whoever signed is named.
 
     Raises:
         RecordError: this is no inspection folder.
@@ -64,7 +82,11 @@ def verify(folder: Path) -> Verified:
     expected = {file.name: file.sha256 for file in known}
     changed += damaged
     changed += [name for name in expected.keys() & present if _hash(folder / name) != expected[name]]
-    own = {RECORD_NAME} if listed is not None else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME, SEAL_NAME}
+    own = (
+        {RECORD_NAME, SIGNATURE_NAME}
+        if listed is not None
+        else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME, SEAL_NAME}
+    )
     report = None if listed is None else report_state(folder, listed)
     if report is not None and not report.by_record:
         changed += report.changed
@@ -76,7 +98,34 @@ def verify(folder: Path) -> Verified:
         tuple(sorted(expected.keys() - present)),
         tuple(sorted(present - expected.keys() - own)),
         REPORT_NAME in present,
+        *_signature(folder, trust, finished=RECORD_NAME in present),
     )
+
+
+def _signature(folder: Path, trust: Trust | None, *, finished: bool) -> tuple[str | None, tuple[str, ...]]:
+    """Who signed the record, and why that does not count."""
+    if not finished:
+        return None, () if trust is None else ("the inspection is not finished, so that nothing is signed",)
+    try:
+        found = record_signature(folder)
+    except RecordError as error:
+        return None, (str(error),)
+    if found is None:
+        return None, () if trust is None else ("the record is not signed",)
+    wrong = None if trust is None else trust.distrust(found)
+    problems = (*([] if wrong is None else [wrong]), *_strangers(folder, found.content))
+    return found.key if trust is None else trust.station(found), problems
+
+
+def _strangers(folder: Path, signed: Mapping[str, object]) -> Iterator[str]:
+    """Frames whose metadata name another part than the signature."""
+    for path in sorted((folder / FRAMES).glob("*.tif")):
+        header = header_of(path)
+        if header is not None and header.serial is not None:
+            for what, found in (("serial number", header.serial), ("lot", header.lot)):
+                wanted = signed.get(what.partition(" ")[0])
+                if found != wanted:
+                    yield f"{FRAMES}/{path.name}: shows a part of {what} {found}, not {wanted}"
 
 
 def _count(report: ReportState | None, present: set[str]) -> int:
@@ -109,7 +158,7 @@ def listed_files(folder: Path, known: Mapping[str, str]) -> tuple[InputFile, ...
     Raises:
         RecordError: a file cannot be read.
     """
-    names = sorted(files_in(folder) - {RECORD_NAME} - OWN)
+    names = sorted(files_in(folder) - {RECORD_NAME, SIGNATURE_NAME} - OWN)
     try:
         return tuple(
             InputFile(name=name, sha256=known.get(name) or sha256_of(folder / name)) for name in names

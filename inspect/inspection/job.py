@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.base.signature import signer_in_use
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.calibration.record import Kind, record_path
 from anisoscope.calibration.white_reference import read_reference
@@ -127,8 +128,10 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
     Raises:
         UsageError: the serial number.
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file that is missing or wrong.
+        ConfigError: the signing key cannot be used.
     """
     check_serial(serial)
+    signer_in_use()  # a key that is missing shows before anything moves
     kind = kind_of(recipe_path)
     recipe, rig = kind.read_recipe(recipe_path), read_rig(rig_path)
     white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)

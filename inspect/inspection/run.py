@@ -179,7 +179,7 @@ def inspect_part(
                 frames=plan.frame_count,
                 rig_folder=here,
             )
-            _photograph(plan, rig, folder, on_progress, cancel)
+            _photograph(manifest, rig, folder, on_progress, cancel)
             manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel)
         concluded = conclude(folder, manifest, job, ready, on_progress, judged)
     return reported(*concluded, reports, on_progress)
@@ -278,7 +278,7 @@ def _resumed(
             with open_rig(job.rig) as rig:
                 _check_rig(rig, manifest.plan, job)
                 ready = ready or cleanup.enter_context(expecting(job, on_progress, mates, methods))
-                _photograph(manifest.plan, rig, folder, on_progress, cancel)
+                _photograph(manifest, rig, folder, on_progress, cancel)
                 manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel)
             return conclude(folder, manifest, job, ready, on_progress, judged)
 
@@ -306,11 +306,16 @@ def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
     job.calibrations.check_camera(info.serial, (info.rows, info.cols))
 
 
-def _photograph(plan: Plan, rig: Rig, folder: Path, advance: Advance, cancel: threading.Event | None) -> None:
+def _photograph(
+    manifest: Manifest, rig: Rig, folder: Path, advance: Advance, cancel: threading.Event | None
+) -> None:
+    assert manifest.plan is not None
+    part = (manifest.serial, manifest.particulars.lot)
+
     def report_progress(now: Progress) -> None:
         advance(now.text, now.done, now.total)
 
-    run_plan(plan, rig, folder, on_progress=report_progress, cancel=cancel)
+    run_plan(manifest.plan, rig, folder, on_progress=report_progress, cancel=cancel, part=part)
 
 
 def _decide(
@@ -332,8 +337,7 @@ def _decide(
         if _settled(manifest, job, judged):
             return manifest, judged
         manifest = one_round_more(folder, manifest)
-        assert manifest.plan is not None
-        _photograph(manifest.plan, rig, folder, advance, cancel)
+        _photograph(manifest, rig, folder, advance, cancel)
 
 
 def _judge(manifest: Manifest, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:

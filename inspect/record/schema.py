@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validat
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
 from anisoscope.base.json_file import bounded_bytes, parsed_json
+from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
 from anisoscope.record.details import Details, kind_of_recipe, recorded_kind
 from anisoscope.record.display import record_frame, record_html, record_line, record_plot
 from anisoscope.record.verdict import Verdict
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 RECORD_NAME = "record.json"
 UNSEALED = "0" * 64
+SIGNATURE_NAME = "record.signature.json"
 SCHEMA = 2
 
 
@@ -462,15 +464,46 @@ def sha256_of(path: Path) -> str:
 
 
 def write_record(record: Record, folder: Path) -> Path:
-    """Write ``record.json``, all or nothing.
+    """Write ``record.json``, all or nothing, and before it its signature where a signing key is in use.
 
     The file ends with its seal: the SHA-256 of its own bytes with zeros in place of the seal.
+
+    Raises:
+        ConfigError: the signing key cannot be used.
     """
     path = folder / RECORD_NAME
     content = record.model_dump(mode="json", by_alias=True) | {"seal": UNSEALED}
     text = json.dumps(content, indent=2, allow_nan=False)
-    write_text(path, _with_seal(text, hashlib.sha256(text.encode()).hexdigest()))
+    whole = _with_seal(text, hashlib.sha256(text.encode()).hexdigest())
+    signer = signer_in_use()
+    if signer is not None:
+        names = "serial", "product", "verdict", "created_at", "software"
+        statement = {"record": hashlib.sha256(whole.encode()).hexdigest()}
+        statement |= {name: content[name] for name in names}
+        statement |= {name: content["particulars"][name] for name in ("lot", "station")}
+        write_text(folder / SIGNATURE_NAME, signed("record", statement, signer) + "\n")
+    write_text(path, whole)
     return path
+
+
+def record_signature(folder: Path) -> Signed | None:
+    """The signature of a record, checked with the key that it names; None where the record is not signed.
+
+    Raises:
+        RecordError: it is damaged, or that of another record.
+    """
+    path = folder / SIGNATURE_NAME
+    try:
+        if not path.exists():
+            return None
+        found = read_signed("record", bounded_bytes(path))
+        if found.content.get("record") != sha256_of(folder / RECORD_NAME):
+            raise ValueError("it is the signature of another record, or the record was changed")
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise RecordError(f"{path}: {error}") from None
+    return found
 
 
 def read_record(folder: Path) -> Record:

@@ -188,6 +188,7 @@ def run_plan(
     folder: Path,
     on_progress: ProgressSink | None = None,
     cancel: threading.Event | None = None,
+    part: tuple[str | None, str | None] = (None, None),
 ) -> list[FrameRecord]:
     """Carry out a plan; every frame is written to ``folder/frames`` and entered in the journal as it arrives.
 
@@ -202,6 +203,7 @@ def run_plan(
         folder: where to write; made if missing.
         on_progress: receives the progress.
         cancel: setting it, from any thread, stops the axes at once and ends the acquisition with a `RigError`.
+        part: serial number and lot of the sample, which enter the metadata of its frames.
 
     Returns:
         The frames taken now.
@@ -222,6 +224,7 @@ def run_plan(
     watch = Watch(rig.stop, cancel)
     with JournalFile(folder) as lines:
         writer = FrameWriter(folder, lines, len(journal.runs), len(journal.frames), watch.trouble)
+        writer.part = part
         try:
             with writer, watch, _safe_afterwards(rig):
                 run = _Run(plan, rig, journal, writer, watch, on_progress or (lambda _: None))

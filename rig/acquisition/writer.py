@@ -6,7 +6,7 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -71,6 +71,8 @@ class FrameWriter:
         self, folder: Path, journal: JournalFile, run: int, number: int, on_trouble: Callable[[], None]
     ) -> None:
         self.records: list[FrameRecord] = []
+        self.part: tuple[str | None, str | None] = (None, None)
+        """Serial number and lot of the sample, for the metadata of its frames."""
         self._folder, self._journal, self._run, self._number = folder, journal, run, number
         self._on_trouble = on_trouble
         self._waiting: queue.SimpleQueue[Shot | None] = queue.SimpleQueue()
@@ -107,6 +109,8 @@ class FrameWriter:
 
     def _write(self, shot: Shot) -> None:
         frame = shot.frame
+        if frame.kind == "sample":
+            frame = replace(frame, serial=self.part[0], lot=self.part[1])
         path = self._folder / FRAMES / f"{self._number:03d}_{_name(frame, shot.pose)}.tif"
         write_frame(frame, path)
         _sync(path.parent)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, TrustFile
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from anisoscope.history.adding import Added
     from anisoscope.history.comparing import Compared, Comparison
     from anisoscope.history.dispositions import Disposition
+    from anisoscope.history.heads import HeadsVerified
     from anisoscope.history.rows import Row
     from anisoscope.record.schema import ConclusionRecord, Record
 from pathlib import Path
@@ -136,16 +137,26 @@ def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> No
         )
 
 
-def print_verified(damage: Sequence[str], count: int, heads: tuple[str, str], *, json_: bool) -> None:
-    """Print the damage found in a history, and its heads: of the inspections, and of the dispositions."""
+def print_verified(
+    damage: Sequence[str], count: int, heads: tuple[str, str], signed: "HeadsVerified", *, json_: bool
+) -> None:
+    """Print the damage found in a history, and its heads: of the inspections, of the dispositions, and signed ones."""
     if json_:
         found = {"intact": not damage, "inspections": count, "damage": list(damage)}
-        print_json(found | {"head": heads[0], "disposition_head": heads[1]})
+        words = {name: value for name, value in asdict(signed).items() if name != "problems"}
+        print_json(found | {"head": heads[0], "disposition_head": heads[1], "signed": words})
         return
     for line in damage:
         write_line(line)
     if not damage:
         write_line(f"{count} inspections are as they were written")
+    if signed.signed_by is None:
+        write_line("note: no head is signed")
+    else:
+        after = f"; {signed.unsigned} came later" if signed.unsigned else ""
+        write_line(f"the first {signed.covered} are signed by {signed.signed_by}{after}")
+    if signed.stamped_at is not None:
+        write_line(f"time stamp: {signed.stamped_at:%Y-%m-%d %H:%M:%S} UTC")
     write_line(f"head: {heads[0]}")
     write_line(f"head of the dispositions: {heads[1]}")
 
@@ -362,16 +373,25 @@ def verify(
             help="A head that was noted earlier: fails if the history was cut or rewritten since. Repeatable."
         ),
     ] = None,
+    trust: TrustFile = None,
+    authorities: Annotated[
+        Path | None,
+        Parameter(name="--tsa", help="Certificates (PEM) of authorities whose time stamps count."),
+    ] = None,
     place: Place = None,
     json_: Json = False,
 ) -> int:
     """Compute the hash of every row again, and name the rows that were changed, exchanged or removed.
 
-    Exit codes: 0 unchanged, 1 changed, 64 and above no readable history.
+    Signed heads have to be in the history; with --trust there has to be one, and its keys have to have signed them.
+    Exit codes: 0 unchanged, 1 changed or not trusted, 64 and above no readable history.
 
     Examples:
         anisoscope history verify
     """
+    from anisoscope.base.signature import read_trust
+    from anisoscope.history.heads import verify_heads
+
     for one in head or ():
         if not _is_hash(one):
             raise UsageError(
@@ -379,6 +399,8 @@ def verify(
             )
     with opened(place) as found:
         damage = [str(one) for one in found.verify_chain()]
+        heads = verify_heads(found, None if trust is None else read_trust(trust), authorities)
+        damage += heads.problems
         damage += [
             f"nothing has the head {one[:12].lower()}… that was noted: the history was cut or rewritten since"
             for one in head or ()
@@ -387,8 +409,72 @@ def verify(
         count = found.count()
         if count == 0:
             damage.append("the history holds no inspection: there is nothing to verify")
-        print_verified(damage, count, (found.head(), found.disposition_head()), json_=json_)
+        print_verified(damage, count, (found.head(), found.disposition_head()), heads, json_=json_)
     return 1 if damage else 0
+
+
+@app.command
+def sign(*, place: Place = None) -> int:
+    """Sign the present end of the history with the key of this station; inspections do so every 100 rows and every day.
+
+    Examples:
+        anisoscope history sign
+    """
+    from anisoscope.base.signature import signer_in_use
+    from anisoscope.history.heads import sign_head
+
+    signer = signer_in_use()
+    if signer is None:
+        raise UsageError(
+            "no key signs here: `anisoscope init` makes one, signing_key in anisoscope.toml names one"
+        )
+    with opened(place) as found:
+        new = sign_head(found, signer, always=True)
+        write_line(
+            f"{found.count()} inspections, {'signed' if new else 'signed before: nothing is new'}: {found.head()}"
+        )
+    return 0
+
+
+@app.command
+def stamp(
+    *,
+    url: Annotated[
+        str | None, Parameter(help="Time-stamping authority (RFC 3161), http:// or https://.")
+    ] = None,
+    request: Annotated[
+        Path | None, Parameter(help="Write the request to this file; the answer comes by --response.")
+    ] = None,
+    response: Annotated[
+        Path | None, Parameter(help="Read the answer of an authority from this file.")
+    ] = None,
+    place: Place = None,
+) -> int:
+    """Have the time stamped on the last signed head by an authority, directly or by files.
+
+    Examples:
+        anisoscope history stamp --url https://tsa.example.org
+        anisoscope history stamp --request head.tsq
+        anisoscope history stamp --response head.tsr
+    """
+    from anisoscope.base.atomic_write import write_bytes
+    from anisoscope.base.errors import RecordError
+    from anisoscope.history.heads import add_time_stamp, asked_of, time_stamp_request
+
+    if [url, request, response].count(None) != 2:
+        raise UsageError("name one of --url, --request FILE and --response FILE")
+    with opened(place) as found:
+        if request is not None:
+            write_bytes(request, time_stamp_request(found))
+            write_line(f"{request}: send it to an authority, and give its answer to --response")
+            return 0
+        try:
+            answer = asked_of(url, time_stamp_request(found)) if response is None else response.read_bytes()
+        except OSError as error:
+            raise RecordError(f"{response} cannot be read: {error.strerror}") from error
+        moment = add_time_stamp(found, answer)
+    write_line(f"the last signed head existed at {moment:%Y-%m-%d %H:%M:%S} UTC, says the authority")
+    return 0
 
 
 def _is_hash(text: str) -> bool:
@@ -468,20 +554,33 @@ def export(
     junit: Annotated[
         Path | None, Parameter(help="Write JUnit XML, for servers of continuous integration.")
     ] = None,
+    bundle: Annotated[
+        Path | None,
+        Parameter(
+            help="Write the signed inspection that --serial names, with its place in the history (ZIP)."
+        ),
+    ] = None,
     limit: Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")] = 0,
     place: Place = None,
 ) -> int:
     """Export past inspections as CSV, JSON or JUnit; the filters are those of `history`.
 
+    A bundle is verified without anisoscope, by docs/verify_bundle.py.
+
     Examples:
         anisoscope export --csv-file week.csv --since 7d
         anisoscope export --junit results.xml --lot L42
+        anisoscope export --bundle A1.zip --serial A1
     """
     from anisoscope.history.export import csv_lines, json_lines, junit_lines, write_lines
 
     files = [path for path in (csv, json, junit) if path is not None]
+    if bundle is not None:
+        _bundled(bundle, which.serial, place)
+    if not files and bundle is None:
+        raise UsageError("name a file: --csv-file FILE, --json-file FILE, --junit FILE or --bundle FILE")
     if not files:
-        raise UsageError("name a file: --csv-file FILE, --json-file FILE or --junit FILE")
+        return 0
     with opened(place) as found, found.selection(which.filters(limit)) as selected:
         if csv is not None:
             write_lines(csv, csv_lines(selected.decided(), selected.labels()))
@@ -494,3 +593,38 @@ def export(
     for path in files:
         write_line(f"{count} inspections: {path}")
     return 0
+
+
+def _bundled(path: Path, name: str | None, place: str | None) -> None:
+    """Write the files of an inspection, and the rows from it to a signed head, into a ZIP file."""
+    import json
+    import zipfile
+
+    from anisoscope.base.atomic_write import appearing
+    from anisoscope.base.errors import RecordError
+    from anisoscope.history.heads import rows_to_head
+    from anisoscope.history.rows import seal_of
+    from anisoscope.history.store import find
+    from anisoscope.inspection.folder import files_in
+    from anisoscope.inspection.integrity import verify as hashed
+
+    if name is None:
+        raise UsageError("--bundle takes one inspection: name it with --serial, or its id as --serial id:7")
+    with opened(place) as found:
+        row = find(found, name)
+        folder = Path(row.folder)
+        state = hashed(folder)
+        if not state.intact or state.signed_by is None or seal_of(folder) != row.seal:
+            wrong = "its record is not signed" if state.intact and state.signed_by is None else "was changed"
+            raise RecordError(
+                f"{folder}: {wrong}: a bundle would prove nothing; `anisoscope verify {folder}` says more"
+            )
+        rows, head = rows_to_head(found, row.id)
+    with (
+        appearing(path) as stream,
+        zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as bundle,
+    ):
+        for file in sorted(files_in(folder)):
+            bundle.write(folder / file, file)
+        bundle.writestr("history.json", json.dumps({"rows": rows, "head": head}, indent=1))
+    write_line(f"inspection {row.id} of {row.serial}: {path}")

@@ -4,14 +4,16 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from anisoscope.base.errors import AnisoscopeError
+
 if TYPE_CHECKING:
     from anisoscope.history.rows import NewRow
+    from anisoscope.history.store import History
     from anisoscope.inspection.run import Inspected
 
 HistoryOption = Annotated[
@@ -43,9 +45,7 @@ _retry_at: dict[str, tuple[float, str]] = {}
 """By history: until when it is not tried again, and why; a server that is away would hold up every part."""
 
 
-def remember(
-    inspected: "Inspected", place: str | Path | None, clock: Callable[[], float] = time.monotonic
-) -> None:
+def remember(inspected: "Inspected", place: str | Path | None) -> None:
     """Enter a finished inspection into the history; on failure it waits in a file, and one line says so.
 
     Verdict and exit code are those of the part: what becomes of a database changes neither. What waits is delivered
@@ -59,20 +59,20 @@ def remember(
     new = None
     try:
         new = row_of(inspected.record, inspected.folder)
-        if is_away(place, clock):
+        if is_away(place):
             _put_aside(new, inspected.folder, place, _retry_at[key][1])
             return
         _enter(new, out, place)
         _retry_at.pop(key, None)
     except Exception as error:  # noqa: BLE001 - record and verdict stand, whatever goes wrong here
         problem = " ".join(str(error).split()) or type(error).__name__
-        _retry_at[key] = clock() + RETRY_S, problem
+        _retry_at[key] = time.monotonic() + RETRY_S, problem
         _put_aside(new, inspected.folder, place, problem)
 
 
-def is_away(place: str | Path, clock: Callable[[], float] = time.monotonic) -> bool:
+def is_away(place: str | Path) -> bool:
     """Whether a history failed a moment ago, so that it is not tried again yet."""
-    return clock() < _retry_at.get(str(place), (-math.inf, ""))[0]
+    return time.monotonic() < _retry_at.get(str(place), (-math.inf, ""))[0]
 
 
 def _enter(new: "NewRow", out: Path, place: str | Path) -> None:
@@ -81,10 +81,24 @@ def _enter(new: "NewRow", out: Path, place: str | Path) -> None:
 
     with open_history(place) as history:
         found = deliver(history, out, [new])
+        _sign(history)
     if found.rows:
         _say(f"{len(found.rows)} inspections that waited are in the history now")
     for line in found.damaged:
         _say(line)
+
+
+def _sign(history: "History") -> None:
+    from anisoscope.base.signature import signer_in_use
+
+    try:
+        signer = signer_in_use()
+        if signer is not None:
+            from anisoscope.history.heads import sign_head
+
+            sign_head(history, signer)
+    except AnisoscopeError as error:
+        _say(f"the head of the history is not signed: {error}")
 
 
 def _put_aside(new: "NewRow | None", folder: Path, place: str | Path, problem: str) -> None:

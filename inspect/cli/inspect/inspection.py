@@ -12,7 +12,7 @@ from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, TrustFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 
@@ -298,17 +298,20 @@ def recompute(folder: Folder, /, *, json_: Json = False) -> int:
     return 1 if found.differences else 0
 
 
-def verify(folder: Folder, /, *, json_: Json = False) -> int:
+def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -> int:
     """Check the hashes of an inspection folder: name files that were changed, removed or added.
 
-    Exit codes: 0 unchanged, 1 changed, 64 and above no inspection folder.
+    Exit codes: 0 unchanged, 1 changed or, with --trust, not signed by one of its keys, 64 and above no inspection
+    folder.
 
     Examples:
         anisoscope verify inspections/A-0001-20260115T101500Z
+        anisoscope verify inspections/A-0001-20260115T101500Z --trust keys.toml
     """
+    from anisoscope.base.signature import read_trust
     from anisoscope.inspection.integrity import verify as hashed
 
-    found = hashed(folder)
+    found = hashed(folder, None if trust is None else read_trust(trust))
     names = {"changed": found.changed, "missing": found.missing, "additional": found.additional}
     content = {
         "folder": str(folder),
@@ -316,11 +319,18 @@ def verify(folder: Folder, /, *, json_: Json = False) -> int:
         "finished": found.finished,
         "files": found.files,
         "report_written": found.report_written,
+        "signed_by": found.signed_by,
+        "distrust": list(found.distrust),
     }
     content |= {what: list(files) for what, files in names.items()}
     lines = [f"{what}: {name}" for what, files in names.items() for name in files]
+    lines += found.distrust
     if found.intact:
         lines.append(f"{found.files} files are as they were")
+    if found.signed_by is not None:
+        lines.append(f"signed by {found.signed_by}")
+    elif found.finished and not found.distrust:
+        lines.append("note: the record is not signed")
     if found.finished and not found.report_written and "report.html" not in found.missing:
         lines.append(f"note: the report is not written yet: `anisoscope report {folder}` writes it")
     if not found.finished:

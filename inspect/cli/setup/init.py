@@ -7,6 +7,7 @@ import tomli_w
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.cli.setup import project_place
 from anisoscope.cli.setup.project_place import PROJECT_NAME
 from anisoscope.cli.tables import console
 
@@ -58,6 +59,8 @@ def init(
 ) -> int:
     """Write a job folder: recipe, rig file and anisoscope.toml, which names them for all commands.
 
+    The station gets a key that signs its records, unless it has one.
+
     Commands in this folder and below it then need no --recipe, --rig, --out, --operator and --station.
     Existing files are not replaced.
 
@@ -79,21 +82,41 @@ def init(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tables = chosen.new_recipe(recipe, requested)
+        key, made = _key(station or folder.resolve().name)
         rig.write_text(RIG.format(station=(station or "rig 1").replace('"', "'")), encoding="utf-8")
-        project.write_text(_project(operator, station), encoding="utf-8")
+        project.write_text(_project(operator, station, key), encoding="utf-8")
     except OSError as error:
         raise RecordError(f"{folder}: cannot be written: {error.strerror}") from error
     for line in (
         f"{recipe}: adapt {tables}, then: anisoscope recipe check {recipe}",
         f"{rig}: name your devices; anisoscope rig ports lists the ports",
+        f"{key}: {'new; ' if made else ''}signs the records of this station; its public part: anisoscope key show",
         f"{project}: recipe and rig of all commands in this folder; anisoscope doctor says what is missing",
     ):
         console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0
 
 
-def _project(operator: str | None, station: str | None) -> str:
-    values = {"recipe": "recipe.toml", "rig": "rig.toml", "out": "inspections"}
+def station_key(station: str) -> Path:
+    """Where `init` puts the key of a station: among the settings of the user."""
+    name = "".join(one if one.isalnum() or one in "._-" else "-" for one in station).strip("-") or "station"
+    return project_place.user_path().parent / "keys" / f"{name}.pem"
+
+
+def _key(station: str) -> tuple[Path, bool]:
+    """The key of the station, and whether it is new."""
+    from anisoscope.base.signature import KeyFile, make_key
+
+    path = station_key(station)
+    if path.exists():
+        KeyFile(path)
+        return path, False
+    make_key(path)
+    return path, True
+
+
+def _project(operator: str | None, station: str | None, key: Path) -> str:
+    values = {"recipe": "recipe.toml", "rig": "rig.toml", "out": "inspections", "signing_key": str(key)}
     who = {"operator": operator, "station": station}
     stated = tomli_w.dumps(values | {name: text for name, text in who.items() if text is not None})
     missing = "".join(f'# {name} = ""\n' for name, text in who.items() if text is None)

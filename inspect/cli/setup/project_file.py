@@ -14,6 +14,7 @@ from pydantic import Field
 from anisoscope.base.csv_style import use_style
 from anisoscope.base.errors import ConfigError
 from anisoscope.base.language import use
+from anisoscope.base.signature import use_key
 from anisoscope.base.toml_file import LocalPath, Part, read_toml_model
 from anisoscope.cli.log import LOG, chosen_csv_style, chosen_language
 from anisoscope.cli.setup.project_place import project_files
@@ -47,6 +48,7 @@ class ProjectFile(Part):
     station: str | None = Field(default=None, min_length=1)
     lang: Literal["en", "de", "da"] | None = None
     csv_style: Literal["comma", "semicolon"] | None = None
+    signing_key: str | None = Field(default=None, min_length=1)
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ def read_project(path: Path) -> dict[str, Default]:
     values = {name: value for name, value in found.model_dump().items() if value is not None}
     if found.history is not None and found.history != "none" and "://" not in found.history:
         values["history"] = path.resolve().parent / found.history
+    if found.signing_key is not None and ":" not in found.signing_key and found.signing_key != "none":
+        values["signing_key"] = path.resolve().parent / found.signing_key
     return {name: Default(str(value), path) for name, value in values.items()}
 
 
@@ -93,6 +97,9 @@ def apply_project(app: "App", commands: tuple[str, ...], arguments: "ArgumentCol
     style = known.pop("csv_style", None)
     if style is not None and chosen_csv_style() is None:
         use_style(style.value)
+    key = known.pop("signing_key", None)
+    if key is not None:
+        use_key(key.value)
     given = {name for one in arguments if one.tokens for name in one.names}
     if "out" in known and "history" not in known and any(commands[: len(one)] == one for one in REVIEW):
         known["history"] = known["out"]  # inspections enter the history of their folder

@@ -5,6 +5,9 @@ import sqlite3
 import pytest
 
 from anisoscope import cli
+from anisoscope.cli.inspect import history_entry
+from anisoscope.history import store
+from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import seal_of
 from anisoscope.history.store import History, open_history
 from anisoscope.inspection import run as inspection
@@ -167,3 +170,31 @@ def test_a_history_that_another_program_writes_for_long_does_not_hold_up_the_ver
     assert len(rows_in(judged.out)) == 1
     assert cli.run(["history", "add", str(folder), "--history", str(judged.out)]) == 0
     assert len(rows_in(judged.out)) == 2
+
+
+def test_what_waits_for_a_history_enters_with_the_next_inspection(judged, inspect_on, monkeypatch):
+    """A history that is away is not tried at every part; what waits is delivered in order and once."""
+    now = [1000.0]
+    monkeypatch.setattr(history_entry.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(history_entry, "_retry_at", {})
+    place = judged.out / "mine.sqlite"
+    opened = []
+
+    def away(found, **options):
+        opened.append(found)
+        raise HistoryError("the server is away")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "open_history", away)
+        for moment in (0.0, 59.0, 61.0):
+            now[0] = 1000.0 + moment
+            code, err, _ = inspect_on(judged, "--history", str(place))
+            assert (code, err.count("\n")) == (INCONCLUSIVE, 1)
+            assert "the server is away; it waits in" in err
+        assert len(opened) == 2
+    now[0] += 61.0
+    code, err, _ = inspect_on(judged, "--history", str(place))
+    assert (code, "3 inspections that waited are in the history now" in err) == (INCONCLUSIVE, True)
+    rows = rows_in(place)
+    assert len(rows) == len({row.seal for row in rows}) == 4
+    assert not list((judged.out / "history-waiting").iterdir())

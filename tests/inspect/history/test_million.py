@@ -94,12 +94,10 @@ def test_a_million_inspections(place, tmp_path):
         sys.stdout.write(f"\n{place.split(':')[0][-10:]}: {line}")
 
     with open_history(place) as history:
-        seconds, _ = took(
-            lambda: [
-                history.append_all([new_row(number) for number in range(start, start + AT_ONCE)])
-                for start in range(0, COUNT, AT_ONCE)
-            ]
-        )
+        begun = time.perf_counter()
+        for start in range(0, COUNT, AT_ONCE):
+            history.append_all([new_row(number) for number in range(start, start + AT_ONCE)])
+        seconds = time.perf_counter() - begun
         say(f"{COUNT} added in {seconds:.0f} s")
         history.dispose(77, reviewer="Q", decision="accept", comment="burrs are allowed here")
         for name, filters in NOT_THERE.items():
