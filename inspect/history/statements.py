@@ -221,7 +221,13 @@ def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | 
         rows[new.seal] = row_from(values | {"labels": labels}, history)
         added.append(values)
     if added:
-        connection.execute(insert(schema.inspections), added)
+        statement = insert(schema.inspections)
+        if (
+            connection.dialect.name == "postgresql"
+        ):  # many rows a statement; else each would be a journey of its own
+            connection.execute(statement.returning(schema.inspections.c.id), added)
+        else:
+            connection.execute(statement, added)
     return [rows[new.seal] for new in news]
 
 

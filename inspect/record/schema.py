@@ -482,6 +482,10 @@ def write_record(record: Record, folder: Path) -> Path:
         statement |= {name: content[name] for name in names}
         statement |= {name: content["particulars"][name] for name in ("lot", "station")}
         write_text(folder / SIGNATURE_NAME, signed("record", statement, signer) + "\n")
+    else:
+        (folder / SIGNATURE_NAME).unlink(
+            missing_ok=True
+        )  # of an attempt with a key that was killed before its record
     write_text(path, whole)
     return path
 

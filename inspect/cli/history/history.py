@@ -458,7 +458,6 @@ def stamp(
         anisoscope history stamp --response head.tsr
     """
     from anisoscope.base.atomic_write import write_bytes
-    from anisoscope.base.errors import RecordError
     from anisoscope.history.heads import add_time_stamp, asked_of, time_stamp_request
 
     if [url, request, response].count(None) != 2:
@@ -468,13 +467,21 @@ def stamp(
             write_bytes(request, time_stamp_request(found))
             write_line(f"{request}: send it to an authority, and give its answer to --response")
             return 0
-        try:
-            answer = asked_of(url, time_stamp_request(found)) if response is None else response.read_bytes()
-        except OSError as error:
-            raise RecordError(f"{response} cannot be read: {error.strerror}") from error
+        answer = b"" if response is None else _content(response)
+        if url is not None:
+            answer = asked_of(url, time_stamp_request(found))
         moment = add_time_stamp(found, answer)
     write_line(f"the last signed head existed at {moment:%Y-%m-%d %H:%M:%S} UTC, says the authority")
     return 0
+
+
+def _content(path: Path) -> bytes:
+    from anisoscope.base.errors import RecordError
+
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def _is_hash(text: str) -> bool:

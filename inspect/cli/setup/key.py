@@ -82,15 +82,15 @@ def trust(
     """
     import base64
 
-    from anisoscope.base.signature import Trust, TrustedKey
+    from anisoscope.base.signature import Trust, TrustedKey, key_id
 
     text = public or base64.b64encode(_signer(None).public).decode()
     now = datetime.now(UTC).replace(microsecond=0)
-    known = _read(file) if file.exists() else Trust(schema=1)
+    known = _read(file) if file.exists() else Trust()
     if any(one.public == text for one in known.keys):
         raise UsageError(f"{file}: has this key already")
     try:
-        added = TrustedKey(station=station, public=text, since=now)
+        added = TrustedKey(station=station, public=text)
     except ValueError:
         raise UsageError(
             f"--public takes 44 letters and digits as `key show` prints them, not {text[:50]!r}"
@@ -101,10 +101,12 @@ def trust(
     ]
     _write(file, [*before, added])
     ended = sum(new != old for new, old in zip(before, known.keys, strict=True))
-    _line(
-        f"{file}: {station} signs with a new key since {now:%Y-%m-%d %H:%M} UTC"
-        + (", its earlier one ended" if ended else "")
+    until = (
+        f"; its earlier key counts until {now:%Y-%m-%d %H:%M} UTC, and the new one is to sign from now on"
+        if ended
+        else ""
     )
+    _line(f"{file}: {station} signs with {key_id(base64.b64decode(text))}{until}")
     return 0
 
 

@@ -97,9 +97,9 @@ def apply_project(app: "App", commands: tuple[str, ...], arguments: "ArgumentCol
     style = known.pop("csv_style", None)
     if style is not None and chosen_csv_style() is None:
         use_style(style.value)
-    key = known.pop("signing_key", None)
-    if key is not None:
-        use_key(key.value)
+    signing = known.pop("signing_key", None)
+    if signing is not None:
+        use_key(signing.value)
     given = {name for one in arguments if one.tokens for name in one.names}
     if "out" in known and "history" not in known and any(commands[: len(one)] == one for one in REVIEW):
         known["history"] = known["out"]  # inspections enter the history of their folder
