@@ -112,7 +112,10 @@ def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, request: OpticsReques
         return None
     else:
         heights = wave_surface(surface).interpolated(request.interpolate)
-    return choose_optics(heights, _window(rig), request.light, max(half.z for half in _halves(rig)))
+    halves = _halves(rig)
+    lowest = min(min(half.light_z, half.camera_z) for half in halves)
+    slant = float(np.sqrt(1.0 / lowest**2 - 1.0))
+    return choose_optics(heights, _window(rig), request.light, max(half.z for half in halves), slant)
 
 
 def predict_with_optics(

@@ -203,11 +203,13 @@ def hologram(
     ] = 0.5,
     coherence: Annotated[
         float | None,
-        Parameter(help="Coherence length of the source, µm; the unit's side if not given: 256 is 0.12°."),
+        Parameter(
+            help="Coherence length of the source, µm; half of the unit's side if not given: 128 is 0.25°."
+        ),
     ] = None,
     reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y| of a target.")] = 0.06,
-    picture_points: Annotated[int, Parameter(help="Directions of the picture along each axis.")] = 64,
-    search_steps: Annotated[int, Parameter(help="Steps of the search by gradients.")] = 1000,
+    picture_points: Annotated[int, Parameter(help="Directions of the picture along each axis.")] = 40,
+    search_steps: Annotated[int, Parameter(help="Steps of the search by gradients.")] = 400,
     over_etch: Annotated[float, Parameter(help="Error of all depths to judge as well, %.")] = 2.0,
     seed: Annotated[int, Parameter(help="Seed of start and wavelengths.")] = 0,
     png: Annotated[Path | None, Parameter(help="Picture of wanted, achieved and over-etched light.")] = None,
@@ -252,7 +254,7 @@ def hologram(
     band = BAND_NM if lamp is not None else (wavelength, wavelength)
     wanted = _wanted(image, picture_points, colour=lamp is not None)
     linear = np.asarray(decode_srgb()[np.rint(255.0 * wanted).astype(np.uint8)], dtype=np.float64)
-    coherence = cells * min_width if coherence is None else coherence
+    coherence = 0.5 * cells * min_width if coherence is None else coherence
     task = PictureTask(
         linear, Depths(passes, band).levels_um, lamp, 1e-3 * wavelength, cells, min_width, coherence, reach
     )
