@@ -417,6 +417,8 @@ def _map_values(places: FloatArray, found: Sequence[Focus], file: RigFile) -> di
             f"the focus at the seat {x:g} mm, {y:g} mm lies {1000.0 * off:.3g} µm off the surface, more than half of "
             f"the depth of field ({500.0 * depth:.3g} µm): seat the part again, or map more seats"
         )
+    untested = len(found) == LEAST_SEATS
+    note = ["three seats fix the plane, so that nothing tests it: map four or more"] if untested else []
     return {
         "values": {
             "z": Value(value=plane.z, u=plane.u[0], unit="mm"),
@@ -432,5 +434,5 @@ def _map_values(places: FloatArray, found: Sequence[Focus], file: RigFile) -> di
         "residuals": plane.residuals,
         "details": {"seats_mm": places.tolist(), "readings_mm": readings.tolist()},
         "in_limits": not remarks,
-        "remarks": tuple(remarks),
+        "remarks": (*remarks, *note),
     }

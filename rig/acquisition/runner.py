@@ -106,12 +106,15 @@ def _check_reach(file: RigFile, axis: RotationStage, table: str, target: float, 
             "stage": f"a sample angle of {pose.stage_deg:g}°",
             "tilt": f"a tilt of {pose.tilt_deg:g}°",
         }.get(table, f"the part at a sample angle of {pose.stage_deg:g}°")
-        hint = ' (with turns = "ccw": at least stage.approach_deg)' if table == "stage" else ""
         sign = SYMBOLS[part.unit]
+        advice = f"choose {table}.zero_{part.unit} in the rig file so that both fit"
+        if table == "stage":
+            advice += ' (with turns = "ccw": at least stage.approach_deg)'
+        if table in {"x", "y"}:
+            advice = "lay the part nearer to the axis of the stage"
         raise RigFileError(
-            f"{what} needs the {table} at {target:g}{sign} and before at "
-            f"{target - part.approach:g}{sign}, but it reaches {low:g}{sign}…{high:g}{sign}; choose "
-            f"{table}.zero_{part.unit} in the rig file so that both fit{hint}"
+            f"{what} needs the {table} at {target:g}{sign} and before at {target - part.approach:g}{sign}, but it "
+            f"reaches {low:g}{sign}…{high:g}{sign}; {advice}"
         )
 
 

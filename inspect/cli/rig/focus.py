@@ -92,7 +92,7 @@ def _map(
     from anisoscope.calibration.frames import Taking
     from anisoscope.cli.progress import progress
     from anisoscope.inspection.batch.tray import read_tray
-    from anisoscope.live_view.autofocus import map_focus
+    from anisoscope.live_view.autofocus import LEAST_SEATS, map_focus
 
     seats = [slot.place_mm for slot in read_tray(tray).slots if slot.place_mm is not None]
     confirm(message("the axes search their references and go to {count} seats", count=len(seats)), yes=yes)
@@ -110,7 +110,9 @@ def _map(
                 count=len(seats),
                 place=decimal(f"{record.number('z'):.4f} mm"),
                 slope=decimal(f"{slope:.3g}"),
-                rest=decimal(f"{1000.0 * record.number('residual'):.2g} µm"),
+                rest="–"
+                if len(seats) == LEAST_SEATS
+                else decimal(f"{1000.0 * record.number('residual'):.2g} µm"),
                 size=decimal(f"{1000.0 * record.number('repeatability'):.2g} µm"),
             )
         )

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import CameraError, RigError
+from anisoscope.base.errors import CameraError, RigError, UsageError
 from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.rotation import calibrate_rotation
 from anisoscope.cli import run as command
@@ -13,7 +13,7 @@ from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.run import inspect_part, resume_part
-from anisoscope.live_view.autofocus import Sweep, map_focus
+from anisoscope.live_view.autofocus import Sweep, fit_plane, map_focus
 from anisoscope.record.schema import Particulars, read_record
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.sim.bench.camera import SimulatedCamera
@@ -93,6 +93,22 @@ def test_the_focus_map_is_the_plane_of_the_plate(tray):
     assert focus.number("repeatability") < 0.002
     assert focus.number("bow") == 0.0
     assert focus.in_limits
+    assert focus.remarks == ("three seats fix the plane, so that nothing tests it: map four or more",)
+
+
+def test_a_bowed_plate_and_its_uncertainty_come_back_from_seats_that_scatter(rng):
+    places = rng.uniform(-10.0, 10.0, (9, 2))
+    true = np.array([10.0, -0.012, 0.02, 4e-4])
+    design = np.column_stack([np.ones(9), places, np.sum(places**2, axis=1)])
+    off = []
+    for _ in range(200):
+        found = fit_plane(places, design @ true + 0.001 * rng.standard_normal(9), 0.0)
+        off.append((np.array([found.z, *found.slope, found.bow]) - true) / found.u)
+    assert np.std(off, axis=0) == pytest.approx(
+        np.sqrt(5.0 / 3.0), rel=0.25
+    )  # of Student's t, five degrees of freedom
+    with pytest.raises(UsageError, match="do not lie on one line"):
+        fit_plane(np.array([[0.0, 0.0], [5.0, 0.0], [-4.0, 0.0]]), np.zeros(3), 0.0)
 
 
 def test_every_part_of_a_tray_is_brought_below_the_camera_and_into_focus(tray, tmp_path, run, scripted):
