@@ -34,6 +34,8 @@ _SEED = 11
 _SMALLEST = 1e-300
 _SCORES = np.linspace(0.0, 15.0, 301)
 _STEPS = 300  # of the estimate of variance components
+LEARNING_PARTS = 10
+"""Number of golden parts that a stated scatter is worth where golden parts of another recipe correct it."""
 _DETERMINED = 0.5  # degrees of freedom below which an input is not determined
 
 
@@ -231,12 +233,14 @@ class SuggestedScatter:
         ratio: estimate.
         low: lower end of its 95 % interval.
         high: upper end; infinite where the golden parts do not determine it.
+        freedom: degrees of freedom that the golden parts determine of it.
     """
 
     source: str
     ratio: float
     low: float
     high: float
+    freedom: float
 
 
 def suggested_scatter(scatter: Scatter, golden: FloatArray) -> tuple[SuggestedScatter, ...]:
@@ -244,7 +248,8 @@ def suggested_scatter(scatter: Scatter, golden: FloatArray) -> tuple[SuggestedSc
 
     Maximum likelihood of the variance components of the linear response by expectation and maximisation (Dempster,
     Laird and Rubin 1977). Intervals by χ² with the degrees of freedom that the parts determine of each input: n − 1
-    times the share by which they narrow it.
+    times the share by which they narrow it, with the stated scatter or with the estimate, whichever is less: a large
+    estimate of an input that hardly shows would claim to be well known.
 
     Args:
         scatter: stated scatter.
@@ -258,23 +263,70 @@ def suggested_scatter(scatter: Scatter, golden: FloatArray) -> tuple[SuggestedSc
     count = len(golden)
     if count < 3:
         raise MeasurementError(f"{count} golden parts do not show how parts scatter: at least 3 are needed")
-    varies = np.flatnonzero(scatter.own > 0.0)
-    slope = scatter.response.slope[:, varies] * scatter.own[varies]
-    off = golden - golden.mean(axis=0)
-    variance, rest = np.ones(len(varies)), np.ones(len(varies))
+    (slope, errors), off = _linear(scatter), golden - golden.mean(axis=0)
+    variance, rest = np.ones(slope.shape[1]), np.ones(slope.shape[1])
+    stated = np.einsum("km,mk->k", slope.T @ np.linalg.inv(slope @ slope.T + errors), slope)
     for _ in range(_STEPS):
-        gain = (slope * variance).T @ np.linalg.inv((slope * variance) @ slope.T + scatter.errors)
-        rest = variance * (1.0 - np.einsum("km,mk->k", gain, slope))
-        variance = np.sum((off @ gain.T) ** 2, axis=0) / (count - 1.0) + rest
-    known = (count - 1.0) * np.clip(1.0 - rest / np.maximum(variance, 1e-300), 0.0, 1.0)
+        squares, rest = _expected(slope, errors, off, variance)
+        variance = squares / (count - 1.0) + rest
+    narrowed = np.clip(1.0 - rest / np.maximum(variance, 1e-300), 0.0, 1.0)
+    known = (count - 1.0) * np.minimum(narrowed, stated)
     found = []
-    for k, place in enumerate(varies):
+    for k, place in enumerate(np.flatnonzero(scatter.own > 0.0)):
         ratio, freedom = float(np.sqrt(variance[k])), float(known[k])
         low, high = 0.0, float("inf")
         if freedom > _DETERMINED:
             low, high = (ratio * float(np.sqrt(freedom / chdtri(freedom, tail))) for tail in (0.025, 0.975))
-        found.append(SuggestedScatter(scatter.response.sources[place], ratio, low, high))
+        found.append(SuggestedScatter(scatter.response.sources[place], ratio, low, high, freedom))
     return tuple(found)
+
+
+def learnt_scatter(scatter: Scatter, golden: FloatArray, alike: Mapping[str, str]) -> dict[str, float]:
+    """Scatter of inputs as golden parts correct what was stated, as multiples of it, for further parts of the plastic.
+
+    Posterior mode of the variance components by expectation and maximisation (Dempster, Laird and Rubin 1977, 3.2 and
+    4.4), the stated ones worth `LEARNING_PARTS` parts: what golden parts do not show keeps its stated scatter.
+
+    Args:
+        scatter: stated scatter.
+        golden: (n, m) contrasts of golden parts, n ≥ 2.
+        alike: by the input's source the name that inputs of one scatter share.
+
+    Returns:
+        The multiple by that name.
+    """
+    (slope, errors), off = _linear(scatter), golden - golden.mean(axis=0)
+    names = [alike[scatter.response.sources[place]] for place in np.flatnonzero(scatter.own > 0.0)]
+    groups = {name: np.array([one == name for one in names]) for name in dict.fromkeys(names)}
+    variance, free = np.ones(len(names)), len(golden) - 1.0
+    for _ in range(_STEPS):
+        squares, rest = _expected(slope, errors, off, variance)
+        for group in groups.values():
+            total = float(np.sum((squares + free * rest)[group]))
+            variance[group] = (LEARNING_PARTS + total) / (LEARNING_PARTS + free * np.count_nonzero(group))
+    return {name: float(np.sqrt(variance[group][0])) for name, group in groups.items()}
+
+
+def _linear(scatter: Scatter) -> tuple[FloatArray, FloatArray]:
+    """Linear response to what differs between parts, and the rest of their covariance.
+
+    Returns:
+        (m, k) change by one stated standard deviation of each input, and the (m, m) covariance of what is not linear in
+        them, besides the errors of an inspection: without it inputs that hardly show would explain it.
+    """
+    varies = np.flatnonzero(scatter.own > 0.0)
+    slope = scatter.response.slope[:, varies] * scatter.own[varies]
+    values, vectors = np.linalg.eigh(scatter.covariance - slope @ slope.T - scatter.errors)
+    return slope, scatter.errors + (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def _expected(
+    slope: FloatArray, errors: FloatArray, off: FloatArray, variance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) sums of the squares of the expected inputs, and their remaining variances, given (n, m) deviations."""
+    gain = (slope * variance).T @ np.linalg.inv((slope * variance) @ slope.T + errors)
+    rest = variance * (1.0 - np.einsum("km,mk->k", gain, slope))
+    return np.sum((off @ gain.T) ** 2, axis=0), rest
 
 
 def _directions(

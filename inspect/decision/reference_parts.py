@@ -20,6 +20,7 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
 from anisoscope.base.json_file import bounded_bytes
 from anisoscope.base.significance import hotelling, log_basis
+from anisoscope.decision.equipment import Equipment
 from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares
 from anisoscope.recipe.base import AcquisitionPart, RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -58,6 +59,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         product: of the recipe.
         recipe_key: hash of the recipe entries common to the parts.
         seen: viewing conditions common to the parts, or None.
+        equipment: camera, lens and lamp common to the parts; None in files of earlier versions.
         poses: (stage angle, tilt) of every pose, degrees.
         parts: one row a part, in the order in which they were added.
         thing: what is inspected, in messages.
@@ -74,6 +76,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
     product: str
     recipe_key: str
     seen: BaseModel | None = None
+    equipment: Annotated[Equipment | None, Field(exclude_if=lambda value: value is None)] = None
     poses: tuple[tuple[float, float], ...]
     parts: tuple[RowT, ...] = ()
 
@@ -209,6 +212,22 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
                     f"the {self.noun}s in {path} were seen with the {what} {then!r}, now it is {name!r}: {self.anew()}"
                 )
 
+    def check_equipment(self, path: Path, now: Equipment) -> None:
+        """Check camera, lens and lamp of the next part.
+
+        Args:
+            path: file of the set.
+            now: those of the next part.
+
+        Raises:
+            CalibrationError: the parts of the set were measured with others.
+        """
+        other = None if self.equipment is None else self.equipment.other(now)
+        if other is not None:
+            raise CalibrationError(
+                f"the {self.noun}s in {path} were measured with another {other.what}: {other.text()}: {self.anew()}"
+            )
+
     @classmethod
     def anew(cls) -> str:
         """What to do with a set that does not fit."""
@@ -253,11 +272,19 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
                 raise CalibrationError(
                     f"{record.serial} was seen with the {what} {getattr(seen, what)!r}, the others with {common!r}"
                 )
+        mine = Equipment.of_record(record)
+        other = None if mine is None or base.equipment is None else mine.other(base.equipment)
+        if other is not None:
+            raise CalibrationError(
+                f"{record.serial} was measured with another {other.what} than the {base.noun}s: "
+                f"{other.text('theirs')}: inspect it as they were, or begin a set anew"
+            )
+        equipment = mine if base.equipment is None else base.equipment.completed(mine)
         if any((part.serial, part.inspected_at) == (row.serial, row.inspected_at) for part in base.parts):
             raise CalibrationError(
                 f"this inspection of {row.serial} ({row.inspected_at}) is in the set already"
             )
-        return base.model_copy(update={"parts": (*base.parts, row)})
+        return base.model_copy(update={"parts": (*base.parts, row), "equipment": equipment})
 
     def without(self, serial: str) -> Self:
         """A set without all rows of a serial number.

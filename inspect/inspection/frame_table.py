@@ -6,6 +6,7 @@ from typing import Any
 
 from anisoscope.base.errors import RecordError
 from anisoscope.calibration.white_reference import make_reference
+from anisoscope.decision.equipment import UNKNOWN
 from anisoscope.imaging.exposure_fusion import MIN_FRAMES
 from anisoscope.imaging.linearisation import stack
 from anisoscope.recipe.base import RecipeBase
@@ -14,8 +15,6 @@ from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.geometry import Pose as LightPose
-
-UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,7 +147,7 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
         *sources_of_calibrations(calibrations),
     )
     reference, white = (
-        kind.read_reference(golden_path(recipe_path), recipe, rig),
+        kind.reference_on(recipe_path, recipe, rig, white.camera),
         calibrations.white(white),
     )
     return Job(serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)

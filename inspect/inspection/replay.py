@@ -11,11 +11,11 @@ from typing import Any
 from anisoscope.base.errors import CalibrationError, CameraError, MeasurementError, RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.white_reference import read_reference, write_reference
-from anisoscope.decision.reference_parts import golden_path
+from anisoscope.decision.equipment import UNKNOWN
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import WhiteReference, check_size
 from anisoscope.inspection.folder import INPUTS, new_folder
-from anisoscope.inspection.frame_table import UNKNOWN, Replay, arrange, camera_of, white_of
+from anisoscope.inspection.frame_table import Replay, arrange, camera_of, white_of
 from anisoscope.inspection.frames import REPLAYED
 from anisoscope.inspection.job import (
     Job,
@@ -159,11 +159,12 @@ def read_given(
     kind = kind_of(recipe_path)
     recipe, rig = kind.read_recipe(recipe_path), read_replay_rig(rig_path)
     fixture = fixture_of(rig, rig_path)
-    reference = kind.read_reference(golden_path(recipe_path), recipe, rig)
     read = given if isinstance(given, FrameFolder) else read_frame_folder(frames, hold=True)
     replay = arrange(read, recipe)
     white_of_frames = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if white_of_frames is not None else _white_of_rig(rig, rig_path, replay)
+    camera = camera_of(replay) or (None if white is None else white.camera)
+    reference = kind.reference_on(recipe_path, recipe, rig, camera)
     sources = (
         *sources_of(recipe_path, rig_path, kind, recipe, rig),
         Source("frame table", frames / TABLE, read.table_sha256),

@@ -16,12 +16,13 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import RecipeError, UsageError
+from anisoscope.base.errors import CalibrationError, RecipeError, UsageError
 from anisoscope.base.notation import present_notation
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import read_toml_model
 from anisoscope.calibration.corrections import Calibrations
-from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet
+from anisoscope.decision.equipment import Equipment
+from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet, ReferenceSet, golden_path
 from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import drift_error
@@ -385,6 +386,26 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         del rig
         return None if self.reference_set is None else self.reference_set.read(path, recipe)
 
+    def reference_on(
+        self, recipe_path: Path, recipe: RecipeT, rig: RigFile, camera: str | None = None
+    ) -> Reference | None:
+        """The good parts of a recipe, measured with camera, lens and lamp of a rig; None where there are none.
+
+        Args:
+            recipe_path: the recipe's file.
+            recipe: its content.
+            rig: the rig.
+            camera: name or serial number of its camera, where that is known.
+
+        Raises:
+            CalibrationError: as for `read_reference`, or another camera, lens or lamp.
+        """
+        path = golden_path(recipe_path)
+        found = self.read_reference(path, recipe, rig)
+        if isinstance(found, ReferenceSet):
+            found.check_equipment(path, Equipment.of_rig(rig, camera))
+        return found
+
     def add_reference(self, known: Any, recipe: RecipeT, record: Record) -> Reference:  # noqa: ANN401
         """A set with one good part more.
 
@@ -449,13 +470,21 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         del record, recipe, reference, rig
         return {}
 
-    def teach_by_reference(self, recipe_path: Path, rig_path: Path, share: float) -> Taught:
-        """Write a new version of a recipe with the limits that its good parts teach.
+    def teach_by_reference(
+        self, recipe_path: Path, rig_path: Path, share: float, source: Path | None = None
+    ) -> Taught:
+        """Write a new version of a recipe with what good parts teach of it: limits, or how parts differ.
+
+        Args:
+            recipe_path: recipe file.
+            rig_path: rig file; no device is opened.
+            share: of good parts that should pass all limits, where limits are taught.
+            source: another recipe whose good parts teach; None: its own.
 
         Raises:
             UsageError: good parts do not teach this kind, or there are too few of them.
         """
-        del rig_path, share
+        del rig_path, share, source
         raise UsageError(
             f"{recipe_path} is the recipe of {self.one}: good parts alone do not teach it, only beside "
             "a part that is inspected, with --serial"
@@ -490,6 +519,10 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         rig = read_replay_rig(rig_path)
         self.check(recipe, rig, path, rig_path)
         check_region(recipe, rig.fixture, path)
+        try:
+            self.reference_on(path, recipe, rig)
+        except CalibrationError as error:  # nothing is judged here: no exit code of a verdict
+            raise RecipeError(str(error)) from error
         if not rig.without_devices:
             check_arm(rig, [pose.tilt_deg for pose in recipe.poses.poses()])
         found = self.capability(recipe, rig, rig.light.angle_deg, tries, advance)

@@ -10,10 +10,12 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import CalibrationError, HeightMapError
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import CalibrationError, HeightMapError, UsageError
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
+from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
@@ -45,6 +47,7 @@ from anisoscope.prediction.part_scatter import (
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, check_material, read_surface_recipe
+from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
     DirectionRecord,
     GoldenRecord,
@@ -56,7 +59,7 @@ from anisoscope.record.schema import (
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.report.conclusion import named_regions, surface_finding
 from anisoscope.report.inspection_page import Pictures, Sections
-from anisoscope.rig.rigfile import RigFile
+from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
 RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
 HEIGHT_MAP = "height map"
@@ -321,6 +324,20 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         del rig
         return {("decision", "tolerance"): _tolerances(record, recipe, cast("GoldenSet | None", reference))}
 
+    def teach_by_reference(
+        self, recipe_path: Path, rig_path: Path, share: float, source: Path | None = None
+    ) -> Taught:
+        """Write a new version of a recipe with the scatter between parts that golden parts show.
+
+        The golden parts may be those of another recipe for the same plastic and rig: other poses or ridges.
+
+        Raises:
+            UsageError: no scatter is stated of this kind, the golden parts are too few, or the plastics differ.
+        """
+        if not self.reference_set.predictive:
+            return super().teach_by_reference(recipe_path, rig_path, share, source)
+        return teach_scatter(self, recipe_path, rig_path, source or recipe_path)
+
     def capability(
         self,
         recipe: RecipeT,
@@ -507,6 +524,71 @@ def scatter_texts(recipe: SurfaceRecipe) -> dict[str, tuple[float, str]]:
         "seating tilt about y": seat,
         RIDGE_ANGLE: (recipe.scattered_ridge_angle_deg, "°, ridge_angle_deg"),
     }
+
+
+LEAST_CHANGE = 0.05
+"""Relative change of a scatter for which a recipe gets a new version."""
+
+
+def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, source_path: Path) -> Taught:
+    """Write a new version of a recipe with the scatter that golden parts of it, or of another recipe, teach.
+
+    How parts, plastic and seat scatter is the same in any poses and of any ridges. What the golden parts show corrects
+    what their recipe states (`predictive_test.learnt_scatter`); what they do not show stays as it states it.
+
+    Args:
+        kind: of both recipes.
+        recipe_path: the recipe that changes.
+        rig_path: the rig of both; no device is opened.
+        source_path: the recipe of the golden parts.
+
+    Raises:
+        UsageError: less than three golden parts, another plastic, or nothing would change.
+        CalibrationError: the golden parts are not those of recipe and rig.
+        RecipeError, RigFileError, RecordError: a file.
+    """
+    from anisoscope.decision.predictive_test import learnt_scatter, suggested_scatter  # noqa: PLC0415 - scipy
+
+    recipe, source = kind.read_recipe(recipe_path), kind.read_recipe(source_path)
+    rig = read_replay_rig(rig_path)
+    if recipe.material.material() != source.material.material():
+        raise UsageError(
+            f"{recipe_path} and {source_path} state different plastics, whose parts need not scatter alike: name the "
+            "same material file in both"
+        )
+    known = cast("GoldenSet | None", kind.reference_on(source_path, source, rig))
+    parts = kind.part_scatter(source, rig.light.angle_deg)
+    count = 0 if known is None else len(known.parts)
+    if known is None or parts is None or count < LEAST_PARTS:
+        lacking = f"it has {count}" if parts is not None else "it states none, or has no ridges"
+        raise UsageError(f"{source_path}: {LEAST_PARTS} golden parts or more teach [scatter], {lacking}")
+    stated, before = scatter_texts(source), scatter_texts(recipe)
+    keys = {name: text.split(", ")[1] for name, (_, text) in stated.items()}
+    scatter = contrast_scatter(parts, CAMERA_SHARE)
+    learnt = learnt_scatter(scatter, known.contrasts(), keys)
+    values: dict[tuple[str, ...], Any] = {("version",): recipe.version + 1}
+    changes = []
+    for one in suggested_scatter(scatter, known.contrasts()):
+        key, (value, text) = keys[one.source], stated[one.source]
+        new, old, unit = value * learnt[key], before[one.source][0], text.split(", ")[0]
+        if ("scatter", key) in values or abs(new - old) <= LEAST_CHANGE * old:
+            continue
+        rounded, share = float(f"{new:.2g}"), 0.01 if unit == "%" else 1.0
+        values["scatter", key] = float(f"{rounded * share:.6g}")
+        why = (
+            f"{count} golden parts of {source_path.name} show {value * one.ratio:.2g} {unit} of {one.source}"
+        )
+        changes.append(Change(f"scatter.{key}", f"{old:.2g} {unit}", f"{rounded:g} {unit}", why))
+    if not changes:
+        raise UsageError(
+            f"{recipe_path}: [scatter] stays: it is within {LEAST_CHANGE:.0%} of what those of {source_path} teach"
+        )
+    previous = previous_version_path(recipe_path, recipe.version)
+    text = recipe_path.read_text(encoding="utf-8")
+    new_text = with_values(text, values)
+    write_text(previous, text)
+    write_text(recipe_path, new_text)
+    return Taught(recipe.version + 1, previous, None, tuple(changes), ())
 
 
 def unlike_text(decided: Decision) -> str | None:

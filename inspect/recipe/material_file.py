@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -126,6 +126,19 @@ class ValidityPart(Part):
         return value
 
 
+class Difference(NamedTuple):
+    """Camera, lens or lamp that is another one here: which, and both values with their unit."""
+
+    what: Literal["camera", "lens", "lamp"]
+    key: str
+    own: str
+    here: str
+
+    def text(self, here: str = "here") -> str:
+        """Both values, such as "wavelength_nm 520 nm, here 630 nm"."""
+        return f"{self.key} {self.own}, {here} {self.here}".strip()
+
+
 class MaterialLightPart(Part):
     """Lamp and lens of the scan, as far as the rig file states them."""
 
@@ -133,6 +146,21 @@ class MaterialLightPart(Part):
     bandwidth_nm: NotNegative | None = None
     lamp_half_angle_deg: NotNegative | None = None
     aperture_half_angle_deg: NotNegative | None = None
+
+    def other(self, light: Self) -> Difference | None:
+        """By what lamp or lens are others here, or None; only what both state is compared."""
+        limits = {
+            "wavelength_nm": (SAME_WAVELENGTH_NM, " nm"),
+            "bandwidth_nm": (SAME_BANDWIDTH_NM, " nm"),
+            "lamp_half_angle_deg": (SAME_HALF_ANGLE_DEG, "°"),
+            "aperture_half_angle_deg": (SAME_HALF_ANGLE_DEG, "°"),
+        }
+        for key, (limit, unit) in limits.items():
+            own, here = getattr(self, key), getattr(light, key)
+            if own is not None and here is not None and abs(own - here) > limit:
+                what: Literal["lens", "lamp"] = "lens" if key.startswith("aperture") else "lamp"
+                return Difference(what, key, f"{own:g}{unit}", f"{here:g}{unit}")
+        return None
 
 
 class ScanPart(Part):
@@ -223,22 +251,13 @@ class MaterialFile(Part):
 
     def other_light(self, light: MaterialLightPart) -> str | None:
         """Why this material belongs to another lamp or lens, in one line, or None; only what both state is compared."""
-        limits = {
-            "wavelength_nm": (SAME_WAVELENGTH_NM, "nm"),
-            "bandwidth_nm": (SAME_BANDWIDTH_NM, "nm"),
-            "lamp_half_angle_deg": (SAME_HALF_ANGLE_DEG, "°"),
-            "aperture_half_angle_deg": (SAME_HALF_ANGLE_DEG, "°"),
-        }
-        for key, (limit, unit) in limits.items():
-            own, other = getattr(self.light, key), getattr(light, key)
-            if own is not None and other is not None and abs(own - other) > limit:
-                space = "" if unit == "°" else " "
-                what = "lens" if key.startswith("aperture") else "lamp"
-                return (
-                    f"the material {self.id} was measured with another {what}: {key} {own:g}{space}{unit}, here "
-                    f"{other:g}{space}{unit}: calibrate it again with this {what}"
-                )
-        return None
+        found = self.light.other(light)
+        if found is None:
+            return None
+        return (
+            f"the material {self.id} was measured with another {found.what}: {found.text()}: calibrate it again with "
+            f"this {found.what}"
+        )
 
     def expired(self, at: datetime) -> str | None:
         """Why this material no longer holds at a time, in one line, or None."""

@@ -131,8 +131,10 @@ def show(
             )
     angle = light_angle if rig is None else read_rig(rig).light.angle_deg
     output = kind.show_reference(known, rules, angle)
-    content = _content(path, known.lacking, len(known.parts)) | output.content
-    print_output(replace(output, content=content), json_=json_)
+    measured_with = getattr(known, "equipment", None)
+    content = _content(path, known.lacking, len(known.parts)) | {"equipment": measured_with} | output.content
+    line = f"measured with: {measured_with or 'not recorded by the version that collected them'}"
+    print_output(replace(output, content=content, lines=(*output.lines, line)), json_=json_)
     return 0
 
 

@@ -264,8 +264,18 @@ def teach(
     reflectance: ReflectanceOption = 0.99,
     golden: Annotated[
         bool,
-        Parameter(negative="", help="Of a print: tolerances by its golden prints; nothing is photographed."),
+        Parameter(
+            negative="",
+            help="By golden parts, and nothing is photographed: tolerances of a print, [scatter] of ridges.",
+        ),
     ] = False,
+    from_: Annotated[
+        Path | None,
+        Parameter(
+            name=["--from"],
+            help="With --golden: another recipe, for the same plastic and rig, whose golden parts teach.",
+        ),
+    ] = None,
     share: Annotated[
         float, Parameter(help="With --golden: share of good prints that should pass all limits.")
     ] = 0.95,
@@ -274,17 +284,21 @@ def teach(
 ) -> int:
     """Photograph a good part, and set exposure, region and tolerances of a recipe by it.
 
-    --frames uses existing frames and their exposure. --golden sets only the tolerances of a print, by its golden
-    prints. The recipe becomes a new version; the old one is saved as NAME.v1.toml and so on.
+    --frames uses existing frames and their exposure. --golden sets only the tolerances of a print by its golden
+    prints, or the scatter of ridged parts by theirs. The recipe becomes a new version; the old one is saved as
+    NAME.v1.toml and so on.
 
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
         anisoscope recipe teach print.toml --rig rig.toml --golden
+        anisoscope recipe teach upright.toml --rig rig.toml --golden --from tilted.toml
     """
     if golden == (serial is not None):
         raise UsageError(
-            "name either a good part with --serial, or --golden for the golden prints of a recipe"
+            "name either a good part with --serial, or --golden for the golden parts of a recipe"
         )
+    if from_ is not None and not golden:
+        raise UsageError("--from names the recipe whose golden parts teach: it needs --golden")
     if golden and frames is not None:
         raise UsageError("--golden teaches by golden prints, and --frames by a good part: leave one out")
     if rig is None and frames is None:
@@ -293,7 +307,7 @@ def teach(
         found = _by_part(file, rig, serial, out, frames, reflectance, json_=json_)
     else:
         assert rig is not None
-        found = _by_golden(file, rig, share)
+        found = _by_golden(file, rig, share, from_)
     if json_:
         print_json(found)
         return 0
@@ -329,12 +343,12 @@ def _by_part(
         return teach_by_frames(file, frames, serial, out, advance, rig_path=rig, reflectance=reflectance)
 
 
-def _by_golden(file: Path, rig: Path, share: float) -> "Taught":
+def _by_golden(file: Path, rig: Path, share: float, source: Path | None) -> "Taught":
     """No part is judged here, so no exit code may look like a verdict."""
     from anisoscope.kinds.registry import kind_of
 
     try:
-        return kind_of(file).teach_by_reference(file, rig, share)
+        return kind_of(file).teach_by_reference(file, rig, share, source)
     except CalibrationError as error:
         raise UsageError(str(error)) from error
 

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import AnisoscopeError, MeasurementError
+from anisoscope.base.errors import AnisoscopeError, MeasurementError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
@@ -228,10 +228,16 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
             found = golden_tolerances(golden, recipe, expectation_of_print(recipe, rig))
         return {("tolerances", key): (one.value, one.why) for key, one in found.items()}
 
-    def teach_by_reference(self, recipe_path: Path, rig_path: Path, share: float) -> Taught:
+    def teach_by_reference(
+        self, recipe_path: Path, rig_path: Path, share: float, source: Path | None = None
+    ) -> Taught:
         """Write a new version of the recipe with the tolerances that its golden prints teach."""
         from anisoscope.kinds.prints.tolerances import teach_by_golden
 
+        if source is not None:
+            raise UsageError(
+                f"{recipe_path}: tolerances of prints are taught by their own golden prints: leave --from out"
+            )
         return teach_by_golden(recipe_path, rig_path, share)
 
     def capability(
