@@ -2,20 +2,27 @@
 
 import csv
 import shutil
+import tomllib
 
 import numpy as np
 import pytest
 import tifffile
+import tomli_w
+from scipy.ndimage import map_coordinates
 
 from anisoscope.base.errors import CalibrationError, RecordError, RigFileError, UsageError
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import resume_part
+from anisoscope.kinds.registry import kind_of
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import Record
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import TABLE, HeldFile, write_frame_folder
-from anisoscope.sim.bench.bench import Bench
+from anisoscope.rig.rigfile import read_replay_rig
+from anisoscope.sim.bench.bench import Bench, build_surface
 from anisoscope.sim.bench.benchfile import read_bench
 
 COLUMNS = ["file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_depth", "black_level"]
@@ -251,3 +258,47 @@ def test_a_replay_that_was_interrupted(taken, monkeypatch, replay):
     (left,) = set(rig.folders) - before
     with pytest.raises(RecordError, match="not all frames were copied: inspect the folder of frames again"):
         resume_part(left)
+
+
+def test_the_own_map_of_a_part_may_be_measured_at_any_rotation(virtual_rig, plain):
+    """Facets of the map lean toward 217°: it is placed on the pictures to a pixel, and predicts as the straight one."""
+    rig = virtual_rig(bench={"sample": {"resolved_alpha": 0.03}})
+    live = rig.inspect()
+    frames, folder = (
+        [read_frame(live.folder / entry.name) for entry in live.record.frames],
+        rig.out.parent / "frames",
+    )
+    write_frame_folder(folder, frames, [entry.again for entry in live.record.frames])
+    bench = rig.bench.file
+    part = build_surface(bench.sample, np.random.default_rng(bench.seed).spawn(3)[0]).surface
+    points, step = 321, 2.5
+    y, x = (np.mgrid[:points, :points] - (points - 1) / 2.0) * step
+
+    def measured(azimuth_deg):
+        cos, sin = np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
+        places = [
+            (cos * y - sin * x) / part.pixel_y_um + (part.shape[0] - 1) / 2.0,
+            (cos * x + sin * y) / part.pixel_x_um + (part.shape[1] - 1) / 2.0,
+        ]
+        return HeightMap(map_coordinates(part.height_um, places, order=1), step, step)
+
+    found = {}
+    for azimuth_deg in (0.0, 217.0):
+        path = rig.recipe.with_name(f"at-{azimuth_deg:g}.x3p")
+        write_height_map(measured(azimuth_deg), path)
+        table = tomllib.loads(rig.recipe.read_text(encoding="utf-8"))
+        del table["surface"]["design"]
+        table["surface"]["height_map"] = path.name
+        own = path.with_suffix(".toml")
+        own.write_text(tomli_w.dumps(table), encoding="utf-8")
+        kind = kind_of(own)
+        found[azimuth_deg] = (
+            own,
+            kind.predict(kind.read_recipe(own), read_replay_rig(rig.rig), cached=False).radiance,
+        )
+    np.testing.assert_allclose(found[217.0][1], found[0.0][1], rtol=0.012)
+    record = inspect_frames(folder, found[217.0][0], "R-1", rig.out, rig_path=rig.rig, methods=plain).record
+    assert record.verdict == "PASS", record.reasons
+    place = record.details.map_place
+    assert place.resolved, place.says
+    assert np.hypot(place.x_um, place.y_um) < 8.0

@@ -19,6 +19,7 @@ from anisoscope.report.detection_page import tables_of, write_detection_page
 from anisoscope.report.detection_text import BEGIN, END, RULES, numbers_of, with_results, write_results
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light import corrected
+from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.light.shine import shine_in
@@ -393,6 +394,33 @@ def test_parts_and_rigs_scatter_as_told_and_defects_are_put_in(rng):
     angles = {draw(BY_NAME["ridge-angle"], rng)[1] for _ in range(20)}
     assert angles == {-0.5, 0.5}
     assert draw(BY_NAME["wear"], rng)[0].wear_um == 5.0
+
+
+def test_four_rigs_cannot_show_whether_intervals_of_measured_contrasts_hold(rng):
+    """Stray light, which all parts of a rig share, is most of the error: two of the four rigs have twice its u."""
+    stated, size = recipe_of("tilted", Size()).uncertainty, Size()
+    entropy = [1, list(WORLDS).index("reflections")]
+    seeds = [np.random.SeedSequence([7, *entropy, number]) for number in range(4)]
+    rigs = [draw_rig(np.random.default_rng(one.spawn(1 + sum(size.counts.values()))[0])) for one in seeds]
+    beyond = [abs(rig.stray) > 2.0 * stated.stray_radiance for rig in rigs]
+    assert sum(beyond) == 2
+
+    light = corrected.radiance(*SIDES, RidgeDesign(PITCH_UM, 10.0, edge_radius_um=0.0), WHOLE)
+    first, second = np.array(consecutive_pairs(recipe_of("tilted", size).poses.poses())).T
+    alone, stray = np.hypot(stated.flat_share, stated.linearity_share), stated.stray_radiance / light
+    u = np.sqrt(2.0 * alone**2 + (stray[first] - stray[second]) ** 2)
+
+    def held(rig):
+        linear = rig.linearity[: len(light)] - 1.0
+        off = rig.stray / light + linear + stated.flat_share * rng.standard_normal((40, len(light)))
+        return float(np.mean(np.abs(off[:, first] - off[:, second]) <= 1.96 * u))
+
+    shares = np.array([held(draw_rig(rng)) for _ in range(2000)])
+    assert shares.mean() == pytest.approx(0.95, abs=0.01)
+    of_four = np.percentile(shares.reshape(-1, 4).mean(axis=1), [2.5, 97.5])
+    assert of_four[0] < 0.88
+    assert of_four[1] > 0.97
+    assert np.mean([held(rig) for rig in rigs]) < 0.91
 
 
 def test_a_window_is_a_piece_of_the_sensor(rng):
