@@ -269,10 +269,10 @@ def teach(
             help="By golden parts, and nothing is photographed: tolerances of a print, [scatter] of ridges.",
         ),
     ] = False,
-    from_: Annotated[
+    golden_of: Annotated[
         Path | None,
         Parameter(
-            name=["--from"],
+            name=["--golden-of"],
             help="With --golden: another recipe, for the same plastic and rig, whose golden parts teach.",
         ),
     ] = None,
@@ -291,14 +291,14 @@ def teach(
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
         anisoscope recipe teach print.toml --rig rig.toml --golden
-        anisoscope recipe teach upright.toml --rig rig.toml --golden --from tilted.toml
+        anisoscope recipe teach upright.toml --rig rig.toml --golden --golden-of tilted.toml
     """
     if golden == (serial is not None):
         raise UsageError(
             "name either a good part with --serial, or --golden for the golden parts of a recipe"
         )
-    if from_ is not None and not golden:
-        raise UsageError("--from names the recipe whose golden parts teach: it needs --golden")
+    if golden_of is not None and not golden:
+        raise UsageError("--golden-of names the recipe whose golden parts teach: it needs --golden")
     if golden and frames is not None:
         raise UsageError("--golden teaches by golden prints, and --frames by a good part: leave one out")
     if rig is None and frames is None:
@@ -307,7 +307,7 @@ def teach(
         found = _by_part(file, rig, serial, out, frames, reflectance, json_=json_)
     else:
         assert rig is not None
-        found = _by_golden(file, rig, share, from_)
+        found = _by_golden(file, rig, share, golden_of)
     if json_:
         print_json(found)
         return 0

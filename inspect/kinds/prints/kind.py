@@ -236,7 +236,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
 
         if source is not None:
             raise UsageError(
-                f"{recipe_path}: tolerances of prints are taught by their own golden prints: leave --from out"
+                f"{recipe_path}: tolerances of prints are taught by their own golden prints: leave --golden-of out"
             )
         return teach_by_golden(recipe_path, rig_path, share)
 
