@@ -1,6 +1,6 @@
 """Plates with tolerances, photographed and judged by the hundred: rates of false alarms, of defects found, of grades.
 
-    python tools/plate_campaign.py FOLDER [--plates 1000] [--seed 1]
+    python tools/plate_campaign.py FOLDER [--plates 1000] [--seed 1] [--kinds missing direction]
     python tools/plate_campaign.py FOLDER --summary [--docs docs/plates.md]
 
 Every plate is a Data Matrix of ridges whose fields differ in ridge angle, roughness, height and place. A batch of
@@ -124,10 +124,12 @@ def photograph(
     return View(pose.stage_deg, pose.tilt_deg, RadianceImage(value, noise, full, share, frames=FRAMES), place)
 
 
-def plate(number: int, seed: int, recipe_: PlateRecipe, expected: ExpectedPlate) -> dict[str, Any]:
+def plate(
+    number: int, seed: int, kinds: tuple[str, ...], recipe_: PlateRecipe, expected: ExpectedPlate
+) -> dict[str, Any]:
     """One plate of the campaign: what it is, what was measured, and what its height map predicts."""
     lot_table, rng = table_of(seed, number), np.random.default_rng([seed, number, 1])
-    kind = KINDS[number % len(KINDS)]
+    kind = kinds[number % len(kinds)]
     defects = defects_of(kind, rng)
     made = lot(seed, number // LOT).lot_mate(rng, defects)
     seat = seating_rotation(*lot_table["seating_tilt_deg"])
@@ -148,7 +150,7 @@ def plate(number: int, seed: int, recipe_: PlateRecipe, expected: ExpectedPlate)
     found["places"] = [
         None if one is None else [*one.shift, one.turn_deg, one.axial, one.grid] for one in seen.places
     ]
-    if kind != "good" or number % MAP_OF_GOOD == 0:
+    if kinds == KINDS and (kind != "good" or number % MAP_OF_GOOD == 0):
         found["map"] = rounded(of_map(made, recipe_, expected))
     return found
 
@@ -278,6 +280,13 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--plates", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--kinds",
+        nargs="+",
+        choices=sorted(set(KINDS)),
+        default=KINDS,
+        help="kinds in turn; without height maps",
+    )
     parser.add_argument("--summary", action="store_true", help="judge the plates there are, and print rates")
     parser.add_argument("--docs", type=Path, help="page whose table of rates is replaced, with --summary")
     given = parser.parse_args()
@@ -296,7 +305,7 @@ def main() -> None:
         return
     with path.open("a", encoding="utf-8") as stream:
         for number in range(done, given.plates):
-            stream.write(json.dumps(plate(number, given.seed, recipe_, expected)) + "\n")
+            stream.write(json.dumps(plate(number, given.seed, tuple(given.kinds), recipe_, expected)) + "\n")
             stream.flush()
 
 

@@ -96,6 +96,13 @@ def two_sided(z: FloatArray) -> FloatArray:
     return np.asarray(erfc(np.abs(z) / np.sqrt(2.0)))
 
 
+def two_sided_score(p_value: float) -> float:
+    """Standard normal score of a two-sided p value."""
+    from scipy.special import ndtri  # noqa: PLC0415 - start-up time
+
+    return -float(ndtri(0.5 * p_value))
+
+
 def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances: FloatArray) -> float:
     """Probability that all true deviations lie within their tolerances at once (JCGM 106:2012, 7.2, for several).
 

@@ -23,7 +23,12 @@ from anisoscope.prediction.predict import Reflect, Roughness, predict_design, pr
 from anisoscope.prediction.predicted import Predicted
 from anisoscope.prediction.reflections import groove_of_design
 from anisoscope.prediction.relief_preparation import Levelling, turned_clockwise
-from anisoscope.prediction.ridge_edges import LARGEST_ANGLE_DEG, LEAST_ANGLE_DEG, SeveralDirectionsError
+from anisoscope.prediction.ridge_edges import (
+    LARGEST_ANGLE_DEG,
+    LEAST_ANGLE_DEG,
+    SeveralDirectionsError,
+    field_edges,
+)
 from anisoscope.prediction.sensitivity import Budget, Contribution, InputUncertainty
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
@@ -44,6 +49,10 @@ TRIED = 6
 """Regions of a class in which ridges are searched."""
 PREDICTED = 2
 """Regions of a class that are predicted, the largest ones; their mean stands for the class."""
+LEAST_RIDGES = 4.0
+"""Ridges of a square region from which on it is predicted alone."""
+ON_GRID_DEG = 1.0
+"""Angle to the grid up to which ridges run along it."""
 SEATING = "seating tilt about x", "seating tilt about y"
 ALIKE = 0.1
 """Relative difference up to which the areas of two classes count as equal."""
@@ -287,7 +296,10 @@ def _with_ridges(regions: "DirectionRegions", number: int) -> list[HeightMap]:
     found: list[HeightMap] = []
     for region in regions.of_class(number)[:TRIED]:
         part = regions.part(region)
-        if np.isfinite(part.height_um).any() and find_period(part).is_periodic:
+        if not np.isfinite(part.height_um).any():
+            continue
+        period, area = find_period(part), region.points * part.pixel_x_um * part.pixel_y_um
+        if period.is_periodic and np.sqrt(area) >= LEAST_RIDGES * period.pitch_um:
             found.append(part)
         if len(found) == PREDICTED:
             break
@@ -298,8 +310,10 @@ def _with_ridges(regions: "DirectionRegions", number: int) -> list[HeightMap]:
 class _Facets:
     """Prediction of regions of few ridges, facet by facet: each with the lobe of its class, shadows of the whole map.
 
-    Light that is reflected more than once is that of a groove with the median ridge angle; uncertainties are those of
-    ideal ridges of this angle, and of walls narrower than a pixel.
+    What the points of the map do to walls and crests is made good for by the profile of all regions of the class
+    together (`anisoscope.prediction.ridge_edges.field_edges`), where ridges do not run along the grid. Light that is
+    reflected more than once is that of the groove of this profile, else of the median ridge angle; uncertainties are
+    those of ideal ridges, and of walls narrower than a pixel.
     """
 
     surface: HeightMap
@@ -330,18 +344,25 @@ class _Facets:
         relief = Relief(lying, None, 1.0, self.facets, _direction(rest), rest)
         points = np.isin(self.regions.labels, [one.number for one in self.regions.of_class(number)])
         mask = np.rot90(points, quarters)[:-1, :-1]
+        design = self._design(lying, mask, rest)
+        edges = None
+        if abs(rest) > ON_GRID_DEG:  # else all ridges show their walls at the same few places
+            fields = np.rot90(np.where(points, self.regions.labels, 0), quarters)
+            edges = field_edges(relief, np.ascontiguousarray(fields, dtype=np.int32), design)
         lobe = self.material
         if self.roughness == "plastic":
             part = turned_clockwise(self.regions.part(self.regions.of_class(number)[0]), quarters)
             lobe = resolve(replace(relief, surface=part)).lobe(lobe)
 
         def direct(to_light: FloatArray, to_camera: FloatArray, plastic: Material) -> FloatArray:
+            if edges is not None:
+                return edges.light(to_light, to_camera, plastic)
             maps = radiance_maps(relief, to_light, to_camera, plastic)
             return np.array([float(np.nanmean(one[mask], dtype=float)) for one in maps])
 
         sides = directions(self.poses, frame)
         radiance = through(direct, self.optics)(*sides, lobe)
-        design = self._design(lying, mask, rest)
+        design = design if edges is None else edges.edges.design
         ideal = predict_design(
             design, lobe, self.poses, frame, "corrected", self.bounces, self.inputs, optics=self.optics
         )

@@ -13,6 +13,7 @@ what is missing there, is the same in the first and the last term and drops out,
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -25,7 +26,7 @@ from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
 from anisoscope.profiles.period import MIN_SCORE, Period
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief import Relief, radiance_maps
 from anisoscope.sim.light.relief import radiance as relief_radiance
 
 LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG = 0.2, 44.0
@@ -51,6 +52,14 @@ STEEP_DEG, MOST_DRAFT_DEG = 25.0, 35.0
 LEAST_SIGMA, PLACE_SIGMA = 0.005, 0.03  # of a pixel: of heights in a bin, and of its place
 MISFIT = 0.08  # of the height of the ridges: rms of the heights about the fitted profile
 BAND_ROWS = 160
+MARGIN, LEAST_DEEP, CLEAR_PIXELS = 5, 0.4, 2.5
+"""Points next to borders of fields that are left out; share of the points that must be left; points about walls whose
+slopes do not count as roughness."""
+REACH, LEAST_LOSS, MOST_LOSS = (0.99, 0.01), 0.02, 0.9
+"""Quantiles of the heights of fields, and height losses from which on a level top is tried, and up to which."""
+PASSES, OTHER_PITCH = 3, 0.3
+"""Passes in which the pitch is found, and by how much it may differ from that by the height of the ridges."""
+ALPHA_OF_MAD = 1.4826 * 2.0**0.5
 PLAIN_ROWS = 3
 
 
@@ -297,7 +306,13 @@ def _about_the_wall(
     half = max(WINDOW_PIXELS * pixel, WINDOW_SHARE * pitch)
     height = surface.height_um[chosen]
     use = (np.abs(offset) <= half) & np.isfinite(height)
-    offset, height, ridge = offset[use], height[use], ridge[use]
+    return _binned(offset[use], height[use], ridge[use], pixel, half)
+
+
+def _binned(
+    offset: FloatArray, height: FloatArray, ridge: FloatArray, pixel: float, half: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As `_about_the_wall`, of (N,) points with the number of the ridge on which each lies."""
     index = np.floor((offset + half) * BINS_A_PIXEL / pixel).astype(np.intp)
     order = np.lexsort((height, index))
     offset, height, ridge, index = offset[order], height[order], ridge[order], index[order]
@@ -317,6 +332,198 @@ def _about_the_wall(
         np.maximum(scatter, usual) ** 2 + pixel**2 * (LEAST_SIGMA**2 + (PLACE_SIGMA * slope) ** 2)
     )
     return place, median, np.asarray(sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEdges:
+    """Profile of the ridges of fields that hold few of them, from all fields of one direction together.
+
+    Attributes:
+        edges: the profile; its relief is the map.
+        sampled: the map with the profile in these fields, each at its own place.
+        inside: (rows − 1, cols − 1) facets of the fields, away from their borders.
+    """
+
+    edges: RidgeEdges
+    sampled: Relief
+    inside: npt.NDArray[np.bool_]
+
+    def light(self, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        """(P,) direct light of the fields in 1/sr: that of their facets, and what the points of the map miss."""
+        rough = self.edges.rougher(material)
+        whole = corrected.radiance(to_light, to_camera, self.edges.design, rough)
+        shown, missed = (
+            np.array([float(np.nanmean(each[self.inside], dtype=float)) for each in radiance_maps(*one)])
+            for one in (
+                (self.edges.relief, to_light, to_camera, material),
+                (self.sampled, to_light, to_camera, rough),
+            )
+        )
+        return np.asarray(shown + whole - missed)
+
+
+def field_edges(relief: Relief, labels: npt.NDArray[np.int32], plain: RidgeDesign) -> FieldEdges | None:
+    """Fit one profile to the ridges of many fields of one direction, each at a place of its own.
+
+    Walls are where the surface rises along the azimuth toward which it falls elsewhere. Their common distance is the
+    pitch, and what is left of their places the place of the ridges of a field. The heights of all fields about their
+    walls are then fitted together, as in `ridge_edges`.
+
+    Args:
+        relief: the map; its facets fall toward ``turn_deg``.
+        labels: (rows, cols) number of the field of every point, 0 beyond these fields.
+        plain: pitch and ridge angle, roughly.
+
+    Returns:
+        The profile; None where the fields show no walls, or walls of another shape.
+    """
+    surface, azimuth = relief.surface, relief.turn_deg
+    across, pixel = _across(surface, azimuth, slice(None)), _step_um(surface, azimuth)
+    deep = _deep_labels(labels)
+    numbers = np.where(deep[1:, 1:] == deep[:-1, :-1], deep[:-1, :-1], 0)
+    cos, sin = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
+    fall_x, fall_y = _falls(surface)
+    fall = cos * fall_x + sin * fall_y
+    rising = (numbers > 0) & (fall < 0.0)  # false where missing
+    middle = 0.5 * (across[1:, 1:] + across[:-1, :-1])
+    known = (deep > 0) & np.isfinite(surface.height_um)
+    walls, facets = (
+        (middle[rising], -fall[rising], numbers[rising]),
+        (across[known], surface.height_um[known], deep[known]),
+    )
+    pitch, places = _wall_places(walls, facets, plain, pixel, int(labels.max()))
+    if not np.isfinite(places).any() or abs(pitch / plain.pitch_um - 1.0) > OTHER_PITCH:
+        return None
+    plain = replace(plain, pitch_um=pitch, wall=plain.ridge_angle_deg)
+    here = known & np.isfinite(places[deep])
+    height, field, offset = surface.height_um[here], deep[here], across[here] - places[deep[here]]
+    levels = _levels(height - plain.profile(offset), field, len(places))
+    ridge = np.floor(offset / pitch + 0.5)
+    offset = offset - ridge * pitch
+    half = max(WINDOW_PIXELS * pixel, WINDOW_SHARE * pitch)
+    near = np.abs(offset) <= half
+    heights = height - levels[field]
+    points = _binned(offset[near], heights[near], (ridge + 1e3 * field)[near], pixel, half)
+    if points[0].size < FEWEST_PLACES:
+        return None
+    reach = np.subtract(*np.quantile(heights, REACH)) / (REACH[0] - REACH[1])
+    loss = float(np.clip(1.0 - reach / plain.height_um, 0.0, MOST_LOSS))
+    tops = [replace(plain, height_loss=one) for one in ((0.0,) if loss < LEAST_LOSS else (0.0, loss))]
+    fits = [_fitted(*points, one, pixel) for one in tops]
+    plain, (best, steps, misfit, _) = min(zip(tops, fits, strict=True), key=lambda one: one[1][3])
+    if misfit > MISFIT * plain.height_um:
+        return None
+    design = _design(plain, best[1], best[2])
+    moved = _moved(offset[near] - best[0], heights[near], field[near], design, pixel, len(places))
+    places = places + best[0] + moved
+    levels = _levels(height - design.profile(across[here] - places[field]), field, len(places))
+    sampled = surface.height_um.copy()
+    known = np.isfinite(places[labels]) & (labels > 0) & np.isfinite(sampled)
+    field = labels[known]
+    sampled[known] = levels[field] + design.profile(across[known] - places[field])
+    drawn = surface.with_height(sampled)
+    inside = (numbers > 0) & np.isfinite(places[numbers])
+    left_x, left_y = (a - b for a, b in zip((fall_x, fall_y), _falls(drawn), strict=True))
+    with np.errstate(invalid="ignore"):  # beyond the fields
+        off = np.abs((middle - places[numbers] + 0.5 * pitch) % pitch - 0.5 * pitch)
+    facets = inside & (off > CLEAR_PIXELS * pixel)
+    along, along_x = cos * left_y - sin * left_x, cos * left_x + sin * left_y
+    along, along_x = (np.abs(one[facets & np.isfinite(one)]) for one in (along, along_x))
+    if not along.size:
+        return None
+    resolved = float(ALPHA_OF_MAD * np.median(along)), float(ALPHA_OF_MAD * np.median(along_x))
+    edges = RidgeEdges(relief, design, azimuth, float(best[0]), resolved, steps)
+    return FieldEdges(edges, replace(relief, surface=drawn), inside)
+
+
+def _deep_labels(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """The labels away from borders between regions, as far as regions are wide enough."""
+    found = labels.copy()
+    for margin in (MARGIN, 1):
+        kernel = np.ones((2 * margin + 1,) * 2, np.uint8)
+        floats = labels.astype(np.float32)
+        found = np.where(cv2.erode(floats, kernel) == cv2.dilate(floats, kernel), labels, 0)
+        if np.count_nonzero(found) > LEAST_DEEP * np.count_nonzero(labels):
+            break
+    return found
+
+
+def _falls(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
+    """(rows − 1, cols − 1) slopes of facets toward +x and +y, positive where they fall."""
+    z = surface.height_um
+    fall_x = 0.5 * (z[:-1, :-1] - z[:-1, 1:] + z[1:, :-1] - z[1:, 1:]) / surface.pixel_x_um
+    fall_y = 0.5 * (z[:-1, :-1] - z[1:, :-1] + z[:-1, 1:] - z[1:, 1:]) / surface.pixel_y_um
+    return fall_x, fall_y
+
+
+def _wall_places(
+    walls: tuple[FloatArray, FloatArray, npt.NDArray[np.int32]],
+    facets: tuple[FloatArray, FloatArray, npt.NDArray[np.int32]],
+    plain: RidgeDesign,
+    pixel: float,
+    fields: int,
+) -> tuple[float, FloatArray]:
+    """Pitch in µm, and (fields + 1,) place of a wall of every field; NaN where none is seen.
+
+    The pitch is the fall from one facet to the line of the next, over the slope: crests and walls do not matter.
+
+    Args:
+        walls: places across the ridges, weights and fields of what rises.
+        facets: places, heights and fields of all points.
+        plain: pitch and ridge angle, roughly.
+        pixel: distance of points across the ridges.
+        fields: greatest number of a field.
+    """
+    place, weight, field = walls
+    at, height, of = facets
+    slope, pitch = float(np.tan(np.radians(plain.ridge_angle_deg))), plain.pitch_um
+    level = height + slope * at
+    for _ in range(PASSES):
+        turn = 2.0 * np.pi * place / pitch
+        real, imaginary = (np.bincount(field, weight * part(turn), fields + 1) for part in (np.cos, np.sin))
+        found = np.where(
+            np.hypot(real, imaginary) > 0.0, pitch * np.arctan2(imaginary, real) / (2.0 * np.pi), np.nan
+        )
+        with np.errstate(invalid="ignore"):  # fields without walls
+            number, rest = np.divmod((at - found[of]) / pitch, 1.0)
+            clear = np.minimum(rest, 1.0 - rest) * pitch > CLEAR_PIXELS * pixel
+        here = of[clear]
+        count = np.maximum(np.bincount(here, minlength=fields + 1), 1)
+        along, up = (
+            one[clear] - (np.bincount(here, one[clear], fields + 1) / count)[here] for one in (number, level)
+        )
+        if not along.any():  # one facet a field
+            break
+        pitch = float(along @ up / (along @ along)) / slope
+    return pitch, found
+
+
+def _moved(
+    offset: FloatArray,
+    height: FloatArray,
+    field: npt.NDArray[np.int32],
+    design: RidgeDesign,
+    pixel: float,
+    count: int,
+) -> FloatArray:
+    """(count,) by how much the walls of single fields lie farther along in µm, up to a pixel: posterior means."""
+    tried = pixel * np.linspace(-1.0, 1.0, PLACES)
+    squares = np.empty((PLACES, count))
+    points = np.maximum(np.bincount(field, minlength=count), 1)
+    sigma = pixel * np.hypot(LEAST_SIGMA, PLACE_SIGMA)
+    for number, one in enumerate(tried):
+        left = height - design.profile(offset - one)
+        left -= (np.bincount(field, left, count) / points)[field]
+        squares[number] = np.bincount(field, 2.0 * (np.sqrt(1.0 + (left / sigma) ** 2) - 1.0), count)
+    weight = np.exp(-0.5 * (squares - squares.min(axis=0)))
+    return np.asarray(tried @ weight / weight.sum(axis=0))
+
+
+def _levels(height: FloatArray, field: npt.NDArray[np.int32], count: int) -> FloatArray:
+    """(count,) median heights of fields, NaN of those without points."""
+    order = np.argsort(field, kind="stable")
+    parts = np.split(height[order], np.searchsorted(field[order], np.arange(1, count)))
+    return np.array([np.median(one) if one.size else np.nan for one in parts])
 
 
 def _fitted(

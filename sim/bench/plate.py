@@ -2,9 +2,9 @@
 
 Every field shows ridges that the path tracer has rendered in the frame of the ridges, turned to the direction of the
 field. Ten states of each class, with their own ridge angle, roughness and height loss, are rendered; a field is a
-mixture of them with their mean and covariance, to first order a state of its own. Between the fields nothing is
-exchanged: no shadow and no reflection crosses a border. Where a field stands off its place the flat land shows. Nothing
-of this is shared with the prediction.
+mixture of them with their mean and covariance, to first order a state of its own; none is higher than full ridges.
+Between the fields nothing is exchanged: no shadow and no reflection crosses a border. Where a field stands off its
+place the flat land shows. Nothing of this is shared with the prediction.
 """
 
 from collections.abc import Callable
@@ -143,7 +143,7 @@ class PlateSample:
         designs = [self._plan.design_of(letter, part.design()) for letter in self._plan.letters]
         self._states = [[self._drawn(one, rng, number) for number in range(part.states)] for one in designs]
         rows, cols = self._plan.shape
-        self._mixtures = _mixtures(rng, (rows, cols, part.states))
+        self._mixtures = _mixtures(rng, self._losses)
         self._moved_um = part.misplaced_um * rng.standard_normal((rows, cols, 2))
         self._defects = {(one.row, one.col): one.defect for one in part.defects}
         self._tiles: dict[tuple[object, ...], Image] = {}
@@ -153,7 +153,7 @@ class PlateSample:
         """Another plate of the same plastic and seat: its fields have the same states at other places."""
         found = copy(self)
         rows, cols = self._plan.shape
-        found._mixtures = _mixtures(rng, (rows, cols, self._part.states))  # noqa: SLF001 - of its own class
+        found._mixtures = _mixtures(rng, self._losses)  # noqa: SLF001 - of its own class
         found._moved_um = self._part.misplaced_um * rng.standard_normal((rows, cols, 2))  # noqa: SLF001
         found._defects = {(one.row, one.col): one.defect for one in defects}  # noqa: SLF001
         found.__dict__.pop("_shown", None)
@@ -163,6 +163,12 @@ class PlateSample:
     def pixel_um(self) -> tuple[float, float]:
         """Size (y, x) of a point of the picture."""
         return PIXEL_UM, PIXEL_UM
+
+    @property
+    def _losses(self) -> FloatArray:
+        """(rows, cols, states) height loss of the states of every field; 0 for flat ones."""
+        of_class = [[one.design.height_loss if one.design else 0.0 for one in each] for each in self._states]
+        return np.array([*of_class, [0.0] * self._part.states])[self._plan.classes()]
 
     def _drawn(self, design: RidgeDesign, rng: np.random.Generator, number: int) -> _State:
         part = self._part
@@ -303,15 +309,24 @@ class PlateSample:
         return _turned(tracer.radiance(into @ to_light, into @ to_camera), azimuth_deg, side)
 
 
-def _mixtures(rng: np.random.Generator, shape: tuple[int, int, int]) -> npt.NDArray[np.float32]:
+def _mixtures(rng: np.random.Generator, losses: FloatArray) -> npt.NDArray[np.float32]:
     """(rows, cols, states) weights of the states that fields are made of: their sum is 1.
 
     What is linear in the states, such as the ridge angle, has their mean and covariance: fields scatter normally.
+    Fields that would be higher than the full height are drawn again: a mould makes no such ridges.
+
+    Args:
+        rng: of the weights.
+        losses: (rows, cols, states) height loss of the states.
     """
-    count = shape[2]
-    drawn = rng.standard_normal(shape)
-    drawn -= drawn.mean(axis=2, keepdims=True)
-    return np.asarray(1.0 / count + drawn / np.sqrt(max(count - 1.0, 1.0)), dtype=np.float32)
+    count = losses.shape[-1]
+    found, bad = np.empty(losses.shape), np.ones(losses.shape[:-1], dtype=bool)
+    while bad.any():
+        drawn = rng.standard_normal((int(bad.sum()), count))
+        drawn -= drawn.mean(axis=-1, keepdims=True)
+        found[bad] = 1.0 / count + drawn / np.sqrt(max(count - 1.0, 1.0))
+        bad[bad] = (found[bad] * losses[bad]).sum(axis=-1) < 0.0
+    return np.asarray(found, dtype=np.float32)
 
 
 def _turned(values: FloatArray | Image, azimuth_deg: float, side: int) -> Image:

@@ -94,9 +94,9 @@ def decide_plate(
     classes, letters = expected.plan.classes(), expected.plan.letters
     ln = np.log(measured.radiance)
     middle, scatter, counts = class_middles(ln, classes, len(letters))
-    components = (*expected.components, *_measured_components(expected, measured, recipe, scatter, counts))
+    components = (*expected.components, *_measured_components(expected, recipe, scatter, counts))
     covariance = np.sum([one.covariance() for one in components], axis=0)
-    covariance = covariance + _of_poses(expected, measured, recipe)
+    covariance = covariance + _of_poses(expected, measured.drift, recipe)
     off = (middle - np.log(expected.radiance)).ravel()
     names, gradient = contrast_pairs(letters, expected.poses)
     u = np.sqrt(np.einsum("kn,nm,km->k", gradient, covariance, gradient))
@@ -227,12 +227,20 @@ def _placement(places: FieldPlaces | None, module_mm: float) -> PlacementRecord 
     )
 
 
+def planned_contrasts(
+    expected: ExpectedPlate, recipe: PlateRecipe
+) -> tuple[list[str], FloatArray, FloatArray]:
+    """Names of the contrasts that will be judged, (K,) what is predicted, and (K, K) covariance without scatter."""
+    names, gradient = contrast_pairs(expected.plan.letters, expected.poses)
+    none = np.zeros_like(expected.radiance)
+    measured = _measured_components(expected, recipe, none, np.ones(len(none)))
+    covariance = np.sum([one.covariance() for one in (*expected.components, *measured)], axis=0)
+    covariance = gradient @ (covariance + _of_poses(expected, None, recipe)) @ gradient.T
+    return names, gradient @ np.log(expected.radiance).ravel(), covariance
+
+
 def _measured_components(
-    expected: ExpectedPlate,
-    measured: MeasuredPlate,
-    recipe: PlateRecipe,
-    scatter: FloatArray,
-    counts: FloatArray,
+    expected: ExpectedPlate, recipe: PlateRecipe, scatter: FloatArray, counts: FloatArray
 ) -> tuple[Component, ...]:
     """Uncertainties of the classes that are independent between classes and poses, or shared by all."""
     rig, size = recipe.uncertainty, expected.radiance.size
@@ -243,14 +251,13 @@ def _measured_components(
         ("linearity of the camera", np.full(size, rig.linearity_share), False),
         ("stray light", stray.ravel(), True),
     )
-    del measured
     return tuple(Component(name, "measurement", relative, shared) for name, relative, shared in found)
 
 
-def _of_poses(expected: ExpectedPlate, measured: MeasuredPlate, recipe: PlateRecipe) -> FloatArray:
+def _of_poses(expected: ExpectedPlate, measured_drift: float | None, recipe: PlateRecipe) -> FloatArray:
     """(C·P, C·P) covariance of errors of a pose that all classes share: lamp, flat field, stage angle."""
     rig, poses = recipe.uncertainty, len(expected.poses)
-    drift = recipe.limits.drift if measured.drift is None else abs(measured.drift)
+    drift = recipe.limits.drift if measured_drift is None else abs(measured_drift)
     level = np.full(expected.radiance.shape, np.hypot(rig.flat_share, drift / np.sqrt(3.0)))
     found = np.zeros((expected.radiance.size,) * 2)
     for per_pose in (level, rig.stage_deg * expected.per_degree):

@@ -1,6 +1,7 @@
 """Plates with fields of several ridge directions as a kind of part."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, cast
@@ -8,7 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from anisoscope.base.errors import AnisoscopeError, RecipeError, UsageError
+from anisoscope.base.notation import number_name
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.significance import two_sided_score
 from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.pose_radiance import mean_of
 from anisoscope.imaging.registration.placement import resample
@@ -17,7 +20,7 @@ from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
 from anisoscope.kinds.plates.causes import FIELD_WORDS, PLATE_WORDS, explain_plate
 from anisoscope.kinds.plates.code_grades import OVERALL
-from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate
+from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate, planned_contrasts
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
 from anisoscope.kinds.plates.field_judgement import fields_text, places_text, predicted_fields
 from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate, plate_grid
@@ -32,10 +35,45 @@ from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
 
 PLAN = "plan"
+MOST_UNDECIDED = 0.01
+"""Share of good plates whose classes may end undecided before a recipe is complained of."""
+MOST_LISTED, DRAWN = 12, 20000
 RULE = (
     "FAIL where a contrast between classes or poses is out of its tolerance by more than the guard band, where more "
     "fields deviate from their class than the recipe allows, or where the code is not read"
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateCheck(RecipeCheck):
+    """Capability of the recipe of a plate.
+
+    Attributes:
+        contrasts: of classes and poses, with what is predicted, its standard uncertainty, and T/U, the least first.
+        undecided: share of good plates that are not sure to be within the tolerance; None without a tolerance.
+    """
+
+    contrasts: tuple[tuple[str, float, float, float | None], ...]
+    undecided: float | None
+
+    def tables(self) -> tuple[Table, ...]:
+        """The contrasts, those whose tolerance is closest to their uncertainty first."""
+        rows = [
+            [number_name(name), f"{due:+.3f}", f"{u:.3f}", "–" if ratio is None else f"{ratio:.1f}"]
+            for name, due, u, ratio in self.contrasts[:MOST_LISTED]
+        ]
+        hidden = len(self.contrasts) - len(rows)
+        caption = f"{hidden} more contrasts have a larger T/U" if hidden else None
+        return (Table(self.product, ["contrast", "predicted", "u", "T/U"], rows, caption),)
+
+    def notes(self) -> tuple[str, ...]:
+        """Share of good plates that end undecided."""
+        if self.undecided is None:
+            return super().notes()
+        return (
+            *super().notes(),
+            f"{self.undecided:.1%} of good plates end undecided by their classes",
+        )
 
 
 class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
@@ -237,10 +275,25 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         tries: Sequence[float],
         advance: Advance,
     ) -> RecipeCheck:
-        """Whether light and dark fields differ in the poses in which the code is read."""
+        """Whether contrasts can be judged, and light and dark fields differ in the poses in which the code is read."""
         del rig, tries, advance
         expected = expected_plate(recipe, recipe.plan.plan(), light_angle_deg, cached=True)
+        names, due, covariance = planned_contrasts(expected, recipe)
+        tolerance, coverage, undecided = recipe.decision.tolerance, recipe.decision.coverage, None
+        u, ratios = np.sqrt(np.diag(covariance)), list[float | None]([None] * len(due))
         complaints = []
+        if tolerance is None:
+            complaints.append("no tolerance of the classes: every significant deviation fails the plate")
+        else:
+            ratios = (tolerance / (2.0 * u)).tolist()
+            drawn = np.random.default_rng(0).multivariate_normal(0.0 * due, covariance, DRAWN, method="eigh")
+            undecided = float(np.mean(np.any(np.abs(drawn) > tolerance - coverage * u, axis=1)))
+            if undecided > MOST_UNDECIDED:
+                needed = float(u.max()) * (coverage + two_sided_score(MOST_UNDECIDED / len(u)))
+                complaints.append(
+                    f"{undecided:.0%} of good plates may end undecided: decision.tolerance = {needed:.2g} would "
+                    "be enough, or less uncertainty of plastic and seat"
+                )
         for number, pose in enumerate(expected.poses):
             light = expected.radiance[:, number]
             share = 1.0 - float(light.min() / light.max())
@@ -249,7 +302,11 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
                     f"at {pose.stage_deg:g}° dark fields are only {share:.0%} darker than light ones: the code may not "
                     "be read; take other directions of the classes, or a larger ridge angle"
                 )
-        return RecipeCheck(product=recipe.product, complaints=tuple(complaints))
+        order = np.argsort(-u, kind="stable")
+        contrasts = tuple((names[n], float(due[n]), float(u[n]), ratios[n]) for n in order)
+        return PlateCheck(
+            product=recipe.product, complaints=tuple(complaints), contrasts=contrasts, undecided=undecided
+        )
 
     def finding(self, record: Record) -> str:
         """Fields that deviate, the code, or the contrast that is most off."""

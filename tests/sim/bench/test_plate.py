@@ -66,6 +66,19 @@ def test_defects_and_scatter_are_in_the_fields_that_have_them():
     assert scattered[0, 0] != scattered[1, 1]
 
 
+def test_no_field_is_higher_than_full_ridges():
+    """Fields are mixtures of states, which could have less than no height loss."""
+    plan = {"plan": ("ABABAB",) * 6, "module_mm": 0.1}
+    full = PlateSample(part(**plan, states=1), plastic(MaterialPart()), np.random.default_rng(1)).height_map()
+    made = PlateSample(
+        part(**plan, height_loss_scatter=0.05), plastic(MaterialPart()), np.random.default_rng(1)
+    )
+    for one in (made, made.lot_mate(np.random.default_rng(2), ())):
+        highest = one.height_map().height_um.reshape(6, 100, 6, 100).max(axis=(1, 3))
+        assert highest.max() <= full.height_um.max() * (1.0 + 1e-6)
+        assert np.ptp(highest) > 0.02 * full.height_um.max()
+
+
 def test_a_plate_that_is_none_is_refused():
     with pytest.raises(ValidationError, match="row 2 of the plan has 1 fields"):
         part(plan=("AB", "A"))

@@ -1,11 +1,12 @@
 """Pictures of ridges: what the fields show is what was asked for, at each stage angle."""
 
+import cv2
 import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.design.plates import design_pictures
+from anisoscope.sim.design.plates import design_pictures, modules_of_code
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material
@@ -19,6 +20,13 @@ BOTH = np.stack([ACROSS, RINGS])
 
 def designed(pictures, stages, design=RIDGES, field_um=100.0, material=PLASTIC, **options):
     return design_pictures(pictures, stages, design, field_um, material, 10.0, **options)
+
+
+@pytest.mark.parametrize("text", ["RIDGE", "LOT 7 of 2026, insert 12", "x" * 120])
+def test_qr_codes_are_read_by_another_reader_than_the_one_that_encodes_them(text):
+    drawn = np.where(modules_of_code(text, "qr"), 0, 255).astype(np.uint8)
+    found, _, _ = cv2.QRCodeDetector().detectAndDecode(np.kron(drawn, np.ones((8, 8), np.uint8)))
+    assert found == text
 
 
 def test_one_picture_is_shown_nearly_exactly():

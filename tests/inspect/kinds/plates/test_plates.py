@@ -9,12 +9,14 @@ import pytest
 import tomli_w
 
 from anisoscope.base.errors import HeightMapError, MeasurementError, RecipeError
+from anisoscope.base.progress import silent
+from anisoscope.base.significance import joint_conformance
 from anisoscope.cli.demo import plates as demo
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Grid, Placement, View
 from anisoscope.kinds.plates.causes import explain_plate, plate_signatures
 from anisoscope.kinds.plates.code_symbol import read_picture
-from anisoscope.kinds.plates.decision import decide_plate
+from anisoscope.kinds.plates.decision import decide_plate, planned_contrasts
 from anisoscope.kinds.plates.expectation import expected_plate
 from anisoscope.kinds.plates.field_judgement import looks_like, predicted_fields
 from anisoscope.kinds.plates.field_places import field_places
@@ -114,7 +116,7 @@ def test_fields_with_a_defect_are_found_and_named(expected, recipe, defect):
 
 
 def test_a_plate_worn_all_over_fails_by_its_classes_not_by_its_fields(expected, recipe):
-    worn = np.exp(2.5 * expected.defects["worn"])
+    worn = np.exp(4.0 * expected.defects["worn"])
     factor = worn.T[:, np.maximum(expected.plan.classes(), 0)]
     found = decide_plate(expected, measured(expected, factor), recipe)
     assert found.verdict == "FAIL"
@@ -130,6 +132,24 @@ def test_a_code_that_is_not_read_fails_and_a_field_within_its_guard_band_is_unde
     shown = one.radiance.copy()
     shown[0, 3, 4] *= np.exp(recipe.fields.tolerance)
     assert decide_plate(expected, replace(one, radiance=shown), recipe).verdict == "INCONCLUSIVE"
+
+
+def test_the_check_of_a_recipe_says_how_many_good_plates_stay_undecided(expected, recipe):
+    """Against the integral of the normal distribution over the tolerances."""
+    names, _, covariance = planned_contrasts(expected, recipe)
+    u = np.sqrt(np.diag(covariance))
+    narrow = recipe.model_copy(update={"decision": recipe.decision.model_copy(update={"tolerance": 0.2})})
+    for one, complained in ((recipe, False), (narrow, True)):
+        check = PLATES.capability(one, None, LIGHT_DEG, (), silent)
+        assert len(check.contrasts) == len(names)
+        limit = one.decision.tolerance - one.decision.coverage * u
+        sure = joint_conformance(np.zeros_like(u), covariance, limit)
+        assert check.undecided == pytest.approx(1.0 - sure, abs=0.01)
+        said = any(
+            "good plates may end undecided: decision.tolerance = 0.29" in line for line in check.complaints
+        )
+        assert said == complained
+        assert "T/U" in check.output().tables[0].columns
 
 
 def test_what_looks_like_no_defect_is_not_named(expected):
