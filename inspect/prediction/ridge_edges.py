@@ -477,7 +477,7 @@ def _wall_places(
     place, weight, field = walls
     at, height, of = facets
     slope, pitch = float(np.tan(np.radians(plain.ridge_angle_deg))), plain.pitch_um
-    level = height + slope * at
+    level, found = height + slope * at, np.full(fields + 1, np.nan)
     for _ in range(PASSES):
         turn = 2.0 * np.pi * place / pitch
         real, imaginary = (np.bincount(field, weight * part(turn), fields + 1) for part in (np.cos, np.sin))
