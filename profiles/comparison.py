@@ -4,6 +4,9 @@ The difference B − A stands on the points of the first map A, after the second
 brought to that of what has not changed. It is negative where material was lost. Its uncertainty has the noise of both
 maps, the uncertainty of the position times the slope, what interpolation between points does not know, and that of
 the plane.
+
+A tool is turned over first: A is then the part that it would mould, and material that is lost was not filled. Moulded
+parts shrink as they cool; where the scales differ, B is stretched to that of A, and the shrinkage stated.
 """
 
 from collections.abc import Sequence
@@ -27,12 +30,14 @@ Mask = npt.NDArray[np.bool_]
 
 SEED, GROW = 5.0, 1.5
 MARGIN_POINTS = 3
+LEAST_SHRINKAGE, MOST_SHRINKAGE = 1e-4, 0.05
 SMOOTH_POINTS = 3
 SEGMENTS = 8
 LEAST_SEGMENTS = 3
-FACET = (0.2, 0.48)
+FACET, ON_FACET = (0.2, 0.48), (0.2, 0.9)
 CREST_REACH = 0.4
-WALL = (0.3, 0.6)
+STEEPEST = 1.56
+SMEARED = 0.25  # variance of pixel, bin and place together, in pixels
 SECTION_STEPS = 4000
 
 
@@ -65,9 +70,14 @@ class RidgeChange:
         crest_change_um: change of the height of the crest.
         height_change_um: change of the height from foot to crest.
         radius_a_um: radius of a round crest that misses as much of the edge as the first map does.
-        radius_b_um: radius of a round crest that misses that and the area lost.
+        radius_b_um: radius of a round crest that misses that and the area lost; of a part of a tool, as much of its own
+            edge as it does.
         radius_change_um: their difference.
         lost_area_um2: cross-section lost over the ridge, gains counted negative.
+        angle_a_deg: ridge angle in the first map.
+        angle_b_deg: the same in the second map.
+        angle_change_deg: their difference.
+        relief: least-squares factor of the heights of the second map on those of the first, over this ridge.
     """
 
     number: int
@@ -80,6 +90,10 @@ class RidgeChange:
     radius_b_um: Quantity
     radius_change_um: Quantity
     lost_area_um2: Quantity
+    angle_a_deg: Quantity
+    angle_b_deg: Quantity
+    angle_change_deg: Quantity
+    relief: Quantity
 
 
 @dataclass(frozen=True)
@@ -89,10 +103,12 @@ class Replication:
     Attributes:
         relief: least-squares factor of the heights of the second map on those of the first, 1 for a faithful copy.
         height: ratio of the ridge heights, mean over the ridges; without value where there are no ridges.
+        shrinkage: by how much a part of a tool is smaller, a share; without value where it was not stretched.
     """
 
     relief: Quantity
     height: Quantity
+    shrinkage: Quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +116,13 @@ class Comparison:
     """Two registered maps.
 
     Attributes:
-        first: the first map A.
+        first: the first map A; a tool as its part would stand.
+        measured: the second map B as it was measured, with the scale of A.
         second: the second map B as registered, on the points of A, in its plane; NaN where not common.
         difference: B − A.
         u_um: (rows, cols) standard uncertainty of the difference.
         placed: where the points of A lie in B.
-        mirrored: whether B was turned over (negated and mirrored along x) first.
+        mirrored: whether A is a tool that was turned over (negated and mirrored along x) first.
         lost: what was lost.
         gained: what was gained.
         net_um3: sum of the difference over all common points.
@@ -113,9 +130,12 @@ class Comparison:
         ridges_note: why there are none.
         replication: how much of the relief of A is in B.
         changed: (rows, cols) −1 where material was lost, 1 where it was gained, 0 elsewhere.
+        relief: (rows, cols) the factor of the heights of B on those of A, in segments of ridges or, where there are
+            none, in tiles; NaN where it is not known.
     """
 
     first: HeightMap
+    measured: HeightMap
     second: HeightMap
     difference: HeightMap
     u_um: FloatArray
@@ -128,6 +148,7 @@ class Comparison:
     ridges_note: str
     replication: Replication
     changed: npt.NDArray[np.int8]
+    relief: FloatArray
 
     def __repr__(self) -> str:
         """One line: place, volumes lost and gained."""
@@ -149,7 +170,7 @@ def compare_maps(first: HeightMap, second: HeightMap, *, mirrored: bool = False)
     Args:
         first: map A, before wear, or the tool; (rows, cols) in µm.
         second: map B, after wear, or the part; pixel and size may differ.
-        mirrored: one is a tool and the other its part: B is negated and mirrored along x first.
+        mirrored: A is a tool and B its part: A is negated and mirrored along x first.
 
     Raises:
         UsageError: one is no height map.
@@ -159,21 +180,50 @@ def compare_maps(first: HeightMap, second: HeightMap, *, mirrored: bool = False)
     for surface in (first, second):
         if not isinstance(surface, HeightMap):
             raise UsageError(f"compare_maps takes two HeightMaps, not {type(surface).__name__}")
-    other = turned_over(second) if mirrored else second
-    placed = register(first, other)
-    on_grid = registered(first, other, placed)
+    if mirrored:
+        first = turned_over(first)
+        shrinkage, placed = _shrinkage(first, second)
+        second = _stretched(second, 1.0 - (shrinkage.value or 0.0))
+    else:
+        shrinkage, placed = Quantity(None), register(first, second)
+    on_grid = registered(first, second, placed)
     difference = first.with_height(on_grid.height_um - first.height_um)
-    u_um, u_plane = _uncertainty(first, other, placed, on_grid)
+    u_um, u_plane = _uncertainty(first, second, placed, on_grid)
     lost, gained, changed = _volumes(difference, u_um, u_plane)
     area = first.pixel_x_um * first.pixel_y_um
     known = np.isfinite(difference.height_um)
     u_net = area * float(np.hypot(np.count_nonzero(known) * u_plane, np.sqrt(np.sum(u_um[known] ** 2))))
     net = Quantity(area * float(np.sum(difference.height_um[known])), u_net)
-    ridges, note = _ridges(first, on_grid)
+    factor, tiles = _relief(first, on_grid)
+    ridges, note, cells = _ridges(first, on_grid, mirrored=mirrored)
     return Comparison(
-        first, on_grid, difference, u_um, placed, mirrored, lost, gained, net, ridges, note,
-        Replication(_relief(first, on_grid), _height_ratio(ridges)), changed,
+        first, second, on_grid, difference, u_um, placed, mirrored, lost, gained, net, ridges, note,
+        Replication(factor, _height_ratio(ridges), shrinkage), changed, cells if ridges else tiles,
     )  # fmt: skip
+
+
+def _shrinkage(first: HeightMap, second: HeightMap) -> tuple[Quantity, Placed]:
+    """By how much a part is smaller than its tool, without value where it is not, and where it lies, stretched by that.
+
+    The scale of the registration, to which the pitches of ridges lead.
+    """
+    try:
+        pitches = [measure_ridges(one).pitch_um.value or 1.0 for one in (first, second)]
+        start = pitches[1] / pitches[0]
+    except HeightMapError:
+        start = 1.0
+    start = start if LEAST_SHRINKAGE < abs(1.0 - start) < MOST_SHRINKAGE else 1.0
+    placed = register(first, _stretched(second, start))
+    short = 1.0 - start * placed.scale
+    if max(LEAST_SHRINKAGE, 3.0 * placed.u_scale) < abs(short) < MOST_SHRINKAGE:
+        return Quantity(short, placed.u_scale), register(first, _stretched(second, 1.0 - short))
+    return Quantity(None), placed if start == 1.0 else register(first, second)
+
+
+def _stretched(surface: HeightMap, scale: float) -> HeightMap:
+    """A map whose lateral scale is divided by a number; heights stay."""
+    pixels = surface.pixel_x_um / scale, surface.pixel_y_um / scale
+    return HeightMap(surface.height_um, *pixels, surface.origin)
 
 
 def _uncertainty(
@@ -243,8 +293,9 @@ def _volumes(
     return found[0], found[1], cores[1].astype(np.int8) - cores[0].astype(np.int8)
 
 
-def _relief(first: HeightMap, second: HeightMap) -> Quantity:
-    """Least-squares factor of the second map's heights on the first one's, from tiles of the field."""
+def _relief(first: HeightMap, second: HeightMap) -> tuple[Quantity, FloatArray]:
+    """Least-squares factor of the second map's heights on the first one's, from tiles of the field; that of each."""
+    over_field = np.full(first.shape, np.nan)
     known = np.isfinite(first.height_um) & np.isfinite(second.height_um)
     i, j = np.nonzero(known)
     rows, cols = first.shape
@@ -257,11 +308,12 @@ def _relief(first: HeightMap, second: HeightMap) -> Quantity:
     mixed = np.bincount(tile, a * b, minlength=SEGMENTS**2)
     square = np.bincount(tile, a * a, minlength=SEGMENTS**2)
     if not float(square.sum()) > 0.0:
-        return Quantity(None)
+        return Quantity(None), over_field
     factor = float(mixed.sum() / square.sum())
+    over_field[known] = (mixed / np.maximum(square, 1e-300))[tile]
     scatter = float(np.sum((mixed - factor * square) ** 2))
     count = int(np.count_nonzero(square))
-    return Quantity(factor, few(count - 1) * float(np.sqrt(scatter)) / float(square.sum()))
+    return Quantity(factor, few(count - 1) * float(np.sqrt(scatter)) / float(square.sum())), over_field
 
 
 def _height_ratio(ridges: Sequence[RidgeChange]) -> Quantity:
@@ -275,21 +327,27 @@ def _height_ratio(ridges: Sequence[RidgeChange]) -> Quantity:
     return Quantity(float(ratios.mean()), u)
 
 
-def _ridges(first: HeightMap, second: HeightMap) -> tuple[tuple[RidgeChange, ...], str]:
-    """Every ridge in both maps, or why there is none."""
+def _ridges(
+    first: HeightMap, second: HeightMap, *, mirrored: bool
+) -> tuple[tuple[RidgeChange, ...], str, FloatArray]:
+    """Every ridge in both maps, or why there is none; and the factor of relief of each segment of a ridge."""
     try:
         found = measure_ridges(first)
     except HeightMapError as error:
-        return (), str(error)
-    sections = _Sections(first, second, found)
+        return (), str(error), np.full(first.shape, np.nan)
+    sections = _Sections(first, second, found, own_edges=mirrored)
     changes = [sections.change(ridge.number, ridge.position_um) for ridge in found.ridges]
-    return tuple(change for change in changes if change is not None), ""
+    return tuple(change for change in changes if change is not None), "", sections.relief
 
 
 class _Sections:
     """Mean profiles across single ridges in segments along them, of both maps, on the same points."""
 
-    def __init__(self, first: HeightMap, second: HeightMap, found: RidgeMeasurement) -> None:
+    def __init__(
+        self, first: HeightMap, second: HeightMap, found: RidgeMeasurement, *, own_edges: bool
+    ) -> None:
+        self.own_edges = own_edges
+        self.relief = np.full(first.shape, np.nan)
         pitch, lean = found.pitch_um.value, np.radians(found.lean_deg)
         facet = found.ridge_angle_deg.value
         assert pitch is not None
@@ -304,9 +362,13 @@ class _Sections:
         # both about the plane through equal places of the ridges
         tilt = first.height_um - level(first).map.height_um
         self.heights = (first.height_um - tilt, second.height_um - tilt)
-        self.step = float(np.hypot(first.pixel_x_um * np.cos(lean), first.pixel_y_um * np.sin(lean)))
         wall, u_wall = _wall(found)
+        self.wall_slope = float(np.tan(min(wall, STEEPEST)))
+        self.step = float(np.hypot(first.pixel_x_um * np.cos(lean), first.pixel_y_um * np.sin(lean)))
         self.beside_facet, self.at_edge = _missing_sections(np.radians(facet), wall)
+        # a corner under a Gaussian of variance σ² misses σ²/4 times the change of slope on each side
+        corner = self.wall_slope + float(np.tan(np.radians(facet)))
+        self.of_pixels = 0.25 * SMEARED * self.step**2 * corner / self.beside_facet
         sides = [
             _missing_sections(np.radians(facet), min(wall + k * u_wall, 0.5 * np.pi))[1] for k in (-1, 1)
         ]
@@ -317,6 +379,9 @@ class _Sections:
         place = self.across - position_um
         near = self.known & (place > -0.5 * self.pitch) & (place < 0.5 * self.pitch)
         if np.count_nonzero(near) < 50:
+            return None
+        angles = self._angles(place)
+        if angles is None:
             return None
         at, along = place[near], self.along[near]
         segment = np.minimum(
@@ -331,13 +396,22 @@ class _Sections:
         if len(values) < LEAST_SEGMENTS:
             return None
         mean = [_mean(column) for column in values.T]
-        # what is missing at the crest in the first map, and what was lost since, as squares of the radius
-        before, lost = values[:, 5] / self.beside_facet, values[:, 4] / self.at_edge
-        squares = _mean(before), _mean(before + lost)
-        edge = replace(
-            squares[1],
-            u=float(np.hypot(squares[1].u or 0.0, self.u_share * abs(mean[4].value or 0.0) / self.at_edge)),
-        )
+        self.relief[near] = np.array([np.nan if row is None else row[-1] for row in rows])[segment]
+        # what is missing at the crest in both maps, as squares of the radius: of the first map without what pixels take
+        # off a sharp edge; of the second what was lost since, or, where area is lost elsewhere too, what its own edge
+        # misses
+        before, lost = values[:, 5] / self.beside_facet - self.of_pixels, values[:, 4] / self.at_edge
+        if self.own_edges:
+            lost = values[:, 6] / self.beside_facet - before
+        by_wall = self.u_share * abs(float(np.mean(lost)))
+        squares = [
+            replace(one, u=float(np.hypot(one.u or 0.0, more)))
+            for one, more in (
+                (_mean(before), self.of_pixels),
+                (_mean(before + lost), np.hypot(by_wall, self.of_pixels)),
+            )
+        ]
+        edge = squares[1]
         radii = [_root(squares[0]), _root(edge)]
         change = Quantity(None)
         if radii[1].value is not None:
@@ -347,11 +421,25 @@ class _Sections:
             )
         rise_a, rise_b, crest, rise, section = mean[:5]
         return RidgeChange(
-            number, position_um, rise_a, rise_b, crest, rise, radii[0], radii[1], change, section
+            number,
+            position_um,
+            rise_a,
+            rise_b,
+            crest,
+            rise,
+            radii[0],
+            radii[1],
+            change,
+            section,
+            *angles,
+            mean[7],
         )
 
     def _section(self, at: FloatArray, heights: list[FloatArray]) -> tuple[float, ...] | None:
-        """Heights a, b, change of the crest and of the height, area lost, area missing at the crest a."""
+        """Heights a, b, change of the crest and of the height, area lost, areas missing at the crests a, b.
+
+        The factor of relief comes last.
+        """
         bins = max(8, int(self.pitch / self.step))
         index = np.minimum(((at / self.pitch + 0.5) * bins).astype(np.intp), bins - 1)
         count = np.bincount(index, minlength=bins)
@@ -360,28 +448,65 @@ class _Sections:
         filled = count > 0
         x = np.bincount(index, at, minlength=bins)[filled] / count[filled]
         profiles = [np.bincount(index, z, minlength=bins)[filled] / count[filled] for z in heights]
-        line = np.polyfit(*self._facet(x, profiles[0]), 1)
+        lines = [np.polyfit(*self._facet(x, z), 1) for z in profiles]
         rises = [float(z.max() - z.min()) for z in profiles]
         crest = float(profiles[1].max() - profiles[0].max())
         lost = float(np.trapezoid(profiles[0] - profiles[1], x))
-        # the crest stands where the wall meets the facet, near position 0; the facet falls toward +x
-        part = (x > self._vertex(x, profiles[0], line)) & (x < CREST_REACH * self.pitch)
-        missing = float(np.sum((np.polyval(line, x[part]) - profiles[0][part]) * np.gradient(x)[part]))
-        return (*rises, crest, rises[1] - rises[0], lost, missing)
+        # of the first map, for a round crest may leave no straight wall in the second
+        wall = self._wall_line(x, profiles[0], lines[0])
+        missing = [self._missing(x, z, line, wall) for z, line in zip(profiles, lines, strict=True)]
+        a, b = (z - z.mean() for z in profiles)
+        return *rises, crest, rises[1] - rises[0], lost, *missing, float(a @ b / (a @ a))
+
+    def _angles(self, place: FloatArray) -> tuple[Quantity, Quantity, Quantity] | None:
+        """Ridge angles of both maps and their change, from planes fitted to segments of the facet after a wall."""
+        on = self.known & (place > ON_FACET[0] * self.pitch) & (place < ON_FACET[1] * self.pitch)
+        at, along = place[on], self.along[on]
+        if at.size < 50:
+            return None
+        segment = ((along - along.min()) / max(float(np.ptp(along)), 1e-9) * SEGMENTS).astype(np.intp)
+        found = []
+        for k in range(SEGMENTS):
+            here = np.minimum(segment, SEGMENTS - 1) == k
+            if (
+                np.count_nonzero(here) > 10
+                and np.ptp(at[here]) > 0.5 * (ON_FACET[1] - ON_FACET[0]) * self.pitch
+            ):
+                design = np.column_stack([at[here], along[here], np.ones(np.count_nonzero(here))])
+                heights = np.column_stack([height[on][here] for height in self.heights])
+                slopes = np.linalg.lstsq(design, heights, rcond=None)[0][0]
+                found.append(np.degrees(np.arctan(-slopes)))
+        if len(found) < LEAST_SEGMENTS:
+            return None
+        a, b = np.array(found).T
+        return _mean(a), _mean(b), _mean(b - a)
+
+    def _missing(
+        self, x: FloatArray, z: FloatArray, line: FloatArray, wall: tuple[float, float, float]
+    ) -> float:
+        """Area that is missing at the crest under the line of the facet.
+
+        The crest stands where the wall meets the facet, near position 0; the facet falls toward +x.
+        """
+        at, level, slope = wall
+        vertex = float(at + (np.polyval(line, at) - level) / (slope - line[0]))
+        part = (x > vertex) & (x < CREST_REACH * self.pitch)
+        return float(np.sum((np.polyval(line, x[part]) - z[part]) * np.gradient(x)[part]))
 
     def _facet(self, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         part = (x > FACET[0] * self.pitch) & (x < FACET[1] * self.pitch)
         return x[part], z[part]
 
-    @staticmethod
-    def _vertex(x: FloatArray, z: FloatArray, line: FloatArray) -> float:
-        """Where the wall, prolonged from 30 % and 60 % of its rise, meets the line of the facet."""
+    def _wall_line(self, x: FloatArray, z: FloatArray, line: FloatArray) -> tuple[float, float, float]:
+        """A point of the wall, where it has risen by half to the line of the facet, and its slope.
+
+        Pixels widen a narrow wall about its middle, so that its slope is not that of the profile.
+        """
         top, foot = int(np.argmax(z)), float(z.min())
         wall = slice(int(np.argmin(z[: top + 1])), top + 1)
-        levels = foot + np.array(WALL) * (float(np.polyval(line, 0.0)) - foot)
-        low, high = np.interp(levels, np.maximum.accumulate(z[wall]), x[wall])
-        slope = float(levels[1] - levels[0]) / max(float(high - low), 1e-9)
-        return float(high + (np.polyval(line, high) - levels[1]) / (slope - line[0]))
+        level = foot + 0.5 * (float(np.polyval(line, 0.0)) - foot)
+        at = float(np.interp(level, np.maximum.accumulate(z[wall]), x[wall]))
+        return at, level, self.wall_slope
 
 
 def _root(square: Quantity) -> Quantity:

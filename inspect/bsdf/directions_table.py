@@ -27,6 +27,7 @@ Quantity = Literal["brdf", "radiance", "factor"]
 STEEPEST_DEG = 89.0
 _RADIANS = np.pi * 1.0001
 _LARGEST = 1e6
+_BLOCK = 20_000  # pairs that are evaluated at once, which bounds the memory
 _ASTM = {"theta_i": ANGLES[0], "phi_i": ANGLES[1], "theta_s": ANGLES[2], "phi_s": ANGLES[3],
          "theta_r": ANGLES[2], "phi_r": ANGLES[3]}  # fmt: skip
 _COLOURS = {"r": 650.0, "g": 550.0, "b": 450.0}
@@ -167,10 +168,11 @@ def read_astm(path: Path, *, radians: bool = True, quantity: Quantity = "brdf") 
 
 def sampled(reflectance: Reflectance, count: int = 2000) -> DirectionsTable:
     """Values of a reflectance on ``count`` pairs: directions to 60° and half vectors to 30° from the normal."""
-    light, camera = compared_directions()
-    step = max(1, len(light) // max(count, 1))
-    light, camera = light[::step], camera[::step]
-    value = reflectance.evaluate(light, camera)
+    light, camera = compared_directions(max(4096, 1 << (2 * count - 1).bit_length()))
+    chosen = np.arange(count) * len(light) // count
+    light, camera = light[chosen], camera[chosen]
+    blocks_of = [slice(start, start + _BLOCK) for start in range(0, count, _BLOCK)]
+    value = np.concatenate([reflectance.evaluate(light[one], camera[one]) for one in blocks_of])
     angles = np.column_stack([polar_degrees(light), polar_degrees(camera)])
     nm = reflectance.wavelengths_nm
     if not nm:

@@ -241,10 +241,13 @@ def _rms(found: FloatArray, wanted: FloatArray) -> float:
     return float(np.sqrt(np.mean((found - wanted) ** 2) / max(float(np.mean(wanted**2)), 1e-300)))
 
 
-def compared_directions() -> tuple[FloatArray, FloatArray]:
-    """(N, 3) unit vectors to light and camera on which reflectances are compared."""
-    light = hemisphere(_COMPARED, _HIGHEST_DEG)
-    normal = shuffled(hemisphere(_COMPARED, _NORMAL_DEG, 0.5))
+def compared_directions(tried: int = _COMPARED) -> tuple[FloatArray, FloatArray]:
+    """(N, 3) unit vectors to light and camera on which reflectances are compared.
+
+    ``tried`` is a power of 2; those of its pairs are left out whose camera is lower than 60° from the normal.
+    """
+    light = hemisphere(tried, _HIGHEST_DEG)
+    normal = shuffled(hemisphere(tried, _NORMAL_DEG, 0.5))
     camera = 2.0 * np.sum(light * normal, axis=1, keepdims=True) * normal - light
     up = camera[:, 2] > np.cos(np.radians(_HIGHEST_DEG))
     return light[up], camera[up]

@@ -56,6 +56,7 @@ _STEP = {
     "tail": 0.01,
     "seating_x_deg": 0.02,
     "seating_y_deg": 0.02,
+    "light_angle_deg": 0.02,
     "ridge_angle_deg": 0.02,
     "ln_edge_radius": 0.02,
 }
@@ -69,6 +70,7 @@ _BOUNDS = {
     "ln_second_width": (np.log(1.1), np.log(6.0)),
     "seating_x_deg": (-30.0, 30.0),
     "seating_y_deg": (-30.0, 30.0),
+    "light_angle_deg": (-5.0, 5.0),
     "reflections": (0.0, 3.0),
 }
 _ROUNDS = 3
@@ -88,6 +90,7 @@ _WORDS = {
     "ln_k": "scale k",
     "seating_x_deg": "seating about x",
     "seating_y_deg": "seating about y",
+    "light_angle_deg": "light angle",
     "ridge_angle_deg": "ridge angle",
     "ln_edge_radius": "edge radius",
     "reflections": "amplitude of the reflections",
@@ -106,6 +109,8 @@ class Specimen:
         indirect: what reflections between facet and wall add, in 1/sr; None for a flat coupon.
         shape_known: the shape is that of a measured map, so that ridge angle and edge radius are no parameters.
         name: "coupon" or "part".
+        u_light_angle_deg: standard deviation of the prior of the light angle; where it is above 0 the angle is fitted,
+            as what it differs by from that of the convention.
     """
 
     design: RidgeDesign
@@ -113,11 +118,14 @@ class Specimen:
     indirect: Light | None
     shape_known: bool
     name: Literal["coupon", "part"]
+    u_light_angle_deg: float = 0.0
 
     @property
     def own_parameters(self) -> tuple[str, ...]:
         """Names of the parameters besides those of the material."""
         names = ["ln_k", "seating_x_deg", "seating_y_deg"]
+        if self.u_light_angle_deg > 0.0:
+            names.append("light_angle_deg")
         if not self.shape_known:
             names.append("ridge_angle_deg")
             if self.design.edge_radius_um > 0.0:
@@ -263,7 +271,8 @@ class _Model:
             else design.edge_radius_um,
         )
         seat = seating_rotation(own["seating_x_deg"], own["seating_y_deg"])
-        to_light, to_camera = directions(self.poses, self.convention)
+        angle = self.convention.light_angle_deg + own.get("light_angle_deg", 0.0)
+        to_light, to_camera = directions(self.poses, replace(self.convention, light_angle_deg=angle))
         return material, design, to_light @ seat, to_camera @ seat
 
     def indirect(self, values: FloatArray) -> FloatArray:
@@ -285,7 +294,8 @@ class _Model:
         return np.array([_STEP.get(name, _LOG_STEP) for name in self.names])
 
     def prior(self) -> FloatArray:
-        return np.array([_PRIOR[name] for name in self.names])
+        own = _PRIOR | {"light_angle_deg": self.specimen.u_light_angle_deg}
+        return np.array([own[name] for name in self.names])
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         wide = (-np.inf, np.inf)

@@ -254,6 +254,7 @@ class Reciprocity:
         negative: number of rows with a negative value.
         negative_p_value: probability of such values or lower ones by the stated uncertainties alone, of surfaces that
             reflect nothing there; None without them, or without negative rows.
+        largest_k: largest difference of a pair over its stated uncertainty; None without them.
     """
 
     pairs: int
@@ -263,6 +264,7 @@ class Reciprocity:
     p_value: float | None = None
     negative: int = 0
     negative_p_value: float | None = None
+    largest_k: float | None = None
 
 
 def unit_vectors(theta_deg: FloatArray, phi_deg: FloatArray) -> FloatArray:
@@ -351,7 +353,10 @@ def reciprocity(table: BrdfTable) -> Reciprocity:
         return Reciprocity(0, None, None, None, None, int(below.sum()), low)
     worst, lines = max(found, key=lambda pair: abs(pair[0]))
     rms = float(np.sqrt(np.mean([share**2 for share, _ in found])))
-    return Reciprocity(len(found), rms, abs(worst), lines, _p_value(np.array(z)), int(below.sum()), low)
+    largest = float(np.abs(z).max()) if z else None
+    return Reciprocity(
+        len(found), rms, abs(worst), lines, _p_value(np.array(z)), int(below.sum()), low, largest
+    )
 
 
 def _p_value(z: FloatArray) -> float | None:

@@ -8,10 +8,14 @@ angles, through the slopes of the scanned lobe itself.
 The seating of a coupon is found from its scan: a lobe fitted to the radiances stands about the normal of the coupon
 (`fit.lobe`), and the directions of the table are those that the coupon sees. Parts of the region whose radiances follow
 other normals say how flat it is.
+
+So is the light angle, where the plastic tells it. Light reaches a flat coupon half of it off the plane of the tilts, so
+that with the roughnesses α and β along and across, ln L(0°)/L(90°) at tilt 0 is about tan²(angle/2) (1/α² − 1/β²), and
+tilts measure both. A coupon of even roughness, or a lobe that no family fits, leaves the angle as it is stated.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,6 +45,7 @@ from anisoscope.rig.rigfile import check_arm
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
 from anisoscope.sim.light.material import Material
 
+LAMPS = "lamps.json"
 TABLE, READINGS, BUDGET, GONIOMETER = "brdf.csv", "readings.csv", "budget.json", "goniometer.csv"
 FLATNESS_LIMIT_DEG = 0.5
 """Normals of a coupon may lean so far from their mean."""
@@ -50,6 +55,22 @@ _FINE_STAGE, _FINE_TILT = 2.5, 0.5
 _SEATING_STEP_DEG = 0.05
 _PARTS = 3  # along a side of the region
 _SPREAD = 0.4  # share of the poses that are spread evenly, whatever the lobe
+
+
+class Lamps(BaseModel):
+    """A scan with several lamps, one after the other, each in a folder of its own; ``lamps.json`` of the folder."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    rigs: tuple[Path, ...]
+    recipe: Path
+    specimen: Literal["coupon", "part"]
+    tilt_deg: float
+    stages: int
+    tilts: int
+    exposure_s: float | None
+    folders: tuple[str, ...]
 
 
 class ScanSettings(BaseModel):
@@ -131,7 +152,9 @@ class CouponSeat:
     Attributes:
         about_x_deg, about_y_deg: seating, as of `seating_rotation`.
         u_deg: standard uncertainties of both.
-        log_slopes: (P, 2) change of ln L per degree about x and about y.
+        log_slopes: (P, 3) change of ln L per degree about x, about y, and of the light angle.
+        light_angle_deg: light angle, found from the scan as far as it tells it.
+        u_light_angle_deg: its standard uncertainty.
         flatness_deg: largest angle between the normal of a ninth of the region and their mean.
         u_flatness_deg: its standard uncertainty.
     """
@@ -140,6 +163,8 @@ class CouponSeat:
     about_y_deg: float
     u_deg: tuple[float, float]
     log_slopes: FloatArray
+    light_angle_deg: float
+    u_light_angle_deg: float
     flatness_deg: float
     u_flatness_deg: float
 
@@ -233,12 +258,7 @@ def begin_scan(
     job, settings = planned_scan(
         rig_path, recipe_path, specimen, tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise UsageError(f"{folder} holds files: name a new folder, or `rig scan --continue {folder}`")
-    except OSError as problem:
-        raise RecordError(f"cannot make {folder}: {problem.strerror or problem}") from problem
+    _new_folder(folder)
     job, setup = _scanning(job, settings)
     with working_in(folder), _resumable(folder):
         plan = job.plan()
@@ -305,6 +325,110 @@ def resume_scan(folder: Path, on_progress: Advance = silent) -> ScanResult:
         return _measured(folder, job, setup, manifest, on_progress)
 
 
+def planned_lamps(
+    rig_paths: Sequence[Path],
+    recipe_path: Path,
+    specimen: Literal["coupon", "part"],
+    *,
+    tilt_deg: float = 20.0,
+    stages: int = 24,
+    tilts: int = 13,
+    exposure_s: float | None = None,
+) -> Lamps:
+    """A scan of one specimen with several lamps; nothing moves.
+
+    Args:
+        rig_paths: a rig file for each lamp, with its wavelength and the flat taken under it.
+        recipe_path: as for `begin_scan`, as is the rest.
+        specimen: what lies on the stage.
+        tilt_deg: largest tilt.
+        stages: number of stage angles.
+        tilts: number of tilts.
+        exposure_s: shortest exposure.
+
+    Raises:
+        UsageError: a lamp without a wavelength, or two of one; and as for `begin_scan`.
+    """
+    folders: list[str] = []
+    for path in rig_paths:
+        job, _ = planned_scan(
+            path, recipe_path, specimen, tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s
+        )
+        nm = job.rig.light.wavelength_nm
+        if nm is None or f"{nm:g}nm" in folders:
+            what = "states no light.wavelength_nm" if nm is None else f"is a second one of {nm:g} nm"
+            raise UsageError(f"{path} {what}: a scan with several lamps needs a rig file for each wavelength")
+        folders.append(f"{nm:g}nm")
+    return Lamps(
+        rigs=tuple(path.resolve() for path in rig_paths), recipe=recipe_path.resolve(), specimen=specimen,
+        tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s, folders=tuple(folders),
+    )  # fmt: skip
+
+
+def begin_lamps(lamps: Lamps, folder: Path, on_progress: Advance = silent) -> tuple[ScanResult, ...]:
+    """Scan with one lamp after the other, into folders within a new one; tables of all lie in the folder itself.
+
+    Raises:
+        UsageError: a folder that holds files; and as for `begin_scan`.
+    """
+    _new_folder(folder)
+    write_text(folder / LAMPS, lamps.model_dump_json(by_alias=True, indent=2) + "\n")
+    return resume_lamps(folder, on_progress)
+
+
+def resume_lamps(folder: Path, on_progress: Advance = silent) -> tuple[ScanResult, ...]:
+    """Go on with a scan with several lamps: what its folders hold is not taken again.
+
+    Raises:
+        RecordError: no such scan began here; and as for `begin_scan`.
+    """
+    try:
+        lamps = Lamps.model_validate_json((folder / LAMPS).read_bytes())
+    except OSError as problem:
+        raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
+    except ValidationError as problem:
+        raise RecordError(f"{folder / LAMPS} is damaged: {problem.errors()[0]['msg']}") from problem
+    found = []
+    try:
+        for rig, name in zip(lamps.rigs, lamps.folders, strict=True):
+            here = folder / name
+            on_progress(name, len(found), len(lamps.folders))
+            if (here / SCAN).exists():
+                found.append(resume_scan(here, on_progress))
+                continue
+            found.append(
+                begin_scan(
+                    rig,
+                    lamps.recipe,
+                    lamps.specimen,
+                    here,
+                    tilt_deg=lamps.tilt_deg,
+                    stages=lamps.stages,
+                    tilts=lamps.tilts,
+                    exposure_s=lamps.exposure_s,
+                    on_progress=on_progress,
+                )
+            )
+    except (AnisoscopeError, KeyboardInterrupt) as error:
+        error.add_note(f"`anisoscope rig scan --continue {folder}` goes on with all lamps")
+        raise
+    for name, texts in (
+        (TABLE, [one.table().csv() for one in found]),
+        (GONIOMETER, [one.goniometer_csv() for one in found]),
+    ):
+        write_text(folder / name, texts[0] + "".join(one.partition("\n")[2] for one in texts[1:]))
+    return tuple(found)
+
+
+def _new_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise UsageError(f"{folder} holds files: name a new folder, or `rig scan --continue {folder}`")
+    except OSError as problem:
+        raise RecordError(f"cannot make {folder}: {problem.strerror or problem}") from problem
+
+
 @contextmanager
 def _resumable(folder: Path) -> Iterator[None]:
     try:
@@ -347,6 +471,8 @@ def _measured(folder: Path, job: Job, setup: Setup, manifest: Manifest, on_progr
             "about_x_deg": seat.about_x_deg,
             "about_y_deg": seat.about_y_deg,
             "u_deg": list(seat.u_deg),
+            "light_angle_deg": seat.light_angle_deg,
+            "u_light_angle_deg": seat.u_light_angle_deg,
             "flatness_deg": seat.flatness_deg,
             "u_flatness_deg": seat.u_flatness_deg,
         },
@@ -369,22 +495,30 @@ def _result(job: Job, setup: Setup, measured: Measured) -> ScanResult:
     budget["stage angle"] = np.abs(by_stage) * uncertainty.stage_deg
     seat = None
     if setup.specimen.name == "coupon":
-        seat = coupon_seat(setup, measured)
+        seat = coupon_seat(setup, measured, uncertainty.light_angle_deg)
+        found = replace(setup.convention, light_angle_deg=seat.light_angle_deg)
+        light, camera = directions(setup.poses, found)
         turn = seating_rotation(seat.about_x_deg, seat.about_y_deg)
         light, camera = light @ turn, camera @ turn
-        budget["seating, found from the scan"] = np.hypot(*(seat.log_slopes * seat.u_deg).T)
+        budget["seating, found from the scan"] = np.hypot(*(seat.log_slopes[:, :2] * seat.u_deg).T)
+        budget["light angle"] = np.abs(seat.log_slopes[:, 2]) * seat.u_light_angle_deg
         budget["tilt"] = np.abs(by_tilt) * uncertainty.tilt_deg
     else:
         budget["tilt and seating"] = np.abs(by_tilt) * uncertainty.seating_tilt_deg
-    # The half vector turns by half of what the light does, in a plane across that of the tilt.
-    across = np.hypot(by_tilt, by_stage / np.maximum(_tangent(light, camera), 0.02))
-    budget["light angle"] = 0.5 * across * uncertainty.light_angle_deg
+        # The half vector turns by half of what the light does, in a plane across that of the tilt.
+        across = np.hypot(by_tilt, by_stage / np.maximum(_tangent(light, camera), 0.02))
+        budget["light angle"] = 0.5 * across * uncertainty.light_angle_deg
     brdf = measured.radiance / light[:, 2]
     return ScanResult(setup.poses, light, camera, brdf, budget, job.rig.light.wavelength_nm, seat)
 
 
-def coupon_seat(setup: Setup, measured: Measured) -> CouponSeat:
-    """Seating of a coupon, and how flat it is.
+def coupon_seat(setup: Setup, measured: Measured, u_light_angle_deg: float) -> CouponSeat:
+    """Seating of a coupon, light angle, and how flat it is.
+
+    Args:
+        setup: what was scanned.
+        measured: radiances of the poses.
+        u_light_angle_deg: standard uncertainty of the light angle of the rig file.
 
     Raises:
         CalibrationError: it leans too far, or is not flat.
@@ -392,11 +526,16 @@ def coupon_seat(setup: Setup, measured: Measured) -> CouponSeat:
     own = [one.relative**2 for one in measured.components if not one.shared]
     noise = np.sqrt(np.sum(own, axis=0)) if own else np.zeros(len(setup.poses))
     scan = Scan(setup.poses, setup.convention, measured.radiance, noise)
-    found = fit_lobe(scan, setup.specimen, setup.material, ("tail",)).information
+    free = fit_lobe(
+        scan, replace(setup.specimen, u_light_angle_deg=u_light_angle_deg), setup.material, ("tail",)
+    )
+    # a lobe of another family would be met by turning the light
+    found = (free if free.fits else fit_lobe(scan, setup.specimen, setup.material, ("tail",))).information
     values = dict(zip(found.names, map(float, found.values), strict=True))
     seat = values["seating_x_deg"], values["seating_y_deg"]
-    slopes = seating_slopes(setup, found.material, seat)
-    flat, u_flat = flatness(np.log(np.maximum(measured.cells, 1e-12)), slopes)
+    off, u_off = values.get("light_angle_deg", 0.0), found.u.get("light_angle_deg", u_light_angle_deg)
+    slopes = seating_slopes(setup, found.material, (*seat, off))
+    flat, u_flat = flatness(np.log(np.maximum(measured.cells, 1e-12)), slopes[:, :2])
     if flat > FLATNESS_LIMIT_DEG + 2.0 * u_flat:
         raise CalibrationError(
             f"the coupon is not flat: normals of parts of the region lean by up to {flat:.2f}° from their mean (u "
@@ -404,23 +543,25 @@ def coupon_seat(setup: Setup, measured: Measured) -> CouponSeat:
             "the lamp stands far away"
         )
     u = found.u["seating_x_deg"], found.u["seating_y_deg"]
-    return CouponSeat(*seat, u, slopes, flat, u_flat)
+    angle = setup.convention.light_angle_deg + off
+    return CouponSeat(*seat, u, slopes, angle, min(u_off, u_light_angle_deg), flat, u_flat)
 
 
-def seating_slopes(setup: Setup, material: Material, seat: tuple[float, float]) -> FloatArray:
-    """(P, 2) change of ln L per degree of seating about x and about y, by the fitted lobe."""
-    light, camera = directions(setup.poses, setup.convention)
+def seating_slopes(setup: Setup, material: Material, at: tuple[float, float, float]) -> FloatArray:
+    """(P, 3) change of ln L per degree of seating about x and about y and of the light angle, by the fitted lobe."""
+
+    def log_light(values: list[float]) -> FloatArray:
+        turned = replace(setup.convention, light_angle_deg=setup.convention.light_angle_deg + values[2])
+        light, camera = directions(setup.poses, turned)
+        turn = seating_rotation(values[0], values[1])
+        return np.log(setup.specimen.direct(light @ turn, camera @ turn, setup.specimen.design, material))
+
     columns = []
-    for axis in (0, 1):
-        ends = []
-        for side in (1.0, -1.0):
-            moved = list(seat)
-            moved[axis] += side * _SEATING_STEP_DEG
-            turn = seating_rotation(*moved)
-            ends.append(
-                np.log(setup.specimen.direct(light @ turn, camera @ turn, setup.specimen.design, material))
-            )
-        columns.append((ends[0] - ends[1]) / (2.0 * _SEATING_STEP_DEG))
+    for axis in range(3):
+        up, down = list(at), list(at)
+        up[axis] += _SEATING_STEP_DEG
+        down[axis] -= _SEATING_STEP_DEG
+        columns.append((log_light(up) - log_light(down)) / (2.0 * _SEATING_STEP_DEG))
     return np.stack(columns, axis=-1)
 
 

@@ -1,6 +1,11 @@
-"""Page of two registered height maps: both maps, their difference, its uncertainty, wear, ridges, a line."""
+"""Page of two registered height maps: both maps, their difference, its uncertainty, wear, ridges, a line.
+
+Of a tool and its part the degree of replication besides: place by place in colours, ridge by ridge as a table; and
+where a recipe says under which light, what all that does to the predicted contrasts.
+"""
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +25,11 @@ from anisoscope.report.profile_page import map_picture
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from anisoscope.prediction.contrast_change import ContrastCauses
+
 PICTURE_POINTS = 900
 LINE_POINTS = 2000
-RIDGE_COLUMNS = (
+WEAR_COLUMNS = (
     ("height A [µm]", "height_a_um"),
     ("height B [µm]", "height_b_um"),
     ("crest, change [µm]", "crest_change_um"),
@@ -31,6 +38,16 @@ RIDGE_COLUMNS = (
     ("edge radius B [µm]", "radius_b_um"),
     ("edge radius, change [µm]", "radius_change_um"),
     ("section lost [µm²]", "lost_area_um2"),
+)
+REPLICATION_COLUMNS = (
+    ("relief B/A", "relief"),
+    ("height A [µm]", "height_a_um"),
+    ("height B [µm]", "height_b_um"),
+    ("ridge angle A [°]", "angle_a_deg"),
+    ("ridge angle B [°]", "angle_b_deg"),
+    ("ridge angle, change [°]", "angle_change_deg"),
+    ("edge radius A [µm]", "radius_a_um"),
+    ("edge radius B [µm]", "radius_b_um"),
 )
 Line = tuple[float, float, float, float]
 
@@ -69,6 +86,55 @@ def difference_picture(
     height, width = (n * 1e-3 for n in found.first.extent_um)
     with new_map_figure((height, width)) as (figure, axes, bar):
         _draw_map(axes, bar, heights, found, label, line, signed=signed)
+        return svg_uri(figure)
+
+
+def ridge_table(
+    found: Comparison, contrasts: "Sequence[ContrastCauses]" = ()
+) -> tuple[list[str], list[list[str]]]:
+    """Columns and rows of the table of ridges: wear, or replication of a tool; changes of ln ratios last."""
+    columns = REPLICATION_COLUMNS if found.mirrored else WEAR_COLUMNS
+    pairs = [one for one in contrasts if one.ridges]
+    heads = [f"ln {one.from_deg:g}°/{one.to_deg:g}°, tilt {one.tilt_deg:g}°, change" for one in pairs]
+    rows = []
+    for ridge in found.ridges:
+        cells = [
+            " ± ".join(cell for cell in as_text(getattr(ridge, key)) if cell != "–") or "–" for _, key in columns
+        ]  # fmt: skip
+        changes = [f"{one.ridges[ridge.number]:+.4f}" for one in pairs]
+        rows.append([str(ridge.number), f"{ridge.position_um:.1f}", *cells, *changes])
+    return ["ridge", "position [µm]", *(text for text, _ in columns), *heads], rows
+
+
+def contrast_table(contrasts: "Sequence[ContrastCauses]") -> tuple[list[str], list[list[str]]]:
+    """Columns and rows of the table of contrasts and what changes them."""
+    causes = list(contrasts[0].causes) if contrasts else []
+    rows = []
+    for one in contrasts:
+        cells = [f"{one.from_deg:g}°/{one.to_deg:g}°", f"{one.tilt_deg:g}"]
+        cells += [f"{value:+.4f}" for value in (one.first, one.second, one.second - one.first)]
+        for name in causes:
+            value, u = as_text(one.causes[name])
+            cells.append(value if u == "–" else f"{value} ± {u}")
+        rows.append([*cells, "–" if one.rest is None else f"{one.rest:+.4f}"])
+    heads = ["ln L/L", "tilt [°]", "A", "B", "change", *(f"by {name}" for name in causes), "by the rest"]
+    return heads, rows
+
+
+def relief_picture(found: Comparison) -> str:
+    """Factor of the heights of B on those of A, place by place, as a data URI; grey where it is not known."""
+    height, width = (n * 1e-3 for n in found.first.extent_um)
+    step = max(1, -(-max(found.relief.shape) // PICTURE_POINTS))
+    shown = found.relief[::step, ::step]
+    far = np.abs(shown[np.isfinite(shown)] - 1.0)
+    reach = max(0.01, float(np.percentile(far, 98.0)) if far.size else 0.0)
+    with new_map_figure((height, width)) as (figure, axes, bar):
+        axes.set_facecolor("#9aa5ae")
+        image = axes.imshow(
+            np.ma.masked_invalid(shown), origin="lower", cmap="PuOr", extent=(0.0, width, 0.0, height),
+            vmin=1.0 - reach, vmax=1.0 + reach, interpolation="nearest",
+        )  # fmt: skip
+        figure.colorbar(image, cax=bar, label="relief B/A")
         return svg_uri(figure)
 
 
@@ -172,6 +238,11 @@ def comparison_numbers(found: Comparison) -> list[tuple[str, str, str, str]]:
         row("sum of all differences", found.net_um3, "µm³"),
         row("relief of A that B has", found.replication.relief, "1"),
         row("ridge height B/A", found.replication.height, "1"),
+        *(
+            [row("shrinkage of B", found.replication.shrinkage, "1")]
+            if found.replication.shrinkage.known
+            else []
+        ),
     ]
 
 
@@ -179,14 +250,18 @@ def comparison_notes(found: Comparison) -> list[str]:
     """What a reader has to know about the registration."""
     placed, notes = found.placed, []
     if found.mirrored:
-        notes.append("B was negated and mirrored along x first")
+        notes.append("A, the tool, was negated and mirrored along x first; what is lost was not filled")
+    if found.replication.shrinkage.value is not None:
+        notes.append(
+            f"B is smaller by {100.0 * found.replication.shrinkage.value:.3g} %, and was stretched to the size of A"
+        )
     if placed.u_x_um is None or placed.u_y_um is None:
         notes.append("the shift along the ridges is not determined: they carry nothing to tell it by")
     if placed.ambiguity > 0.9:
         notes.append(
             "the maps agree almost as well at another place, such as whole pitches away; the largest overlap was taken"
         )
-    if not placed.scale_agrees:
+    elif not placed.scale_agrees:
         notes.append(
             f"the scales differ by {100.0 * (placed.scale - 1.0):.3g} %: check the pixel sizes; B was not stretched"
         )
@@ -199,7 +274,11 @@ def comparison_notes(found: Comparison) -> list[str]:
 
 
 def write_comparison_page(
-    found: Comparison, names: tuple[str, str], path: Path, line: Line | None = None
+    found: Comparison,
+    names: tuple[str, str],
+    path: Path,
+    line: Line | None = None,
+    contrasts: "Sequence[ContrastCauses]" = (),
 ) -> None:
     """Write the page, atomically.
 
@@ -208,6 +287,7 @@ def write_comparison_page(
         names: how the page calls the maps A and B.
         path: file to write.
         line: x0, y0, x1, y1 in µm from the first point of A; a row through the middle where it is not given.
+        contrasts: predicted contrasts of both and what changes them.
 
     Raises:
         RecordError: the file cannot be written.
@@ -233,17 +313,8 @@ def write_comparison_page(
         "line_chart": line_chart(found, chosen),
         "numbers": comparison_numbers(found),
         "notes": comparison_notes(found),
-        "columns": [text for text, _ in RIDGE_COLUMNS],
-        "ridge_rows": [
-            (
-                one.number,
-                f"{one.position_um:.1f}",
-                *(
-                    " ± ".join(cell for cell in as_text(getattr(one, key)) if cell != "–") or "–"
-                    for _, key in RIDGE_COLUMNS
-                ),
-            )
-            for one in found.ridges
-        ],
+        "ridges": ridge_table(found, contrasts),
+        "contrasts": contrast_table(contrasts) if contrasts else None,
+        "relief": relief_picture(found) if found.mirrored else None,
     }
     write_page(path, "comparison.html", content)

@@ -63,10 +63,10 @@ class Proof:
     Attributes:
         title: of the page.
         subtitle: below it.
-        inks: three.
+        inks: one or more, up to fifteen: inks, and what they are on top of each other.
         lights: one or more.
-        halftone_png: RGB picture of the dots, 255 where an ink is.
-        tones_png: RGB picture of coverages, 255 for 1.
+        halftone_pngs: RGB pictures of the dots, three inks each, 255 where an ink covers all of a dot.
+        tones_pngs: RGB pictures of coverages, 255 for 1.
         aspect: width of the print over its height.
         exposure: factor on linear light.
         fill: share of the view that a unit sphere takes.
@@ -84,8 +84,8 @@ class Proof:
     subtitle: str
     inks: tuple[Ink, ...]
     lights: tuple[ProofLight, ...]
-    halftone_png: bytes
-    tones_png: bytes
+    halftone_pngs: tuple[bytes, ...]
+    tones_pngs: tuple[bytes, ...]
     aspect: float
     exposure: float
     fill: float
@@ -104,11 +104,11 @@ def write_proof_page(proof: Proof, path: Path) -> None:
     """Write the page, atomically.
 
     Raises:
-        UsageError: not three inks, or one whose distribution of normals the page does not know.
+        UsageError: more inks than pictures hold, or one whose distribution of normals the page does not know.
         RecordError: the file cannot be written.
     """
-    if len(proof.inks) != 3:
-        raise UsageError(f"a proof shows three inks, not {len(proof.inks)}")
+    if not 1 <= len(proof.inks) <= 3 * min(len(proof.halftone_pngs), len(proof.tones_pngs)):
+        raise UsageError(f"a proof of {len(proof.inks)} inks needs a picture for every three of them")
     for ink in proof.inks:
         if ink.distribution != "ggx":
             raise UsageError(
@@ -157,8 +157,8 @@ def _data(proof: Proof) -> dict[str, Any]:
             for one in proof.lights
         ],
         "tables": packed(tables(proof.inks, proof.lights)),
-        "halftone": _uri(proof.halftone_png),
-        "tones": _uri(proof.tones_png),
+        "halftone": [_uri(one) for one in proof.halftone_pngs],
+        "tones": [_uri(one) for one in proof.tones_pngs],
         "aspect": proof.aspect,
         "exposure": proof.exposure,
         "fill": proof.fill,
@@ -168,12 +168,14 @@ def _data(proof: Proof) -> dict[str, Any]:
         "mesh": None
         if mesh is None
         else {"vertices": packed(mesh.vertices), "triangles": packed(mesh.triangles)},
-        "selftest": list(proof.selftest or selftest_cases(mesh is not None, len(proof.lights))),
+        "selftest": list(
+            proof.selftest or selftest_cases(mesh is not None, len(proof.lights), len(proof.inks))
+        ),
         "selftest_size": SELFTEST_SIZE,
     }
 
 
-def selftest_cases(mesh: bool, lights: int) -> list[State]:
+def selftest_cases(mesh: bool, lights: int, inks: int = 3) -> list[State]:
     """Cases of ``#selftest``: all inks, models and prints under two lights, and every shape and extra."""
     plain = {
         "shape": "sphere",
@@ -189,7 +191,7 @@ def selftest_cases(mesh: bool, lights: int) -> list[State]:
         plain | {"illuminant": number, "model": model, "print": what}
         for number in range(min(lights, 2))
         for model in MODELS
-        for what in ("halftone", "tones", "solid1", "solid2", "solid3")
+        for what in ("halftone", "tones", *(f"solid{k}" for k in range(1, inks + 1)))
     ]
     turned = plain | {"illuminant": 0, "model": "goniochromatic", "print": "tones", "yaw": 35, "pitch": 25}
     match = {"match": True, "phong": 0.05, "shininess": 4, "scattering": 0.1, "behind": 0.1}

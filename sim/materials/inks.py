@@ -18,6 +18,8 @@ from anisoscope.sim.light.ink.ink import SPECTRALON, Ink, Scale
 
 COLUMNS = ("wavelength_nm", "rho", "c")
 SYNTHETIC = ("synthetic-red", "synthetic-green", "synthetic-blue")
+"""The three that are taken where none are named."""
+PACKAGED = (*SYNTHETIC, "synthetic-white")
 Alpha = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
@@ -152,8 +154,8 @@ def synthetic_ink(name: str) -> Ink:
     Raises:
         UsageError: no such ink.
     """
-    if name not in SYNTHETIC:
-        raise UsageError(f"no ink is named {name!r}; known: {', '.join(SYNTHETIC)}, or a file *.toml")
+    if name not in PACKAGED:
+        raise UsageError(f"no ink is named {name!r}; known: {', '.join(PACKAGED)}, or a file *.toml")
     with as_file(files("anisoscope.sim.materials") / "data" / f"{name}.toml") as path:
         return read_ink(path)
 
@@ -165,7 +167,7 @@ def find_ink(text: str) -> Ink:
         UsageError: neither.
         InkFileError: the file is wrong.
     """
-    return synthetic_ink(text) if text in SYNTHETIC or not text.endswith(".toml") else read_ink(Path(text))
+    return synthetic_ink(text) if text in PACKAGED or not text.endswith(".toml") else read_ink(Path(text))
 
 
 def with_roughness(ink: Ink, alpha: float) -> Ink:

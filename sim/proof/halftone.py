@@ -1,4 +1,4 @@
-"""Halftones of three inks that never overlap: one threshold mask for all of them, or vector error diffusion.
+"""Halftones of three or four inks that never overlap: one threshold mask for all of them, or vector error diffusion.
 
 The mask is void and cluster (R. Ulichney, Proc. SPIE 1913, 332, 1993) on a torus. One mask serves all inks, so that no
 two of them can meet on one dot. The mask in the package is written by ``python -m anisoscope.sim.proof.halftone``.
@@ -20,7 +20,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.light import threads
-from anisoscope.sim.proof.separation import INKS, TOLERANCE, Separation, decode_srgb
+from anisoscope.sim.proof.separation import CHANNELS, TOLERANCE, Separation, decode_srgb
 
 Ranks = npt.NDArray[np.int64]
 Thresholds = npt.NDArray[np.float32]
@@ -95,10 +95,10 @@ class Halftone:
     """Where which ink goes.
 
     Attributes:
-        dots: (rows, cols) 0 for no ink, 1 to 3 for the inks; one number a dot, so that inks cannot meet.
+        dots: (rows, cols) 0 for no ink, 1 to K for the inks; one number a dot, so that inks cannot meet.
         method: how the dots were placed.
-        aimed: (3,) mean coverages asked for, after sums above 1 were scaled down.
-        printed: (3,) mean coverages of the dots.
+        aimed: (K,) mean coverages asked for, after sums above 1 were scaled down.
+        printed: (K,) mean coverages of the dots.
         block_error: (B,) largest difference between both over the inks, in blocks of 64 × 64 dots; cut ones left out.
         outside: share of pixels whose colour the inks cannot mix.
         scaled: share of pixels whose coverages summed up to more than 1.
@@ -113,7 +113,7 @@ class Halftone:
     scaled: float
 
     def mask(self, ink: int) -> npt.NDArray[np.bool_]:
-        """(rows, cols) dots of one ink, 0 to 2."""
+        """(rows, cols) dots of one ink, 0 to K − 1."""
         return np.asarray(self.dots == ink + 1)
 
 
@@ -125,24 +125,29 @@ class _Job:
     levels: Float32
     colours: Float32
     solvers: Float32
+    exact: int
     plan: Separation
 
     def cover(self, begin: int, stop: int, counts: npt.NDArray[np.int64]) -> Float32:
-        """(stop − begin, cols, 3) coverages of rows."""
+        """(stop − begin, cols, K) coverages of rows."""
         from anisoscope.sim.proof.kernels import limit_sum, separate  # noqa: PLC0415 - loads the compiler
 
         band = self.image[begin:stop]
         linear = self.levels[band] if band.dtype == np.uint8 else band * np.float32(self.plan.gain)
         if self.plan.way == "channels":
+            if self.plan.inks > CHANNELS:
+                common = linear.min(axis=-1, keepdims=True)
+                linear = np.concatenate([linear - common, common], axis=-1)
             limit_sum(linear, counts)
             return np.asarray(linear)
-        found = np.empty_like(linear)
-        separate(linear, self.colours, self.solvers, TOLERANCE, found, counts)
+        found = np.empty((*linear.shape[:2], self.plan.inks), dtype=np.float32)
+        scratch = np.empty((2, self.plan.inks), dtype=np.float32)
+        separate(linear, self.colours, self.solvers, self.exact, TOLERANCE, found, counts, scratch)
         return found
 
 
 def _job(image: npt.NDArray[np.uint8] | Float32, plan: Separation) -> _Job:
-    if image.ndim != 3 or image.shape[2] != INKS or 0 in image.shape:
+    if image.ndim != 3 or image.shape[2] != CHANNELS or 0 in image.shape:
         raise ModelError(f"an image to halftone is (rows, cols, 3), not {image.shape}")
     if image.dtype not in (np.uint8, np.float32):
         raise ModelError(f"an image to halftone is 8-bit sRGB or linear float32, not {image.dtype}")
@@ -153,12 +158,13 @@ def _job(image: npt.NDArray[np.uint8] | Float32, plan: Separation) -> _Job:
     # the adaptation is taken into the inks, so that every pixel is spared a product
     backward = np.linalg.inv(plan.adaptation)
     levels = (plan.gain * decode_srgb()).astype(np.float32)
-    solvers = (plan.solvers.astype(np.float64) @ plan.adaptation).astype(np.float32)
-    return _Job(image, levels, (backward @ plan.colours).astype(np.float32), solvers, plan)
+    solvers, exact = plan.solvers
+    solvers = (solvers.astype(np.float64) @ plan.adaptation).astype(np.float32)
+    return _Job(image, levels, (backward @ plan.colours).astype(np.float32), solvers, exact, plan)
 
 
 def coverage(image: npt.NDArray[np.uint8] | Float32, plan: Separation) -> Float32:
-    """(rows, cols, 3) coverages of three inks, sums at most 1, for an image as :func:`halftone` takes it.
+    """(rows, cols, K) coverages of the inks, sums at most 1, for an image as :func:`halftone` takes it.
 
     Raises:
         ModelError: no such image.
@@ -190,10 +196,10 @@ def halftone(
     rows, cols = image.shape[:2]
     dots = np.empty((rows, cols), dtype=np.uint8)
     shape = (-(-rows // BLOCK), -(-cols // BLOCK))
-    aimed, printed = np.zeros((*shape, INKS)), np.zeros((*shape, INKS + 1), dtype=np.int64)
+    aimed, printed = np.zeros((*shape, plan.inks)), np.zeros((*shape, plan.inks + 1), dtype=np.int64)
     starts = range(0, rows, ROWS)
     counts = np.zeros((len(starts), 2), dtype=np.int64)
-    place = _placer(method, cols)
+    place = _placer(method, cols, plan.inks)
     lock, done = Lock(), [0]
 
     def work(number: int) -> Float32:
@@ -220,13 +226,13 @@ def halftone(
 Placer = Callable[[Float32, int, Dots], None]
 
 
-def _placer(method: Method, cols: int) -> Placer | None:
+def _placer(method: Method, cols: int, inks: int) -> Placer | None:
     """What places the dots of a band after those of the band above; None where bands do not depend on each other."""
     if method == "mask":
         return None
     from anisoscope.sim.proof.kernels import diffuse  # noqa: PLC0415 - loads the compiler
 
-    error = np.zeros((2, cols + 2, INKS), dtype=np.float32)
+    error = np.zeros((2, cols + 2, inks), dtype=np.float32)
     return lambda cover, begin, dots: diffuse(cover, begin, error, dots)
 
 

@@ -137,11 +137,11 @@ def to_dots(image: Image, width_dots: int) -> Bytes8 | Float32:
 
 
 def dots_png(dots: Bytes8, colours: npt.NDArray[np.uint8], dpi: float) -> bytes:
-    """All inks as one PNG of four colours (paper, inks), with its resolution.
+    """All inks as one PNG of a palette (paper, inks), with its resolution.
 
     Args:
-        dots: (rows, cols) 0 to 3.
-        colours: (4, 3) 8-bit sRGB of paper and inks.
+        dots: (rows, cols) 0 to K.
+        colours: (K + 1, 3) 8-bit sRGB of paper and inks.
         dpi: dots per inch.
     """
     import PIL.Image  # noqa: PLC0415 - start-up time
@@ -149,7 +149,8 @@ def dots_png(dots: Bytes8, colours: npt.NDArray[np.uint8], dpi: float) -> bytes:
     picture = PIL.Image.fromarray(dots, mode=None)
     picture.putpalette(colours.astype(np.uint8).tobytes(), rawmode="RGB")
     stream = io.BytesIO()
-    picture.save(stream, "PNG", bits=2, compress_level=3, dpi=(dpi, dpi))
+    bits = 2 if len(colours) <= 4 else 4
+    picture.save(stream, "PNG", bits=bits, compress_level=3, dpi=(dpi, dpi))
     return stream.getvalue()
 
 

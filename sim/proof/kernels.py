@@ -88,68 +88,102 @@ Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 Dots = npt.NDArray[np.uint8]
 Scalar = float | np.floating[Any]
-Weights = tuple[Scalar, Scalar, Scalar]
 
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 SLIGHT = np.float32(1e-6)
+FAR = np.float32(1e30)
 OUTSIDE, TOO_BRIGHT = 0, 1
-INKS = 3
+CHANNELS = 3
 
 
 @jit_kernel(inline="always", fastmath=True)
-def _residual(colours: Float32, weights: Weights, aim: Float32) -> Scalar:
+def _residual(colours: Float32, weights: Float32, aim: Float32) -> Scalar:
     """Squared distance between a mixture of inks and the colour aimed at."""
     total: Scalar = ZERO
-    for row in range(INKS):
+    for row in range(CHANNELS):
         off: Scalar = -aim[row]
-        for k in range(INKS):
+        for k in range(weights.size):
             off += colours[row, k] * weights[k]
         total += off * off
     return total
 
 
-@jit_kernel(fastmath=True)
-def _mixture(aim: Float32, colours: Float32, solvers: Float32) -> tuple[Weights, Scalar]:
-    """Non-negative least squares of three unknowns, and the squared distance that is left.
+@jit_kernel(inline="always", fastmath=True)
+def _solved(solver: Float32, aim: Float32, weights: Float32) -> Scalar:
+    """Fill the weights of one set of inks; their sum, or −1 where one is negative."""
+    total: Scalar = ZERO
+    for k in range(weights.size):
+        one = solver[k, 0] * aim[0] + solver[k, 1] * aim[1] + solver[k, 2] * aim[2]
+        if one < -SLIGHT:
+            return -ONE
+        weights[k] = max(one, ZERO)
+        total += weights[k]
+    return total
 
-    It is the best of the non-negative solutions on all sets of inks; all three together, tried first, meet any colour.
+
+@jit_kernel(fastmath=True)
+def _mixture(
+    aim: Float32, colours: Float32, solvers: Float32, exact: int, trial: Float32, found: Float32
+) -> Scalar:
+    """Non-negative least squares, with the least ink where several mixtures meet a colour; the squared distance left.
+
+    The first ``exact`` sets of inks, of three each, meet any colour; of the others the best one counts.
     """
-    found: Weights = (ZERO, ZERO, ZERO)
+    least: Scalar = FAR
+    for n in range(exact):
+        total = _solved(solvers[n], aim, trial)
+        if ZERO <= total < least:
+            least = total
+            for k in range(found.size):
+                found[k] = trial[k]
+    if least < FAR:
+        return ZERO
     best: Scalar = aim[0] * aim[0] + aim[1] * aim[1] + aim[2] * aim[2]
-    for n in range(solvers.shape[0]):
-        a = solvers[n, 0, 0] * aim[0] + solvers[n, 0, 1] * aim[1] + solvers[n, 0, 2] * aim[2]
-        b = solvers[n, 1, 0] * aim[0] + solvers[n, 1, 1] * aim[1] + solvers[n, 1, 2] * aim[2]
-        c = solvers[n, 2, 0] * aim[0] + solvers[n, 2, 1] * aim[1] + solvers[n, 2, 2] * aim[2]
-        if a < -SLIGHT or b < -SLIGHT or c < -SLIGHT:
+    for k in range(found.size):
+        found[k] = ZERO
+    for n in range(exact, solvers.shape[0]):
+        if _solved(solvers[n], aim, trial) < ZERO:
             continue
-        weights = (max(a, ZERO), max(b, ZERO), max(c, ZERO))
-        if n == 0:
-            return weights, ZERO
-        off = _residual(colours, weights, aim)
+        off = _residual(colours, trial, aim)
         if off < best:
-            best, found = off, weights
-    return found, best
+            best = off
+            for k in range(found.size):
+                found[k] = trial[k]
+    return best
 
 
 @jit_kernel(nogil=True)
 def separate(
-    linear: Float32, colours: Float32, solvers: Float32, tolerance: float, cover: Float32, counts: Int64
+    linear: Float32,
+    colours: Float32,
+    solvers: Float32,
+    exact: int,
+    tolerance: float,
+    cover: Float32,
+    counts: Int64,
+    scratch: Float32,
 ) -> None:
-    """Coverages of three inks that come closest to colours; sums above 1 are scaled down to 1.
+    """Coverages of K inks that come closest to colours; sums above 1 are scaled down to 1.
 
     Args:
         linear: (rows, cols, 3) linear sRGB to aim at.
-        colours: (3, 3) linear sRGB of the inks, a column each.
-        solvers: (S, 3, 3) least-squares solutions on sets of inks, all three first; rows of inks left out are zero.
+        colours: (3, K) linear sRGB of the inks, a column each.
+        solvers: (S, K, 3) least-squares solutions on sets of inks; rows of inks left out are zero.
+        exact: how many of them, the first, are of three inks and meet any colour.
         tolerance: distance in linear sRGB from which a colour counts as out of gamut.
-        cover: (rows, cols, 3), filled.
+        cover: (rows, cols, K), filled.
         counts: (2,) pixels out of gamut, pixels whose sum was above 1; added to.
+        scratch: (2, K).
     """
     limit = np.float32(tolerance * tolerance)
+    inks = cover.shape[2]
+    trial, weights = scratch[0], scratch[1]
     for r in range(linear.shape[0]):
         for c in range(linear.shape[1]):
-            weights, off = _mixture(linear[r, c], colours, solvers)
-            total = weights[0] + weights[1] + weights[2]
+            off = _mixture(linear[r, c], colours, solvers, exact, trial, weights)
+            total = ZERO
+            for k in range(inks):
+                total += weights[k]
             if off > limit:
                 counts[OUTSIDE] += 1
             scale = ONE
@@ -157,7 +191,7 @@ def separate(
                 counts[TOO_BRIGHT] += 1
             if total > ONE:
                 scale = ONE / total
-            for k in range(INKS):
+            for k in range(inks):
                 cover[r, c, k] = weights[k] * scale
 
 
@@ -166,11 +200,13 @@ def limit_sum(cover: Float32, counts: Int64) -> None:
     """Scale sums of coverages above 1 down to 1, in place; ``counts`` as for :func:`separate`."""
     for r in range(cover.shape[0]):
         for c in range(cover.shape[1]):
-            total = cover[r, c, 0] + cover[r, c, 1] + cover[r, c, 2]
+            total = ZERO
+            for k in range(cover.shape[2]):
+                total += cover[r, c, k]
             if total > ONE + SLIGHT:
                 counts[TOO_BRIGHT] += 1
             if total > ONE:
-                for k in range(INKS):
+                for k in range(cover.shape[2]):
                     cover[r, c, k] /= total
 
 
@@ -179,33 +215,34 @@ def screen(cover: Float32, thresholds: Float32, first_row: int, dots: Dots) -> N
     """Dot off dot: the k-th ink where the threshold lies between the sums of coverages before and after it.
 
     Args:
-        cover: (rows, cols, 3), sums at most 1.
+        cover: (rows, cols, K), sums at most 1.
         thresholds: (N, N), tiled.
         first_row: of the whole print, to which the first row here belongs.
-        dots: (rows, cols), filled with 0 for no ink or 1 to 3.
+        dots: (rows, cols), filled with 0 for no ink or 1 to K.
     """
-    size = thresholds.shape[0]
+    size, inks = thresholds.shape[0], cover.shape[2]
     for r in range(cover.shape[0]):
         line = (first_row + r) % size
         for c in range(cover.shape[1]):
             threshold = thresholds[line, c % size]
-            one = cover[r, c, 0]
-            two = one + cover[r, c, 1]
-            three = two + cover[r, c, 2]
-            dots[r, c] = (threshold < three) * (1 + (threshold >= one) + (threshold >= two))
+            total, passed = ZERO, 0
+            for k in range(inks):
+                total += cover[r, c, k]
+                passed += threshold >= total
+            dots[r, c] = 0 if passed == inks else 1 + passed
 
 
 @jit_kernel(nogil=True)
 def diffuse(cover: Float32, first_row: int, error: Float32, dots: Dots) -> None:
-    """Vector error diffusion: the nearest of no ink and the three inks; Floyd and Steinberg's weights, serpentine.
+    """Vector error diffusion: the nearest of no ink and the K inks; Floyd and Steinberg's weights, serpentine.
 
     Args:
-        cover: (rows, cols, 3), sums at most 1.
+        cover: (rows, cols, K), sums at most 1.
         first_row: of the whole print, to which the first row here belongs.
-        error: (2, cols + 2, 3) errors carried into this row and the next, kept between calls; zeros at the top.
-        dots: (rows, cols), filled with 0 for no ink or 1 to 3.
+        error: (2, cols + 2, K) errors carried into this row and the next, kept between calls; zeros at the top.
+        dots: (rows, cols), filled with 0 for no ink or 1 to K.
     """
-    cols = cover.shape[1]
+    cols, inks = cover.shape[1:]
     ahead_w, back_w, below_w, over_w = (
         np.float32(7 / 16),
         np.float32(3 / 16),
@@ -217,23 +254,18 @@ def diffuse(cover: Float32, first_row: int, error: Float32, dots: Dots) -> None:
         step = 1 if now == 0 else -1
         c = 0 if step == 1 else cols - 1
         for j in range(cols + 2):
-            for k in range(INKS):
+            for k in range(inks):
                 error[after, j, k] = ZERO
         for _ in range(cols):
-            a, b, d = (cover[r, c, 0] + error[now, c + 1, 0], cover[r, c, 1] + error[now, c + 1, 1],
-                       cover[r, c, 2] + error[now, c + 1, 2])  # fmt: skip
             chosen = 0
             largest = HALF
-            if a > largest:
-                chosen, largest = 1, a
-            if b > largest:
-                chosen, largest = 2, b
-            if d > largest:
-                chosen, largest = 3, d
+            for k in range(inks):
+                one = cover[r, c, k] + error[now, c + 1, k]
+                if one > largest:
+                    chosen, largest = k + 1, one
             dots[r, c] = chosen
-            rest = (a - (chosen == 1), b - (chosen == 2), d - (chosen == 3))
-            for k in range(INKS):
-                left = np.float32(rest[k])
+            for k in range(inks):
+                left = np.float32(cover[r, c, k] + error[now, c + 1, k] - (chosen == k + 1))
                 error[now, c + 1 + step, k] += ahead_w * left
                 error[after, c + 1 - step, k] += back_w * left
                 error[after, c + 1, k] += below_w * left
@@ -248,17 +280,17 @@ def count_blocks(
     """Add coverages and dots of a band up by blocks.
 
     Args:
-        cover: (rows, cols, 3).
+        cover: (rows, cols, K).
         dots: (rows, cols).
         block: side of a block.
-        aimed: (block rows, block columns, 3) of the band; added to.
-        printed: (block rows, block columns, 4) dots without ink and of each ink; added to.
+        aimed: (block rows, block columns, K) of the band; added to.
+        printed: (block rows, block columns, K + 1) dots without ink and of each ink; added to.
     """
     for r in range(dots.shape[0]):
         for c in range(dots.shape[1]):
             i, j = r // block, c // block
             printed[i, j, dots[r, c]] += 1
-            for k in range(INKS):
+            for k in range(cover.shape[2]):
                 aimed[i, j, k] += cover[r, c, k]
 
 

@@ -1,10 +1,13 @@
-"""From an image to coverages of three inks.
+"""From an image to coverages of three or four inks.
 
 Coverage is linear: an ink that covers a share w of the paper adds w times its colour, so there is no dot gain and no
 gamma to correct, and an ICC profile has nothing to say about the print. The image is sRGB (an embedded profile is
 applied when it is read); it is made linear, adapted from sRGB's white to the white of the light (Bradford), and met by
 non-negative least squares in linear sRGB with the inks' own colours, seen in one geometry. The brightest neutral that
 the inks can mix is the white of the image.
+
+With a fourth ink, such as a white one, a colour has many mixtures: the one with the least ink is taken. It leaves room
+for brighter colours, so that neutrals are printed with the white ink as far as it goes.
 """
 
 from collections.abc import Sequence
@@ -26,7 +29,10 @@ from anisoscope.sim.light.ink.model import brdf_at_angles
 Float32 = npt.NDArray[np.float32]
 Way = Literal["match", "channels"]
 
-INKS = 3
+FEWEST_INKS, MOST_INKS = 3, 4
+CHANNELS = 3
+ALIKE = 50.0
+"""Condition of the matrix of three colours from which one counts as mixed from the others."""
 ANGLE_DEG = 20.0
 TOLERANCE = 0.02
 """Distance in linear sRGB, white at 1, from which a colour counts as out of gamut."""
@@ -37,10 +43,11 @@ class Separation:
     """How colours become coverages.
 
     Attributes:
-        way: "match": mixed from the inks' colours; "channels": R, G, B of the linear image are the coverages.
-        colours: (3, 3) linear sRGB of the inks, a column each, scaled so that ``white`` is met with a sum of 1.
+        way: "match": mixed from the inks' colours; "channels": R, G, B of the linear image are the coverages, and what
+            they have in common is that of a fourth ink.
+        colours: (3, K) linear sRGB of the inks, a column each, scaled so that ``white`` is met with a sum of 1.
         white: (3,) linear sRGB of the image's white, adapted to the light.
-        neutral: (3,) coverages of that white.
+        neutral: (K,) coverages of that white.
         adaptation: (3, 3) of the image's linear sRGB to the light.
         gain: on the image's linear values; above 1 the bright parts are cut.
         angle_deg: inclination of light and eye, on opposite sides.
@@ -57,15 +64,40 @@ class Separation:
     illuminant: str
 
     @property
-    def solvers(self) -> Float32:
-        """(7, 3, 3) least-squares solutions on all sets of inks, all three first; rows of inks left out are zero."""
-        found = []
-        for count in range(INKS, 0, -1):
-            for chosen in map(list, combinations(range(INKS), count)):
-                solver = np.zeros((INKS, 3))
-                solver[chosen] = np.linalg.pinv(self.colours[:, chosen])
-                found.append(solver)
-        return np.array(found, dtype=np.float32)
+    def inks(self) -> int:
+        """Number K of inks."""
+        return int(self.colours.shape[1])
+
+    @property
+    def solvers(self) -> tuple[Float32, int]:
+        """(S, K, 3) least-squares solutions on sets of inks, rows of inks left out zero; how many meet any colour.
+
+        Those are of three inks and come first.
+        """
+        exact = [_solver(self.colours, chosen) for chosen in _mixing(self.colours)]
+        sets = [list(one) for count in (2, 1) for one in combinations(range(self.inks), count)]
+        found = exact + [_solver(self.colours, chosen) for chosen in sets]
+        return np.array(found, dtype=np.float32), len(exact)
+
+
+def _solver(colours: FloatArray, chosen: list[int]) -> FloatArray:
+    found = np.zeros((colours.shape[1], CHANNELS))
+    found[chosen] = np.linalg.pinv(colours[:, chosen])
+    return found
+
+
+def _mixing(colours: FloatArray) -> list[list[int]]:
+    """Sets of three inks none of which can be mixed from the others."""
+    directions = colours / np.maximum(np.linalg.norm(colours, axis=0), 1e-300)
+    sets = [list(one) for one in combinations(range(colours.shape[1]), CHANNELS)]
+    return [one for one in sets if np.linalg.cond(directions[:, one]) <= ALIKE]
+
+
+def _least_ink(colours: FloatArray, aim: FloatArray) -> FloatArray | None:
+    """The mixture of a colour with the smallest sum of coverages; None where there is none."""
+    found = [_solver(colours, chosen) @ aim for chosen in _mixing(colours)]
+    inside = [one for one in found if one.min() >= 0.0]
+    return min(inside, key=lambda one: float(one.sum())) if inside else None
 
 
 def separation(
@@ -76,16 +108,14 @@ def separation(
     angle_deg: float = ANGLE_DEG,
     gain: float = 1.0,
 ) -> Separation:
-    """Make ready to turn images into coverages of three inks.
+    """Make ready to turn images into coverages of three or four inks.
 
     Raises:
-        ModelError: not three inks, inks of which one can be mixed from the others or which cannot mix a white, an angle
-            outside of 0 to 85°, or a gain that is not above 0.
+        ModelError: fewer or more inks, inks of which one can be mixed from the others or which cannot mix a white, an
+            angle outside of 0 to 85°, or a gain that is not above 0.
     """
-    from scipy.optimize import nnls  # noqa: PLC0415 - loads in half a second
-
-    if len(inks) != INKS:
-        raise ModelError(f"dot off dot needs three inks, not {len(inks)}")
+    if not FEWEST_INKS <= len(inks) <= MOST_INKS:
+        raise ModelError(f"dot off dot needs three or four inks, not {len(inks)}")
     if not 0.0 <= angle_deg <= 85.0:
         raise ModelError(f"the angle of light and eye lies in 0 to 85°, not at {angle_deg:g}°")
     if not 0.0 < gain < np.inf:
@@ -97,16 +127,15 @@ def separation(
         ],
         axis=1,
     )
-    lengths = np.linalg.norm(seen, axis=0)
-    if lengths.min() <= 0.0 or np.linalg.cond(seen / lengths) > 50.0:
+    if np.linalg.norm(seen, axis=0).min() <= 0.0 or not _mixing(seen):
         raise ModelError(
-            "the three inks are too much alike to mix colours: choose a red, a green and a blue one"
+            f"the {len(inks)} inks are too much alike to mix colours: choose a red, a green and a blue one"
         )
     turn = XYZ_TO_SRGB @ bradford(SRGB_WHITE, white_point(illuminant)) @ SRGB_TO_XYZ
-    white = turn @ np.ones(3)
-    amounts = nnls(seen, white)[0]
-    if amounts.min() <= 0.0:
-        least = inks[int(np.argmin(amounts))].name
+    white = turn @ np.ones(CHANNELS)
+    amounts = _least_ink(seen, white)
+    if amounts is None:
+        least = inks[int(np.argmin(_solver(seen, _mixing(seen)[0]) @ white))].name
         raise ModelError(
             f"the inks mix no neutral under {illuminant.name} ({least} would be needed less than not at all)"
         )

@@ -15,14 +15,15 @@ INSIDE = 1.0 - np.pi / 4.0
 PARTS = 16
 
 
-def profile(t, radius=0.0, scale=1.0):
+def profile(t, radius=0.0, scale=1.0, facet=FACET):
     """Ridges with perpendicular walls whose crests at multiples of the pitch are round; closed form."""
-    wall = RIDGE * np.tan(FACET)
+    ridge = PITCH * np.sin(facet) * np.cos(facet)
+    wall = ridge * np.tan(facet)
     t = (t + wall) % PITCH - wall
-    z = np.where(t < 0.0, RIDGE + t / np.tan(FACET), RIDGE - t * np.tan(FACET))
+    z = np.where(t < 0.0, ridge + t / np.tan(facet), ridge - t * np.tan(facet))
     if radius:
-        middle = radius * (np.cos(FACET) - np.sin(FACET)), RIDGE - radius * (np.cos(FACET) + np.sin(FACET))
-        arc = (t > -radius * np.sin(FACET)) & (t < radius * np.cos(FACET))
+        middle = radius * (np.cos(facet) - np.sin(facet)), ridge - radius * (np.cos(facet) + np.sin(facet))
+        arc = (t > -radius * np.sin(facet)) & (t < radius * np.cos(facet))
         z = np.where(arc, middle[1] + np.sqrt(np.maximum(radius**2 - (t - middle[0]) ** 2, 0.0)), z)
     return scale * z
 
@@ -35,11 +36,11 @@ def texture(y, x, seed=5, count=60):
     return 0.02 * sum(np.cos(a * x + b * y + c) for a, b, c in zip(kx, ky, phase, strict=True))
 
 
-def ridged(shape, moved=(0.0, 0.0), radius=0.0, seed=1, noise=0.03, missing=0.02, scale=1.0):
+def ridged(shape, moved=(0.0, 0.0), radius=0.0, seed=1, noise=0.03, missing=0.02, scale=1.0, facet=FACET):
     """Means over pixels of 1 µm of a ridged, textured surface moved by (x, y)."""
     rng = np.random.default_rng(seed)
     places = (np.arange(shape[1] * PARTS) + 0.5) / PARTS - 0.5 - moved[0]
-    line = profile(places, radius, scale).reshape(-1, PARTS).mean(axis=1)
+    line = profile(places, radius, scale, facet).reshape(-1, PARTS).mean(axis=1)
     y, x = np.mgrid[: shape[0], : shape[1]] * 1.0
     z = line + texture(y - moved[1], x - moved[0]) + noise * rng.standard_normal(shape)
     z[rng.random(shape) < missing] = np.nan
@@ -140,3 +141,61 @@ def test_maps_of_other_surfaces_are_refused():
         compare_maps(ridged((150, 260)), HeightMap(np.random.default_rng(0).random((150, 260)), 1.0, 1.0))
     with pytest.raises(UsageError, match="two HeightMaps"):
         compare_maps(ridged((150, 260)), np.eye(10))
+
+
+SHRINKAGE, LOWER_DEG, FILLED = 0.006, 0.35, 5.0
+PART_FACET = FACET - np.radians(LOWER_DEG)
+
+
+@pytest.fixture(scope="module")
+def moulded():
+    """A tool, and its part: facets less steep, crests round, smaller by its shrinkage, and a patch that sank in."""
+    shape = (150, 330)
+    part = ridged(shape, (4.6, 2.3), FILLED, seed=2, facet=PART_FACET)
+    z = part.height_um.copy()
+    z[:75] = np.where(np.arange(shape[1]) > 200, 0.85 * z[:75], z[:75])
+    shrunk = HeightMap(z, 1.0 - SHRINKAGE, 1.0 - SHRINKAGE)
+    return compare_maps(turned_over(ridged(shape, seed=1)), shrunk, mirrored=True)
+
+
+def relief_of_a_ridge():
+    """Least-squares factor of the closed form of the part on that of the tool."""
+    t = np.arange(0.0, PITCH, 0.01)
+    tool, part = profile(t), profile(t, FILLED, facet=PART_FACET)
+    a, b = tool - tool.mean(), part - part.mean()
+    return a @ b / (a @ a)
+
+
+def test_replication_of_every_ridge(moulded):
+    assert moulded.replication.shrinkage.value == pytest.approx(SHRINKAGE, abs=5e-4)
+    assert moulded.ridges_note == ""
+    good = [one for one in moulded.ridges if one.position_um < 160.0]
+    assert len(good) >= 3
+    full = PITCH * np.sin(PART_FACET) * np.cos(PART_FACET)
+    lower = FILLED * (np.cos(PART_FACET) + np.sin(PART_FACET) - 1.0)  # the top of the arc below the vertex
+    for ridge in good:
+        assert ridge.angle_a_deg.value == pytest.approx(10.0, abs=4.0 * ridge.angle_a_deg.u)
+        assert ridge.angle_change_deg.value == pytest.approx(-LOWER_DEG, abs=0.03)
+        assert ridge.radius_a_um.value is None
+        assert ridge.radius_a_um.at_most < 3.5
+        assert ridge.radius_b_um.value == pytest.approx(FILLED, rel=0.12)
+        assert ridge.height_b_um.value == pytest.approx(full - lower, rel=0.05)
+        assert ridge.relief.value == pytest.approx(relief_of_a_ridge(), abs=0.01)
+
+
+def test_the_map_of_the_relief_shows_where_the_part_sank_in(moulded):
+    relief = moulded.relief
+    good, sunk = np.nanmedian(relief[:, 30:160]), np.nanmedian(relief[10:50, 215:260])
+    assert good == pytest.approx(relief_of_a_ridge(), abs=0.01)
+    assert sunk / good == pytest.approx(0.85, abs=0.02)
+    assert np.isfinite(relief).mean() > 0.6
+
+
+def test_without_ridges_the_relief_is_that_of_tiles():
+    y, x = np.mgrid[:120, :130] * 1.0
+    rough = 6.0 * texture(y, x)
+    part = np.where(x < 65.0, 1.0, 0.7) * rough
+    found = compare_maps(turned_over(HeightMap(rough, 1.0, 1.0)), HeightMap(part, 1.0, 1.0), mirrored=True)
+    assert np.nanmedian(found.relief[:, :50]) == pytest.approx(1.0, abs=0.03)
+    assert np.nanmedian(found.relief[:, 80:]) == pytest.approx(0.7, abs=0.03)
+    assert found.replication.shrinkage.value is None

@@ -189,14 +189,14 @@ def _of_halftone(
     import PIL.Image
 
     from anisoscope.bsdf.models import of_ink
-    from anisoscope.cli.ink.options import three_inks
+    from anisoscope.cli.ink.options import printed_inks
 
     try:
         with PIL.Image.open(path) as opened:
             mode, dots = opened.mode, np.asarray(opened)
     except OSError as problem:
         raise UsageError(f"cannot read {path}: {problem}") from problem
-    chosen = three_inks(inks)
+    chosen = printed_inks(inks)
     if mode != "P" or int(dots.max()) > len(chosen):
         raise UsageError(f"{path}: no picture of dots: take the PNG of `anisoscope ink halftone`, not a film")
     found = [of_ink(ink) for ink in chosen]

@@ -78,6 +78,8 @@ def _reciprocity_words(pairs: "Reciprocity") -> str:
         return f"Reciprocity: no row is measured in both directions.{negative}"
     one, other = pairs.worst_lines
     by_noise = "" if pairs.p_value is None else f"; by noise alone p = {pairs.p_value:.2g}"
+    if pairs.largest_k is not None:
+        by_noise += f", largest difference {pairs.largest_k:.1f} u"
     return (
         f"Reciprocity: {pairs.pairs} rows measured in both directions differ by {100 * pairs.rms_share:.2g} % rms, at "
         f"most {100 * pairs.worst_share:.2g} % (lines {one} and {other}){by_noise}.{negative}"

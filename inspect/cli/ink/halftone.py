@@ -1,4 +1,4 @@
-"""``anisoscope ink halftone``: an image as dots of three inks, with a film for every screen."""
+"""``anisoscope ink halftone``: an image as dots of three or four inks, with a film for every screen."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ from anisoscope.cli.ink.options import (
     check_new,
     check_target,
     percent,
-    three_inks,
+    printed_inks,
 )
 from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
@@ -61,7 +61,7 @@ def halftone(
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
-    """Place dots of three inks that never meet, and write the films for their screens.
+    """Place dots of three or four inks that never meet, and write the films for their screens.
 
     Args:
         image: The picture; its colour profile is applied.
@@ -79,7 +79,7 @@ def halftone(
         raise UsageError(f"--dpi takes 1 to 20000, not {dpi:g}")
     if print_width is not None and not 0.0 < print_width < np.inf:
         raise UsageError(f"--print-width takes millimetres above 0, not {print_width:g}")
-    chosen = three_inks(inks)
+    chosen = printed_inks(inks)
     films = _films(out, chosen)
     for film in films:
         check_target(film, "the film", (image,), ".png")

@@ -17,7 +17,7 @@ OverwriteOption = Annotated[
 InksOption = Annotated[
     str | None,
     Parameter(
-        help="Three inks (red, green, blue), comma-separated: files *.toml or names; else the synthetic ones."
+        help="Inks (red, green, blue, and perhaps white), comma-separated: files *.toml or names; else synthetic ones."
     ),
 ]
 IlluminantOption = Annotated[
@@ -35,18 +35,18 @@ GainOption = Annotated[
 ]
 
 
-def three_inks(text: str | None) -> tuple["Ink", ...]:
+def printed_inks(text: str | None) -> tuple["Ink", ...]:
     """Inks by their names.
 
     Raises:
-        UsageError: not three, or no such ink.
+        UsageError: not three or four, or no such ink.
     """
     from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
 
     names = list(SYNTHETIC) if text is None else [name.strip() for name in text.split(",")]
-    if len(names) != 3:
+    if len(names) not in (3, 4):
         raise UsageError(
-            f"--inks takes three inks separated by commas, not {len(names)}: {', '.join(SYNTHETIC)}"
+            f"--inks takes three inks or four separated by commas, not {len(names)}: {', '.join(SYNTHETIC)}"
         )
     return tuple(find_ink(name) for name in names)
 

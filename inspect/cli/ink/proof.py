@@ -16,12 +16,13 @@ from anisoscope.cli.ink.options import (
     check_new,
     check_target,
     percent,
-    three_inks,
+    printed_inks,
 )
 from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from anisoscope.sim.light.ink.ink import Ink
     from anisoscope.sim.proof.halftone import Halftone
     from anisoscope.sim.proof.mesh import Mesh
+    from anisoscope.sim.proof.press import Press, Pressed
     from anisoscope.sim.proof.scene import Scene
 
 SECOND_LIGHT_DEG = (-15.0, 35.0)
@@ -43,6 +45,29 @@ MOST_DOTS = 16384
 MOST_TURN = 1e6
 
 VIEW = Group("View and light", sort_key=20)
+PRESS = Group("Press", help="Inks are printed in the order in which they are named.", sort_key=21)
+TONE_DOTS = 8
+MOST_PRESSED = 16_000_000
+
+
+@Parameter(name="*", group=PRESS)
+@dataclass(frozen=True, kw_only=True)
+class PressOptions:
+    """What the press does to the dots; inks overlap by that."""
+
+    screen_shifts: Annotated[
+        str | None,
+        Parameter(help="Shift of the screen of each ink in µm, to the right and up: X,Y;X,Y;X,Y."),
+    ] = None
+    dot_gain: Annotated[float, Parameter(help="By how much dots spread beyond each edge, in µm.")] = 0.0
+    dpi: Annotated[float, Parameter(help="Dots per inch of the print.")] = 300.0
+    overprint: Annotated[
+        tuple[str, ...],
+        Parameter(
+            help="Ink file of inks on each other, by their numbers from below: 1+2=FILE.toml; else they are modelled.",
+            negative="",
+        ),
+    ] = ()
 
 
 @Parameter(name="*", group=VIEW)
@@ -105,6 +130,7 @@ def proof(
     image_gain: GainOption = 1.0,
     dots: Annotated[int, Parameter(help="Dots across the print; 0: one a pixel of the image.")] = 768,
     picture_size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
+    press: PressOptions | None = None,
     view: View | None = None,
     overwrite: OverwriteOption = False,
     json_: Json = False,
@@ -117,6 +143,7 @@ def proof(
     Examples:
         anisoscope ink proof image.png --out proof.html
         anisoscope ink proof image.png --png proof.png --shape cylinder --illuminant a
+        anisoscope ink proof image.png --png proof.png --screen-shifts "0,0;25,-10;0,0" --dot-gain 10
     """
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.proof.halftone import coverage
@@ -142,7 +169,8 @@ def proof(
         raise UsageError("--pitch-angle and --elevation take degrees from -90 to 90")
     if not (abs(shown.yaw) < MOST_TURN and abs(shown.azimuth) < MOST_TURN):
         raise UsageError("--yaw and --azimuth take finite degrees")
-    chosen = three_inks(inks)
+    chosen = printed_inks(inks)
+    machine, over = _press(press or PressOptions(), len(chosen))
     lamps = [find_illuminant(text) for text in illuminant]
     solid = None if mesh is None else read_obj(mesh)
     plan = plan_separation(chosen, lamps[0], way=separation, angle_deg=angle, gain=image_gain)
@@ -156,7 +184,8 @@ def proof(
         )
     with progress("proof", quiet=json_) as advance:
         found = place_dots(pixels, plan, method, advance=advance)
-    work = _Work(chosen, lamps, found, coverage(pixels, plan), solid, shown)
+        advance("press", 0, 1)
+        work = _printed(chosen, lamps, found, coverage(pixels, plan), solid, shown, machine, over)
     exposure = work.exposure()
     if png is not None:
         work.write_png(png, picture_size, exposure)
@@ -166,15 +195,95 @@ def proof(
         notes = tuple(f"Image: {note}." for note in picture.notes)
         page = _page(work, f"Soft proof of {image.name}", exposure, notes, None if photo is None else photo)
         write_proof_page(page, out)
-    _print_summary(found, exposure, [path for path in (png, out) if path is not None], json_)
+    _print_summary(work, exposure, [path for path in (png, out) if path is not None], json_)
     return 0
 
 
-def _print_summary(found: "Halftone", exposure: float, written: list[Path], json_: bool) -> None:
+def _press(options: PressOptions, inks: int) -> "tuple[Press | None, dict[tuple[int, ...], Ink]]":
+    """The press, None where it has no errors, and measured overprints by the inks that they are of.
+
+    Raises:
+        UsageError: not a shift for each ink, or an overprint of inks that are not printed in this order.
+    """
+    from anisoscope.cli.options import parse_numbers
+    from anisoscope.sim.materials.inks import find_ink
+    from anisoscope.sim.proof.press import MOST_MOVED, Press
+
+    if not 1.0 <= options.dpi <= 20000.0:
+        raise UsageError(f"--dpi takes 1 to 20000, not {options.dpi:g}")
+    dot_um = 25400.0 / options.dpi
+    shifts = [(0.0, 0.0)] * inks
+    if options.screen_shifts is not None:
+        parts = [
+            parse_numbers(one, "--screen-shifts", "0,0;25,-10;0,0")
+            for one in options.screen_shifts.split(";")
+        ]
+        if len(parts) != inks or any(len(one) != 2 for one in parts):
+            raise UsageError(f"--screen-shifts takes X,Y of each of the {inks} inks, with semicolons between")
+        shifts = [(one[0] / dot_um, one[1] / dot_um) for one in parts]
+    reach = max(*(abs(x) for one in shifts for x in one), options.dot_gain / dot_um)
+    if not (options.dot_gain >= 0.0 and reach <= MOST_MOVED / 2.0):
+        raise UsageError(
+            f"--screen-shifts and --dot-gain reach up to {MOST_MOVED / 2.0:g} dots, {MOST_MOVED / 2.0 * dot_um:.0f} µm "
+            f"at {options.dpi:g} dpi; a gain is 0 or more"
+        )
+    over: dict[tuple[int, ...], Ink] = {}
+    for text in options.overprint:
+        numbers, equals, path = text.partition("=")
+        key = tuple(int(one) - 1 if one.isascii() and one.isdigit() else -1 for one in numbers.split("+"))
+        if not equals or len(key) < 2 or list(key) != sorted(set(key)) or not 0 <= key[0] <= key[-1] < inks:
+            raise UsageError(
+                f"--overprint takes numbers of inks from below and a file, such as 1+2=FILE.toml, not {text}"
+            )
+        over[key] = find_ink(path)
+    if options.screen_shifts is None and options.dot_gain == 0.0:
+        if over:
+            raise UsageError("--overprint needs inks that overlap: give --screen-shifts or --dot-gain too")
+        return None, over
+    return Press(tuple(shifts), options.dot_gain / dot_um), over
+
+
+def _printed(
+    inks: "tuple[Ink, ...]",
+    lamps: "list[Illuminant]",
+    found: "Halftone",
+    tones: "np.ndarray[Any, Any]",
+    mesh: "Mesh | None",
+    view: View,
+    press: "Press | None",
+    over: "dict[tuple[int, ...], Ink]",
+) -> "_Work":
+    """The print: dots as they were placed, or as a press prints them, with the primaries where inks overlap."""
+    import numpy as np
+
+    if press is None:
+        dots = (found.dots[..., None] == np.arange(1, len(inks) + 1)).astype(np.float32)
+        return _Work(inks, lamps, found, dots, tones, mesh, view)
+    from scipy import ndimage
+
+    from anisoscope.sim.light.ink.overprint import overprint
+    from anisoscope.sim.proof.press import pressed
+
+    if found.dots.size > MOST_PRESSED:
+        raise UsageError(
+            f"{found.dots.size:,} dots are more than the {MOST_PRESSED:,} of which a press is simulated: lower --dots"
+        )
+    result = pressed(found.dots, len(inks), press)
+    primaries = [
+        inks[one[0]] if len(one) == 1 else over.get(one) or overprint([inks[k] for k in one])
+        for one in result.sets
+    ]
+    mean = ndimage.uniform_filter(result.shares, (TONE_DOTS, TONE_DOTS, 1), mode="nearest")
+    return _Work(tuple(primaries), lamps, found, result.shares, mean, mesh, view, result)
+
+
+def _print_summary(work: "_Work", exposure: float, written: list[Path], json_: bool) -> None:
+    found = work.halftone
     if json_:
         content: dict[str, Any] = {
             "dots": list(found.dots.shape),
             "printed": found.printed.tolist(),
+            "primaries": dict(zip([ink.name for ink in work.inks], work.coverage, strict=True)),
             "out_of_gamut": found.outside,
             "scaled_down": found.scaled,
             "exposure": exposure,
@@ -186,20 +295,33 @@ def _print_summary(found: "Halftone", exposure: float, written: list[Path], json
         f"{found.dots.shape[1]} × {found.dots.shape[0]} dots; out of gamut: {percent(found.outside)}, "
         f"coverages scaled down: {percent(found.scaled)}; exposure {exposure:.3g}."
     )
+    if work.pressed is not None:
+        rows = [
+            [ink.name, f"{100.0 * share:.2f}"] for ink, share in zip(work.inks, work.coverage, strict=True)
+        ]
+        print_table("What the press makes of the dots", ["primary", "coverage [%]"], rows)
     for path in written:
         print_line(f"{path}: written")
 
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """A print, and how it is looked at."""
+    """A print, and how it is looked at; dots and tones are (rows, cols, primaries)."""
 
     inks: "tuple[Ink, ...]"
     lamps: "list[Illuminant]"
     halftone: "Halftone"
+    dots: "np.ndarray[Any, Any]"
     tones: "np.ndarray[Any, Any]"
     mesh: "Mesh | None"
     view: View
+    pressed: "Pressed | None" = None
+
+    @property
+    def coverage(self) -> list[float]:
+        """Of the print, by each primary."""
+        found = self.halftone.printed if self.pressed is None else self.pressed.coverage
+        return [float(share) for share in found]
 
     @property
     def shape(self) -> Literal["sphere", "cylinder", "plane", "mesh"]:
@@ -259,21 +381,22 @@ def _page(work: _Work, title: str, exposure: float, notes: tuple[str, ...], phot
     from anisoscope.report.proof_page import Proof, ProofLight, ProofMesh
     from anisoscope.sim.light.colour.observer import white_point
     from anisoscope.sim.light.colour.spaces import linear_srgb
-    from anisoscope.sim.proof.imagefile import photo_uri, picture_png, read_image
+    from anisoscope.sim.proof.imagefile import photo_uri, read_image
     from anisoscope.sim.proof.render import ROUGHNESS, adaptation
 
-    dots = np.stack([work.halftone.mask(k) for k in range(3)], axis=-1).astype(np.uint8) * 255
+    rows, cols = work.dots.shape[:2]
     mesh = work.mesh
     vertices = None if mesh is None else np.hstack([mesh.position, mesh.normal, mesh.tangent, mesh.uv])
     more = notes if mesh is None else (*notes, *(f"Mesh: {note}." for note in mesh.notes))
     return Proof(
         title=title,
-        subtitle=f"{dots.shape[1]} × {dots.shape[0]} dots of three inks that never meet ({work.halftone.method}); "
+        subtitle=f"{cols} × {rows} dots of {work.halftone.printed.size} inks "
+        f"{'that never meet' if work.pressed is None else 'as a press prints them'} ({work.halftone.method}); "
         f"out of gamut {percent(work.halftone.outside)}, coverages scaled down {percent(work.halftone.scaled)}",
         inks=work.inks,
         lights=tuple(ProofLight(one, linear_srgb(white_point(one)), adaptation(one)) for one in work.lamps),
-        halftone_png=picture_png(dots),
-        tones_png=picture_png(np.rint(255.0 * work.tones).astype(np.uint8)),
+        halftone_pngs=_layers(work.dots),
+        tones_pngs=_layers(work.tones),
         aspect=work.scene.aspect,
         exposure=exposure,
         fill=work.scene.fill,
@@ -287,7 +410,7 @@ def _page(work: _Work, title: str, exposure: float, notes: tuple[str, ...], phot
         ),
         facts=tuple(
             (ink.name, f"α {ink.alpha:g}; coverage {100 * share:.1f} %. {ink.source}")
-            for ink, share in zip(work.inks, work.halftone.printed, strict=True)
+            for ink, share in zip(work.inks, work.coverage, strict=True)
         ),
         notes=(
             *more,
@@ -298,6 +421,18 @@ def _page(work: _Work, title: str, exposure: float, notes: tuple[str, ...], phot
         else ProofMesh(vertices.astype(np.float32), mesh.triangles.astype(np.uint32)),
         photo=None if photo is None else photo_uri(read_image(photo)),
     )
+
+
+def _layers(shares: "np.ndarray[Any, Any]") -> tuple[bytes, ...]:
+    """Pictures of (rows, cols, P) coverages, three primaries each."""
+    import numpy as np
+
+    from anisoscope.sim.proof.imagefile import picture_png
+
+    count = -(-shares.shape[2] // 3)
+    codes = np.zeros((*shares.shape[:2], 3 * count), dtype=np.uint8)
+    codes[..., : shares.shape[2]] = np.rint(255.0 * shares)
+    return tuple(picture_png(np.ascontiguousarray(codes[..., 3 * n : 3 * n + 3])) for n in range(count))
 
 
 def _around(degrees: float) -> float:

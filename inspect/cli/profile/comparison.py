@@ -25,7 +25,9 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.prediction.contrast_change import ContrastCauses
     from anisoscope.profiles.comparison import Comparison
+    from anisoscope.recipe.surface import SurfaceRecipe
 
 
 def compare(
@@ -34,9 +36,7 @@ def compare(
     *others: Path,
     mirrored: Annotated[
         bool,
-        Parameter(
-            negative="", help="A tool and its part: negate the second map and mirror it along x first."
-        ),
+        Parameter(negative="", help="A tool and its part: negate the first map and mirror it along x first."),
     ] = False,
     out: Annotated[Path | None, Parameter(help="HTML page to write, of one second map.")] = None,
     difference: Annotated[
@@ -48,6 +48,10 @@ def compare(
     line: Annotated[
         str | None,
         Parameter(help="Line of the page: X0,Y0,X1,Y1 in µm from the first point of the first map."),
+    ] = None,
+    recipe: Annotated[
+        Path | None,
+        Parameter(help="Recipe whose plastic and poses say what the changes do to the predicted contrasts."),
     ] = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Json = False,
@@ -61,7 +65,7 @@ def compare(
 
     Examples:
         anisoscope profile compare new.x3p worn.x3p --out wear.html
-        anisoscope profile compare tool.x3p part.x3p --mirrored
+        anisoscope profile compare tool.x3p part.x3p --mirrored --recipe recipe.toml --out replication.html
     """
     from anisoscope.profiles.comparison import compare_maps
     from anisoscope.profiles.files.load import write_height_map
@@ -71,6 +75,7 @@ def compare(
     check_picture(plot)
     shown = _line(line)
     seconds = _seconds(first, others)
+    light = None if recipe is None else _light(recipe)
     if len(seconds) > 1 or several.table is not None or several.out_dir is not None:
         if not out is difference is plot is None:
             raise UsageError("--out, --plot and --difference are of one second map; several take --out-dir")
@@ -79,7 +84,7 @@ def compare(
         def work(path: Path, target: Path | None = None) -> Values:
             found = compare_maps(reference, scales.read(path), mirrored=mirrored)
             if target is not None:
-                write_comparison_page(found, (first.name, path.name), target, shown)
+                write_comparison_page(found, (first.name, path.name), target, shown, _contrasts(found, light))
             return _values(found)
 
         if several.out_dir is not None:
@@ -93,18 +98,42 @@ def compare(
         maps = scales.read(first), scales.read(second)
         advance("registering", 1, 3)
         found = compare_maps(*maps, mirrored=mirrored)
+        contrasts = _contrasts(found, light)
         advance("writing", 2, 3)
         if difference is not None:
             write_height_map(found.difference, difference)
         if out is not None:
-            write_comparison_page(found, (first.name, second.name), out, shown)
+            write_comparison_page(found, (first.name, second.name), out, shown, contrasts)
         if plot is not None:
             write_comparison_picture(found, plot, shown)
     if json_:
-        print_json(_as_json(found, first, second))
+        print_json(_as_json(found, first, second) | ({"contrasts": contrasts} if contrasts else {}))
     else:
-        _print(found, first, second, out)
+        _print(found, first, second, contrasts, out)
     return 0
+
+
+def _light(path: Path) -> "SurfaceRecipe":
+    """The recipe whose plastic and poses count.
+
+    Raises:
+        UsageError: one of prints, plates or wafers.
+        RecipeError: it cannot be read.
+    """
+    from anisoscope.kinds.registry import kind_of
+    from anisoscope.kinds.surface import SurfaceKind
+
+    kind = kind_of(path)
+    if not isinstance(kind, SurfaceKind):
+        raise UsageError(f"{path}: the recipe of {kind.one}; --recipe takes those of surfaces")
+    read: SurfaceRecipe = kind.read_recipe(path)
+    return read
+
+
+def _contrasts(found: "Comparison", light: "SurfaceRecipe | None") -> "tuple[ContrastCauses, ...]":
+    from anisoscope.prediction.contrast_change import contrast_change
+
+    return () if light is None else contrast_change(found, light)
 
 
 def _seconds(first: Path, others: Sequence[Path]) -> list[Path]:
@@ -150,6 +179,7 @@ def _values(found: "Comparison") -> Values:
         "sum of all differences": (found.net_um3, "µm³"),
         "relief B/A": (found.replication.relief, ""),
         "ridge height B/A": (found.replication.height, ""),
+        "shrinkage of B": (found.replication.shrinkage, ""),
         "shift along x": (Quantity(placed.x_um, placed.u_x_um), "µm"),
         "shift along y": (Quantity(placed.y_um, placed.u_y_um), "µm"),
         "turned": (Quantity(placed.angle_deg, placed.u_angle_deg), "°"),
@@ -184,9 +214,15 @@ def _as_json(found: "Comparison", first: Path, second: Path) -> dict[str, Any]:
     }
 
 
-def _print(found: "Comparison", first: Path, second: Path, out: Path | None) -> None:
-    from anisoscope.profiles.metrology.quantity import as_text
-    from anisoscope.report.comparison_page import RIDGE_COLUMNS, comparison_notes, comparison_numbers
+def _print(
+    found: "Comparison", first: Path, second: Path, contrasts: "tuple[ContrastCauses, ...]", out: Path | None
+) -> None:
+    from anisoscope.report.comparison_page import (
+        comparison_notes,
+        comparison_numbers,
+        contrast_table,
+        ridge_table,
+    )
 
     print_table(
         f"{second.name} against {first.name}",
@@ -195,14 +231,8 @@ def _print(found: "Comparison", first: Path, second: Path, out: Path | None) -> 
         caption="\n".join(comparison_notes(found)) or None,
     )
     if found.ridges:
-        rows = [
-            [
-                str(one.number),
-                f"{one.position_um:.1f}",
-                *(as_text(getattr(one, key))[0] for _, key in RIDGE_COLUMNS),
-            ]
-            for one in found.ridges
-        ]
-        print_table("ridges", ["ridge", "position [µm]", *(text for text, _ in RIDGE_COLUMNS)], rows)
+        print_table("ridges", *ridge_table(found, contrasts))
+    if contrasts:
+        print_table("predicted contrasts, ln of the ratio of radiances", *contrast_table(contrasts))
     if out is not None:
         sys.stdout.write(f"{out}\n")

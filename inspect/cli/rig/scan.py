@@ -1,7 +1,7 @@
 """``anisoscope rig scan``: the rig as a goniometer."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -21,7 +21,15 @@ _MOVE_S = 2.0
 @everyday("rig", "recipe", "out", "coupon", "part", "continue_", "max_tilt", "dry_run", "json_")
 def scan(
     *,
-    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")] = None,
+    rig: Annotated[
+        tuple[Path, ...],
+        Parameter(
+            name=["--rig", "-g"],
+            negative="",
+            consume_multiple=False,
+            help="Rig file (TOML); given several times, a lamp each, one scan with all of them.",
+        ),
+    ] = (),
     recipe: Annotated[
         Path | None, Parameter(name=["--recipe", "-r"], help="Recipe with region, exposure and surface.")
     ] = None,
@@ -45,42 +53,80 @@ def scan(
     Poses are dense where facets mirror the light. The seating of a coupon is found from the scan; one that is not flat
     is refused. Writes brdf.csv for bsdf fit, readings.csv for calibrate material --readings, budget.json, and with a
     lamp of known wavelength goniometer.csv for ink fit. The stage homes and turns: keep its path free.
+    With several rig files each lamp has a folder, and the tables of all lamps lie above them.
 
     Examples:
         anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan
+        anisoscope rig scan --coupon -g red.toml -g green.toml -g blue.toml -r ink.toml --out scan
         anisoscope rig scan --continue scan
     """
-    from anisoscope.inspection.reflectance_scan import begin_scan, planned_scan, resume_scan
+    from anisoscope.inspection.reflectance_scan import (
+        LAMPS,
+        begin_lamps,
+        begin_scan,
+        planned_lamps,
+        planned_scan,
+        resume_lamps,
+        resume_scan,
+    )
 
     if continue_ is not None:
         if rig or recipe or out or coupon or part:
             raise UsageError("--continue goes on with what the folder says: leave the other options out")
         with progress("scan", quiet=json_) as advance:
+            if (continue_ / LAMPS).exists():
+                return _show_lamps(resume_lamps(continue_, advance), continue_, as_json=json_)
             return _show(resume_scan(continue_, advance), continue_, as_json=json_)
     if coupon == part:
         raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
-    if rig is None or recipe is None:
+    if not rig or recipe is None:
         raise UsageError("a scan needs --rig FILE and --recipe FILE")
     specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
     if exposure is not None and not 0.0 < exposure < float("inf"):
         raise UsageError(f"--exposure takes a positive number of seconds, not {exposure:g}")
     if dry_run:
         job, settings = planned_scan(
-            rig, recipe, specimen, tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure
+            rig[0], recipe, specimen, tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure
         )
-        return _show_plan(settings, job.recipe.acquisition.frames_per_pose, as_json=json_)
+        return _show_plan(settings, job.recipe.acquisition.frames_per_pose, len(rig), as_json=json_)
     if out is None:
         raise UsageError("--out FOLDER says where the scan goes; --dry-run prints the plan only")
+    if len(rig) > 1:
+        lamps = planned_lamps(
+            rig, recipe, specimen, tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure
+        )
+        with progress("scan", quiet=json_) as advance:
+            return _show_lamps(begin_lamps(lamps, out, advance), out, as_json=json_)
     with progress("scan", quiet=json_) as advance:
         found = begin_scan(
-            rig, recipe, specimen, out,
+            rig[0], recipe, specimen, out,
             tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, on_progress=advance,
         )  # fmt: skip
     return _show(found, out, as_json=json_)
 
 
-def _show_plan(settings: "ScanSettings", frames: int, *, as_json: bool) -> int:
-    poses = len(settings.angles_deg) * len(settings.tilts_deg)
+def _show_lamps(found: "tuple[ScanResult, ...]", folder: Path, *, as_json: bool) -> int:
+    import numpy as np
+
+    if as_json:
+        lamps = [_values(one, folder / f"{one.wavelength_nm:g}nm") for one in found]
+        print_json({"folder": str(folder), "lamps": lamps})
+        return 0
+    rows = [
+        [f"{one.wavelength_nm:g}", f"{one.brdf.min():.3g}", f"{one.brdf.max():.3g}",
+         f"{100.0 * np.median(one.u):.2f}", f"{100.0 * one.u.max():.2f}"]
+        for one in found
+    ]  # fmt: skip
+    head = ["lamp [nm]", "lowest [1/sr]", "highest [1/sr]", "median u [%]", "largest u [%]"]
+    print_table("Scans", head, rows)
+    _line(
+        f"{folder / 'brdf.csv'}, goniometer.csv: {sum(len(one.poses) for one in found)} rows of {len(found)} lamps"
+    )
+    return 0
+
+
+def _show_plan(settings: "ScanSettings", frames: int, lamps: int, *, as_json: bool) -> int:
+    poses = lamps * len(settings.angles_deg) * len(settings.tilts_deg)
     seconds = poses * (_MOVE_S + frames * settings.exposure_s * (1.0 + sum(settings.brackets)))
     if as_json:
         print_json(settings.model_dump(mode="json", by_alias=True) | {"poses": poses, "seconds": seconds})
@@ -92,29 +138,40 @@ def _show_plan(settings: "ScanSettings", frames: int, *, as_json: bool) -> int:
     return 0
 
 
-def _show(found: "ScanResult", folder: Path, *, as_json: bool) -> int:
+def _values(found: "ScanResult", folder: Path) -> dict[str, Any]:
     import numpy as np
 
     seat = found.coupon
     rms = {name: float(np.sqrt(np.mean(part**2))) for name, part in found.budget.items()}
+    return {"folder": str(folder), "poses": len(found.poses), "u_rms": rms,
+            "wavelength_nm": found.wavelength_nm,
+            "u_median": float(np.median(found.u)), "u_largest": float(found.u.max()),
+            "seating_deg": seat and [seat.about_x_deg, seat.about_y_deg],
+            "u_seating_deg": seat and list(seat.u_deg),
+            "light_angle_deg": seat and seat.light_angle_deg,
+            "u_light_angle_deg": seat and seat.u_light_angle_deg,
+            "flatness_deg": seat and seat.flatness_deg, "u_flatness_deg": seat and seat.u_flatness_deg,
+            "brdf": [float(found.brdf.min()), float(found.brdf.max())]}  # fmt: skip
+
+
+def _show(found: "ScanResult", folder: Path, *, as_json: bool) -> int:
+    import numpy as np
+
+    seat, values = found.coupon, _values(found, folder)
     if as_json:
-        print_json({"folder": str(folder), "poses": len(found.poses), "u_rms": rms,
-                    "u_median": float(np.median(found.u)), "u_largest": float(found.u.max()),
-                    "seating_deg": seat and [seat.about_x_deg, seat.about_y_deg],
-                    "u_seating_deg": seat and list(seat.u_deg),
-                    "flatness_deg": seat and seat.flatness_deg, "u_flatness_deg": seat and seat.u_flatness_deg,
-                    "brdf": [float(found.brdf.min()), float(found.brdf.max())]})  # fmt: skip
+        print_json(values)
         return 0
     rows = [
         [name, f"{100.0 * value:.2f}", f"{100.0 * found.budget[name].max():.2f}"]
-        for name, value in rms.items()
+        for name, value in values["u_rms"].items()
     ]
     rows.append(["combined", f"{100.0 * np.sqrt(np.mean(found.u**2)):.2f}", f"{100.0 * found.u.max():.2f}"])
     print_table("Uncertainty (k = 1)", ["source", "rms [%]", "largest [%]"], rows)
     if seat is not None:
         _line(
             f"seated {seat.about_x_deg:+.3f}° about x and {seat.about_y_deg:+.3f}° about y (u {seat.u_deg[0]:.3f}°, "
-            f"{seat.u_deg[1]:.3f}°), flat within {seat.flatness_deg:.2f}° (u {seat.u_flatness_deg:.2f}°)"
+            f"{seat.u_deg[1]:.3f}°), flat within {seat.flatness_deg:.2f}° (u {seat.u_flatness_deg:.2f}°), light angle "
+            f"{seat.light_angle_deg:.3f}° (u {seat.u_light_angle_deg:.3f}°)"
         )
     _line(
         f"{folder / 'brdf.csv'}: {len(found.poses)} rows, {found.brdf.min():.3g} to {found.brdf.max():.3g} 1/sr; "

@@ -5,34 +5,42 @@ const SHARED = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp sampler2D;
+precision highp sampler2DArray;
+const int INKS = ${DATA.inks.length}, LAYERS = ${DATA.halftone.length};
 const float PI = 3.14159265358979;
-uniform sampler2D tables, dots, tones;
+uniform sampler2D tables;
+uniform sampler2DArray dots, tones;
 uniform mat3 turn, adapt;
 uniform int lights, model, row, print;
 uniform bool each_dot;
-uniform vec4 light[3], lobe[3], extras;
+uniform vec4 light[3], lobe[INKS], extras;
 uniform vec3 white, ground;
 uniform float exposure;
 out vec4 pixel;
+float w[3 * LAYERS];
 vec3 at(int y, int i, float share) {
   return mix(texelFetch(tables, ivec2(i, y), 0).rgb, texelFetch(tables, ivec2(i + 1, y), 0).rgb, share);
 }
-vec3 fetched(sampler2D from, vec2 uv) {
-  ivec2 size = textureSize(from, 0);
+vec3 fetched(sampler2DArray from, vec2 uv, int layer) {
+  ivec2 size = textureSize(from, 0).xy;
   ivec2 place = ivec2(floor(vec2(uv.x, 1.0 - uv.y) * vec2(size)));
-  return texelFetch(from, clamp(place, ivec2(0), size - 1), 0).rgb;
+  return texelFetch(from, ivec3(clamp(place, ivec2(0), size - 1), layer), 0).rgb;
 }
-vec3 smoothed(sampler2D from, vec2 uv, vec2 dx, vec2 dy) {
+vec3 smoothed(sampler2DArray from, vec2 uv, vec2 dx, vec2 dy, int layer) {
   dx *= 3.0; dy *= 3.0; // a few pixels wide, so that no dot stands out
-  return textureGrad(from, vec2(uv.x, 1.0 - uv.y), vec2(dx.x, -dx.y), vec2(dy.x, -dy.y)).rgb;
+  return textureGrad(from, vec3(uv.x, 1.0 - uv.y, layer), vec2(dx.x, -dx.y), vec2(dy.x, -dy.y)).rgb;
 }
-vec3 coverage(vec2 uv, vec2 dx, vec2 dy) {
-  if (print > 1) return vec3(print == 2, print == 3, print == 4);
-  if (each_dot) return print == 0 ? fetched(dots, uv) : fetched(tones, uv);
-  return print == 0 ? smoothed(dots, uv, dx, dy) : smoothed(tones, uv, dx, dy);
+void cover(vec2 uv, vec2 dx, vec2 dy, bool outer) {
+  for (int j = 0; j < LAYERS; j++) {
+    vec3 c = vec3(0.0);
+    if (outer && print > 1) c = vec3(print == 2 + 3 * j, print == 3 + 3 * j, print == 4 + 3 * j);
+    else if (outer && each_dot) c = print == 0 ? fetched(dots, uv, j) : fetched(tones, uv, j);
+    else if (outer) c = print == 0 ? smoothed(dots, uv, dx, dy, j) : smoothed(tones, uv, dx, dy, j);
+    for (int k = 0; k < 3; k++) w[3 * j + k] = c[k];
+  }
 }
 float hidden(float slant) { return 0.5 * (sqrt(1.0 + slant) - 1.0); }
-vec3 shaded(vec3 n, vec3 t, vec3 w) {
+vec3 shaded(vec3 n, vec3 t) {
   vec3 total = vec3(0.0), eye = vec3(0.0, 0.0, 1.0), b = cross(n, t);
   float cos_o = min(n.z, 1.0);
   for (int j = 0; j < 3; j++) {
@@ -46,7 +54,7 @@ vec3 shaded(vec3 n, vec3 t, vec3 w) {
     float place = x * 255.0, share;
     int i = min(int(place), 254);
     share = place - float(i);
-    for (int k = 0; k < 3; k++) {
+    for (int k = 0; k < INKS; k++) {
       if (w[k] == 0.0) continue;
       vec4 a = lobe[k];
       vec3 p = (a.z * t + a.w * b), q = (a.z * b - a.w * t);
@@ -114,8 +122,8 @@ void main() {
   vec2 dx = dFdx(uv), dy = dFdy(uv), turned = vec2(fract(uv.x + 0.5), uv.y);
   vec2 ex = dFdx(turned), ey = dFdy(turned);
   if (abs(ex.x) + abs(ey.x) < abs(dx.x) + abs(dy.x)) { dx = ex; dy = ey; }
-  vec3 w = outer ? coverage(uv, dx, dy) : vec3(0.0);
-  pixel = seen ? shown(shaded(turn * n, turn * t, w)) : vec4(ground, 0.0);
+  cover(uv, dx, dy, outer);
+  pixel = seen ? shown(shaded(turn * n, turn * t)) : vec4(ground, 0.0);
 }`;
 const CORNERS = `#version 300 es
 layout(location = 0) in vec3 place;
@@ -138,8 +146,8 @@ in vec2 uv;
 void main() {
   bool outer = gl_FrontFacing;
   vec3 m = normalize(n) * (outer ? 1.0 : -1.0), s = t - dot(t, m) * m;
-  vec3 w = outer ? coverage(fract(uv), dFdx(uv), dFdy(uv)) : vec3(0.0);
-  pixel = shown(shaded(m, s / max(length(s), 1e-6), w));
+  cover(fract(uv), dFdx(uv), dFdy(uv), outer);
+  pixel = shown(shaded(m, s / max(length(s), 1e-6)));
 }`;
 
 const canvas = $("proof");
@@ -152,38 +160,41 @@ if (!gl) {
 }
 document.body.dataset.webgl = "there";
 
-function texture(unit) {
+function texture(unit, kind) {
   const made = gl.createTexture();
   gl.activeTexture(gl.TEXTURE0 + unit);
-  gl.bindTexture(gl.TEXTURE_2D, made);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.REPEAT);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  gl.bindTexture(kind, made);
+  gl.texParameteri(kind, gl.TEXTURE_WRAP_S, gl.REPEAT);
+  gl.texParameteri(kind, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
   return made;
 }
 
-async function picture(unit, uri) {
-  const image = new Image();
-  image.src = uri;
-  await image.decode();
+async function pictures(unit, uris) {
+  const images = uris.map(uri => Object.assign(new Image(), {src: uri}));
+  await Promise.all(images.map(image => image.decode()));
+  const image = images[0], kind = gl.TEXTURE_2D_ARRAY;
   const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
   if (Math.max(image.naturalWidth, image.naturalHeight) > most)
     throw new Error(`the print has ${image.naturalWidth} × ${image.naturalHeight} dots, and this graphics driver takes ${most} a side: make the proof with fewer dots.`);
-  texture(unit);
+  texture(unit, kind);
   gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
   gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE, image);
-  gl.generateMipmap(gl.TEXTURE_2D);
+  const size = [image.naturalWidth, image.naturalHeight];
+  gl.texImage3D(kind, 0, gl.RGB8, ...size, images.length, 0, gl.RGB, gl.UNSIGNED_BYTE, null);
+  images.forEach((one, layer) =>
+    gl.texSubImage3D(kind, 0, 0, 0, layer, ...size, 1, gl.RGB, gl.UNSIGNED_BYTE, one));
+  gl.generateMipmap(kind);
   // light adds up in coverage, so that averages of dots are what the eye sees of them
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+  gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
   const fine = gl.getExtension("EXT_texture_filter_anisotropic");
-  if (fine) gl.texParameterf(gl.TEXTURE_2D, fine.TEXTURE_MAX_ANISOTROPY_EXT, 8);
+  if (fine) gl.texParameterf(kind, fine.TEXTURE_MAX_ANISOTROPY_EXT, 8);
 }
 
 const rows = DATA.illuminants.length * DATA.models.length * DATA.inks.length;
-texture(0);
+texture(0, gl.TEXTURE_2D);
 const table = floats(DATA.tables), wide = new Float32Array(rows * 256 * 4);
 for (let i = 0; i < rows * 256; i++) wide.set(table.subarray(3 * i, 3 * i + 3), 4 * i);
 gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 256, rows, 0, gl.RGBA, gl.FLOAT, wide);
@@ -226,7 +237,7 @@ function lobes(state) {
     ? [ink.alpha, ink.alpha_y, Math.cos(rad(ink.brush_deg)), Math.sin(rad(ink.brush_deg))] : [state.alpha, state.alpha, 1, 0]);
 }
 
-const KIND = {halftone: 0, tones: 1, solid1: 2, solid2: 3, solid3: 4};
+const kind_of = print => print === "halftone" ? 0 : print === "tones" ? 1 : 1 + Number(print.slice(5));
 function half_size(shape) {
   const a = DATA.aspect, r = 2 * a / Math.PI;
   return shape === "cylinder" ? [r / Math.hypot(r, 1), 1 / Math.hypot(r, 1)] : [a / Math.hypot(a, 1), 1 / Math.hypot(a, 1)];
@@ -250,7 +261,7 @@ function draw(state, model, view, ground) {
   gl.uniform4fv(u("lobe"), lobes(state));
   gl.uniform1i(u("model"), m);
   gl.uniform1i(u("row"), (state.illuminant * DATA.models.length + m) * DATA.inks.length);
-  gl.uniform1i(u("print"), KIND[state.print]);
+  gl.uniform1i(u("print"), kind_of(state.print));
   gl.uniform1i(u("each_dot"), state.dots === "each" ? 1 : 0);
   gl.uniform4fv(u("extras"), state.match ? [state.phong, state.shininess, state.scattering, 0] : [0, 0, 0, 0]);
   gl.uniform3fv(u("white"), lamp.white);
@@ -428,7 +439,7 @@ function selftest() {
   $("selftest").textContent = JSON.stringify({size: DATA.selftest_size, renderer: renderer(), cases});
 }
 
-Promise.all([picture(1, DATA.halftone), picture(2, DATA.tones)]).then(() => {
+Promise.all([pictures(1, DATA.halftone), pictures(2, DATA.tones)]).then(() => {
   settle();
   if (location.hash === "#selftest") selftest();
   document.body.dataset.ready = "yes";

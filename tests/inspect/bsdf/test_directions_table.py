@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,19 @@ def test_astm_ascii(tmp_path):
     np.testing.assert_allclose(found.column("theta_o_deg"), np.tile(np.degrees([0.25, 0.5]), 3))
     np.testing.assert_allclose(found.column("wavelength_nm"), np.repeat([650.0, 550.0, 450.0], 2))
     np.testing.assert_allclose(found.column("value"), [1, 4, 2, 5, 3, 6])
+
+
+@pytest.mark.parametrize("pairs", [1, 777, 30_000])
+def test_as_many_pairs_are_sampled_as_asked_for_a_block_at_a_time(surfaces, pairs):
+    asked = []
+
+    def evaluate(light, camera):
+        asked.append(len(light))
+        return surfaces.skew().evaluate(light, camera)
+
+    found = sampled(replace(surfaces.skew(), evaluate=evaluate), pairs)
+    assert len(np.unique(found.rows[:, :4], axis=0)) == pairs == sum(asked)
+    assert max(asked) <= 20_000
 
 
 def test_a_grid_is_sampled(surfaces):

@@ -4,10 +4,13 @@ import base64
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import PIL.Image
 import pytest
+
+from anisoscope.sim.materials.inks import ink_text, synthetic_ink
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +40,7 @@ def test_page_and_picture(anisoscope, folder, tmp_path):
     )
     assert [one["name"] for one in data["illuminants"]][:2] == ["D65", "A"]
     assert data["exposure"] == pytest.approx(done.json["exposure"])
-    dots = np.array(PIL.Image.open(io.BytesIO(base64.b64decode(data["halftone"].split(",")[1]))))
+    dots = np.array(PIL.Image.open(io.BytesIO(base64.b64decode(data["halftone"][0].split(",")[1]))))
     assert (dots > 0).sum(axis=-1).max() == 1
     np.testing.assert_allclose((dots / 255.0).mean(axis=(0, 1)), done.json["printed"])
     assert "The print is projected" in text or "projected along z" in text
@@ -45,6 +48,56 @@ def test_page_and_picture(anisoscope, folder, tmp_path):
     with PIL.Image.open(tmp_path / "p.png") as picture:
         assert picture.size == (64, 64)
         assert np.array(picture).max() > 150
+
+
+FOUR = "synthetic-red,synthetic-green,synthetic-blue,synthetic-white"
+
+
+def test_four_inks_as_a_press_prints_them(anisoscope, folder, tmp_path):
+    """Overlaps are primaries of their own: modelled ones, or the ink of a file."""
+    measured = tmp_path / "over.toml"
+    measured.write_text(synthetic_text("synthetic-white", "measured overprint"), encoding="utf-8")
+    arguments = (
+        "ink",
+        "proof",
+        folder / "print.png",
+        "--out",
+        tmp_path / "p.html",
+        "--inks",
+        FOUR,
+        "--dots",
+        90,
+    )
+    press = (
+        "--screen-shifts",
+        "0,0;40,0;0,0;0,-20",
+        "--dot-gain",
+        10,
+        "--overprint",
+        f"1+2={measured}",
+        "--json",
+    )
+    done = anisoscope(*arguments, *press)
+    assert done.code == 0, done.err
+    shares = done.json["primaries"]
+    assert len(shares) > 6
+    assert "measured overprint" in shares
+    assert any(name.startswith("synthetic blue over synthetic green") for name in shares)
+    text = (tmp_path / "p.html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL).group(1))
+    assert [one["name"] for one in data["inks"]] == list(shares)
+    layers = [
+        np.array(PIL.Image.open(io.BytesIO(base64.b64decode(one.split(",")[1])))) for one in data["halftone"]
+    ]
+    found = (np.concatenate(layers, axis=-1)[..., : len(shares)] / 255.0).mean(axis=(0, 1))
+    np.testing.assert_allclose(found, list(shares.values()), atol=0.003)
+    assert sum(shares.values()) > sum(done.json["printed"]) - 0.05
+    told = anisoscope(*arguments, *press[:-1], "--overwrite")
+    assert "What the press makes of the dots" in told.out
+
+
+def synthetic_text(name, called):
+    return ink_text(replace(synthetic_ink(name), name=called))
 
 
 def test_pictures_follow_their_options(anisoscope, folder, tmp_path):
@@ -75,6 +128,11 @@ def test_mistakes_are_told_in_one_line(anisoscope, folder):
         (["--out", "p.html", "--dots", "16384", "--picture-size", "9000"], "--picture-size 16 to"),
         (["--png", "p.png", "--mesh", folder / "none.obj"], "cannot be read"),
         (["--png", "p.png", "--illuminant", "moon"], "no illuminant is named"),
+        (["--png", "p.png", "--inks", "synthetic-red"], "three inks or four"),
+        (["--png", "p.png", "--screen-shifts", "1,2"], "of each of the 3 inks"),
+        (["--png", "p.png", "--dot-gain", "9999"], "reach up to 32 dots"),
+        (["--png", "p.png", "--overprint", "1+2=x.toml"], "cannot be read"),
+        (["--png", "p.png", "--dot-gain", "5", "--overprint", "2+1=x.toml"], "numbers of inks from below"),
     ):
         done = anisoscope("ink", "proof", folder / "print.png", *arguments)
         assert done.code not in (0, 1)

@@ -47,10 +47,31 @@ def test_difference_page_and_numbers(anisoscope, maps, tmp_path):
 
 
 def test_tool_and_part_as_a_table(anisoscope, maps):
-    done = anisoscope("profile", "compare", maps / "new.x3p", maps / "tool.x3p", "--mirrored")
+    """The second one of a pair of tool and part, with what its ridges do to the contrasts of a recipe."""
+    recipe = maps / "recipe.toml"
+    made = anisoscope("recipe", "new", "--ridge-angle", 10, "--pitch", 40, "--out", recipe)
+    assert made.code == 0, made.err
+    page = maps / "replication.html"
+    arguments = ("profile", "compare", maps / "tool.x3p", maps / "new.x3p", "--mirrored", "--recipe", recipe)
+    done = anisoscope(*arguments, "--out", page)
     assert done.code == 0, done.err
-    for words in ("relief of A that B has", "volume lost", "negated and mirrored", "section"):
+    for words in (
+        "relief of A that B has",
+        "volume lost",
+        "the tool, was negated",
+        "relief B/A",
+        "by edge radius",
+    ):
         assert words in done.out
+    text = page.read_text(encoding="utf-8")
+    for mark in ('id="relief"', 'id="contrasts"', "ridge angle, change", "by the rest"):
+        assert mark in text
+    found = anisoscope(*arguments, "--json").json
+    assert found["replication"]["relief"]["value"] == pytest.approx(1.0, abs=0.01)
+    assert {"angle_b_deg", "radius_b_um", "relief"} <= set(found["ridges"][0])
+    for one in found["contrasts"]:
+        assert one["second"] == pytest.approx(one["first"], abs=0.01)
+        assert set(one["causes"]) == {"ridge angle", "height loss", "edge radius"}
 
 
 def test_several_maps_against_one(anisoscope, maps, tmp_path):

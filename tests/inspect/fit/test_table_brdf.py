@@ -110,6 +110,7 @@ def test_what_noise_explains_of_a_table_that_is_not_physical(table):
     """One pair 3σ/√2 apart: χ² = 4.5 of one degree of freedom; one value 2 u below 0."""
     rows = [[10, 0, 20, 180, 0.5, 0.1], [20, 180, 10, 0, 0.2, 0.1], [40, 0, 50, 90, -0.2, 0.1]]
     found = reciprocity(read_brdf(table(rows, HEADER + ",u")))
+    assert found.largest_k == pytest.approx(0.3 / np.hypot(0.1, 0.1))
     assert (found.pairs, found.negative) == (1, 1)
     assert found.p_value == pytest.approx(0.033895, rel=1e-4)
     assert found.negative_p_value == pytest.approx(0.045500, rel=1e-4)

@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -162,7 +163,7 @@ def test_from_a_scan_to_a_verdict(coupon_rig, virtual_rigs, anisoscope, tmp_path
 def test_a_part_is_scanned(coupon_rig, virtual_rigs, anisoscope, tmp_path):
     """Ridges on the virtual rig, all reflections counted, within the uncertainty of an unknown seating."""
     named = {**RIG, "calibration": tomllib.loads(coupon_rig.rig.read_text())["calibration"]}
-    sample = {"ridge_angle_deg": 10.0, "resolved_alpha": 0.0}
+    sample = {"ridge_angle_deg": 10.0, "resolved_alpha": 0.0, "reflections": True}
     recipe = {"region": {"size_mm": [0.8, 0.8]}, "uncertainty": ANGLES}
     rig = virtual_rigs("ridges", rig=named, bench={**BENCH, "sample": sample}, recipe=recipe)
     out = tmp_path / "scan"
@@ -171,13 +172,11 @@ def test_a_part_is_scanned(coupon_rig, virtual_rigs, anisoscope, tmp_path):
     assert done.json["seating_deg"] is None
     table = read_brdf(out / "brdf.csv")
     value, u = table.readings.value, np.sqrt(np.diag(table.readings.covariance))
-    sides = table.to_light, table.to_camera, RidgeDesign(100.0, 10.0), Material()
-    wanted, direct = corrected.radiance(*sides, None), corrected.radiance(*sides, 1)
-    clear = wanted < 1.1 * direct  # walls of one pixel reflect less between facet and wall than ideal ones
+    wanted = corrected.radiance(table.to_light, table.to_camera, RidgeDesign(100.0, 10.0), Material(), None)
     off = value / (wanted / table.to_light[:, 2]) - 1.0
-    assert np.count_nonzero(clear) >= 9
-    assert np.max((np.abs(off) / (u / value))[clear]) < 2.0
-    assert np.max((u / value)[clear]) < 0.03
+    # most of the light of the darkest poses is reflected twice, by the tracer in a groove of three cells
+    assert np.max(np.abs(off) / np.hypot(u / value, 0.02)) < 2.0
+    assert np.max(u / value) < 0.04
 
 
 def ink_scan(ink, nm, poses):
@@ -212,6 +211,85 @@ def test_scans_of_several_lamps_feed_the_fit_of_an_ink(anisoscope, tmp_path):
     np.testing.assert_allclose(found.rho_brdf, np.asarray(ink.rho_brdf)[at], rtol=0.01)
 
 
+@pytest.mark.soak
+def test_an_ink_is_scanned_under_three_lamps(virtual_rigs, anisoscope, tmp_path):
+    """A solid print on the virtual rig, narrow lamps one after the other in one scan, then `ink fit`."""
+    lamps = (530.0, 630.0, 650.0)
+    ink = find_ink("synthetic-red")
+    rigs = []
+    for nm in lamps:
+        (tmp_path / f"{nm:g}.csv").write_text(
+            f"wavelength_nm,power\n380,0\n{nm - 4},0\n{nm},1\n{nm + 4},0\n780,0\n"
+        )
+        bench = {
+            **BENCH,
+            "optics": {**BENCH["optics"], "spectrum": str(tmp_path / f"{nm:g}.csv"), "electrons": 6e6},
+        }
+        table = {**RIG, "light": {"wavelength_nm": nm}}
+        tile = virtual_rigs(f"tile-{nm:g}", rig=table, bench={**bench, "sample": {"kind": "white-tile"}})
+        flat = tmp_path / f"flat-{nm:g}.tif"
+        take_flat(tile.rig, flat, exposure_s=0.004, frames=4)
+        solid = {
+            "kind": "print",
+            "print": {"substrate": 0.0, "grain_share": 0.0},
+            "seating_tilt_deg": list(SEATING),
+        }
+        rigs.append(
+            virtual_rigs(
+                f"print-{nm:g}",
+                rig={**table, "calibration": {"flat": str(flat)}},
+                bench={**bench, "sample": solid},
+                recipe={"region": {"size_mm": [0.8, 0.8]}, "uncertainty": ANGLES,
+                        "material": {"alpha_along": 0.19, "alpha_across": 0.19, "albedo": 0.02}},
+            )
+        )  # fmt: skip
+    out = tmp_path / "scan"
+    named = [word for one in rigs for word in ("-g", one.rig)]
+    arguments = ("rig", "scan", "--coupon", *named, "-r", rigs[0].recipe, "--out", out)
+    done = anisoscope(*arguments, "--max-tilt", 20, "--stages", 4, "--tilts", 7, "--json")
+    assert done.code == 0, done.err
+    assert [one["wavelength_nm"] for one in done.json["lamps"]] == list(lamps)
+    assert read_brdf(out / "brdf.csv", 630.0).wavelength_nm == 630.0
+    before = (out / "goniometer.csv").read_text()
+    (out / "goniometer.csv").unlink()
+    assert anisoscope("rig", "scan", "--continue", out).code == 0
+    assert (out / "goniometer.csv").read_text() == before
+    done = anisoscope(
+        "ink", "fit", out / "goniometer.csv", "--values", "brdf", "--out", tmp_path / "ink.toml"
+    )
+    assert done.code == 0, done.err
+    found = find_ink(str(tmp_path / "ink.toml"))
+    assert found.alpha == pytest.approx(ink.alpha, rel=0.01)
+    at = [list(ink.nm).index(nm) for nm in lamps]
+    np.testing.assert_allclose(found.rho_brdf, np.asarray(ink.rho_brdf)[at], rtol=0.03)
+
+
+def test_lamps_of_one_scan_need_their_wavelengths(coupon_rig, anisoscope, tmp_path):
+    rig = coupon_rig.rig
+    arguments = (
+        "rig",
+        "scan",
+        "--coupon",
+        "-g",
+        rig,
+        "-g",
+        rig,
+        "-r",
+        coupon_rig.recipe,
+        "--out",
+        tmp_path / "scan",
+    )
+    done = anisoscope(*arguments, *FEW)
+    assert (done.code, "states no light.wavelength_nm" in done.err) == (64, True)
+    assert not (tmp_path / "scan").exists()
+    table = tomllib.loads(rig.read_text(encoding="utf-8"))
+    table["light"]["wavelength_nm"] = 630.0
+    named = rig.with_name("red.toml")
+    named.write_text(tomli_w.dumps(table), encoding="utf-8")
+    done = anisoscope(*(named if word == rig else word for word in arguments), *FEW)
+    assert (done.code, "is a second one of 630 nm" in done.err) == (64, True)
+
+
 def test_a_scan_with_a_known_lamp_has_its_wavelength(tmp_path):
     poses = pose_grid((0.0, 90.0), (-5.0, 0.0, 5.0))
     found = ink_scan(find_ink("synthetic-red"), 630.0, poses)
@@ -224,18 +302,18 @@ def test_a_coupon_that_is_not_flat_is_found():
     setup = setup_of(
         read_rig_table(), None, "coupon", poses=pose_grid((0.0, 90.0, 180.0, 270.0), (-8.0, -3.0, 3.0, 8.0))
     )
-    slopes = seating_slopes(setup, Material(), (0.0, 0.0))
+    slopes = seating_slopes(setup, Material(), (0.0, 0.0, 0.0))
     lean = np.linspace(-0.6, 0.6, 9)[None, :] * np.ones((9, 1))
     gain = np.random.default_rng(0).normal(0.0, 0.05, (9, 9))
     cells = slopes[:, 1, None, None] * lean + gain
-    found, u = flatness(cells, slopes)
+    found, u = flatness(cells, slopes[:, :2])
     assert found == pytest.approx(0.45, abs=0.01)  # the mean of the outer third
     assert u < 0.01
     measured = SimpleNamespace(
         radiance=np.exp(1.0 + slopes[:, 0] * 0.0) * truth_of(setup), cells=np.exp(2.0 * cells), components=()
     )
     with pytest.raises(CalibrationError, match=r"lean by up to 0\.[89]\d° from their mean .* limit 0\.5°"):
-        coupon_seat(setup, measured)
+        coupon_seat(setup, measured, 0.02)
 
 
 def truth_of(setup):
@@ -368,3 +446,24 @@ def test_nothing_to_resume(tmp_path):
     with pytest.raises(Exception, match="no scan began here"):
         resume_scan(tmp_path)
     assert UsageError.exit_code == 64
+
+
+def test_the_light_angle_is_found_from_a_coupon_of_uneven_roughness():
+    """The rig file says 10°, the light stands at 10.13°; noise of 0.3 %. Of an even one nothing tells it."""
+    poses = pose_grid((0.0, 45.0, 90.0, 135.0), tuple(np.linspace(-12.0, 12.0, 9)))
+    setup = setup_of(read_rig_table(), None, "coupon", poses=poses)
+    rng = np.random.default_rng(4)
+    found = []
+    for material in (Material(), Material(alpha_along=0.1, alpha_across=0.1)):
+        light, camera = directions(poses, Convention(10.13))
+        turn = seating_rotation(*SEATING)
+        radiance = corrected.radiance(light @ turn, camera @ turn, RidgeDesign(100.0, 0.0), material)
+        radiance *= np.exp(0.003 * rng.standard_normal(len(poses)))
+        measured = SimpleNamespace(radiance=radiance, cells=np.ones((len(poses), 3, 3)), components=())
+        found.append(coupon_seat(replace(setup, material=material), measured, 0.1))
+    uneven, even = found
+    assert uneven.light_angle_deg == pytest.approx(10.13, abs=3.0 * uneven.u_light_angle_deg)
+    assert uneven.u_light_angle_deg < 0.03
+    assert even.u_light_angle_deg > 0.08
+    for seat in found:
+        assert (seat.about_x_deg, seat.about_y_deg) == pytest.approx(SEATING, abs=0.04)

@@ -14,7 +14,7 @@ from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import white_point
 from anisoscope.sim.light.colour.spaces import linear_srgb
 from anisoscope.sim.light.ink.shading import Light
-from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
+from anisoscope.sim.materials.inks import PACKAGED, synthetic_ink
 from anisoscope.sim.proof.imagefile import picture_png
 from anisoscope.sim.proof.mesh import read_obj
 from anisoscope.sim.proof.render import Extras, adaptation, direction, proof_picture, to_screen
@@ -40,24 +40,30 @@ f 1/1 3/2 5/3\nf 3/1 2/2 5/3\nf 2/1 4/2 5/3\nf 4/1 1/2 5/3\nf 3/1 1/2 6/3\nf 2/1
 """
 
 
+def layers(codes):
+    """Four inks in two pictures of three."""
+    wide = np.concatenate([codes, np.zeros((*codes.shape[:2], 2), dtype=np.uint8)], axis=-1)
+    return tuple(picture_png(np.ascontiguousarray(one)) for one in np.split(wide, 2, axis=-1))
+
+
 @pytest.fixture(scope="module")
 def proof(tmp_path_factory):
     folder = tmp_path_factory.mktemp("proof")
     (folder / "mesh.obj").write_text(OCTAHEDRON)
     mesh = read_obj(folder / "mesh.obj")
     rng = np.random.default_rng(5)
-    dots = np.eye(4, dtype=np.uint8)[rng.integers(0, 4, (9, 12))][..., 1:] * 255
-    tones = np.linspace(0, 80, 9 * 12 * 3).reshape(9, 12, 3).astype(np.uint8)
-    inks = tuple(synthetic_ink(name) for name in SYNTHETIC)
-    inks = (inks[0], replace(inks[1], alpha=0.25, alpha_y=0.15, brush_deg=30.0), inks[2])
+    dots = np.eye(5, dtype=np.uint8)[rng.integers(0, 5, (9, 12))][..., 1:] * 255
+    tones = np.linspace(0, 60, 9 * 12 * 4).reshape(9, 12, 4).astype(np.uint8)
+    inks = tuple(synthetic_ink(name) for name in PACKAGED)
+    inks = (inks[0], replace(inks[1], alpha=0.25, alpha_y=0.15, brush_deg=30.0), *inks[2:])
     lights = tuple(
         ProofLight(lamp, linear_srgb(white_point(lamp)), adaptation(lamp))
         for lamp in (standard("d65"), standard("a"))
     )
     vertices = np.hstack([mesh.position, mesh.normal, mesh.tangent, mesh.uv]).astype(np.float32)
     content = Proof(
-        title="Soft proof of <test>", subtitle="for a test", inks=inks, lights=lights, halftone_png=picture_png(dots),
-        tones_png=picture_png(tones), aspect=12 / 9, exposure=EXPOSURE, fill=0.96, second_light_deg=SECOND, start=START,
+        title="Soft proof of <test>", subtitle="for a test", inks=inks, lights=lights, halftone_pngs=layers(dots),
+        tones_pngs=layers(tones), aspect=12 / 9, exposure=EXPOSURE, fill=0.96, second_light_deg=SECOND, start=START,
         roughness=(("file", "as in the files", None), ("brushed", "brushed", 0.19), ("own", "own", None)),
         mesh=ProofMesh(vertices, mesh.triangles.astype(np.uint32)), photo=PIXEL,
     )  # fmt: skip
@@ -92,7 +98,7 @@ def core(case, content, mesh, prints, size):
     where = surface(scene, size, size)
     if case["print"].startswith("solid"):
         whole = np.isfinite(where.uv[..., :1])
-        cover = np.where(whole, np.eye(3)[int(case["print"][-1]) - 1], 0.0)
+        cover = np.where(whole, np.eye(len(inks))[int(case["print"][-1]) - 1], 0.0)
         clear = np.ones((size, size), dtype=bool)
     else:
         dots = prints[case["print"]]
@@ -135,7 +141,7 @@ def test_every_pixel_of_the_page_is_that_of_the_core_within_one_code(page, proof
         combinations.add((case["illuminant"], case["model"], case["print"]))
     assert max(worst) <= 1, [(w, c) for w, c in zip(worst, told["cases"], strict=True) if w > 1][:2]
     assert min(brightest) > 20
-    assert len(combinations) >= 2 * 3 * 5
+    assert len(combinations) >= 2 * 3 * 6
 
 
 def canvas_pixels(page):
@@ -264,7 +270,7 @@ def test_nothing_comes_from_outside_and_nobody_complains(page, proof):
 def test_a_print_too_large_for_the_driver_is_told(page, proof, tmp_path):
     long = np.zeros((40_000, 1, 3), dtype=np.uint8)
     path = tmp_path / "long.html"
-    write_proof_page(replace(proof[1], halftone_png=picture_png(long)), path)
+    write_proof_page(replace(proof[1], halftone_pngs=(picture_png(long),) * 2), path)
     page.open(path.as_uri(), 800, 600)
     wait(page, "!document.getElementById('missing').hidden")
     assert "1 × 40000 dots" in page.evaluate("document.getElementById('missing-why').textContent")
@@ -298,6 +304,6 @@ def test_the_page_is_strict_escaped_and_refuses_what_it_cannot_draw(proof, tmp_p
     rough = replace(content.inks[0], distribution="beckmann")
     with pytest.raises(UsageError, match="ggx"):
         write_proof_page(replace(content, inks=(rough, *content.inks[1:])), tmp_path / "x.html")
-    with pytest.raises(UsageError, match="three inks"):
-        write_proof_page(replace(content, inks=content.inks[:2]), tmp_path / "x.html")
+    with pytest.raises(UsageError, match="a picture for every three of them"):
+        write_proof_page(replace(content, tones_pngs=content.tones_pngs[:1]), tmp_path / "x.html")
     assert not (tmp_path / "x.html").exists()

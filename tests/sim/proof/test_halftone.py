@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import nnls
+from scipy.optimize import linprog, nnls
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import standard
+from anisoscope.sim.materials.inks import PACKAGED, synthetic_ink
 from anisoscope.sim.proof.halftone import BLOCK, coverage, halftone
 from anisoscope.sim.proof.separation import decode_srgb, separation
 
@@ -128,7 +129,7 @@ def test_images_that_cannot_be_halftoned(plan, image, message):
 
 def test_separations_that_cannot_be_made(inks, d65):
     for given, message in (
-        ({"inks": inks[:2]}, "three inks"),
+        ({"inks": inks[:2]}, "three or four inks"),
         ({"inks": (inks[0], inks[0], inks[2])}, "too much alike"),
         ({"angle_deg": 89.0}, "0 to 85"),
         ({"gain": 0.0}, "gain"),
@@ -137,3 +138,47 @@ def test_separations_that_cannot_be_made(inks, d65):
             separation(**({"inks": inks, "illuminant": d65} | given))
     with pytest.raises(ModelError, match="no halftone is named"):
         halftone(np.zeros((4, 4, 3), np.uint8), separation(inks, d65), "dither")
+
+
+@pytest.fixture(scope="module")
+def four():
+    return separation([synthetic_ink(name) for name in PACKAGED], standard("d65"))
+
+
+def test_of_the_mixtures_of_four_inks_the_one_with_the_least_ink_is_taken(four, plan, rng):
+    """Against linear programming."""
+    image = rng.integers(0, 256, (12, 12, 3), dtype=np.uint8)
+    found = coverage(image, four)
+    linear = decode_srgb()[image] @ four.adaptation.T
+    met = 0
+    for got, aim in zip(found.reshape(-1, 4), linear.reshape(-1, 3), strict=True):
+        least = linprog(np.ones(4), A_eq=four.colours, b_eq=aim)
+        if least.status == 0:
+            met += 1
+            expected = least.x / max(1.0, least.fun)
+        else:
+            expected = nnls(four.colours, aim)[0]
+            expected /= max(1.0, expected.sum())
+        np.testing.assert_allclose(got, expected, atol=1e-4)
+    assert met > 10
+    # the same light takes less ink, so that white is brighter
+    assert four.neutral[3] > 0.3
+    white = [np.linalg.norm(one.colours @ one.neutral) for one in (four, plan)]
+    np.testing.assert_allclose(white[0], white[1], rtol=1e-9)  # in units of the image's white
+    brightest = [colour.sum(axis=0).max() for colour in (four.colours, plan.colours)]
+    assert brightest[0] < brightest[1]
+
+
+@pytest.mark.parametrize("method", ["mask", "diffusion"])
+def test_four_inks_never_meet_and_cover_as_asked(four, method):
+    direct = replace(four, way="channels")
+    found = halftone(flat((0.35, 0.5, 0.25)), direct, method)
+    np.testing.assert_allclose(found.aimed, [0.1, 0.25, 0.0, 0.25], atol=1e-6)  # what they share is white
+    np.testing.assert_allclose(found.printed, found.aimed, atol=0.004)
+    assert sum(found.mask(k).astype(int) for k in range(4)).max() == 1
+
+
+def test_inks_that_do_not_span_colours_are_refused(inks):
+    for names in ([0, 0, 0, 0], [0, 0]):
+        with pytest.raises(ModelError, match=r"too much alike|three or four inks"):
+            separation([inks[n] for n in names], standard("d65"))
