@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from anisoscope.base.csv_style import CsvReader, csv_text, number_text
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.bsdf.formats import compared_directions
-from anisoscope.bsdf.reflectance import Reflectance
+from anisoscope.bsdf.reflectance import Reflectance, above_horizon
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg")
 COLUMNS = (*ANGLES, "value")
@@ -27,6 +27,8 @@ Quantity = Literal["brdf", "radiance", "factor"]
 STEEPEST_DEG = 89.0
 _RADIANS = np.pi * 1.0001
 _LARGEST = 1e6
+_NEAR, _FEWEST = 12, 12
+_DIFFERENCE = 0.4  # how much the difference of the directions counts against the half vector
 _BLOCK = 20_000  # pairs that are evaluated at once, which bounds the memory
 _ASTM = {"theta_i": ANGLES[0], "phi_i": ANGLES[1], "theta_s": ANGLES[2], "phi_s": ANGLES[3],
          "theta_r": ANGLES[2], "phi_r": ANGLES[3]}  # fmt: skip
@@ -179,6 +181,84 @@ def sampled(reflectance: Reflectance, count: int = 2000) -> DirectionsTable:
         return DirectionsTable(COLUMNS, np.column_stack([angles, value[:, 0]]))
     blocks = [np.column_stack([angles, value[:, n], np.full(len(angles), one)]) for n, one in enumerate(nm)]
     return DirectionsTable((*COLUMNS, "wavelength_nm"), np.concatenate(blocks))
+
+
+def interpolated(table: DirectionsTable, name: str) -> Reflectance:
+    """A reflectance through the rows of a table: planes of ln f fitted to the rows about each pair of directions.
+
+    Places are those of the half vector (slopes) and of the half difference of both directions, which counts less.
+    Each row stands for its exchanged pair too (Helmholtz reciprocity). A fitted value stays within those of its rows;
+    beyond the table it is that of the nearest rows, and a note says how much of the hemisphere that is.
+
+    Args:
+        table: its rows, at one wavelength or several.
+        name: of the surface.
+
+    Raises:
+        UsageError: fewer rows than a fit needs, or values of 0 or less.
+    """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    light, camera = (_vectors(table.rows[:, columns]) for columns in ([0, 1], [2, 3]))
+    value = table.column("value")
+    if np.any(value <= 0.0):
+        raise UsageError(
+            f"{name}: {np.count_nonzero(value <= 0.0)} values are 0 or less: a reflectance between rows needs positive "
+            "ones; leave these rows out"
+        )
+    nm = table.column("wavelength_nm") if "wavelength_nm" in table.columns else np.zeros(len(value))
+    known = np.unique(nm)
+    fits = []
+    for one in known:
+        here = nm == one
+        if np.count_nonzero(here) < _FEWEST:
+            raise UsageError(
+                f"{name}: {np.count_nonzero(here)} rows are too few: {_FEWEST} or more are needed"
+            )
+        both = np.concatenate([light[here], camera[here]]), np.concatenate([camera[here], light[here]])
+        places = _places(*both)
+        fits.append((cKDTree(places), places, np.log(np.tile(value[here], 2))))
+
+    def evaluate(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+        def found(some_light: FloatArray, some_camera: FloatArray) -> FloatArray:
+            at = _places(some_light, some_camera)
+            return np.stack([_fitted(at, *fit) for fit in fits], axis=-1)
+
+        return above_horizon(to_light, to_camera, found)
+
+    tree, places, _ = fits[0]
+    reach = 2.0 * float(np.median(np.asarray(tree.query(places, _NEAR)[0])[:, -1]))
+    beyond = float(np.mean(tree.query(_places(*compared_directions()))[0] > reach))
+    note = f"{beyond:.0%} of the directions to 60° lie beyond the rows of the table, and have the values of the nearest"
+    wavelengths = tuple(known.tolist()) if "wavelength_nm" in table.columns else ()
+    return Reflectance(name, evaluate, wavelengths, notes=(note,) if beyond > 0.005 else ())
+
+
+def _vectors(angles_deg: FloatArray) -> FloatArray:
+    """(N, 3) unit vectors of (N, 2) θ and φ."""
+    theta, phi = np.radians(angles_deg.T)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def _places(light: FloatArray, camera: FloatArray) -> FloatArray:
+    """(N, 4) slopes of the half vector, and the half difference of the directions, scaled by what it counts."""
+    half = light + camera
+    slopes = half[:, :2] / np.maximum(half[:, 2:], 1e-6)
+    return np.concatenate([slopes, 0.5 * _DIFFERENCE * (light - camera)[:, :2]], axis=1)
+
+
+def _fitted(at: FloatArray, tree: Any, places: FloatArray, value: FloatArray) -> FloatArray:  # noqa: ANN401
+    """(N,) values at (N, 4) places, by planes through ln f of the nearest rows."""
+    far, rows = tree.query(at, _NEAR)
+    weight = np.exp(-2.0 * np.square(far / np.maximum(far[:, -1:], 1e-12)))
+    design = np.concatenate([np.ones((*rows.shape, 1)), places[rows] - at[:, None]], axis=2)
+    near = value[rows]
+    normal = np.einsum("nki,nk,nkj->nij", design, weight, design)
+    scale = np.einsum("nii->n", normal[:, 1:, 1:]) / 4.0
+    normal[:, range(1, 5), range(1, 5)] += 1e-3 * scale[:, None] + 1e-12
+    right = np.einsum("nki,nk,nk->ni", design, weight, near)
+    level = np.linalg.solve(normal, right[..., None])[:, 0, 0]
+    return np.asarray(np.exp(np.clip(level, near.min(axis=1), near.max(axis=1))))
 
 
 def polar_degrees(vectors: FloatArray) -> FloatArray:

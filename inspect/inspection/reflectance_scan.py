@@ -388,7 +388,7 @@ def resume_lamps(folder: Path, on_progress: Advance = silent) -> tuple[ScanResul
         raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
     except ValidationError as problem:
         raise RecordError(f"{folder / LAMPS} is damaged: {problem.errors()[0]['msg']}") from problem
-    found = []
+    found: list[ScanResult] = []
     try:
         for rig, name in zip(lamps.rigs, lamps.folders, strict=True):
             here = folder / name

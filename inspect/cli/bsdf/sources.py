@@ -64,7 +64,10 @@ class SourceOptions(PlasticOptions):
     design: Annotated[Path | None, Parameter(help="Etched steps: file *.toml of anisoscope design.")] = None
     height_map: Annotated[Path | None, Parameter(help="Height map, x as the reflectance's.")] = None
     from_file: Annotated[
-        Path | None, Parameter(help="File of another format: RGL, MERL, Klems, tensor tree, Zemax.")
+        Path | None,
+        Parameter(
+            help="File of another format (RGL, MERL, Klems, tensor tree, Zemax), or a table *.csv of bsdf import."
+        ),
     ] = None
     pitch: Annotated[
         float | None, Parameter(help="Ridges, height map: pitch in µm; 100, and found in a map.")
@@ -132,6 +135,10 @@ class SourceOptions(PlasticOptions):
         from anisoscope.bsdf.formats import read_reflectance
 
         assert self.from_file is not None
+        if self.from_file.suffix.lower() == ".csv":
+            from anisoscope.bsdf.directions_table import interpolated, read_mapped
+
+            return interpolated(read_mapped(self.from_file, {}), self.from_file.stem)
         return read_reflectance(self.from_file)
 
     def _heights(self, on_progress: "Advance") -> "Reflectance":

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from anisoscope.report.proof_page import Proof
     from anisoscope.sim.light.colour.illuminant import Illuminant
     from anisoscope.sim.light.ink.ink import Ink
-    from anisoscope.sim.proof.halftone import Halftone
+    from anisoscope.sim.proof.halftone import Halftone, Press, Pressed
     from anisoscope.sim.proof.mesh import Mesh
-    from anisoscope.sim.proof.press import Press, Pressed
     from anisoscope.sim.proof.scene import Scene
 
 SECOND_LIGHT_DEG = (-15.0, 35.0)
@@ -207,7 +206,7 @@ def _press(options: PressOptions, inks: int) -> "tuple[Press | None, dict[tuple[
     """
     from anisoscope.cli.options import parse_numbers
     from anisoscope.sim.materials.inks import find_ink
-    from anisoscope.sim.proof.press import MOST_MOVED, Press
+    from anisoscope.sim.proof.halftone import MOST_MOVED, Press
 
     if not 1.0 <= options.dpi <= 20000.0:
         raise UsageError(f"--dpi takes 1 to 20000, not {options.dpi:g}")
@@ -261,8 +260,8 @@ def _printed(
         return _Work(inks, lamps, found, dots, tones, mesh, view)
     from scipy import ndimage
 
-    from anisoscope.sim.light.ink.overprint import overprint
-    from anisoscope.sim.proof.press import pressed
+    from anisoscope.sim.light.ink.model import overprint
+    from anisoscope.sim.proof.halftone import pressed
 
     if found.dots.size > MOST_PRESSED:
         raise UsageError(

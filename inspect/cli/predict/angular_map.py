@@ -132,6 +132,11 @@ def _checked(
     if options.picture is None and options.table is None:
         raise UsageError("name what to write: --map PICTURE.png, --map-csv TABLE.csv, or both")
     for target, option, ending in ((options.picture, "--map", ".png"), (options.table, "--map-csv", ".csv")):
+        if target is not None and target.suffix.lower() == ".bsdf":
+            raise UsageError(
+                f"all directions of light and camera are written by `anisoscope bsdf export {target} --height-map "
+                f"{path} --optics waves`"
+            )
         if target is not None and target.suffix.lower() != ending:
             raise UsageError(f"{option} writes *{ending}, not {target.name}")
     if options.colour is not None and wavelengths_um is not None:

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.bsdf.directions_table import read_astm, read_mapped, sampled
+from anisoscope.bsdf.directions_table import DirectionsTable, interpolated, read_astm, read_mapped, sampled
+from anisoscope.bsdf.formats import compared_directions
+from anisoscope.bsdf.models import of_ridges
 from anisoscope.fit.table import read_brdf
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light.material import Material
 
+PLASTIC = of_ridges(RidgeDesign(100.0, 0.0), Material(alpha_along=0.2, alpha_across=0.25))
 GONIO = "AOI,Det,CCBRDF\n20,-20,0.1\n20,30,0.2\n20,89.5,0.3\n"
 MAPPING = {
     "theta_i_deg": "AOI",
@@ -105,3 +110,29 @@ def test_csv_that_cannot_be(tmp_path, text, changes, words):
 def test_astm_that_cannot_be(tmp_path, old, new, words):
     with pytest.raises(UsageError, match=words):
         read_astm(written(tmp_path, ASTM.replace(old, new)))
+
+
+def test_a_table_of_scattered_directions_becomes_a_reflectance():
+    """Rows of a known lobe: values between them, the exchanged pairs, and the share that is beyond them."""
+    rows = sampled(PLASTIC, 4000)
+    found = interpolated(rows, "table")
+    light, camera = compared_directions(8192)
+    expected = PLASTIC.evaluate(light, camera)[:, 0]
+    value = found.evaluate(light, camera)[:, 0]
+    assert np.sqrt(np.mean((value - expected) ** 2) / np.mean(expected**2)) < 0.05
+    assert np.sqrt(np.mean(np.log(value / expected) ** 2)) < 0.05
+    np.testing.assert_allclose(found.evaluate(camera, light)[:, 0], value, rtol=1e-6)
+    assert found.notes == ()
+    narrow = rows.rows[rows.column("theta_i_deg") < 20.0]
+    (note,) = interpolated(DirectionsTable(rows.columns, narrow), "table").notes
+    assert "of the directions to 60° lie beyond the rows" in note
+
+
+def test_what_cannot_be_interpolated_is_refused():
+    rows = sampled(PLASTIC, 30)
+    with pytest.raises(UsageError, match="5 rows are too few"):
+        interpolated(DirectionsTable(rows.columns, rows.rows[:5]), "table")
+    dark = rows.rows.copy()
+    dark[3, 4] = -0.1
+    with pytest.raises(UsageError, match="1 values are 0 or less"):
+        interpolated(DirectionsTable(rows.columns, dark), "table")

@@ -131,7 +131,7 @@ def test_mistakes_are_told_in_one_line(anisoscope, folder):
         (["--png", "p.png", "--inks", "synthetic-red"], "three inks or four"),
         (["--png", "p.png", "--screen-shifts", "1,2"], "of each of the 3 inks"),
         (["--png", "p.png", "--dot-gain", "9999"], "reach up to 32 dots"),
-        (["--png", "p.png", "--overprint", "1+2=x.toml"], "cannot be read"),
+        (["--png", "p.png", "--overprint", "1+2=x.toml"], "no such file"),
         (["--png", "p.png", "--dot-gain", "5", "--overprint", "2+1=x.toml"], "numbers of inks from below"),
     ):
         done = anisoscope("ink", "proof", folder / "print.png", *arguments)

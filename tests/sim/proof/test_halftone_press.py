@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.proof.press import Press, pressed
+from anisoscope.sim.proof.halftone import Press, pressed
 
 STRIPES = np.tile(np.repeat(np.uint8([1, 2, 0]), 8), (24, 10))
 """Two inks in stripes of 8 dots, then bare paper as wide."""

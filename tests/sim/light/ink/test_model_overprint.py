@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.ink.model import brdf_at_angles, directional_albedo
-from anisoscope.sim.light.ink.overprint import overprint
+from anisoscope.sim.light.ink.model import brdf_at_angles, directional_albedo, overprint
 from anisoscope.sim.materials.inks import synthetic_ink
 
 RED, GREEN = (synthetic_ink(f"synthetic-{name}") for name in ("red", "green"))
