@@ -15,8 +15,8 @@ lower ink and back,
     f = f_upper + (1 − A_upper(θi)) (1 − A_upper(θo)) f_lower,
 
 with the directional albedo A of the upper ink. Light that goes back and forth between the films more than once, and
-what a film blurs, is left out. The spectra of the mirror direction are then those of Eq. 5, fitted in ln f: an overprint
-is an ink as the others, and a measured one can stand in its place.
+what a film blurs, is left out. The spectra of the mirror direction are then those of Eq. 5, fitted in ln f: an
+overprint is an ink as the others, and a measured one can stand in its place.
 """
 
 from collections.abc import Sequence
