@@ -1,9 +1,9 @@
-"""A rig that stays open: one process owns its axes and its light, others use them over a socket of this machine.
+"""A rig that stays open: one process owns its axes, camera and light, others use them over a socket of this machine.
 
 A port is open once, and a stage without memory loses its reference when it is closed. So one process (``anisoscope rig
-hold``) may keep the devices open; whoever opens an axis or a light of a rig file meanwhile gets a proxy of it. The
-note of the port (`anisoscope.rig.portholder`) states where the owner listens, and a token that only this user can
-read.
+hold``) may keep the devices open; whoever opens a device of a rig file meanwhile gets a proxy of it. The note of the
+port (`anisoscope.rig.portholder`) states where the owner listens, and a token that only this user can read. A device
+without a port is noted by its driver and options. Every client has exposure and gain of its own.
 
 A client that goes away during a motion stops it. How they talk: `anisoscope.rig.holdline`.
 """
@@ -21,26 +21,73 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any, Self
 
-from anisoscope.base.errors import AnisoscopeError, RigError
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.errors import AnisoscopeError, CameraError, RigError
+from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
 from anisoscope.rig.holdline import ALIVE_S, LONGEST_LINE, HoldLine
 from anisoscope.rig.light import Light
 from anisoscope.rig.portholder import Holder, claim, holder_of, release
-from anisoscope.rig.rigfile import BY_HAND, LightPart, MotorPart
+from anisoscope.rig.rigfile import BY_HAND, CameraPart, LightPart, MotorPart
 from anisoscope.rig.stage import MotionState, RotationStage, Unit, motion_state, unit_of
 
 _log = logging.getLogger(__name__)
 
 HERE = "127.0.0.1"
-Part = MotorPart | LightPart
+Part = MotorPart | LightPart | CameraPart
 MOTIONS = frozenset({"home", "move_to", "move_by"})
+ASKING = frozenset({BY_HAND, "none"})  # drivers that ask the operator, in the terminal of whoever opened them
 
 
 def key_of(part: Part) -> str:
     """What an owner and a client agree on: driver, port and options of a device."""
-    return json.dumps([part.driver, part.port, dict(sorted(part.options.items()))])
+    return json.dumps([part.driver, _port_of(part), dict(sorted(part.options.items()))])
+
+
+def _port_of(part: Part) -> str | None:
+    return None if isinstance(part, CameraPart) else part.port
+
+
+def noted_as(part: Part) -> str:
+    """Under which name an owner notes a device: its port, or driver and options where it has none."""
+    kinds = {CameraPart: "camera", LightPart: "light"}
+    return _port_of(part) or f"{kinds.get(type(part), 'axis')}://{key_of(part)}"
 
 
 # The owner.
+
+
+class SharedCamera:
+    """A camera for several clients: each grab has the exposure and gain that its client asks for."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        self._lock = threading.Lock()
+        self._asked: tuple[float, float] | None = None
+
+    @property
+    def info(self) -> CameraInfo:
+        """What is fixed about the camera."""
+        return self._camera.info
+
+    def configure(self, exposure_s: float, gain: float) -> CameraSettings:
+        """Set exposure in seconds and gain; return what the camera really uses."""
+        with self._lock:
+            return self._set(exposure_s, gain)
+
+    def grab(self, exposure_s: float, gain: float) -> npt.NDArray[np.uint16]:
+        """The next frame under these settings."""
+        with self._lock:
+            if self._asked != (exposure_s, gain):
+                self._set(exposure_s, gain)
+            return self._camera.grab().copy()
+
+    def _set(self, exposure_s: float, gain: float) -> CameraSettings:
+        self._asked = None
+        settings = self._camera.configure(exposure_s, gain)
+        self._asked = (exposure_s, gain)
+        return settings
 
 
 class Owner:
@@ -49,6 +96,7 @@ class Owner:
     Args:
         axes: open axes by their tables of the rig file, with these.
         light: the open light and its table.
+        camera: the open camera and its table.
         rig: the rig file; "" without.
 
     Attributes:
@@ -60,14 +108,14 @@ class Owner:
         axes: Mapping[str, tuple[MotorPart, RotationStage]],
         light: tuple[LightPart, Light] | None = None,
         rig: str = "",
+        camera: tuple[CameraPart, Camera] | None = None,
     ) -> None:
         self.axes = {table: axis for table, (_, axis) in axes.items()}
-        parts: list[tuple[Part, RotationStage | Light]] = [
-            *axes.values(),
-            *([] if light is None else [light]),
-        ]
+        parts: list[tuple[Part, RotationStage | Light | SharedCamera]] = [*axes.values()]
+        parts += [] if light is None else [light]
+        parts += [] if camera is None else [(camera[0], SharedCamera(camera[1]))]
         self._devices = {key_of(part): device for part, device in parts}
-        self._ports = list(dict.fromkeys(part.port for part, _ in parts if part.port is not None))
+        self._ports = list(dict.fromkeys(noted_as(part) for part, _ in parts))
         self._rig = rig
         self._token = secrets.token_urlsafe(32)
         self._stack = contextlib.ExitStack()
@@ -128,6 +176,8 @@ class Owner:
                 "the process that holds the rig has this port open with another driver or other options; end it with q "
                 "in its window, and start anisoscope rig hold with this rig file"
             )
+        if isinstance(device, SharedCamera):
+            return _camera_action(device, do, arguments), _nothing
         if isinstance(device, RotationStage):
             return _stage_action(device, do, arguments)
         return _light_action(device, do), _nothing
@@ -158,6 +208,16 @@ def _stage_action(
     if do in MOTIONS and len(numbers) == (do != "home"):
         return lambda: getattr(stage, do)(*numbers), stage.stop
     raise RigError(f"the process that holds the rig knows no '{do}' of a stage")
+
+
+def _camera_action(camera: SharedCamera, do: str, arguments: list[Any]) -> Callable[[], Any]:
+    if do == "describe" and not arguments:
+        return lambda: asdict(camera.info)
+    numbers = [float(value) for value in arguments]
+    if do in {"configure", "grab"} and len(numbers) == 2:
+        act: Callable[[float, float], Any] = getattr(camera, do)
+        return lambda: act(*numbers)
+    raise RigError(f"the process that holds the rig knows no '{do}' of a camera")
 
 
 def _light_action(light: Light, do: str) -> Callable[[], Any]:
@@ -200,7 +260,14 @@ class _Client(socketserver.StreamRequestHandler):
                 self._send(self._answer(line))
 
     def _send(self, answer: Mapping[str, Any]) -> None:
-        self.wfile.write(json.dumps(answer).encode() + b"\n")
+        found = answer.get("ok")
+        data = b""
+        if isinstance(found, np.ndarray):  # its counts follow the line
+            data = found.astype("<u2", copy=False).tobytes()
+            answer = {"ok": list(found.shape), "bytes": len(data)}
+        elif isinstance(found, CameraSettings):
+            answer = {"ok": asdict(found)}
+        self.wfile.write(json.dumps(answer).encode() + b"\n" + data)
 
     def _answer(self, line: bytes) -> Mapping[str, Any]:
         try:
@@ -344,6 +411,40 @@ class HeldLight:
         self._line.close()
 
 
+class HeldCamera:
+    """A camera that another process holds, with settings of this client's own; errors as for the camera."""
+
+    def __init__(self, holder: Holder, key: str) -> None:
+        self._key, self._line = key, HoldLine(holder)
+        self.info = CameraInfo(**self._line.describe(key))
+        self._asked: tuple[float, float] | None = None
+
+    def configure(self, exposure_s: float, gain: float) -> CameraSettings:
+        """Set exposure in seconds and gain; return what the camera really uses."""
+        settings = CameraSettings(**self._line.ask(self._key, "configure", exposure_s, gain))
+        self._asked = (exposure_s, gain)
+        return settings
+
+    def grab(self) -> npt.NDArray[np.uint16]:
+        """The next frame under these settings, (rows, cols) counts.
+
+        Raises:
+            CameraError: `configure` was not called, or a frame of another size came.
+        """
+        if self._asked is None:
+            raise CameraError("the camera was asked for a frame before exposure and gain were set")
+        shape, data = self._line.fetch(self._key, "grab", *self._asked)
+        if shape != [self.info.rows, self.info.cols] or len(data) != 2 * self.info.rows * self.info.cols:
+            raise CameraError(
+                f"{self.info.model} delivered a frame of {shape}; it said {[self.info.rows, self.info.cols]}"
+            )
+        return np.frombuffer(data, dtype="<u2").reshape(shape).astype(np.uint16, copy=False)
+
+    def close(self) -> None:
+        """Let go of the owner, which keeps the camera open."""
+        self._line.close()
+
+
 def held_stage(part: MotorPart) -> HeldStage | None:
     """The axis of a rig file if another process holds it for others, else None.
 
@@ -361,13 +462,19 @@ def held_light(part: LightPart) -> HeldLight | None:
     return None if holder is None else HeldLight(holder, key_of(part))
 
 
+def held_camera(part: CameraPart) -> HeldCamera | None:
+    """The camera of a rig file if another process holds it for others, else None; errors as for `held_stage`."""
+    holder = _owner_of(part)
+    return None if holder is None else HeldCamera(holder, key_of(part))
+
+
 def is_held(part: Part) -> bool:
     """Whether another process holds the device for others."""
     return _owner_of(part) is not None
 
 
 def _owner_of(part: Part) -> Holder | None:
-    if part.port is None or part.driver == BY_HAND:
+    if part.driver in ASKING:
         return None
-    holder = holder_of(part.port)
+    holder = holder_of(noted_as(part))
     return holder if holder is not None and holder.serves_at else None

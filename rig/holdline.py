@@ -1,9 +1,10 @@
 """Requests to the process that holds a rig open for others, and the stop of all that is held.
 
 The socket is bound to 127.0.0.1. A request is a line of JSON, ``{"token", "device", "do", "args"}``, and so is its
-answer, ``{"ok": …}`` or ``{"error", "text"}``. While something takes long the owner sends empty lines: a client that
-hears nothing for `SILENCE_S` gives up. A stop needs a connection of its own, waits for no other request, and reaches
-all axes where no device is named.
+answer, ``{"ok": …}`` or ``{"error", "text"}``. The answer to the grab of a camera is ``{"ok": [rows, cols], "bytes"}``,
+and so many bytes follow it: counts of 16 bits, little-endian, row by row. While something takes long the owner sends
+empty lines: a client that hears nothing for `SILENCE_S` gives up. A stop needs a connection of its own, waits for no
+other request, and reaches all axes where no device is named.
 
 Nothing heavy is imported here: a stop is sent while the rest of the program still loads.
 """
@@ -39,6 +40,14 @@ class HoldLine:
             NotConnected: it has ended, or does not answer.
             AnisoscopeError: what it raised.
         """
+        return self._request(device, do, arguments)["ok"]
+
+    def fetch(self, device: str, do: str, *arguments: float) -> tuple[Any, bytearray]:
+        """Answer of the owner, and the bytes that follow it; errors as for `ask`."""
+        answer = self._request(device, do, arguments)
+        return answer["ok"], answer.get("data", bytearray())
+
+    def _request(self, device: str | None, do: str, arguments: tuple[float, ...]) -> dict[str, Any]:
         request = {"token": self._holder.token, "device": device, "do": do, "args": arguments}
         with self._lock:
             try:
@@ -56,7 +65,7 @@ class HoldLine:
         if "error" in answer:
             kind = getattr(errors, str(answer["error"]), RigError)
             raise kind(str(answer["text"]))
-        return answer["ok"]
+        return answer
 
     def describe(self, device: str) -> dict[str, Any]:
         """What a device is; errors as for `ask`, after which nothing is open."""
@@ -83,7 +92,22 @@ class HoldLine:
                 continue
             self._pending = rest
             if line:
-                return cast("dict[str, Any]", json.loads(line))
+                answer = cast("dict[str, Any]", json.loads(line))
+                if count := int(answer.get("bytes", 0)):
+                    answer["data"] = self._receive(count)
+                return answer
+
+    def _receive(self, count: int) -> bytearray:
+        assert self._socket is not None
+        data = bytearray(count)
+        begun = min(count, len(self._pending))
+        data[:begun], self._pending = self._pending[:begun], self._pending[begun:]
+        with memoryview(data) as rest:
+            while begun < count:
+                if not (came := self._socket.recv_into(rest[begun:])):
+                    raise ConnectionResetError
+                begun += came
+        return data
 
     def close(self) -> None:
         """Let go of the owner."""

@@ -1,28 +1,37 @@
 """The frames of an acquisition as one NeXus file (HDF5), with the units of every axis, for viewers and archives.
 
-``/entry`` is an NXentry: ``instrument/detector`` has the counts of all frames in the order of recording, exposure and
-gain; ``sample`` the angles that were read back; ``data`` is the NXdata that a viewer opens. Source: NeXus manual, base
-classes NXentry, NXdetector, NXsample, NXdata.
+``/entry`` is an NXentry: ``instrument/detector`` has the counts of all frames in the order of recording and their
+exposure, ``instrument/tilt`` and ``sample`` the angles that were read back; ``data`` is the NXdata that a viewer opens,
+``reflectance`` that of a scan. What the base classes do not know stands in NXcollections. Source: NeXus manual, base
+classes NXentry, NXdetector, NXpositioner, NXsample, NXcollection, NXdata.
 """
 
 import os
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecordError
 from anisoscope.rig.acquisition.journal import FrameLine, read_journal
 from anisoscope.rig.frame import read_frame
 
+# Frames by NeXus' image_key: the object, a flat field, darkness.
+IMAGE_KEYS = {"flat": 1, "dark": 2, "stray": 2}
 
-def write_nexus(folder: Path | str, path: Path | str) -> int:
+
+def write_nexus(
+    folder: Path | str, path: Path | str, reflectance: Mapping[str, FloatArray] | None = None
+) -> int:
     """Write the frames of an inspection or a scan to a NeXus file; the file appears whole or not at all.
 
     Args:
         folder: folder of an acquisition, with its journal ``frames.jsonl``.
         path: the file.
+        reflectance: columns of the table of a scan, (N,) each: ``value`` and ``u`` in 1/sr, ``theta_i_deg`` and others.
 
     Returns:
         Number of frames.
@@ -51,6 +60,8 @@ def write_nexus(folder: Path | str, path: Path | str) -> int:
                 journal.runs[0].started_at if journal.runs else journal.frames[0].captured_at
             )
             _fill(entry, folder, journal.frames)
+            if reflectance is not None:
+                _fill_reflectance(entry, reflectance)
         partial.replace(path)
     except OSError as problem:
         raise RecordError(f"{path}: cannot be written: {problem.strerror or problem}") from problem
@@ -84,27 +95,43 @@ def _fill(entry: Any, folder: Path, lines: tuple[FrameLine, ...]) -> None:  # no
                 f"{folder / line.name}: has {frame.counts.shape} pixels, the frames before {shape}"
             )
         counts[number] = frame.counts
-    _column(detector, "black_level", [first.black_level], "counts")
     _column(detector, "count_time", [line.exposure_s for line in lines], "s")
-    _column(detector, "gain", [line.gain for line in lines], "")
+    detector["image_key"] = np.array([IMAGE_KEYS.get(line.kind, 0) for line in lines])
+    settings = _group(detector, "settings", "NXcollection")
+    _column(settings, "black_level", [first.black_level], "counts")
+    _column(settings, "gain", [line.gain for line in lines], "")
     start = datetime.fromisoformat(lines[0].captured_at)
     times = [(datetime.fromisoformat(line.captured_at) - start).total_seconds() for line in lines]
     sample = _group(entry, "sample", "NXsample")
     _column(sample, "rotation_angle", [line.stage_deg for line in lines], "deg")
-    _column(sample, "tilt_angle", [line.tilt_deg for line in lines], "deg")
     _column(sample, "rotation_angle_set", [line.pose_deg[0] for line in lines], "deg")
-    sample.create_dataset("kind", data=[line.kind for line in lines])
-    sample.create_dataset("after_return", data=np.array([line.again for line in lines]))
+    tilt = _group(instrument, "tilt", "NXpositioner")
+    tilt["description"] = "angle of the camera's arm"
+    _column(tilt, "value", [line.tilt_deg for line in lines], "deg")
+    _column(tilt, "target_value", [line.pose_deg[1] for line in lines], "deg")
+    frames = _group(entry, "frames", "NXcollection")
+    frames.create_dataset("kind", data=[line.kind for line in lines])
+    frames.create_dataset("after_return", data=np.array([line.again for line in lines]))
     data = _group(entry, "data", "NXdata")
     data.attrs["signal"] = "data"
     data.attrs["axes"] = ["time", ".", "."]
     _column(data, "time", times, "s").attrs["start"] = lines[0].captured_at
     data["data"] = counts
-    for name in ("rotation_angle", "tilt_angle"):
-        data[name] = sample[name]
+    data["rotation_angle"], data["tilt_angle"] = sample["rotation_angle"], tilt["value"]
     data["count_time"] = detector["count_time"]
     for name in ("time", "rotation_angle", "tilt_angle", "count_time"):
         data.attrs[f"{name}_indices"] = 0
+
+
+def _fill_reflectance(entry: Any, columns: Mapping[str, FloatArray]) -> None:  # noqa: ANN401
+    group = _group(entry, "reflectance", "NXdata")
+    group.attrs["signal"], group.attrs["axes"] = "brdf", ["pose"]
+    group["pose"] = np.arange(len(columns["value"]))
+    for column, values in columns.items():
+        unit = next((unit for unit in ("deg", "nm") if column.endswith(f"_{unit}")), "1/sr")
+        name = {"value": "brdf", "u": "brdf_errors"}.get(column, column.removesuffix(f"_{unit}"))
+        _column(group, name, list(values), unit)
+        group.attrs[f"{name}_indices"] = 0
 
 
 def _column(group: Any, name: str, values: list[float], unit: str) -> Any:  # noqa: ANN401

@@ -11,7 +11,7 @@ from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.collisions import Guard
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
-from anisoscope.rig.hold import held_light, held_stage
+from anisoscope.rig.hold import held_camera, held_light, held_stage
 from anisoscope.rig.light import Light, rest
 from anisoscope.rig.rigfile import BY_HAND, CameraPart, LightPart, MotorPart, RigAxes, RigFile
 from anisoscope.rig.stage import RotationStage, unit_of
@@ -159,7 +159,7 @@ def open_devices(
                 found.guard = Guard(rows, found.axes, rows_of.home_order)
                 found.axes = {table: found.guard.guarded(table) for table in found.axes}
             if camera is not None:
-                found.camera = open_camera(camera.driver, **camera.options)
+                found.camera = open_eye(camera)
                 stack.push(_closing(found.camera))
             if light is not None:
                 found.light = open_lamp(light)
@@ -210,6 +210,13 @@ def open_axis(part: MotorPart, table: str) -> RotationStage:
         axis.close()
         raise RigFileError(f"{table}.driver: the driver '{part.driver}' does not move in {part.unit}")
     return axis
+
+
+def open_eye(part: CameraPart) -> Camera:
+    """Open a camera from its table, or use it where another process holds it; errors as for `open_devices`."""
+    if (held := held_camera(part)) is not None:
+        return held
+    return open_camera(part.driver, **part.options)
 
 
 def open_lamp(part: LightPart) -> Light:

@@ -329,6 +329,9 @@ FIRST_PAUSE_S = 0.002
 HOMING_BEGINS_S = 0.5
 # A channel may take so long to have current, and to report it; a command that comes earlier is ignored.
 ENABLING_S = 0.5
+# A stepper without an encoder counts steps that it loses: that it is held shows only when it has counted more than its
+# whole travel. A jump of the count between two answers is no way: it is set at the switch.
+SEARCHED_TRAVELS, JUMP_TRAVELS = 1.1, 0.1
 TOLERANCE: dict[Unit, float] = {"deg": 0.02, "mm": 0.002}
 
 
@@ -381,6 +384,7 @@ class Apt(PortStage):
         self._line = AptLine(transport, address_of(address), timeout_s)
         self._stop_mode = STOPS[stop]
         self._target_counts: int | None = None
+        self._searched_counts = 0
         self._begun = 0.0
         self._seen_moving = self._seen_homing = False
         self._pause_s = FIRST_PAUSE_S
@@ -464,6 +468,7 @@ class Apt(PortStage):
 
     def _begin_home(self) -> None:
         self._target_counts = None
+        self._searched_counts = 0
         self._begin(Message(HOME, (CHANNEL, 0)))
 
     def _begin_move(self, target_deg: float) -> None:
@@ -484,7 +489,7 @@ class Apt(PortStage):
         All messages come in their order: none that arrives after that one is older than the switching. A controller
         that never reports it gets its command all the same; whether the motor follows shows afterwards.
         """
-        before = self._line.status()
+        before = self._last = self._line.status()
         if before.enabled and not _in_trouble(before):
             return
         switched = [Message(SET_ENABLED, (CHANNEL, ENABLE))]
@@ -500,11 +505,14 @@ class Apt(PortStage):
             self._clock.sleep(FIRST_PAUSE_S)
 
     def _is_busy(self, wait_s: float) -> bool:
-        status = self._last = self._line.status(fresh=False)
+        before, status = self._last, self._line.status(fresh=False)
+        self._last = status
         self._seen_moving = self._seen_moving or status.moving
         self._seen_homing = self._seen_homing or status.homing
         if not status.moving and self._is_over(status):
             return False
+        if self._target_counts is None:
+            self._check_search(abs(status.counts - before.counts))
         # Short moves end soon; long ones need few queries, because their end is announced.
         self._line.wait_for_end(min(wait_s, self._pause_s))
         self._pause_s = min(2.0 * self._pause_s, POLL_S)
@@ -523,6 +531,20 @@ class Apt(PortStage):
         if away_deg > self.rules.tolerance_deg:
             self._raise_trouble(status)
         return True
+
+    def _check_search(self, step_counts: int) -> None:
+        """A search that has counted more than the whole travel will not find its switch any more."""
+        low, high = self._limits_deg
+        span = 360.0 if self.unit == "deg" else max(high - low, self.scale.travel or 0.0)
+        travel_counts = span * self.scale.counts_per_deg
+        if step_counts < JUMP_TRAVELS * travel_counts:
+            self._searched_counts += step_counts
+        if self._searched_counts > SEARCHED_TRAVELS * travel_counts:
+            way = self._shown(self._searched_counts / self.scale.counts_per_deg, 3)
+            raise Stalled(
+                f"{self.name}: the home has counted {way} and met no switch: something holds the stage, and the motor "
+                "loses steps; remove it, and home again"
+            )
 
     def _has_homed(self) -> bool:
         """Whether the homed bit can be that of this reference search, and not of one before."""

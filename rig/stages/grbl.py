@@ -7,6 +7,7 @@ The motors have no feedback: steps that are lost without a limit switch are visi
 Source: interface description of Grbl 1.1.
 """
 
+import math
 from abc import abstractmethod
 from typing import ClassVar
 
@@ -16,6 +17,7 @@ from anisoscope.rig.stages.grbl_board import GrblBoard, board_on
 from anisoscope.rig.stages.grbl_wire import (
     ACCELERATION,
     AXES,
+    DEBOUNCE,
     HOMING,
     HOMING_DIRECTION,
     HOMING_FEED,
@@ -311,12 +313,27 @@ class Grbl(GrblAxis):
         return self._read_deg()
 
     def _search_limit_s(self) -> float:
-        """Seconds for a search over one and a half travels, as Grbl does it, of the slowest axis."""
-        settings = self._board.settings
-        travels = [value for number, value in settings.items() if TRAVEL <= number < TRAVEL + len(AXES)]
-        way = 1.5 * max(travels) / max(settings.get(HOMING_SEEK, 0.0), 1.0)
-        way += 10.0 * settings[PULL_OFF] / max(settings.get(HOMING_FEED, 0.0), 1.0)
-        return 1.5 * 60.0 * way + self.rules.margin_s
+        """Seconds after which Grbl itself has given a search up, and a tenth more.
+
+        It searches a switch over 1.5 travels, backs off, and finds it again over five pull-offs, with a pause after
+        each of these motions; Z first, then X and Y together, unless it homes axes one by one. It answers nothing
+        meanwhile, and an axis may stand anywhere: no shorter time is safe. Source: limits.c and config.h of Grbl 1.1.
+        """
+        cycles = [self.axis] if "H" in self._board.options else ["Z", "XY", *AXES[3:]]
+        return 1.1 * sum(self._cycle_limit_s(axes) for axes in cycles) + self.rules.margin_s
+
+    def _cycle_limit_s(self, axes: str) -> float:
+        """Seconds for one cycle of a search, of axes that search together."""
+        settings, numbers = self._board.settings, [AXES.index(axis) for axis in axes]
+        travel = max(settings.get(TRAVEL + number, 0.0) for number in numbers)
+        if travel <= 0.0:
+            return 0.0
+        top = min(settings.get(RATE + number, math.inf) for number in numbers)
+        seek, feed = (
+            max(min(settings.get(rate, 0.0), top), 1.0) / 60.0 for rate in (HOMING_SEEK, HOMING_FEED)
+        )
+        way_s = (1.5 * travel + 2.0 * settings[PULL_OFF]) / seek + 5.0 * settings[PULL_OFF] / feed
+        return way_s + 4.0e-3 * settings.get(DEBOUNCE, 250.0)
 
     def _begin_home(self) -> None:
         self._searching = True

@@ -6,14 +6,16 @@ import socket
 import threading
 import time
 
+import numpy as np
 import pytest
 
-from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, RigError
+from anisoscope.base.errors import CameraError, LimitExceeded, NotConnected, NotHomed, RigError
 from anisoscope.rig import hold, holdline, portholder
 from anisoscope.rig.acquisition.opening import open_axis
-from anisoscope.rig.hold import HeldLight, HeldStage, Owner, held_stage, key_of
+from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
+from anisoscope.rig.hold import HeldCamera, HeldLight, HeldStage, Owner, held_camera, held_stage, key_of
 from anisoscope.rig.holdline import HoldLine, stop_held
-from anisoscope.rig.rigfile import LightPart, LinearPart, StagePart
+from anisoscope.rig.rigfile import CameraPart, LightPart, LinearPart, StagePart
 from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.serve import PtyServer
@@ -36,10 +38,34 @@ class Lamp:
         pass
 
 
+class Eye:
+    """A camera whose frames say with which exposure they were taken, and which frame each is."""
+
+    info = CameraInfo("eye", "7", 3, 5, 12, 64.0, pixel_pitch_um=3.45, filters="rggb")
+
+    def __init__(self):
+        self.exposure_s, self.frames, self.open = None, 0, True
+
+    def configure(self, exposure_s, gain):
+        if exposure_s > 1.0:
+            raise CameraError("eye: exposures are 1 s at most; choose a shorter one")
+        self.exposure_s = exposure_s
+        return CameraSettings(round(exposure_s, 3), gain)
+
+    def grab(self):
+        self.frames += 1
+        counts = np.arange(15, dtype=np.uint16).reshape(3, 5) + 256 * self.frames
+        counts[0, 0] = round(1e4 * self.exposure_s)
+        return counts
+
+    def close(self):
+        self.open = False
+
+
 class Rig:
     """A stage behind a port that this process owns and serves; `others` uses it as another process would."""
 
-    def __init__(self, opened, time_scale, protocol="elliptec", linear=None):
+    def __init__(self, opened, time_scale, protocol="elliptec", linear=None, eye=None):
         self.axis = (
             RotaryAxis(time_scale=time_scale, start_deg=300.0)
             if linear is None
@@ -52,7 +78,10 @@ class Rig:
         stage = open_axis(self.part, "z")
         opened.callback(stage.close)
         self.lamp, self.lamp_part = Lamp(), LightPart(driver="serial", port="/dev/lamp")
-        owner = Owner({"stage": (self.part, stage)}, (self.lamp_part, self.lamp), "/rig.toml")
+        self.eye = eye or Eye()
+        self.eye_part = CameraPart(driver="eye", pixel_um=1.0, options={"serial": "7"})
+        lamp, camera = (self.lamp_part, self.lamp), (self.eye_part, self.eye)
+        owner = Owner({"stage": (self.part, stage)}, lamp, "/rig.toml", camera)
         self.owner, self.stage = opened.enter_context(owner), stage
         self.holder = portholder._noted(server.url)
         self._opened = opened
@@ -60,6 +89,11 @@ class Rig:
     def slow_down(self, time_scale):
         self.axis.stop()  # what it did before was at the former pace
         self.axis.time_scale = time_scale
+
+    def camera(self):
+        held = HeldCamera(self.holder, key_of(self.eye_part))
+        self._opened.callback(held.close)
+        return held
 
     def others(self):
         held = HeldStage(self.holder, key_of(self.part))
@@ -299,3 +333,75 @@ def test_where_a_moving_stage_is_and_how_fast_it_turns(rig, in_background, proto
     assert states[-1].moving
     assert 0.0 < states[-1].position_deg < 60.0
     assert states[-1].speed_deg_s > 0.0
+
+
+def test_every_client_of_a_camera_has_its_own_exposure_and_nobody_elses_frame(rig):
+    held = rig()
+    live, snap = held.camera(), held.camera()
+    assert isinstance(live, Camera)
+    assert live.info == Eye.info
+    with pytest.raises(CameraError, match="before exposure and gain were set"):
+        live.grab()
+    assert live.configure(0.0023456, 2.0) == CameraSettings(0.002, 2.0)
+    snap.configure(0.5, 1.0)
+    frames = [camera.grab() for camera in (live, snap, live, live, snap)]
+    assert [frame[0, 0] for frame in frames] == [23, 5000, 23, 23, 5000]
+    assert [frame[2, 4] for frame in frames] == [256 * number + 14 for number in range(1, 6)]
+    assert all((frame.dtype, frame.shape) == (np.uint16, (3, 5)) for frame in frames)
+    frames[0][:] = 0  # a frame is the client's own
+    with pytest.raises(CameraError, match="exposures are 1 s at most; choose"):
+        snap.configure(2.0, 1.0)
+    assert snap.grab()[0, 0] == 5000
+    snap.close()
+    assert (live.grab()[0, 0], held.eye.open) == (23, True)
+
+
+def test_large_frames_arrive_whole_while_another_client_stops_the_stage(rig, in_background):
+    class Large(Eye):
+        info = CameraInfo("large", "7", 2000, 3001, 16, 64.0)
+
+        def __init__(self):
+            super().__init__()
+            self.random = np.random.default_rng(1)
+            self.taken = []
+
+        def grab(self):
+            self.taken.append(self.random.integers(0, 65536, (2000, 3001), np.uint16))
+            return self.taken[-1]
+
+    held = rig(SLOW, eye=Large())
+    finish = in_background(held.others().home)
+    until(held.axis.busy)
+    camera = held.camera()
+    camera.configure(0.01, 1.0)
+    frames = [camera.grab(), camera.grab()]
+    held.others().stop()
+    assert not held.axis.busy()
+    frames.append(camera.grab())
+    with pytest.raises(RigError, match="stopped"):
+        finish()
+    for frame, taken in zip(frames, held.eye.taken, strict=True):
+        np.testing.assert_array_equal(frame, taken)
+
+
+def test_a_camera_without_a_port_is_found_by_driver_and_options(rig, monkeypatch):
+    held = rig()
+    assert held_camera(held.eye_part) is None, "its own process opened it"
+    monkeypatch.setattr(hold, "holder_of", portholder._noted)
+    with contextlib.closing(held_camera(held.eye_part)) as found:
+        assert found.info.serial == "7"
+    other = held.eye_part.model_copy(update={"options": {"serial": "8"}})
+    assert held_camera(other) is None
+    same = held.eye_part.model_copy(update={"pixel_um": 2.0, "half_angle_deg": 3.0})
+    with contextlib.closing(held_camera(same)) as found:
+        assert found.info.serial == "7", "what the rig file says of its lens does not matter"
+
+
+@pytest.mark.parametrize(("do", "arguments"), [("grab", (0.1,)), ("close", ()), ("describe", (1.0,))])
+def test_nothing_else_can_be_asked_of_a_camera(rig, do, arguments):
+    held = rig()
+    with (
+        contextlib.closing(HoldLine(held.holder)) as line,
+        pytest.raises(RigError, match=f"knows no '{do}' of a camera"),
+    ):
+        line.ask(key_of(held.eye_part), do, *arguments)

@@ -21,16 +21,25 @@ def export(
 ) -> int:
     """Write all frames of an inspection or a scan to a NeXus file, with angles, exposures and their units.
 
+    That of a scan holds the table of reflectances as well.
+
     Examples:
         anisoscope rig export inspections/T-1 --out T-1.nxs
     """
+    from anisoscope.base.csv_table import read_table
+    from anisoscope.bsdf.directions_table import COLUMNS, OPTIONAL
+    from anisoscope.inspection.reflectance_scan import TABLE
     from anisoscope.rig.acquisition.nexus import write_nexus
 
     if out.suffix.lower() not in {".nxs", ".h5", ".hdf5"}:
         raise UsageError(f"--out {out}: the file is NeXus; name it .nxs")
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; name another file, or say --overwrite")
-    count = write_nexus(folder, out)
+    reflectance = None
+    if (folder / TABLE).is_file():
+        table = read_table(folder / TABLE, (COLUMNS,), OPTIONAL)
+        reflectance = {name: table.column(name) for name in table.columns}
+    count = write_nexus(folder, out, reflectance)
     if json_:
         print_json({"file": str(out), "frames": count})
     else:

@@ -1,4 +1,4 @@
-"""``anisoscope rig hold``: keep the axes and the light of a rig open, for other commands of this machine."""
+"""``anisoscope rig hold``: keep axes, camera and light of a rig open, for other commands of this machine."""
 
 import contextlib
 import os
@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import UsageError
+from anisoscope.base.errors import CameraError, NotConnected, UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, home_axes, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
+    from anisoscope.rig.camera import Camera
     from anisoscope.rig.hold import Owner
-    from anisoscope.rig.rigfile import RigAxes
+    from anisoscope.rig.rigfile import CameraPart, RigAxes
 
 
 def hold(
@@ -26,49 +27,66 @@ def hold(
     ] = False,
     yes: Yes = False,
 ) -> int:
-    """Keep axes and light of a rig open until q and Enter or Ctrl-C; other commands on this machine use them.
+    """Keep axes, camera and light of a rig open until q and Enter or Ctrl-C; other commands on this machine use them.
 
-    Their references stay known, so nothing homes twice, and `rig stop` reaches the axes at once. Enter stops all axes.
+    Their references stay known, so nothing homes twice, `rig stop` reaches the axes at once, and several commands take
+    pictures at the same time, each with its own exposure. Enter stops all axes.
 
     Examples:
         anisoscope rig hold --rig rig.toml --home
     """
     from anisoscope.rig.acquisition.opening import open_devices
-    from anisoscope.rig.hold import Owner, is_held
-    from anisoscope.rig.rigfile import BY_HAND
+    from anisoscope.rig.hold import ASKING, Owner, is_held
 
     file, axes = which.read()
-    axes = {table: part for table, part in axes.items() if part.driver != BY_HAND and part.port is not None}
+    axes = {table: part for table, part in axes.items() if part.driver not in ASKING}
     if not axes:
-        raise UsageError("nothing can be held: an axis needs a motor and a port")
-    light = None if file is None else file.light
-    light = light if light is not None and light.port is not None and light.driver != BY_HAND else None
-    if any(is_held(part) for part in axes.values()) or (light is not None and is_held(light)):
+        raise UsageError("nothing can be held: an axis needs a motor")
+    light = None if file is None or file.light is None or file.light.driver in ASKING else file.light
+    eye = None if file is None else file.camera
+    if any(is_held(part) for part in (*axes.values(), light, eye) if part is not None):
         raise UsageError("another process holds this rig already; end it with q in its window")
-    with open_devices(axes, light=light, rows_of=file) as devices:
+    with open_devices(axes, light=light, rows_of=file) as devices, contextlib.ExitStack() as stack:
+        camera, missing = _camera_of(eye, stack)
         if home:
             home_axes(devices.axes, axes, file, yes=yes)
         served = {table: (axes[table], axis) for table, axis in devices.axes.items()}
         lamp = None if light is None or devices.light is None else (light, devices.light)
-        with Owner(served, lamp, "" if which.rig is None else str(which.rig.resolve())) as owner:
-            _announce(devices, [] if file is None else _left_free(file, lamp is not None))
+        shared = None if eye is None or camera is None else (eye, camera)
+        with Owner(served, lamp, "" if which.rig is None else str(which.rig.resolve()), shared) as owner:
+            held = [message("light")] * (lamp is not None) + [message("camera")] * (shared is not None)
+            _announce(devices, held)
+            free = [missing] * bool(missing) + [message("light")] * (lamp is None and _has_light(file))
+            if free:
+                write_line(
+                    message("not held: {names}; every command opens them itself", names=", ".join(free))
+                )
             with contextlib.suppress(KeyboardInterrupt):
                 _listen(owner)
     return 0
 
 
-def _left_free(file: "RigAxes", lamp_held: bool) -> list[str]:
-    """What other commands open for themselves, as without a holder."""
-    lamp = [] if file.light is None or lamp_held else [message("light")]
-    return ([] if file.camera is None else [message("camera")]) + lamp
+def _has_light(file: "RigAxes | None") -> bool:
+    return file is not None and file.light is not None
 
 
-def _announce(devices: "Devices", free: list[str]) -> None:
-    names = [f"{table} {axis.name}" for table, axis in devices.axes.items()]
-    names += [] if devices.light is None else [message("light")]
+def _camera_of(part: "CameraPart | None", stack: contextlib.ExitStack) -> "tuple[Camera | None, str]":
+    """The open camera; where it does not open, None and why: the axes are held all the same."""
+    from anisoscope.rig.acquisition.opening import open_eye
+
+    if part is None:
+        return None, ""
+    try:
+        camera = open_eye(part)
+    except (NotConnected, CameraError) as problem:
+        return None, f"{message('camera')} ({problem})"
+    stack.callback(camera.close)
+    return camera, ""
+
+
+def _announce(devices: "Devices", others: list[str]) -> None:
+    names = [f"{table} {axis.name}" for table, axis in devices.axes.items()] + others
     print(message("holding {names} for other commands", names=", ".join(names)), flush=True)  # noqa: T201
-    if free:
-        write_line(message("not held: {names}; every command opens them itself", names=", ".join(free)))
     write_line(message("Enter stops all axes; q and Enter, or Ctrl-C, ends"))
 
 

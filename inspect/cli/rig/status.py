@@ -82,9 +82,9 @@ def _axis(part: "MotorPart", table: str, stack: contextlib.ExitStack) -> dict[st
 
 
 def _camera(part: "CameraPart", file: "RigAxes", stack: contextlib.ExitStack) -> dict[str, Any]:
-    from anisoscope.rig.drivers import open_camera
+    from anisoscope.rig.acquisition.opening import open_eye
 
-    camera = open_camera(part.driver, **part.options)
+    camera = open_eye(part)
     stack.callback(camera.close)
     info = camera.info
     return {

@@ -161,6 +161,7 @@ MOTION_ERROR_BIT = 14
 LIMIT_BITS = range(4)
 ERROR_BITS = (14, 15, 16, 17, 18, 24, 25, 26)
 STRANGE_BAY = 0x29
+MOST_SLIP_DEG = 3600.0
 
 
 class AptFirmware(SimulatedDevice):
@@ -207,7 +208,20 @@ class AptFirmware(SimulatedDevice):
     @property
     def counts(self) -> int:
         """Position in counts, as the controller believes it to be."""
-        return self.motor.counts + self._slipped
+        return self.motor.counts + self._slipped + self._slipping()
+
+    def _slipping(self) -> int:
+        """Counts of a stepper that searches its reference behind an obstacle: without feedback it counts on."""
+        held = self.axis.stalled() or self.motor.motion is None
+        if self._doing is not Motion.HOME or self.model.servo or not held:
+            return 0
+        began, from_deg, speed = self._search
+        scale = self.axis.time_scale
+        passed_s = (self._clock() - began) / scale if scale > 0.0 else math.inf
+        ramp_deg = 0.5 * speed**2 / self.axis.acceleration_deg_s2
+        way_deg = min(max(abs(speed) * passed_s - ramp_deg, 0.0), MOST_SLIP_DEG)
+        believed = from_deg + math.copysign(way_deg, speed)
+        return round((believed - self.axis.position()) * self.model.counts_per_deg)
 
     @property
     def _enabled(self) -> bool:
@@ -220,6 +234,7 @@ class AptFirmware(SimulatedDevice):
         self._enabled_at = -math.inf if self._enabled_at_first else math.inf
         self._errors = self._slipped = self._target = 0
         self._doing: Motion | None = None
+        self._search = (0.0, 0.0, 0.0)  # since when, from where, and how fast the reference is searched
         self._next_update, self._unacknowledged = 0.0, 0
         self._settings = self.model.settings()
 
@@ -383,6 +398,9 @@ class AptFirmware(SimulatedDevice):
         self.axis.acceleration_deg_s2 = acceleration / model.acceleration_unit
         self._doing = Motion.HOME if target is None else Motion.MOVE
         if target is None:
+            here_deg = self.axis.position()
+            way_deg = home_offset / model.counts_per_deg - here_deg
+            self._search = (self._clock(), here_deg, math.copysign(speed, way_deg))
             self.motor.home(home_offset, speed / self.axis.velocity_deg_s)
         else:
             self._target, self._forward = target, target > self.counts
@@ -417,6 +435,7 @@ class AptFirmware(SimulatedDevice):
         # A stepper that searches its reference goes on slipping until it is stopped.
 
     def _halt(self) -> None:
+        self._slipped += self._slipping()
         self._doing = None
         self.motor.stop()
 

@@ -29,6 +29,7 @@ from anisoscope.sim.bench.firmware.grbl_settings import (
     INVALID_STATEMENT,
     MODELS,
     PULL_OFF,
+    RATE,
     REPORT,
     SOFT_LIMITS,
     STEPS,
@@ -557,9 +558,10 @@ class GrblFirmware(GrblCommands):
         self.faults.pop(FaultKind.LATCHED_ERROR, None)
         self._state = "Home"
         self._homing = [AXES.index(axis)] if axis else list(self.homed_axes)
-        speed = self.memory.settings[HOMING_SEEK] / 60.0 / self._planner.slowness
+        settings = self.memory.settings
         for number in self._homing:
-            self._planner.steppers[number].search(speed, self.memory.settings[ACCELERATION + number])
+            speed = min(settings[HOMING_SEEK], settings[RATE + number]) / 60.0 / self._planner.slowness
+            self._planner.steppers[number].search(speed, settings[ACCELERATION + number])
         return 0
 
     def _end_homing(self) -> None:

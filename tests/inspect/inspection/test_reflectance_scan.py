@@ -6,9 +6,11 @@ import tomllib
 from dataclasses import replace
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 import tomli_w
+from nexusformat.nexus.validate import validate_file
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.bsdf.models import of_ink
@@ -115,6 +117,19 @@ def test_the_budget_names_what_the_uncertainty_is_made_of(scanned):
     assert {"scale of the white tile", "seating, found from the scan", "stage angle", "light angle", "stray light",
             "linearity of the camera", "registration"} <= set(budget["sources"])  # fmt: skip
     assert set(printed["u_rms"]) == set(budget["sources"])
+
+
+def test_a_scan_is_one_nexus_file_with_its_reflectances(scanned, anisoscope, tmp_path):
+    out, path = scanned[0], tmp_path / "scan.nxs"
+    done = anisoscope("rig", "export", out, "--out", path, "--json")
+    assert done.code == 0, done.err
+    readings = read_brdf(out / "brdf.csv").readings
+    assert validate_file(str(path)) == (0, 0)
+    with h5py.File(path) as file:
+        group = file["entry/reflectance"]
+        np.testing.assert_allclose(group["brdf"], readings.value, rtol=1e-8)
+        np.testing.assert_allclose(group["brdf_errors"], np.sqrt(np.diag(readings.covariance)), rtol=1e-8)
+        assert len(file["entry/data/data"]) == done.json["frames"]
 
 
 def test_the_scan_feeds_the_fit(scanned, anisoscope):

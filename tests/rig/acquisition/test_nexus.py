@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from nexusformat.nexus.validate import validate_file
 
 from anisoscope.base.errors import RecordError
 from anisoscope.cli import run
@@ -80,9 +81,27 @@ def test_every_frame_has_its_counts_angles_and_units(scan, tmp_path, capsys):
         assert units == {"rotation_angle": "deg", "tilt_angle": "deg", "count_time": "s", "time": "s"}
         np.testing.assert_array_equal(data["rotation_angle"], [line.stage_deg for line in lines])
         np.testing.assert_array_equal(data["tilt_angle"], [line.tilt_deg for line in lines])
-        kinds = [kind.decode() for kind in file["entry/sample/kind"]]
+        kinds = [kind.decode() for kind in file["entry/frames/kind"]]
         assert kinds == [line.kind for line in lines]
         assert {"dark", "sample"} == set(kinds)
+        keys = file["entry/instrument/detector/image_key"][:]
+        assert [{"dark": 2, "sample": 0}[kind] for kind in kinds] == list(keys)
+
+
+def test_the_definitions_of_nexus_are_kept(scan, tmp_path):
+    """By the validator of the nexusformat package (NeXpy), with the definitions that it brings."""
+    table = {name: np.linspace(0.1, 1.0, 5) for name in ("theta_i_deg", "wavelength_nm", "value", "u")}
+    write_nexus(scan, tmp_path / "a.nxs", table)
+    assert validate_file(str(tmp_path / "a.nxs")) == (0, 0)
+    with h5py.File(tmp_path / "a.nxs", "a") as file:
+        group = file["entry/reflectance"]
+        units = {
+            name: group[name].attrs["units"] for name in ("brdf", "brdf_errors", "theta_i", "wavelength")
+        }
+        assert units == {"brdf": "1/sr", "brdf_errors": "1/sr", "theta_i": "deg", "wavelength": "nm"}
+        file["entry/sample"]["tilt_angle"] = 3.0
+        file["entry/instrument/detector/count_time"].attrs["units"] = "K"
+    assert validate_file(str(tmp_path / "a.nxs")) != (0, 0), "it finds what is wrong"
 
 
 def test_what_cannot_be_exported_is_one_line_and_leaves_no_file(scan, tmp_path, capsys):

@@ -138,6 +138,31 @@ def test_a_stepper_without_encoder_loses_steps_and_homing_finds_them(in_process)
         assert stage.move_to(90.0) == pytest.approx(firmware.axis.position())
 
 
+def test_a_stepper_that_is_held_at_its_search_counts_on_for_a_turn_and_no_longer(in_process):
+    firmware = firmware_with("stall", time_scale=1.0, start_deg=200.0, clock=VirtualClock())
+    with Apt.open(in_process(firmware)) as stage:
+        with pytest.raises(
+            Stalled, match=r"the home has counted 39\d° and met no switch: something holds the stage"
+        ):
+            stage.home()
+        assert firmware.stops > 0
+        assert firmware.counts / stage.scale.counts_per_deg == pytest.approx(-397.0, abs=3.0), (
+            "by its own count"
+        )
+        firmware.clear_faults()
+        assert stage.home() == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_search_over_a_whole_turn_and_a_count_that_is_set_at_the_switch_are_no_stall(in_process):
+    firmware = firmware_with(time_scale=1.0, start_deg=359.9, clock=VirtualClock())
+    firmware._slipped = round(
+        5000.0 * MODELS["K10CR1"].counts_per_deg
+    )  # ends with a jump of five thousand degrees
+    with Apt.open(in_process(firmware)) as stage:
+        assert stage.home() == pytest.approx(0.0, abs=1e-5)
+        assert 0.9 < stage._searched_counts / (360.0 * stage.scale.counts_per_deg) < 1.05
+
+
 def test_a_reference_is_remembered_by_the_device_until_it_loses_power(in_process):
     firmware = firmware_with()
     port = in_process(firmware)

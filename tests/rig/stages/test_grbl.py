@@ -4,6 +4,7 @@ import time
 
 import pytest
 
+from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stages.grbl import Grbl
 from anisoscope.rig.stages.grbl_wire import (
@@ -19,7 +20,7 @@ from anisoscope.rig.stages.grbl_wire import (
     parse,
 )
 from anisoscope.rig.transport import Transport, shared_ports
-from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
 from anisoscope.sim.bench.firmware.grbl import GrblFirmware
 from anisoscope.sim.bench.firmware.grbl_settings import BELT, NATIVE_USB, UNO
 
@@ -46,6 +47,23 @@ def test_two_axes_of_one_board(in_process, model):
         assert firmware.tilt_axis.position() == pytest.approx(30.0, abs=0.006)
         turn.close()
         assert tilt.position_deg() == pytest.approx(30.0, abs=0.006)
+
+
+def test_a_board_may_search_as_long_as_it_does_itself(in_process):
+    """Z searches first, and slowly: 190 mm at 500 mm/min take 23 s, more than X needs for its whole turn."""
+    clock = VirtualClock()
+    lift = LinearAxis(start_deg=190.0, time_scale=1.0, clock=clock)
+    axes = [RotaryAxis(time_scale=1.0, clock=clock) for _ in range(2)]
+    with Grbl.open(in_process(GrblFirmware(*axes, lift, model=UNO))) as stage:
+        begun = clock()
+        stage.home()
+        assert 20.0 < clock() - begun < stage._search_limit_s()
+        ways_s = 1.5 * 200.0 / (500.0 / 60.0) + 1.5 * 361.0 / 60.0
+        assert 0.0 < stage._search_limit_s() - 1.1 * ways_s - 2.0 < 6.5, (
+            "for backing off and finding it again"
+        )
+    with Grbl.open(in_process(board(NATIVE_USB))) as stage:
+        assert 0.0 < stage._search_limit_s() - 1.1 * 1.5 * 361.0 / 60.0 - 2.0 < 3.5, "X alone"
 
 
 def test_two_axes_of_a_rig_file_share_the_port(in_process):
