@@ -40,9 +40,13 @@ MOTIONS = frozenset({"home", "move_to", "move_by"})
 ASKING = frozenset({BY_HAND, "none"})  # drivers that ask the operator, in the terminal of whoever opened them
 
 
+KINDS = {CameraPart: "camera", LightPart: "light"}
+
+
 def key_of(part: Part) -> str:
-    """What an owner and a client agree on: driver, port and options of a device."""
-    return json.dumps([part.driver, _port_of(part), dict(sorted(part.options.items()))])
+    """What an owner and a client agree on: kind, driver, port and options of a device."""
+    kind = KINDS.get(type(part), "axis")
+    return json.dumps([kind, part.driver, _port_of(part), dict(sorted(part.options.items()))])
 
 
 def _port_of(part: Part) -> str | None:
@@ -50,9 +54,8 @@ def _port_of(part: Part) -> str | None:
 
 
 def noted_as(part: Part) -> str:
-    """Under which name an owner notes a device: its port, or driver and options where it has none."""
-    kinds = {CameraPart: "camera", LightPart: "light"}
-    return _port_of(part) or f"{kinds.get(type(part), 'axis')}://{key_of(part)}"
+    """Under which name an owner notes a device: its port, or all that names it where it has none."""
+    return _port_of(part) or f"held://{key_of(part)}"
 
 
 # The owner.
@@ -115,6 +118,8 @@ class Owner:
         parts += [] if light is None else [light]
         parts += [] if camera is None else [(camera[0], SharedCamera(camera[1]))]
         self._devices = {key_of(part): device for part, device in parts}
+        tables = [*axes, *(["light"] * (light is not None)), *(["camera"] * (camera is not None))]
+        self._keys = {table: key_of(part) for table, (part, _) in zip(tables, parts, strict=True)}
         self._ports = list(dict.fromkeys(noted_as(part) for part, _ in parts))
         self._rig = rig
         self._token = secrets.token_urlsafe(32)
@@ -167,6 +172,8 @@ class Owner:
         do, arguments = str(request.get("do")), list(request.get("args", ()))
         key = request.get("device")
         if key is None:
+            if do == "devices":
+                return lambda: self._keys, _nothing
             if do != "stop":
                 raise RigError(f"the process that holds the rig knows no '{do}' for all devices")
             return self.stop_all, _nothing

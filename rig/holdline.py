@@ -1,10 +1,13 @@
 """Requests to the process that holds a rig open for others, and the stop of all that is held.
 
 The socket is bound to 127.0.0.1. A request is a line of JSON, ``{"token", "device", "do", "args"}``, and so is its
-answer, ``{"ok": …}`` or ``{"error", "text"}``. The answer to the grab of a camera is ``{"ok": [rows, cols], "bytes"}``,
-and so many bytes follow it: counts of 16 bits, little-endian, row by row. While something takes long the owner sends
-empty lines: a client that hears nothing for `SILENCE_S` gives up. A stop needs a connection of its own, waits for no
-other request, and reaches all axes where no device is named.
+answer, ``{"ok": …}`` or ``{"error", "text"}``. Without a device ``devices`` answers the names of all by their tables in
+the rig file, and ``stop`` stops all axes. A stage knows ``describe``, ``is_homed``, ``motion_state``, ``position_deg``,
+``home``, ``move_to``, ``move_by`` and ``stop``; a light ``describe``, ``on`` and ``off``; a camera ``describe``,
+``configure`` and ``grab``, both with exposure in seconds and gain. The answer to a grab is ``{"ok": [rows, cols],
+"bytes"}``, and so many bytes follow it: counts of 16 bits, little-endian, row by row. While something takes long the
+owner sends empty lines: a client that hears nothing for `SILENCE_S` gives up. A stop needs a connection of its own and
+waits for no other request.
 
 Nothing heavy is imported here: a stop is sent while the rest of the program still loads.
 """

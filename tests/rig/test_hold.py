@@ -405,3 +405,12 @@ def test_nothing_else_can_be_asked_of_a_camera(rig, do, arguments):
         pytest.raises(RigError, match=f"knows no '{do}' of a camera"),
     ):
         line.ask(key_of(held.eye_part), do, *arguments)
+
+
+def test_who_asks_learns_the_names_of_all_devices(rig):
+    held = rig()
+    with contextlib.closing(HoldLine(held.holder)) as line:
+        keys = {"stage": key_of(held.part), "light": key_of(held.lamp_part), "camera": key_of(held.eye_part)}
+        assert line.ask(None, "devices") == keys
+        with pytest.raises(RigError, match="knows no 'home' for all devices"):
+            line.ask(None, "home")

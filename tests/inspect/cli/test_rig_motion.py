@@ -1,5 +1,6 @@
 """``anisoscope rig status|home|move|jog|stop`` on simulated stages."""
 
+import contextlib
 import json
 import os
 import pty
@@ -7,15 +8,20 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 import tomli_w
 
 from anisoscope.cli import run
+from anisoscope.rig.frame import read_frame
 from anisoscope.rig.portholder import holder_of
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "docs" / "examples" / "held-rig" / "held_rig.py"
 
 
 @pytest.fixture
@@ -308,6 +314,73 @@ def test_a_held_rig_stays_homed_and_is_stopped_without_naming_it(
     assert "not held: camera (nobody serves a camera on 127.0.0.1:9" in said
     assert ", light; every command opens them itself" in said
     assert holder_of(url) is None
+
+
+@contextlib.contextmanager
+def ended(process):
+    """End a process that waits for a signal, also where a test fails."""
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=120)
+
+
+BENCH = """schema = 1
+sample = { kind = "white-tile" }
+sensor = { rows = 64, cols = 80 }
+stage = { time_scale = 0.0 }
+"""
+HELD = """schema = 1
+name = "bench"
+[stage]
+driver = "elliptec"
+port = "sim://elliptec?bench=${here}/bench.toml"
+[camera]
+driver = "simulated"
+pixel_um = 4.0
+options = { bench = "${here}/bench.toml" }
+[light]
+driver = "simulated"
+options = { bench = "${here}/bench.toml" }
+"""
+
+
+def test_pictures_of_a_held_rig_are_those_of_its_stage_and_light(command, tmp_path, monkeypatch):
+    """A bench lives in one process: its camera sees what other programs do with the held stage and light."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "bench.toml").write_text(BENCH)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(HELD)
+    holding = [sys.executable, "-Im", "anisoscope", "rig", "hold", "-g", str(rig)]
+    with (
+        subprocess.Popen(holding, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as owner,
+        ended(owner),
+    ):
+        said = owner.stdout.readline()
+        assert said == "holding stage ELL14 11400517, light, camera for other commands\n", owner.communicate()
+        means = {}
+        for name, light in (("lit", "on"), ("dark", "off")):
+            path = tmp_path / f"{name}.tif"
+            code, _, err = command(
+                "rig", "snap", "-g", rig, "--exposure", 0.002, "--light", light, "--out", path
+            )
+            assert code == 0, err
+            means[name] = float(read_frame(path).counts.mean())
+        assert means["lit"] > 2.0 * means["dark"] > 100.0
+        client = [sys.executable, "-I", EXAMPLE, rig, "30", "0.002"]
+        done = subprocess.run(client, capture_output=True, text=True, cwd=tmp_path, timeout=120, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.startswith("frame.raw: [64, 80] counts of 16 bits, little-endian, at 30.00")
+        counts = np.fromfile(tmp_path / "frame.raw", dtype="<u2")
+        assert (counts.size, counts.mean()) == (64 * 80, pytest.approx(means["lit"], rel=0.02))
+        code, out, err = command(
+            "rig", "live", "-g", rig, "--exposure", 0.002, "--count", 2, "--fps", 1000, "--json"
+        )
+        assert (code, len(out.splitlines())) == (0, 2), err
+        code, out, _ = command("rig", "status", "-g", rig, "--json")
+        assert json.loads(out)["stage"]["position_deg"] == pytest.approx(30.0, abs=0.01)
+    assert owner.returncode == 0
 
 
 def test_ctrl_c_stops_the_stage(line, rig_file):

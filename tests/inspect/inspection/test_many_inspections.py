@@ -24,6 +24,7 @@ def test_inspections_one_after_another_cost_no_memory_files_or_threads(virtual_r
             memory.append(process.memory_info().rss)
             handles.append(process.num_fds())
             threads.append((process.num_threads(), threading.active_count()))
+            print(number - WARM, f"{memory[-1] / 1e6:.1f} MB", handles[-1], threads[-1], flush=True)  # noqa: T201
     first, last = np.median(memory[:25]) / 1e6, np.median(memory[-25:]) / 1e6
     print(  # noqa: T201 - numbers for whoever runs a campaign
         f"{count} inspections: memory {first:.0f} MB, then {last:.0f} MB, files {set(handles)}, threads {set(threads)}"
