@@ -286,7 +286,7 @@ class MicroManagerStage(StageBase):
         unit: ``deg`` for a rotation stage, ``mm`` for a linear one (a focus drive); all that follows counts in it.
         config: configuration file of Micro-Manager.
         adapters: folder of its device adapters; by default that which MICROMANAGER_PATH names.
-        label: the stage's label.
+        label: the stage's label; of a linear one by default the file's focus drive.
         units_per_deg: what Micro-Manager counts as micrometres for one degree, by default 1; or for 1 mm, by default
             1000.
         home: ``device`` searches the reference; ``here`` declares the present position to be 0°.
@@ -307,7 +307,7 @@ class MicroManagerStage(StageBase):
         config: str,
         unit: Unit = "deg",
         adapters: str = "",
-        label: str,
+        label: str = "",
         units_per_deg: float | None = None,
         home: str = "device",
         tolerance_deg: float | None = None,
@@ -324,7 +324,8 @@ class MicroManagerStage(StageBase):
         self.unit = unit
         self._core: Core | None = Core.take(config, adapters)
         try:
-            self._label = self._core.label(label, "", "stage")
+            drive = self._core.mm.getFocusDevice() if unit == "mm" else ""
+            self._label = self._core.label(label, drive, "stage")
         except BaseException:
             self._disconnect()
             raise

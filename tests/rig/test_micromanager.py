@@ -117,6 +117,35 @@ def test_a_stage_moves_in_its_own_units(opened):
     stage.stop()
 
 
+def test_a_focus_drive_is_the_axis_z_of_a_rig(tmp_path, capsys):
+    path = tmp_path / "focus.cfg"
+    path.write_text(
+        CONFIG.replace(
+            "Property,Core,Camera", "Device,Z,DemoCamera,DStage\nProperty,Core,Focus,Z\nProperty,Core,Camera"
+        )
+    )
+    rig = tmp_path / "rig.toml"
+    limits = "min_mm = -0.3, max_mm = 5.0"
+    rig.write_text(
+        RIG.format(path)
+        + f'[z]\ndriver = "micromanager"\noptions = {{ config = "{path}", home = "here", {limits} }}\n'
+    )
+    assert run(["rig", "move", "0.1234", "--axis", "z", "--rig", str(rig), "--yes", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["after_mm"] == pytest.approx(0.1234, abs=1e-6)
+    with open_stage(
+        "micromanager", config=str(path), unit="mm", home="here", min_deg=-1.0, max_deg=1.0
+    ) as drive:
+        drive.home()
+        drive.move_to(0.2)
+        assert drive._mm.getPosition("Z") == pytest.approx(200.0, abs=1e-3), "µm of Micro-Manager"
+        assert drive._mm.getPosition("Stage") == 0.0
+    assert run(["rig", "move", "1", "--axis", "z", "--rig", str(rig), "--yes"]) == 69
+    said = capsys.readouterr().err
+    assert "Z: Micro-Manager reports" in said
+    assert "Position out of range" in said
+    assert micromanager.Core._open == {}
+
+
 def test_devices_of_one_file_share_a_core(opened):
     camera, light = opened(open_camera), opened(open_light)
     assert camera._mm is light._mm
