@@ -1,6 +1,8 @@
 """Interrupted inspections: what is kept, what is taken again, what is refused."""
 
+import errno
 import json
+import os
 import shutil
 
 import pytest
@@ -30,6 +32,36 @@ def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypa
     assert recompute(folder).differences == ()
     with pytest.raises(RecordError, match="this inspection is finished; there is nothing to resume"):
         resume_part(folder, methods=plain)
+
+
+@pytest.mark.parametrize(
+    ("file", "times"), [("frames/.frame-*", 5), (JOURNAL, 7), (".record.json.partial", 1)]
+)
+def test_a_disk_that_is_full_loses_nothing(virtual_rig, monkeypatch, plain, file, times):
+    """Frame, journal, record: there is no room when the file is to be safe on the disk; later there is."""
+    rig, fsync, met = virtual_rig(), os.fsync, []
+
+    def full(descriptor):
+        files = [path for folder in rig.folders for path in folder.glob(file)]
+        if any(os.path.samestat(os.fstat(descriptor), path.stat()) for path in files):
+            met.append(descriptor)
+            if len(met) == times:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(RecordError, match="No space left"):
+            rig.inspect(methods=plain)
+    (folder,) = rig.folders
+    assert not verify(folder).finished
+    before = {line.name: line.sha256 for line in read_journal(folder).frames}
+    assert len(before) >= 4
+    record = resume_part(folder, methods=plain).record
+    assert record.verdict == "PASS", record.reasons
+    assert verify(folder).intact
+    kept = {line.name: line.sha256 for line in read_journal(folder).frames}
+    assert before.items() <= kept.items(), "what was photographed is used"
 
 
 def test_an_inspection_may_be_interrupted_twice(virtual_rig, monkeypatch, plain):
