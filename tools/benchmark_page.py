@@ -276,7 +276,7 @@ def goals(run: Run) -> Iterator[str]:
     yield "## Goals"
     yield ""
     yield "Minima on two cores. The simulated camera is in [where the time goes](time-of-an-inspection.md), waves on a"
-    yield "graphics card in [a record](../decisions/0023-waves-on-a-graphics-card.md), the memory of a relief below."
+    yield "graphics card in [a record](../decisions/0024-waves-on-a-graphics-card.md), the memory of a relief below."
     yield ""
     yield "| work | goal | reached | |"
     yield "|---|---|---|---|"

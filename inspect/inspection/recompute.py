@@ -83,6 +83,12 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     elif (old.get("diagnosis") or {}).get("tells", "") is None and now["diagnosis"]["tells"] is not None:
         unrecorded.add("diagnosis.tells, which was not computed then")
         new["diagnosis"]["tells"] = None
+    then, today = old.get("optics") or {}, new.get("optics") or {}
+    if then.get("model") == "wave" and (then["stated_error_per_sr"] or 0.0) < (
+        today["stated_error_per_sr"] or 0.0
+    ):
+        unrecorded.add("optics.stated_error_per_sr, which left out what steps do beyond scalar waves")
+        today["stated_error_per_sr"] = then["stated_error_per_sr"]
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:
         notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)

@@ -13,7 +13,6 @@ what is missing there, is the same in the first and the last term and drops out,
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -438,6 +437,8 @@ def field_edges(relief: Relief, labels: npt.NDArray[np.int32], plain: RidgeDesig
 
 def _deep_labels(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """The labels away from borders between regions, as far as regions are wide enough."""
+    import cv2  # noqa: PLC0415 - slow to import
+
     found = labels.copy()
     for margin in (MARGIN, 1):
         kernel = np.ones((2 * margin + 1,) * 2, np.uint8)

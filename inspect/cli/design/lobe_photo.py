@@ -42,7 +42,9 @@ def compare_lobe(
     distance: Annotated[
         float, Parameter(help="From the sample to where the mirrored beam meets the screen, mm.")
     ],
-    light: Annotated[str, Parameter(help="Inclination and azimuth of the lamp, degrees.")] = "0,0",
+    light: Annotated[
+        str, Parameter(help="Direction of the light: inclination and azimuth, degrees.")
+    ] = "0,0",
     screen_tilt: Annotated[
         str, Parameter(help="Turns of the screen about its x and y axes, degrees; 0,0 faces the beam.")
     ] = "0,0",
@@ -66,7 +68,9 @@ def compare_lobe(
     ] = "linear",
     lamp_half_angle: Annotated[
         float | None,
-        Parameter(help="Half angle of a round lamp, degrees; the design's source if not given."),
+        Parameter(
+            help="Half of the angle subtended by a round lamp, degrees; the design's source if not given."
+        ),
     ] = None,
     reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y|, from the mirrored beam.")] = 0.12,
     points: Annotated[int, Parameter(help="Directions along each axis, 16 to 256.")] = 64,

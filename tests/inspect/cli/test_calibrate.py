@@ -53,6 +53,7 @@ def test_the_calibrations_of_a_rig_one_after_the_other(anisoscope, small, tmp_pa
         "stray": "valid",
         "linearity": "missing",
         "rotation": "missing",
+        "focus": "missing",
         "check": "missing",
     }
     flat.unlink()

@@ -182,6 +182,7 @@ SAME_QUANTITY = {
     "--port": "port",
     "--pty": "pseudo terminals",
     "--read-code": "code on every part",
+    "--reach": r"largest \|h_x\| and \|h_y\|",
     "--recipe": "recipe",
     "--rig": "rig file",
     "--role": "map of the part",
@@ -192,6 +193,7 @@ SAME_QUANTITY = {
     "--step": "step of the",  # angle, in degrees
     "--steps": "number of",
     "--tilts": "tilts",
+    "--tone": "greys of the",
     "--trust": "must not refuse|keys has to have signed",  # a file in spite of a check; the keys that count
     "--u-alpha": "roughness",
     "--u-height-noise": "noise of a height",

@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 
 from anisoscope.base.errors import CalibrationError, RecordError, RigFileError, UsageError
 from anisoscope.inspection.integrity import verify
-from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.recompute import differences, recompute
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import resume_part
 from anisoscope.profiles.files.load import write_height_map
@@ -54,7 +54,8 @@ def test_the_same_frames_give_the_same_numbers_without_any_device(taken, replay)
     assert (found.record.verdict, found.notes) == ("PASS", ())
     numbers = {"poses", "details", "d2", "p_value", "budget", "drift", "reasons"}
     assert numbers <= set(Record.model_fields)  # pydantic passes over a name that is no field
-    assert found.record.model_dump(include=numbers) == live.record.model_dump(include=numbers)
+    then, now = (one.record.model_dump(mode="json", include=numbers) for one in (live, found))
+    assert list(differences(then, now)) == []  # sums may differ in the last digit, as arrays lie in memory
     shutil.rmtree(folder)  # what was inspected was copied
     shutil.rmtree(rig.rig.parent / "inspections" / live.folder.name)
     assert verify(found.folder).intact

@@ -35,7 +35,7 @@ def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("file", "times"), [("frames/.frame-*", 5), (JOURNAL, 7), (".record.json.partial", 1)]
+    ("file", "times"), [("frames/.*.partial", 5), (JOURNAL, 7), (".record.json.partial", 1)]
 )
 def test_a_disk_that_is_full_loses_nothing(virtual_rig, monkeypatch, plain, file, times):
     """Frame, journal, record: there is no room when the file is to be safe on the disk; later there is."""
