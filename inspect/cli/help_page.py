@@ -3,6 +3,7 @@
 import inspect
 import re
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from typing import Annotated, Any, TypeVar
 
 from cyclopts import App, Group, Parameter
@@ -150,6 +151,9 @@ def _missing(error: MissingArgumentError, arguments: Sequence[str]) -> str:
     following = arguments[given + 1] if given + 1 < len(arguments) else ""
     if _NEGATIVE_VALUE.match(following):
         return f"a value that begins with a minus needs '=': write {arguments[given]}={following}"
+    if following and not following.startswith("-"):  # some of several values
+        values = list(takewhile(lambda word: not word.startswith("-"), arguments[given + 1 :]))
+        return f"{arguments[given]} needs {error.argument.token_count()[0]} values, not {len(values)}"
     return f"{arguments[given]} needs a value" + (f", and {following} is an option" if following else "")
 
 
