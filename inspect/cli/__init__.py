@@ -72,6 +72,10 @@ COMMANDS = {
             "inspect.watch:watch",
             "Inspect every folder of frames that another program writes; Ctrl-C stops after the current one.",
         ),
+        "serve": (
+            "console.serve:serve",
+            "Serve the console: a page at the station and a page over all stations, until Ctrl-C.",
+        ),
         "resume": (
             "inspect.inspection:resume",
             "Continue an interrupted inspection: photograph what is missing, judge, write record and report.",
@@ -186,6 +190,7 @@ COMMANDS = {
             "setup.key:app",
             "Make, show, trust, retire and revoke the keys that sign records.",
         ),
+        "user": ("console.users:app", "Accounts of the console: add, change, remove, list."),
         "completion": (
             "setup.completion:completion",
             "Print or install the script by which bash, zsh, fish or PowerShell complete commands and options.",

@@ -26,11 +26,19 @@ ACQUIRE = (("inspect",), ("batch",), ("watch",))
 REVIEW = (("show",), ("compare",), ("history",), ("export",), ("spc",), ("msa",))
 COMMANDS: dict[str, tuple[tuple[str, ...], ...]] = {
     "recipe": (*ACQUIRE, ("golden",)),
-    "rig": (("inspect",), ("batch",), ("rig",), ("calibrate",), ("recipe", "check"), ("recipe", "teach")),
-    "out": (*ACQUIRE, ("recipe", "teach")),
+    "rig": (
+        ("inspect",),
+        ("batch",),
+        ("serve",),
+        ("rig",),
+        ("calibrate",),
+        ("recipe", "check"),
+        ("recipe", "teach"),
+    ),
+    "out": (*ACQUIRE, ("serve",), ("recipe", "teach")),
     "operator": (("inspect",), ("batch",), ("calibrate",)),
     "station": (("inspect",), ("batch",)),
-    "history": (*ACQUIRE, ("resume",), *REVIEW),
+    "history": (*ACQUIRE, ("resume",), ("serve",), *REVIEW),
 }
 """Key of the file -> commands that take it as an option; elsewhere an option of that name means something else."""
 INSTEAD = {"rig": ("--frames", "--driver"), "history": ("--csv",)}

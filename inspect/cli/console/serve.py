@@ -1,0 +1,85 @@
+"""``anisoscope serve``: the console in the browser, at the station and over all stations."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.base.language import message
+from anisoscope.cli.inspect.history_entry import HistoryOption, history_place
+from anisoscope.cli.rig.options import RigPath, write_line
+
+PORT = 8040
+
+
+def serve(
+    *,
+    rig: RigPath,
+    recipes: Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")],
+    out: Annotated[Path, Parameter(help="Folder that receives the inspection folders.")] = Path(
+        "inspections"
+    ),
+    history: HistoryOption = None,
+    users: Annotated[
+        Path | None, Parameter(help="File of users; without it one user, at this computer only.")
+    ] = None,
+    host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, Parameter(help="TCP port; 0 takes any free one.")] = PORT,
+    name: Annotated[
+        tuple[str, ...],
+        Parameter(
+            name="--name", negative="", help="Name by which other computers call this one; may be repeated."
+        ),
+    ] = (),
+    certificate: Annotated[Path | None, Parameter(help="TLS certificate (PEM).")] = None,
+    key: Annotated[Path | None, Parameter(help="Its key (PEM).")] = None,
+) -> int:
+    """Serve the console: a page at the station and a page over all stations, until Ctrl-C.
+
+    Examples:
+        anisoscope serve --rig rig.toml --recipes recipes
+    """
+    try:
+        from anisoscope.console.application import (
+            Page,
+            check_exposure,
+            create_app,
+            hosts_of,
+            listen,
+            server_of,
+        )
+    except ImportError as problem:
+        raise UsageError(
+            f"the console needs more packages ({problem.name}): pip install 'anisoscope[console]'"
+        ) from problem
+    from anisoscope.console.access import Access, Accounts, Trail, trail_of
+    from anisoscope.console.fleet import fleet_router
+    from anisoscope.rig.rigfile import read_rig
+
+    if (certificate is None) != (key is None):
+        raise UsageError("--certificate and --key go together")
+    tls = None if certificate is None or key is None else (certificate, key)
+    check_exposure(host, users=users is not None, tls=tls is not None)
+    if not recipes.is_dir():
+        raise UsageError(f"--recipes {recipes}: there is no such folder")
+    read_rig(rig)
+    accounts = None if users is None else Accounts(users)
+    if accounts is not None and not accounts.read():
+        raise UsageError(f"--users {users}: has no accounts; `anisoscope user add` makes the first")
+    place = history_place(history, out)
+    trail = Trail(None) if users is None else trail_of(users)
+    with listen(host, port) as listener:
+        here = int(listener.getsockname()[1])
+        app = create_app(
+            Access(accounts, trail, secure=tls is not None),
+            [fleet_router(place)],
+            hosts_of(host, here, name),
+            pages=[Page("/fleet", "Fleet")],
+        )
+        server = server_of(app, tls)
+        address = f"http{'s' * (tls is not None)}://{host}:{here}/"
+        print(message("console at {path}", path=address), flush=True)  # noqa: T201
+        write_line(message("Ctrl-C ends it"))
+        server.run(sockets=[listener])
+    return 0

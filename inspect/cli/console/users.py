@@ -1,0 +1,85 @@
+"""``anisoscope user``: accounts of the console."""
+
+import getpass
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.base.language import message
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.rig.options import write_line
+
+app = App(name="user", help="Accounts of the console: add, change, remove, list.")
+File = Annotated[Path, Parameter(name="--users", help="File of users: their names, roles and password hashes.")]
+Name = Annotated[str, Parameter(help="Name of the account.")]
+Why = Annotated[str, Parameter(name="--why", help="Reason, for the audit trail.")]
+RoleName = Literal["operator", "engineer", "auditor", "administrator"]
+
+
+@app.command
+def add(
+    name: Name,
+    /,
+    *,
+    users: File,
+    role: Annotated[RoleName, Parameter(help="Role: what the account may do.")],
+    why: Why = "",
+) -> int:
+    """Add an account, or give it another role and password; the password is read from the terminal or standard input.
+
+    Examples:
+        anisoscope user add anna --users users.json --role operator
+    """
+    from anisoscope.console.access import Accounts, trail_of
+
+    accounts = Accounts(users)
+    if sys.stdin is not None and sys.stdin.isatty():
+        password = getpass.getpass(f"{message('password')}: ")
+        if getpass.getpass(f"{message('once more')}: ") != password:
+            raise UsageError("the two passwords differ")
+    else:
+        password = "" if sys.stdin is None else sys.stdin.readline().rstrip("\r\n")
+    trail_of(users).add(getpass.getuser(), "account set", why, name=name, role=role)
+    accounts.put(name, role, password)
+    write_line(message("{name} may log in as {role}", name=name, role=role))
+    return 0
+
+
+@app.command
+def remove(name: Name, /, *, users: File, why: Why = "") -> int:
+    """Remove an account.
+
+    Examples:
+        anisoscope user remove anna --users users.json --why left
+    """
+    from anisoscope.console.access import Accounts, trail_of
+
+    accounts = Accounts(users)
+    accounts.remove(name)
+    trail_of(users).add(getpass.getuser(), "account removed", why, name=name)
+    return 0
+
+
+@app.command(name="list")
+def list_(*, users: File, json_: Json = False) -> int:
+    """List the accounts and their roles.
+
+    Examples:
+        anisoscope user list --users users.json
+    """
+    from anisoscope.console.access import Accounts, trail_of
+
+    found = {one.name: one.role for one in Accounts(users).read().values()}
+    damaged = trail_of(users).damaged()
+    if json_:
+        print_json({"users": found, "damaged_lines_of_the_trail": damaged})
+    else:
+        for name, role in found.items():
+            print(f"{name:<24} {role}")  # noqa: T201
+    if damaged:
+        write_line(f"the audit trail was changed: line {damaged[0]} is not as it was written")
+    return 1 if damaged else 0

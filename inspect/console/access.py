@@ -1,0 +1,358 @@
+"""Who may do what: accounts, sessions in cookies, and the permission that every route names.
+
+Without accounts the console has one user, who may do everything and sits at this computer. With accounts every session
+begins without a role, and gets one by name and password.
+"""
+
+import hmac
+import json
+import secrets
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from fastapi import HTTPException, Request
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.clock import SYSTEM, Clock
+from anisoscope.base.errors import ConfigError, RecordError, UsageError
+
+Role = Literal["operator", "engineer", "auditor", "administrator"]
+Permission = Literal["look", "stop", "operate", "review", "audit", "administer"]
+
+ROLES: tuple[Role, ...] = get_args(Role)
+PERMISSIONS: Mapping[Permission, frozenset[Role]] = {
+    "look": frozenset(ROLES),
+    "stop": frozenset(ROLES),  # whoever sees that a hand is in the rig
+    "operate": frozenset({"operator", "engineer"}),
+    "review": frozenset({"engineer", "auditor"}),
+    "audit": frozenset({"auditor", "administrator"}),
+    "administer": frozenset({"administrator"}),
+}
+
+COOKIE = "anisoscope_session"
+TOKEN_HEADER = "x-csrf-token"
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+SESSION_S = 12 * 3600.0
+"""A shift, and what comes before and after it."""
+MOST_SESSIONS = 2000
+LEAST_PASSWORD = 10
+TRIES, TRIES_S = 5, 300.0
+SINGLE_USER = "this computer"
+
+
+class Account(BaseModel):
+    """One account; the password as an argon2id hash."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    role: Role
+    password: str
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: Literal["anisoscope users"] = "anisoscope users"
+    users: tuple[Account, ...] = ()
+
+
+class Accounts:
+    """Local accounts in a file that only its owner can read.
+
+    Args:
+        path: the file; it need not be there yet.
+
+    Raises:
+        ConfigError: it cannot be read, or is no file of accounts.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+        self.read()
+
+    def read(self) -> dict[str, Account]:
+        """All accounts by name, as the file has them now; errors as for the class."""
+        try:
+            text = self.path.read_text(encoding="utf-8") if self.path.exists() else "{}"
+            return {one.name: one for one in _File.model_validate_json(text).users}
+        except (OSError, UnicodeError) as problem:
+            raise ConfigError(f"{self.path}: cannot be read: {problem}") from problem
+        except ValidationError as problem:
+            raise ConfigError(f"{self.path}: is no file of accounts of the console") from problem
+
+    def put(self, name: str, role: Role, password: str) -> None:
+        """Add an account, or give it another role and password.
+
+        Raises:
+            UsageError: a name that is empty, long or has control characters; a short password; no such role.
+            RecordError: the file cannot be written.
+        """
+        if not name.strip() or len(name) > 80 or not name.isprintable():
+            raise UsageError("a name has 1 to 80 printable characters")
+        if role not in ROLES:
+            raise UsageError(f"there is no role '{role}'; choose one of {', '.join(ROLES)}")
+        if not LEAST_PASSWORD <= len(password) <= 1000:
+            raise UsageError(f"a password has at least {LEAST_PASSWORD} characters")
+        self._change(name, Account(name=name, role=role, password=_hasher().hash(password)))
+
+    def remove(self, name: str) -> None:
+        """Remove an account.
+
+        Raises:
+            UsageError: there is none of this name.
+            RecordError: the file cannot be written.
+        """
+        if name not in self.read():
+            raise UsageError(f"{self.path} has no account '{name}'")
+        self._change(name, None)
+
+    def _change(self, name: str, account: Account | None) -> None:
+        with self._lock:
+            found = self.read()
+            found.pop(name, None)
+            users = (*found.values(), *(() if account is None else (account,)))
+            self.path.touch(mode=0o600)
+            write_text(self.path, _File(users=users).model_dump_json(indent=2))
+            self.path.chmod(0o600)
+
+    def check(self, name: str, password: str) -> Account | None:
+        """The account, if the password is right; an unknown name takes as long as a wrong password."""
+        from argon2.exceptions import InvalidHashError, VerificationError  # noqa: PLC0415 - of the extra
+
+        found = self.read().get(name)
+        try:
+            _hasher().verify(_nobody() if found is None else found.password, password)
+        except (VerificationError, InvalidHashError):
+            return None
+        return found
+
+
+def _hasher() -> Any:  # noqa: ANN401 - of the extra
+    from argon2 import PasswordHasher  # noqa: PLC0415 - of the extra
+
+    return PasswordHasher()
+
+
+_hash_of_none: list[str] = []
+
+
+def _nobody() -> str:
+    if not _hash_of_none:
+        _hash_of_none.append(_hasher().hash(secrets.token_urlsafe()))
+    return _hash_of_none[0]
+
+
+@dataclass
+class Session:
+    """A browser, or a program, and who uses it; no roles before the login."""
+
+    id: str
+    token: str
+    name: str = ""
+    roles: frozenset[Role] = frozenset()
+    seen_s: float = 0.0
+
+    @property
+    def short(self) -> str:
+        """A name of the session that opens nothing."""
+        return sha256(self.id.encode()).hexdigest()[:12]
+
+    def may(self, permission: Permission) -> bool:
+        """Whether one of its roles has a permission."""
+        return not self.roles.isdisjoint(PERMISSIONS[permission])
+
+
+@dataclass
+class Trail:
+    """Audit trail: a line of JSON for every change, chained by hashes so that a line that was changed is found.
+
+    Attributes:
+        path: the file, which grows only; None keeps no trail.
+        now: the time.
+    """
+
+    path: Path | None
+    now: Callable[[], datetime] = lambda: datetime.now(UTC)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def add(self, who: str, what: str, why: str = "", **more: object) -> None:
+        """Add a line; it is on disk when this returns.
+
+        Raises:
+            RecordError: it cannot be written; what it was to record must not be done then.
+        """
+        if self.path is None:
+            return
+        with self._lock:
+            lines = self.lines()
+            entry = {
+                "at": self.now().isoformat(timespec="milliseconds"),
+                "who": who,
+                "what": what,
+                "why": why,
+            }
+            entry |= {"more": more, "previous": lines[-1]["hash"] if lines else ""}
+            entry["hash"] = _digest(entry)
+            try:
+                with self.path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(entry, ensure_ascii=False) + "\n")
+                    file.flush()
+            except OSError as problem:
+                raise RecordError(f"{self.path}: cannot be written: {problem.strerror}") from problem
+
+    def lines(self) -> list[dict[str, Any]]:
+        """All lines, the oldest first.
+
+        Raises:
+            RecordError: the file cannot be read, or is no trail.
+        """
+        if self.path is None or not self.path.exists():
+            return []
+        try:
+            return [json.loads(line) for line in self.path.read_text(encoding="utf-8").splitlines()]
+        except (OSError, ValueError) as problem:
+            raise RecordError(f"{self.path}: is no audit trail of the console, or damaged") from problem
+
+    def damaged(self) -> list[int]:
+        """Numbers of the lines, from 1, that are not as they were written or do not follow the one before."""
+        found, previous = [], ""
+        for number, entry in enumerate(self.lines(), 1):
+            if entry.get("previous") != previous or entry.get("hash") != _digest(entry):
+                found.append(number)
+            previous = str(entry.get("hash"))
+        return found
+
+
+def trail_of(users: Path) -> Trail:
+    """The audit trail of a file of accounts, next to it."""
+    return Trail(users.with_name(f"{users.stem}.audit.jsonl"))
+
+
+def _digest(entry: Mapping[str, object]) -> str:
+    plain = {key: value for key, value in entry.items() if key != "hash"}
+    return sha256(json.dumps(plain, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
+
+
+class Access:
+    """Sessions of a running console.
+
+    Args:
+        accounts: the accounts; None for the one user of this computer.
+        trail: where logins are recorded.
+        clock: a monotonic clock in seconds.
+        secure: whether cookies travel by TLS only.
+    """
+
+    def __init__(
+        self, accounts: Accounts | None, trail: Trail, clock: Clock = SYSTEM, *, secure: bool = False
+    ) -> None:
+        self.accounts, self.trail, self.secure = accounts, trail, secure
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._sessions: OrderedDict[str, Session] = OrderedDict()
+        self._failures: dict[str, deque[float]] = {}
+        self._checking = threading.Semaphore(2)  # a check takes 64 MiB
+
+    def find(self, cookie: str | None) -> Session | None:
+        """The session of a cookie, if it is one and still holds."""
+        with self._lock:
+            found = self._sessions.get(cookie or "")
+            if found is None:
+                return None
+            if self._clock() - found.seen_s > SESSION_S:
+                del self._sessions[found.id]
+                return None
+            found.seen_s = self._clock()
+            self._sessions.move_to_end(found.id)
+            return found
+
+    def begin(self) -> Session:
+        """A new session; the one unused for longest makes room for it."""
+        session = Session(secrets.token_urlsafe(32), secrets.token_urlsafe(32), seen_s=self._clock())
+        if self.accounts is None:
+            session.name, session.roles = SINGLE_USER, frozenset(ROLES)
+        with self._lock:
+            self._sessions[session.id] = session
+            if len(self._sessions) > MOST_SESSIONS:
+                # browsers that nobody logged in go before those at which somebody works
+                idle = next((one.id for one in self._sessions.values() if not one.roles), None)
+                self._sessions.pop(idle or next(iter(self._sessions)))
+        return session
+
+    def end(self, session: Session) -> None:
+        """End a session."""
+        with self._lock:
+            self._sessions.pop(session.id, None)
+
+    def log_in(self, name: str, password: str, address: str) -> Session | None:
+        """A new session with the role of an account; None if name or password is wrong.
+
+        Raises:
+            HTTPException: 429 after five wrong passwords in five minutes, for this name or from this address.
+        """
+        assert self.accounts is not None
+        keys = (f"name {name[:80]}", f"address {address}")
+        if any(len(self._recent(key)) >= TRIES for key in keys):
+            raise HTTPException(429, "too many wrong passwords: try again in five minutes")
+        with self._checking:
+            account = self.accounts.check(name, password)
+        if account is None:
+            with self._lock:
+                for key in keys:
+                    self._failures.setdefault(key, deque(maxlen=TRIES)).append(self._clock())
+                while len(self._failures) > MOST_SESSIONS:
+                    self._failures.pop(next(iter(self._failures)))
+            self.trail.add(name[:80], "login refused", address=address)
+            return None
+        self.trail.add(account.name, "login", address=address)
+        session = self.begin()
+        session.name, session.roles = account.name, frozenset({account.role})
+        return session
+
+    def _recent(self, key: str) -> list[float]:
+        with self._lock:
+            return [at for at in self._failures.get(key, ()) if self._clock() - at < TRIES_S]
+
+
+class Needs:
+    """Dependency of a route: the session, which has a permission; for what changes anything, with its token.
+
+    Args:
+        permission: what the session has to be allowed; None for routes before the login.
+    """
+
+    def __init__(self, permission: Permission | None) -> None:
+        self.permission = permission
+
+    def __call__(self, request: Request) -> Session:
+        """The session of a request.
+
+        Raises:
+            HTTPException: 401 without a session of somebody, 403 without permission or with a wrong token.
+        """
+        access: Access = request.app.state.access
+        session = access.find(request.cookies.get(COOKIE))
+        if session is None and request.method in SAFE_METHODS and self.permission in {None, "look"}:
+            session = access.begin()
+            request.state.new_session = session
+        if session is None or (self.permission is not None and not session.roles):
+            raise HTTPException(401, "log in first")
+        if self.permission is not None and not session.may(self.permission):
+            raise HTTPException(
+                403, f"this needs the permission '{self.permission}', which your role has not"
+            )
+        if request.method not in SAFE_METHODS:
+            token = request.headers.get(TOKEN_HEADER, "")
+            if not hmac.compare_digest(token.encode(), session.token.encode()):
+                raise HTTPException(403, "the token of the page is missing or old: load the page again")
+        request.state.session = session
+        return session

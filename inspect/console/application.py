@@ -1,0 +1,449 @@
+"""The application of the console, what guards it against the network, and the server that runs it."""
+
+import asyncio
+import contextlib
+import ipaddress
+import logging
+import socket
+import ssl
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import uvicorn
+from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, Response
+from fastapi.dependencies.models import Dependant
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
+from fastapi.routing import APIRoute
+from pydantic import BaseModel, Field
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException as AnyHTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.console.access import COOKIE, SAFE_METHODS, SESSION_S, Access, Needs, Session
+from anisoscope.console.pages import render, static_router
+
+MOST_BODY = 64 * 1024
+BODY_S = 10.0
+REQUEST_S = 10.0
+KEPT_S = 15
+MOST_CONNECTIONS = 256
+UNGUARDED = frozenset({"/static/{name}"})
+"""Routes of which everybody may read the answer."""
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "content-security-policy": POLICY,
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "cache-control": "no-store",
+}
+
+
+class _TooSlow(Exception):
+    pass
+
+
+class Guard:
+    """Refuses what no page of ours sends, before the application sees it, and adds headers to every answer.
+
+    A name of the web that points to this computer (DNS rebinding) has a foreign Host; a form on a foreign page has a
+    foreign Origin. Bodies are read here, whole and small, so that nobody holds a request open by sending slowly.
+
+    Args:
+        app: what is guarded.
+        hosts: ``name:port`` by which browsers may call the console.
+        scheme: http or https.
+        body_s: within how many seconds a body has to arrive.
+    """
+
+    def __init__(self, app: ASGIApp, hosts: frozenset[str], scheme: str, body_s: float = BODY_S) -> None:
+        self.app, self.hosts, self.body_s = app, hosts, body_s
+        self.origins = frozenset(f"{scheme}://{host}" for host in hosts)
+        self.extra = {"strict-transport-security": "max-age=31536000"} if scheme == "https" else {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request of the server."""
+        if scope["type"] != "http":
+            if scope["type"] == "lifespan":
+                await self.app(scope, receive, send)
+            return
+
+        async def send_guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                sent = {name.lower() for name, _ in message["headers"]}
+                message["headers"] = [
+                    *message["headers"],
+                    *(
+                        (name.encode(), text.encode())
+                        for name, text in (HEADERS | self.extra).items()
+                        if name.encode() not in sent
+                    ),
+                ]
+            await send(message)
+
+        refusal = self._refusal(scope)
+        if refusal is None:
+            try:
+                body = await self._body(receive)
+            except TimeoutError:
+                refusal = 408, "the request did not arrive in time"
+            else:
+                if len(body) > MOST_BODY:
+                    refusal = 413, f"a request has {MOST_BODY // 1024} KiB at most"
+                else:
+                    await self.app(scope, _replayed(body, receive), send_guarded)
+                    return
+        status, text = refusal
+        answer = JSONResponse({"error": text}, status, headers={"connection": "close"})
+        await answer(scope, receive, send_guarded)
+
+    def _refusal(self, scope: Scope) -> tuple[int, str] | None:
+        headers = Headers(scope=scope)
+        if headers.get("host", "").lower() not in self.hosts:
+            return 421, "the console does not answer to this name of the computer"
+        length = headers.get("content-length", "0")
+        if not length.isdigit() or int(length) > MOST_BODY:
+            return 413, f"a request has {MOST_BODY // 1024} KiB at most"
+        if scope["method"] in SAFE_METHODS:
+            return None
+        origin, site = headers.get("origin"), headers.get("sec-fetch-site", "none")
+        if (origin is not None and origin.lower() not in self.origins) or site not in {"same-origin", "none"}:
+            return 403, "requests of other pages are refused"
+        return None
+
+    async def _body(self, receive: Receive) -> bytes:
+        found = b""
+        async with asyncio.timeout(self.body_s):
+            while len(found) <= MOST_BODY:
+                message = await receive()
+                found += message.get("body", b"")
+                if not message.get("more_body", False):
+                    break
+        return found
+
+
+def _replayed(body: bytes, receive: Receive) -> Receive:
+    given = False
+
+    async def replay() -> Message:
+        nonlocal given
+        if given:
+            return await receive()
+        given = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return replay
+
+
+class Credentials(BaseModel):
+    """Name and password of a login."""
+
+    name: str = Field(max_length=80)
+    password: str = Field(max_length=1000)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of the navigation: its path, and its name in English."""
+
+    path: str
+    name: str
+
+
+def create_app(
+    access: Access,
+    routers: Sequence[APIRouter],
+    hosts: frozenset[str],
+    *,
+    pages: Sequence[Page] = (),
+    closing: Callable[[], None] = lambda: None,
+) -> FastAPI:
+    """The application of the console.
+
+    Args:
+        access: sessions and accounts.
+        routers: the routes; each route names what it needs (`anisoscope.console.access.Needs`).
+        hosts: as for `Guard`.
+        pages: the navigation, its first page is the start.
+        closing: called at the end.
+
+    Raises:
+        ValueError: a route that names no permission.
+    """
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: FastAPI) -> Any:  # noqa: ANN401 - as Starlette has it
+        yield
+        closing()
+
+    app = FastAPI(
+        title="anisoscope console",
+        version="1",
+        summary="Start, stop and follow inspections at a station, and read their results.",
+        docs_url=None,  # these pages load from elsewhere
+        redoc_url=None,
+        openapi_url=None,
+        lifespan=lifespan,
+    )
+    every = (static_router(), _login_router(access, pages), *routers)
+    app.state.access, app.state.pages, app.state.routers = access, tuple(pages), every
+    for router in every:
+        app.include_router(router)
+    for (method, path), needs in permissions_of(app).items():
+        if needs is None and path not in UNGUARDED:
+            raise ValueError(f"{method} {path} names no permission")
+    app.add_exception_handler(AnisoscopeError, _say_problem)
+    app.add_exception_handler(AnyHTTPException, _say_http)
+    app.add_exception_handler(RequestValidationError, _say_invalid)
+    app.add_middleware(_NewCookies)
+    app.add_middleware(Guard, hosts=hosts, scheme="https" if access.secure else "http")
+    return app
+
+
+def permissions_of(app: FastAPI) -> dict[tuple[str, str], Needs | None]:
+    """What every route of an application of `create_app` needs, by method and path.
+
+    Raises:
+        ValueError: a route of another sort, which would be answered without a question.
+    """
+    found = {}
+    for route in (route for router in app.state.routers for route in router.routes):
+        if not isinstance(route, APIRoute):
+            raise ValueError(f"{route} is no route with dependencies")  # noqa: TRY004 - a fault of the program
+        found |= {(method, route.path): _needs(route.dependant) for method in sorted(route.methods or ())}
+    return found
+
+
+def _needs(dependant: Dependant) -> Needs | None:
+    return next((one.call for one in dependant.dependencies if isinstance(one.call, Needs)), None)
+
+
+class _NewCookies:
+    """Sends the cookie of a session that a request began."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        scope.setdefault("state", {})
+
+        async def send_cookie(message: Message) -> None:
+            session = scope["state"].get("new_session")
+            if message["type"] == "http.response.start" and session is not None:
+                secure = "; Secure" if scope["app"].state.access.secure else ""
+                cookie = f"{COOKIE}={session.id}; HttpOnly; SameSite=Strict; Path=/; Max-Age={SESSION_S:.0f}{secure}"
+                message["headers"] = [*message["headers"], (b"set-cookie", cookie.encode())]
+            await send(message)
+
+        await self.app(scope, receive, send_cookie)
+
+
+def _wants_page(request: Request) -> bool:
+    return request.method == "GET" and "text/html" in request.headers.get("accept", "")
+
+
+async def _say_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, AnyHTTPException)
+    if error.status_code == 401 and _wants_page(request):
+        return RedirectResponse("/login", 303)
+    return JSONResponse({"error": str(error.detail)}, error.status_code, headers=error.headers)
+
+
+async def _say_problem(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": " ".join(str(error).split())}, 409)
+
+
+async def _say_invalid(_: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)
+
+
+def _login_router(access: Access, pages: Sequence[Page]) -> APIRouter:
+    router = APIRouter(include_in_schema=False)
+    Anyone = Annotated[Session, Depends(Needs(None))]
+
+    @router.get("/")
+    def start(_: Anyone) -> RedirectResponse:
+        return RedirectResponse(pages[0].path if pages else "/login", 303)
+
+    @router.get("/login")
+    def page(request: Request, _: Anyone) -> HTMLResponse:
+        return render(request, "login.html")
+
+    @router.post("/login")
+    def log_in(request: Request, given: Credentials, before: Anyone) -> dict[str, str]:
+        if access.accounts is None:
+            raise HTTPException(409, "there are no accounts: everybody at this computer may do everything")
+        address = "" if request.client is None else request.client.host
+        session = access.log_in(given.name, given.password, address)
+        if session is None:
+            raise HTTPException(401, "name or password is wrong")
+        access.end(before)
+        request.state.new_session = session
+        return {"name": session.name, "token": session.token}
+
+    @router.post("/logout")
+    def log_out(session: Anyone) -> dict[str, str]:
+        access.end(session)
+        return {}
+
+    return router
+
+
+# The server.
+
+
+class Connection(H11Protocol):
+    """A connection that ends where its request does not arrive in time, or where others need its place."""
+
+    most = MOST_CONNECTIONS
+    request_s = REQUEST_S
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin; where there are too many, those that wait for nothing make room, the oldest first."""
+        super().connection_made(transport)  # type: ignore[arg-type]
+        self._late: asyncio.TimerHandle | None = None
+        self._expect()
+        others: dict[Connection, None] = self.server_state.__dict__.setdefault("in_order", {})
+        others[self] = None
+        if len(others) > self.most:
+            victim = next((one for one in others if not one.is_at_work), self)
+            victim.transport.close()
+            others.pop(victim, None)
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether a request is being answered."""
+        cycle: Any = self.cycle  # None before the first request, whatever its declaration says
+        return cycle is not None and not cycle.response_complete
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came; a request that has begun has to be complete in time."""
+        super().data_received(data)
+        self._expect()
+
+    def _expect(self) -> None:
+        if self.is_at_work:
+            if self._late is not None:
+                self._late.cancel()
+                self._late = None
+        elif self._late is None:
+            self._late = self.loop.call_later(self.request_s, self._too_late)
+
+    def _too_late(self) -> None:
+        self._late = None
+        if not self.is_at_work:
+            self.transport.close()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        if self._late is not None:
+            self._late.cancel()
+        self.server_state.__dict__.get("in_order", {}).pop(self, None)
+        super().connection_lost(exc)
+
+
+def hosts_of(host: str, port: int, names: Sequence[str] = ()) -> frozenset[str]:
+    """``name:port`` by which a console is called that listens at an address."""
+    known = {host, *names}
+    if is_loopback(host):
+        known |= {"127.0.0.1", "localhost", "[::1]"}
+    return frozenset(f"{name.lower()}:{port}" for name in known)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address can be reached from this computer only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def check_exposure(host: str, *, users: bool, tls: bool) -> None:
+    """Refuse to listen beyond this computer without accounts and TLS.
+
+    Raises:
+        UsageError: one of them is missing.
+    """
+    if is_loopback(host):
+        return
+    missing = [
+        *([] if users else ["accounts (--users FILE, from `anisoscope user add`)"]),
+        *([] if tls else ["TLS (--certificate and --key)"]),
+    ]
+    if missing:
+        raise UsageError(
+            f"--host {host} can be reached from other computers: that takes {' and '.join(missing)}; without, the "
+            "console serves 127.0.0.1 only"
+        )
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens.
+
+    Raises:
+        UsageError: the port is taken, or there is no such address here.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(512)
+    except (OSError, OverflowError) as problem:
+        listener.close()
+        reason = getattr(problem, "strerror", None) or problem
+        raise UsageError(f"cannot serve at {host}:{port}: {reason}; choose another --port") from problem
+    return listener
+
+
+def server_of(app: ASGIApp, tls: tuple[Path, Path] | None = None) -> uvicorn.Server:
+    """The server of an application; ``server.run(sockets=[…])`` serves until ``should_exit`` is set or a signal comes.
+
+    Args:
+        app: from `create_app`.
+        tls: certificate and key, PEM.
+
+    Raises:
+        UsageError: certificate and key cannot be used.
+    """
+    options: Mapping[str, Any] = {}
+    if tls is not None:
+        certificate, key = tls
+        options = {"ssl_certfile": certificate, "ssl_keyfile": key}
+    config = uvicorn.Config(
+        app,
+        http=Connection,
+        ws="none",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_keep_alive=KEPT_S,
+        timeout_graceful_shutdown=2,
+        h11_max_incomplete_event_size=16 * 1024,
+        **options,
+    )
+    try:
+        config.load()
+    except (OSError, ssl.SSLError) as problem:
+        raise UsageError(f"--certificate and --key cannot be used: {problem}") from problem
+    logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
+    return uvicorn.Server(config)

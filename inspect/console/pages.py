@@ -1,0 +1,71 @@
+"""Pages of the console: templates over one base, and the files that they load from here alone."""
+
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+from fastapi import APIRouter, HTTPException, Request, Response
+from fastapi.responses import HTMLResponse
+
+from anisoscope.base.language import decimal, language, message, translated
+from anisoscope.console.access import Permission
+
+if TYPE_CHECKING:
+    import jinja2
+
+KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+STATIC = ("console.css", "console.js", "icon.svg", "station.js")
+
+
+def render(request: Request, template: str, **content: object) -> HTMLResponse:
+    """A page of a template that extends ``base.html``.
+
+    Args:
+        request: its session decides what the navigation shows.
+        template: its name.
+        content: what it shows; a name that it misses is an error.
+    """
+    session = request.state.session
+    may: dict[Permission, bool] = {
+        name: session.may(name) for name in ("look", "operate", "review", "audit", "administer")
+    }
+    common = {
+        "lang": language(),
+        "session": session,
+        "may": may,
+        "single": request.app.state.access.accounts is None,
+        "pages": request.app.state.pages,
+        "here": request.url.path,
+    }
+    return HTMLResponse(_environment().get_template(template).render(**common, **content))
+
+
+@cache
+def _environment() -> "jinja2.Environment":
+    import jinja2  # noqa: PLC0415 - drawn once a page is asked for
+
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("anisoscope.console"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    found.globals["_"] = message
+    found.filters |= {"translated": translated, "decimal": decimal}
+    return found
+
+
+@cache
+def _static(name: str) -> bytes:
+    return (files("anisoscope.console") / "templates" / name).read_bytes()
+
+
+def static_router() -> APIRouter:
+    """Style sheets, scripts and the icon."""
+    router = APIRouter()
+
+    @router.get("/static/{name}", include_in_schema=False)
+    def static(name: str) -> Response:
+        if name not in STATIC:
+            raise HTTPException(404, "there is no such file")
+        kind = KINDS[name[name.rindex(".") :]]
+        return Response(_static(name), media_type=kind, headers={"Cache-Control": "no-cache"})
+
+    return router
