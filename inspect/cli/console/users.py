@@ -14,7 +14,9 @@ from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import write_line
 
 app = App(name="user", help="Accounts of the console: add, change, remove, list.")
-File = Annotated[Path, Parameter(name="--users", help="File of users: their names, roles and password hashes.")]
+File = Annotated[
+    Path, Parameter(name="--users", help="File of users: their names, roles and password hashes.")
+]
 Name = Annotated[str, Parameter(help="Name of the account.")]
 Why = Annotated[str, Parameter(name="--why", help="Reason, for the audit trail.")]
 RoleName = Literal["operator", "engineer", "auditor", "administrator"]
