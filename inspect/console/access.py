@@ -194,13 +194,9 @@ class Trail:
             return
         with self._lock:
             lines = self.lines()
-            entry = {
-                "at": self.now().isoformat(timespec="milliseconds"),
-                "who": who,
-                "what": what,
-                "why": why,
-            }
-            entry |= {"more": more, "previous": lines[-1]["hash"] if lines else ""}
+            previous = lines[-1]["hash"] if lines else ""
+            entry: dict[str, Any] = {"at": self.now().isoformat(timespec="milliseconds"), "who": who}
+            entry |= {"what": what, "why": why, "more": more, "previous": previous}
             entry["hash"] = _digest(entry)
             try:
                 with self.path.open("a", encoding="utf-8") as file:

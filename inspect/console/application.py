@@ -217,7 +217,7 @@ def permissions_of(app: FastAPI) -> dict[tuple[str, str], Needs | None]:
     Raises:
         ValueError: a route of another sort, which would be answered without a question.
     """
-    found = {}
+    found: dict[tuple[str, str], Needs | None] = {}
     for route in (route for router in app.state.routers for route in router.routes):
         if not isinstance(route, APIRoute):
             raise ValueError(f"{route} is no route with dependencies")  # noqa: TRY004 - a fault of the program

@@ -28,13 +28,13 @@ def add(
     /,
     *,
     users: File,
-    role: Annotated[RoleName, Parameter(help="Role: what the account may do.")],
+    role: Annotated[RoleName, Parameter(name="--as", help="Role: what the account may do.")],
     why: Why = "",
 ) -> int:
     """Add an account, or give it another role and password; the password is read from the terminal or standard input.
 
     Examples:
-        anisoscope user add anna --users users.json --role operator
+        anisoscope user add anna --users users.json --as operator
     """
     from anisoscope.console.access import Accounts, trail_of
 

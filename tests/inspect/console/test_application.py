@@ -110,7 +110,11 @@ def test_without_accounts_and_tls_other_computers_are_refused():
 
 def test_a_route_without_a_permission_is_refused_at_the_start(small_app):
     router = APIRouter()
-    router.get("/open")(dict)
+
+    @router.get("/open")
+    def route():
+        return {}
+
     with pytest.raises(ValueError, match="GET /open names no permission"):
         create_app(Access(None, Trail(None)), [router], frozenset())
     routes = permissions_of(small_app(frozenset()))
