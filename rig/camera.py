@@ -1,7 +1,7 @@
 """What a camera is: linear raw counts, with the settings that were really used."""
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +9,8 @@ import numpy.typing as npt
 from anisoscope.base.errors import CameraError
 from anisoscope.rig.bayer import FILTERS
 
+Compression = Literal["none", "zlib", "jpeg-xl"]
+"""How the counts of a frame are packed on disk; all are lossless, and ``jpeg-xl`` needs the package imagecodecs."""
 UNCALIBRATED = (
     "uncalibrated: the camera does not count in proportion to light, and no response curve is given; such contrasts "
     "serve to compare parts on this rig, not with a prediction (see `anisoscope calibrate response`)"

@@ -1,17 +1,19 @@
 """A frame: linear raw counts with their acquisition metadata, and its file.
 
-The file is a 16-bit TIFF, with the metadata as JSON in its ImageDescription.
+The file is a 16-bit TIFF, with the metadata as JSON in its ImageDescription; its counts may be packed without loss.
 """
 
 import contextlib
+import importlib.util
 import io
 import json
 import logging
+import os
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +21,9 @@ import tifffile
 from pydantic import Field, TypeAdapter, ValidationError
 
 from anisoscope.base.atomic_write import appearing
-from anisoscope.base.errors import RecordError
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.rig.bayer import Filters, grey_of
+from anisoscope.rig.camera import Compression
 
 SCHEMA = 1
 SATURATION = 0.98
@@ -132,15 +135,53 @@ def quiet_tifffile() -> Iterator[None]:
         _quiet.change(-1)
 
 
-def write_frame(frame: Frame, path: Path) -> None:
+_STRIP_BYTES = 1 << 18
+_JPEG_XL_EFFORT = 3
+
+
+def _packing(frame: Frame, compression: Compression) -> dict[str, Any]:
+    """What tifffile is to do with the counts: strips of a quarter of a megabyte are packed in threads."""
+    if compression == "none":
+        return {}
+    if compression == "jpeg-xl":
+        return {"compression": "jpegxl", "compressionargs": {"effort": _JPEG_XL_EFFORT, "lossless": True}}
+    return {
+        "compression": "zlib",
+        "compressionargs": {"level": 1},
+        "predictor": True,
+        "rowsperstrip": max(1, _STRIP_BYTES // (2 * frame.counts.shape[1])),
+        "maxworkers": os.cpu_count() or 1,
+    }
+
+
+def check_compression(compression: Compression) -> None:
+    """Check that frames can be packed and read so on this computer.
+
+    Raises:
+        UsageError: the package for it is not installed.
+    """
+    if compression == "jpeg-xl" and importlib.util.find_spec("imagecodecs") is None:
+        raise UsageError(f'compression = "jpeg-xl": {_NEEDS_IMAGECODECS}')
+
+
+_NEEDS_IMAGECODECS = "JPEG XL needs the package imagecodecs: pip install anisoscope[jpegxl]"
+
+
+def write_frame(frame: Frame, path: Path, compression: Compression = "none") -> None:
     """Write a frame; the file appears whole or not at all.
+
+    Args:
+        frame: what to write.
+        path: the file.
+        compression: how its counts are packed; without, any program reads them.
 
     Raises:
         RecordError: the folder cannot be written to.
     """
     header = {"anisoscope_frame": SCHEMA} | {name: getattr(frame, name) for name in _NAMES}
+    packing = _packing(frame, compression)
     with appearing(path) as file:
-        tifffile.imwrite(file, frame.counts, description=json.dumps(header), metadata=None)
+        tifffile.imwrite(file, frame.counts, description=json.dumps(header), metadata=None, **packing)
 
 
 def read_frame(path: Path) -> Frame:
@@ -215,5 +256,12 @@ def _picture_and_words(content: bytes, path: Path) -> tuple[npt.NDArray[np.uint1
             page = tiff.pages[0]
             return page.asarray(), str(getattr(page, "description", ""))
     except Exception as problem:  # a damaged TIFF fails in many ways
-        reason = str(problem).split("\n", maxsplit=1)[0]
-        raise RecordError(f"{path}: not a readable TIFF file: {reason}") from problem
+        raise RecordError(f"{path}: {unreadable_tiff(problem)}") from problem
+
+
+def unreadable_tiff(problem: Exception) -> str:
+    """Why a TIFF file cannot be read, in one line; a package that is missing is named."""
+    reason = str(problem).split("\n", maxsplit=1)[0]
+    if "JPEGXL" in reason and importlib.util.find_spec("imagecodecs") is None:
+        return _NEEDS_IMAGECODECS
+    return f"not a readable TIFF file: {reason}"

@@ -41,6 +41,7 @@ from anisoscope.rig.frame import (
     filters_in_header,
     header_of,
     quiet_tifffile,
+    unreadable_tiff,
     write_frame,
 )
 from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL, Line, find_inside, read_lines
@@ -149,8 +150,7 @@ def _tiff(path: Path, data: bytes) -> npt.NDArray[np.generic]:
     except RecordError:
         raise
     except Exception as problem:  # a damaged TIFF fails in many ways
-        reason = str(problem).split("\n", maxsplit=1)[0]
-        raise RecordError(f"{path}: not a readable TIFF file: {reason}") from problem
+        raise RecordError(f"{path}: {unreadable_tiff(problem)}") from problem
 
 
 def _check_page(path: Path, pages: Sequence[object]) -> None:

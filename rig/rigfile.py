@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NameOrFile, Part, Positive, read_toml_model
-from anisoscope.rig.camera import CameraInfo
+from anisoscope.rig.camera import CameraInfo, Compression
 from anisoscope.rig.collisions import AxisTable, Collision
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.stage import Unit
@@ -173,6 +173,10 @@ class CameraPart(Part):
         sensitivities: file ``wavelength_nm,red,green,blue`` (or ``wavelength_nm,mono``) with the relative quantum
             efficiency of its channels, or ``synthetic``, as on the virtual rig; needed where colours are predicted.
         half_angle_deg: of the cone of light that its lens collects; compared with recipes that predict with it.
+        compression: how its frames are packed on disk, without loss: ``zlib``, ``jpeg-xl`` (needs imagecodecs) or
+            ``none``.
+        share_darks_s: seconds during which inspections share dark frames, as long as one of their own agrees; 0: each
+            takes all of its own.
         options: further options of the driver.
     """
 
@@ -180,6 +184,8 @@ class CameraPart(Part):
     pixel_um: Positive
     sensitivities: NameOrFile | None = None
     half_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
+    compression: Compression = "zlib"
+    share_darks_s: Annotated[float, Field(ge=0.0)] = 3600.0
     options: dict[str, Option] = Field(default_factory=dict)
 
 

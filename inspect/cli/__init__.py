@@ -105,8 +105,16 @@ COMMANDS = {
             "history.history:export",
             "Export past inspections as CSV, JSON or JUnit; the filters are those of history.",
         ),
+        "whatif": (
+            "history.whatif:whatif",
+            "Judge past inspections by another recipe: which verdicts change, what that means for escapes and cost.",
+        ),
         "spc": ("statistics.spc:spc", "Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk."),
         "msa": ("statistics.msa:app", "Measurement system analysis: gauge R&R, bias, linearity, stability."),
+        "archive": (
+            "history.archive:app",
+            "Archive finished inspections on a share or in an object store, by rules.",
+        ),
         "verify": (
             "inspect.inspection:verify",
             "Check the hashes of an inspection folder: name files that were changed, removed or added.",
@@ -117,7 +125,7 @@ COMMANDS = {
         ),
         "recompute": (
             "inspect.inspection:recompute",
-            "Judge an inspection again from its raw frames and compare with its record; nothing is written.",
+            "Judge inspections again from their raw frames and compare with their records; nothing is written.",
         ),
     },
     "Set up the rig": {

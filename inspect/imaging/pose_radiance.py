@@ -19,6 +19,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 Image = npt.NDArray[np.float32]
 
 CELLS_PER_PITCH = 4
+STAGE_ANGLE = "stage angle"
 _NOISE_SAMPLE = 1 << 17  # pixels that determine the noise to a fifth of a percent
 
 
@@ -273,7 +274,7 @@ def _components(
         ("linearity of the camera", rig.linearity_share * ones, False),
         ("drift of the lamp", lamp * ones, False),
         ("stray light", rig.stray_radiance / radiance, True),
-        ("stage angle", rig.stage_deg * expected.per_degree, False),
+        (STAGE_ANGLE, rig.stage_deg * expected.per_degree, False),
         ("registration", shift * residual, False),
     )
     return tuple(Component(name, "measurement", relative, shared) for name, relative, shared in found)

@@ -1,6 +1,6 @@
 """The frames of an inspection, read back from its folder: those that count, each with its hash checked."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
@@ -34,8 +34,13 @@ def check_frames(folder: Path) -> None:
         checked(InputFile(name=line.name, sha256=line.sha256), folder)
 
 
-def read_frames(folder: Path, manifest: Manifest) -> AcquiredFrames:
+def read_frames(folder: Path, manifest: Manifest, fresh: Mapping[str, Frame] | None = None) -> AcquiredFrames:
     """Read the frames of a folder that has all of them.
+
+    Args:
+        folder: the inspection folder.
+        manifest: how the inspection began.
+        fresh: frames that this process has just written, by their names; they are not read again.
 
     Raises:
         RecordError: a frame is missing, was changed or is damaged.
@@ -47,7 +52,7 @@ def read_frames(folder: Path, manifest: Manifest) -> AcquiredFrames:
         raise RecordError(f"{folder}: {missing_frames(manifest, journal)} frames are still to be taken")
     lines = [*journal.by_step.values(), *journal.checks(manifest.plan.shots_per_pose if manifest.plan else 1)]
     load = _loader(folder, manifest)
-    shots = tuple(for_each(lambda line: _shot(line, folder, load), lines))
+    shots = tuple(for_each(lambda line: _shot(line, folder, load, fresh or {}), lines))
     first = shots[0].frame
     for shot in shots:
         if (shot.frame.counts.shape, shot.frame.bit_depth) != (first.counts.shape, first.bit_depth):
@@ -57,9 +62,13 @@ def read_frames(folder: Path, manifest: Manifest) -> AcquiredFrames:
     return AcquiredFrames(shots, run.camera, stage, all(one.linear for one in journal.runs))
 
 
-def _shot(line: FrameLine, folder: Path, load: Callable[[bytes, str], Frame]) -> Shot:
+def _shot(
+    line: FrameLine, folder: Path, load: Callable[[bytes, str], Frame], fresh: Mapping[str, Frame]
+) -> Shot:
     """A frame from one read of its file, which is hashed and decoded."""
-    frame = load(checked_content(InputFile(name=line.name, sha256=line.sha256), folder), line.name)
+    frame = fresh.get(line.name)
+    if frame is None:
+        frame = load(checked_content(InputFile(name=line.name, sha256=line.sha256), folder), line.name)
     check = line.step is None
     return Shot(line.name, line.sha256, frame, line.pose, line.again, line.run, check, line.linear_mm)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from anisoscope.base.errors import RecordError
 from anisoscope.base.signature import Trust
 from anisoscope.inspection.folder import JOB, files_in
+from anisoscope.inspection.kept_measurement import KEPT_NAME
 from anisoscope.inspection.manifest import read_job_file
 from anisoscope.inspection.report_seal import OWN, SEAL_NAME, ReportState, report_state
 from anisoscope.record.schema import (
@@ -85,7 +86,7 @@ def verify(folder: Path, trust: Trust | None = None) -> Verified:
     own = (
         {RECORD_NAME, SIGNATURE_NAME}
         if listed is not None
-        else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME, SEAL_NAME}
+        else {RECORD_NAME, JOB, JOURNAL, KEPT_NAME, REPORT_NAME, SEAL_NAME}
     )
     report = None if listed is None else report_state(folder, listed)
     if report is not None and not report.by_record:

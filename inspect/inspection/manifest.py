@@ -17,6 +17,7 @@ from anisoscope.calibration.corrections import calibrations_of
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.inspection.folder import INPUTS, JOB
 from anisoscope.inspection.job import Job, Role, Source, fixture_of
+from anisoscope.inspection.objects import LARGE, store
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.logo import LOGO, with_logo
 from anisoscope.record.schema import InputFile, Particulars, sha256_of
@@ -81,8 +82,19 @@ def begin(
     frames: int,
     rig_folder: Path,
     refused: str | None = None,
+    share: bool = False,
 ) -> Manifest:
     """Copy the files of a job into ``inputs/`` and write ``job.json``, which makes the folder one to be resumed.
+
+    Args:
+        folder: of the inspection, or a temporary one.
+        job: what is inspected.
+        particulars: who inspects which lot where.
+        plan: what is photographed; None for a replay.
+        frames: number of frames of a whole inspection.
+        rig_folder: where the rig file is.
+        refused: why the part is INVALID without being photographed.
+        share: large files are on the disk once for all inspections next to this one (`anisoscope.inspection.objects`).
 
     Raises:
         RecordError: the folder cannot be written.
@@ -97,7 +109,7 @@ def begin(
         plan=plan,
         frames=frames,
         rig_folder=str(rig_folder.resolve()),
-        inputs=tuple(_copy(source, folder) for source in job.sources),
+        inputs=tuple(_copy(source, folder, share=share) for source in job.sources),
         refused=refused,
     )
     _write(manifest, folder)
@@ -121,27 +133,30 @@ def _write(manifest: Manifest, folder: Path) -> None:
     write_text(folder / JOB, json.dumps(manifest.model_dump(mode="json", by_alias=True), indent=2) + "\n")
 
 
-def _copy(source: Source, folder: Path) -> InputCopy:
+def _copy(source: Source, folder: Path, *, share: bool) -> InputCopy:
     # The table of a replay describes the frames of its own folder.
     target = folder / (FRAMES if source.role == "frame table" else INPUTS) / source.path.name
     in_place = source.path == target
     if target.exists() and not in_place:
         target = target.with_name(f"{source.role.replace(' ', '-')}-{source.path.name}")
-    try:
-        target.parent.mkdir(exist_ok=True)
-        content = source.path.read_bytes()
-        if not in_place:
-            target.write_bytes(content)
-    except OSError as error:
-        raise RecordError(f"cannot copy {source.path} to {target}: {error.strerror}") from error
-    if hashlib.sha256(content).hexdigest() != source.sha256:
-        raise UsageError(f"{source.path} was changed while the inspection began: start it again")
-    return InputCopy(
+    copy = InputCopy(
         role=source.role,
         name=target.relative_to(folder).as_posix(),
         sha256=source.sha256,
         original=str(source.path.resolve()),
     )
+    try:
+        target.parent.mkdir(exist_ok=True)
+        content = source.path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != source.sha256:
+            raise UsageError(f"{source.path} was changed while the inspection began: start it again")
+        if share and len(content) >= LARGE:
+            store(content, copy, folder)
+        elif not in_place:
+            target.write_bytes(content)
+    except OSError as error:
+        raise RecordError(f"cannot copy {source.path} to {target}: {error.strerror}") from error
+    return copy
 
 
 def read_job_file(folder: Path) -> Manifest:

@@ -183,6 +183,11 @@ def _past(row: Row, decided: Sequence[Disposition], *, thumbnail: bool) -> Past:
     return Past(row, conclusion, disposition, picture, (Path(row.folder) / REPORT_NAME).is_file())
 
 
+def thumbnail_of(row: Row) -> str | None:
+    """The part at the first pose as a data URI; None where its folder is gone or damaged."""
+    return _past(row, (), thumbnail=True).thumbnail
+
+
 def _photographs(row: Row) -> tuple[Photograph, ...]:
     try:
         return photographs_of(Path(row.folder), record_of(row), PHOTOGRAPH_PX)

@@ -13,6 +13,7 @@ from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.registration.placement import View
 from anisoscope.imaging.views import as_photographed, resuming_error, views_of
 from anisoscope.inspection.job import Job
+from anisoscope.inspection.kept_measurement import CHANGE, Kept
 from anisoscope.inspection.manifest import Manifest
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation, Reference, Results, Sitting
 from anisoscope.recipe.base import RecipeBase
@@ -21,8 +22,9 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures
 from anisoscope.rig.camera import UNCALIBRATED
 
-Judged = tuple[Record, Callable[[], Pictures]]
-"""A record, and what makes the pictures of its report, which the verdict does not wait for."""
+Judged = tuple[Record, Callable[[], Pictures], Kept | None]
+"""A record, what makes the pictures of its report, which the verdict does not wait for, and the numbers
+of its measurement that are stored, if any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,18 +87,18 @@ def judge(
         now: the time of the record.
 
     Returns:
-        The record, without the list of the folder's files, and what makes the pictures of the report.
+        The record, without the list of the folder's files, what makes the pictures of the report, and what is kept.
     """
     kind, recipe, reference = job.kind, job.recipe, job.reference
     if manifest.refused is not None:
         record = make_record(manifest, job, expected, frames, now(), (manifest.refused,))
-        return record, lambda: Pictures(surface=expected.surface)
+        return record, lambda: Pictures(surface=expected.surface), None
     try:
         sitting, measured, change = measure_frames(manifest.began, job, expected, frames)
         decided = kind.decide(sitting, recipe, expected, measured, reference)
     except (MeasurementError, CameraError) as error:
         record = make_record(manifest, job, expected, frames, now(), (str(error),))
-        return record, lambda: Pictures(raw=as_photographed(frames), surface=expected.surface)
+        return record, lambda: Pictures(raw=as_photographed(frames), surface=expected.surface), None
     invalid_reason = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
     explanation = Explanation()
     if not invalid_reason and (final or decided.verdict is not Verdict.INCONCLUSIVE):
@@ -115,7 +117,9 @@ def judge(
         explanation=explanation,
         drift=measured.drift,
     )
-    return record, lambda: kind.pictures(recipe, expected, measured, decided)
+    kept = kind.kept(job.calibrations.applied_to(recipe), measured)
+    kept = None if kept is None else {**kept, CHANGE: change}
+    return record, lambda: kind.pictures(recipe, expected, measured, decided), kept
 
 
 def measure_frames(

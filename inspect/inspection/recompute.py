@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from anisoscope.base.errors import RecordError
+from anisoscope.base.errors import AnisoscopeError, RecordError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.inspection.folder import JOB
 from anisoscope.inspection.frames import read_frames
@@ -70,7 +70,7 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     # the prediction is made anew: a cached one would not prove that the numbers follow from the folder
     expected = job.kind.predict(job.recipe, job.rig, cached=False)
     on_progress("measurement", 0, 1)
-    record, _ = judge(manifest, job, expected, read_frames(folder, manifest), on_progress)
+    record, *_ = judge(manifest, job, expected, read_frames(folder, manifest), on_progress)
     # fields that an earlier version lacked cannot be compared
     old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
     job.kind.rename_in(old)
@@ -97,6 +97,14 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
             f"not compared, because the version that recorded did not tell it: {', '.join(sorted(unrecorded))}",
         )
     return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
+
+
+def recompute_or_reason(folder: Path) -> Recomputed | str:
+    """The same without exceptions, for many folders: where a folder cannot be judged again, the reason."""
+    try:
+        return recompute(folder)
+    except AnisoscopeError as error:
+        return " ".join(str(error).split())
 
 
 def _causes(document: dict[str, Any]) -> set[str]:

@@ -95,6 +95,7 @@ def inspect_frames(
             plan=None,
             frames=len(given.replay.entries),
             rig_folder=given.rig_path.resolve().parent,
+            share=True,
         )
         acquired = _copy(given.replay, given.frames, folder, on_progress)
         on_progress("measurement", 0, 1)

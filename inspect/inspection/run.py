@@ -5,7 +5,7 @@ The report follows the record, at once or in the background (`anisoscope.inspect
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -19,7 +19,9 @@ from anisoscope.inspection.folder import SCAN, add_resume_hint, new_folder, swee
 from anisoscope.inspection.frames import check_frames, missing_frames, read_frames
 from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
+from anisoscope.inspection.kept_measurement import write_kept
 from anisoscope.inspection.manifest import Manifest, begin, one_round_more, reopen
+from anisoscope.inspection.objects import SharedDarks, begin_series, shared_darks
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
 from anisoscope.inspection.report_seal import report_state, write_report_sealed
 from anisoscope.inspection.reports import PendingReport, Reports
@@ -41,6 +43,7 @@ from anisoscope.report.surface_view import Picture3D, SurfaceView
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_rig, run_plan
+from anisoscope.rig.frame import Frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -178,9 +181,11 @@ def inspect_part(
                 plan=plan,
                 frames=plan.frame_count,
                 rig_folder=here,
+                share=True,
             )
-            _photograph(manifest, rig, folder, on_progress, cancel)
-            manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel)
+            darks = shared_darks(folder, plan, rig, now)
+            fresh = _photograph(manifest, rig, folder, on_progress, cancel, darks, now)
+            manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel, fresh)
         concluded = conclude(folder, manifest, job, ready, on_progress, judged)
     return reported(*concluded, reports, on_progress)
 
@@ -204,7 +209,7 @@ def _refused(
     """An INVALID inspection without photographs, because a calibration does not hold any more."""
     with expecting(job, advance, methods=methods) as ready, new_folder(out, job.serial) as folder:
         here = rig_path.resolve().parent
-        manifest = begin(folder, job, particulars, plan=None, frames=0, rig_folder=here)
+        manifest = begin(folder, job, particulars, plan=None, frames=0, rig_folder=here, share=True)
         return conclude(folder, manifest, job, ready, advance)
 
 
@@ -278,8 +283,8 @@ def _resumed(
             with open_rig(job.rig) as rig:
                 _check_rig(rig, manifest.plan, job)
                 ready = ready or cleanup.enter_context(expecting(job, on_progress, mates, methods))
-                _photograph(manifest, rig, folder, on_progress, cancel)
-                manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel)
+                fresh = _photograph(manifest, rig, folder, on_progress, cancel)
+                manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel, fresh)
             return conclude(folder, manifest, job, ready, on_progress, judged)
 
 
@@ -307,15 +312,30 @@ def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
 
 
 def _photograph(
-    manifest: Manifest, rig: Rig, folder: Path, advance: Advance, cancel: threading.Event | None
-) -> None:
+    manifest: Manifest,
+    rig: Rig,
+    folder: Path,
+    advance: Advance,
+    cancel: threading.Event | None,
+    darks: SharedDarks | None = None,
+    began: datetime | None = None,
+) -> dict[str, Frame]:
+    """Carry out a plan; the frames that were taken, and dark ones that were taken over, by their names in the folder.
+
+    A new inspection, which ``began`` at a time, shares the dark frames that it takes.
+    """
     assert manifest.plan is not None
     part = (manifest.serial, manifest.particulars.lot)
 
     def report_progress(now: Progress) -> None:
         advance(now.text, now.done, now.total)
 
-    run_plan(manifest.plan, rig, folder, on_progress=report_progress, cancel=cancel, part=part)
+    taken = run_plan(
+        manifest.plan, rig, folder, on_progress=report_progress, cancel=cancel, part=part, darks=darks
+    )
+    if began is not None:
+        begin_series(folder, manifest.plan, rig, taken, began)
+    return {one.path.relative_to(folder).as_posix(): one.frame for one in taken}
 
 
 def _decide(
@@ -326,23 +346,31 @@ def _decide(
     ready: "Ready",
     advance: Advance,
     cancel: threading.Event | None,
+    fresh: dict[str, Frame],
 ) -> tuple[Manifest, Judged]:
     """Judge; repeat an INCONCLUSIVE measurement in the same seating, up to the number of rounds in the recipe.
 
     All frames of a pose are averaged, whichever round took them, so that noise and flicker shrink; what is
-    systematic stays.
+    systematic stays. ``fresh`` frames, by their names, are not read from the disk again.
     """
     while True:
-        judged = _judge(manifest, folder, job, ready, advance)
+        judged = _judge(manifest, folder, job, ready, advance, fresh)
         if _settled(manifest, job, judged):
             return manifest, judged
         manifest = one_round_more(folder, manifest)
-        _photograph(manifest, rig, folder, advance, cancel)
+        fresh |= _photograph(manifest, rig, folder, advance, cancel)
 
 
-def _judge(manifest: Manifest, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
+def _judge(
+    manifest: Manifest,
+    folder: Path,
+    job: Job,
+    ready: "Ready",
+    advance: Advance,
+    fresh: Mapping[str, Frame] | None = None,
+) -> Judged:
     advance("measurement", 0, 1)
-    frames, final = read_frames(folder, manifest), _is_last_round(manifest, job)
+    frames, final = read_frames(folder, manifest, fresh), _is_last_round(manifest, job)
     return judged_by(manifest, job, ready, frames, advance, final=final)
 
 
@@ -439,7 +467,9 @@ def conclude(
         advance("measurement", 0, 1)
         frames = read_frames(folder, manifest)
         judged = judged_by(manifest, job, ready, frames, advance)
-    record, pictures = judged
+    record, pictures, kept = judged
+    if kept is not None:
+        write_kept(kept, folder)
     known = {file.name: file.sha256 for file in (*record.inputs, *record.frames)}
     record = record.model_copy(update={"files": listed_files(folder, known)})
     write_record(record, folder)
@@ -485,7 +515,9 @@ def report_again(folder: Path, record: Record, advance: Advance = silent) -> str
     job = replace(job, recipe=job.kind.as_recorded(job.recipe, record.recipe))
     with expecting(job, advance) as ready:
         frames = read_frames(folder, manifest)
-        _, pictures = judge(manifest, job, ready.expected, frames, advance, diagnose=lambda *_: Explanation())
+        _, pictures, _ = judge(
+            manifest, job, ready.expected, frames, advance, diagnose=lambda *_: Explanation()
+        )
         return _page(record, pictures, folder, job, ready)[0]
 
 

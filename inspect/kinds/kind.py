@@ -319,6 +319,34 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
     ) -> Results:
         """Results of measurement and verdict for the record."""
 
+    def kept(self, recipe: RecipeT, measured: MeasuredT) -> Mapping[str, Any] | None:
+        """What a changed recipe needs to decide anew (`decide_again`): arrays, numbers and texts by name.
+
+        None, the default, where that takes the frames.
+        """
+        del recipe, measured
+        return None
+
+    def needs_frames(self, recorded: Mapping[str, Any], recipe: RecipeT) -> str | None:
+        """Why a recipe takes the frames of an inspection that was recorded by another one; None: its numbers will do.
+
+        Args:
+            recorded: the recipe in the record.
+            recipe: the other one.
+        """
+        del recorded, recipe
+        return f"of {self.one} only the frames are kept"
+
+    def decide_again(
+        self, kept: Mapping[str, Any], recipe: RecipeT, expected: ExpectedT, reference: Reference | None
+    ) -> tuple[MeasuredT, DecidedT]:
+        """Measurement and verdict by another recipe, without the frames; arguments as of `decide`.
+
+        Raises:
+            MeasurementError: nothing can be judged: INVALID.
+        """
+        raise NotImplementedError
+
     def without_results(self) -> Details | None:
         """The details of an inspection that could not be judged."""
         return None

@@ -27,16 +27,23 @@ from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import cell_log_ratios
-from anisoscope.imaging.pose_radiance import Measured, mean_of, measure, region_grid
+from anisoscope.imaging.pose_radiance import STAGE_ANGLE, Measured, mean_of, measure, region_grid
 from anisoscope.imaging.predicted_cells import even_cells, pitch_means
 from anisoscope.imaging.quality_gates import check_views
-from anisoscope.imaging.registration.placement import View, resample
+from anisoscope.imaging.registration.placement import Grid, View, resample
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
-from anisoscope.prediction.expectation import EDGE_RADIUS, PLASTIC, Expectation, SurfaceOptics, expectation
+from anisoscope.prediction.expectation import (
+    EDGE_RADIUS,
+    PLASTIC,
+    Component,
+    Expectation,
+    SurfaceOptics,
+    expectation,
+)
 from anisoscope.prediction.part_scatter import (
     NamedDefect,
     PartScatter,
@@ -46,6 +53,7 @@ from anisoscope.prediction.part_scatter import (
 )
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.quality.capability import recipe_tolerances
+from anisoscope.recipe.base import LimitsPart
 from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, check_material, read_surface_recipe
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
@@ -62,6 +70,14 @@ from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
 RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
+MEASURED_BY = (
+    "poses",
+    "region",
+    "surface.pitch_um",
+    *(f"uncertainty.{one}" for one in ("stage_deg", "flat_share", "linearity_share", "stray_radiance")),
+    *(f"limits.{one}" for one in LimitsPart.model_fields if one != "drift"),
+)
+"""Keys of a recipe that the measurement depends on; all others concern the prediction or the decision."""
 HEIGHT_MAP = "height map"
 MATERIAL = "material"
 
@@ -189,6 +205,59 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         if golden is not None and parts is None and len(golden.parts) <= golden.directions:
             golden = None
         return decide(expected, measured, recipe, golden, parts)
+
+    def kept(self, recipe: RecipeT, measured: Measured) -> Mapping[str, Any]:
+        """Radiances, cells and uncertainties; the pictures are in the frames."""
+        grid, parts = measured.grid, measured.components
+        return {
+            "radiance": measured.radiance,
+            "cells": measured.cells,
+            "cell_noise": measured.cell_noise,
+            "sources": [part.source for part in parts],
+            "relative": [part.relative for part in parts],
+            "shared": [part.shared for part in parts],
+            "grid_center_mm": grid.center_mm,
+            "grid_pixel_mm": grid.pixel_mm,
+            "grid_shape": grid.shape,
+            "grid_turn_deg": grid.turn_deg,
+            "drift": np.nan if measured.drift is None else measured.drift,
+            "stage_deg": recipe.uncertainty.stage_deg,
+        }
+
+    def needs_frames(self, recorded: Mapping[str, Any], recipe: RecipeT) -> str | None:
+        """The region, the poses, the pitch, or a limit of the measurement was changed."""
+        now = recipe.model_dump(mode="json", by_alias=True)
+        for key in MEASURED_BY:
+            before, after = _value(recorded, key), _value(now, key)
+            if before is not None and before != after:
+                return f"{key} is {after}, the inspection was by {before}"
+        return None
+
+    def decide_again(
+        self, kept: Mapping[str, Any], recipe: RecipeT, expected: Expectation, reference: Reference | None
+    ) -> tuple[Measured, Decision]:
+        """Measurement and verdict by another recipe; the stage angle weighs by the slope of the new prediction."""
+        slopes = float(kept["stage_deg"]) * expected.per_degree
+        parts = zip(kept["sources"], kept["relative"], kept["shared"], strict=True)
+        drift = float(kept["drift"])
+        measured = Measured(
+            radiance=kept["radiance"],
+            components=tuple(
+                Component(str(name), "measurement", slopes if name == STAGE_ANGLE else relative, bool(shared))
+                for name, relative, shared in parts
+            ),
+            aligned=(),
+            cells=kept["cells"],
+            cell_noise=kept["cell_noise"],
+            grid=Grid(
+                (float(kept["grid_center_mm"][0]), float(kept["grid_center_mm"][1])),
+                float(kept["grid_pixel_mm"]),
+                (int(kept["grid_shape"][0]), int(kept["grid_shape"][1])),
+                float(kept["grid_turn_deg"]),
+            ),
+            drift=None if np.isnan(drift) else drift,
+        )
+        return measured, self.decide(cast("Sitting", None), recipe, expected, measured, reference)
 
     def part_scatter(self, recipe: SurfaceRecipe, light_angle_deg: float) -> PartScatter | None:
         """How good parts scatter; None where only their own scatter counts."""
@@ -424,6 +493,14 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
                 for region, word in named_regions(record, self.cause_words)[:MAX_REGIONS]
             ]
         return CommandOutput(content, tuple(tables), tuple(lines))
+
+
+def _value(table: Mapping[str, Any], key: str) -> Any:  # noqa: ANN401 - what JSON holds
+    """The value of a key with dots, or None."""
+    found: Any = table
+    for name in key.split("."):
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found
 
 
 def _chance_text(reading: ReadingRecord) -> str:

@@ -235,7 +235,7 @@ def _surface(surface: HeightMap | None, view: Picture3D | None) -> dict[str, Any
     return {
         "surface_picture": above,
         "surface_profile": profile,
-        "surface_3d": figures.png_uri(view.png) if view and view.png else None,
+        "surface_3d": figures.still_picture(view.png) if view and view.png else None,
         "surface_note": view.note if view else "none was asked for",
         "viewer": viewer,
         "script_sources": viewer.script_sources if viewer else (),

@@ -1,4 +1,4 @@
-"""Pages of past inspections: the history as a table that filters itself, and two inspections side by side."""
+"""Pages of past inspections: a table that filters itself, two side by side, and all of them under another recipe."""
 
 import base64
 import hashlib
@@ -142,3 +142,76 @@ def _cells(one: Compared) -> tuple[str, ...]:
     forms = ((one.difference, "+.3g"), (one.u, ".2g"), (one.ratio, "+.1f"))
     values += ["–" if value is None else format(value, form) for value, form in forms]
     return tuple(map(true_minus, values))
+
+
+MOST_PICTURES = 48
+
+
+@dataclass(frozen=True)
+class FlippedPart:
+    """A part whose verdict changes.
+
+    Attributes:
+        serial: its serial number.
+        before, after: verdicts.
+        reason: first reason of the new verdict.
+        disposition: the last decision of a reviewer, or None.
+        judged_from: "kept" numbers, or "frames".
+        picture: at the first pose, as a data URI, or None.
+        report: address of its report, or None.
+    """
+
+    serial: str
+    before: str
+    after: str
+    reason: str
+    disposition: str | None
+    judged_from: str
+    picture: str | None
+    report: str | None
+
+
+@dataclass(frozen=True)
+class RiskLine:
+    """A risk before and after, as texts with intervals."""
+
+    name: str
+    before: str
+    after: str
+
+
+def write_whatif_page(
+    path: Path,
+    title: str,
+    facts: Sequence[tuple[str, str]],
+    verdicts: Sequence[str],
+    table: Sequence[tuple[str, Sequence[int]]],
+    risks: Sequence[RiskLine],
+    parts: Sequence[FlippedPart],
+    unjudged: Sequence[tuple[str, str]],
+) -> None:
+    """Write the page, atomically.
+
+    Args:
+        path: file to write.
+        title: of the page.
+        facts: names and values of what belongs to all.
+        verdicts: column names of the table, verdicts by the other recipe.
+        table: a line a verdict before, with the numbers of inspections.
+        risks: escapes, false rejects, cost.
+        parts: whose verdict changes.
+        unjudged: serial numbers and reasons of those that could not be judged.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    content = {
+        "title": title,
+        "facts": facts,
+        "verdicts": verdicts,
+        "table": table,
+        "risks": risks,
+        "parts": parts,
+        "unjudged": unjudged,
+    }
+    write_page(path, "whatif.html", content)

@@ -5,10 +5,12 @@ is cached by the heights and by what draws them.
 
 The scene is one document that stands in a sandboxed frame and asks nobody for anything. The viewer is the offline
 page of trame-vtk. Its scripts, and the few lines here, are the only ones that the policy of the page names, by their
-hashes; the map itself is a block of text that is never run.
+hashes; the map itself is a block of text that is never run. The viewer, a megabyte in every report, is packed by gzip
+and unpacked by the browser.
 """
 
 import base64
+import gzip
 import hashlib
 import importlib.util
 import io
@@ -288,6 +290,15 @@ function loadDataSet() {
   const base64Str = document.getElementById("state").textContent;
   OfflineLocalView.load(document.querySelector(".content"), { base64Str });
 }
+const packed = document.getElementById("viewer-script");
+const bytes = Uint8Array.from(atob(packed.textContent), sign => sign.charCodeAt(0));
+const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+new Response(stream).text().then(source => {
+  const script = document.createElement("script");
+  script.type = packed.dataset.type;
+  script.textContent = source;
+  append(script);
+});
 let held = false;
 addEventListener("pointerdown", () => { held = true; }, true);
 document.documentElement.addEventListener("mouseleave", () => { held = false; });
@@ -308,6 +319,7 @@ addEventListener("keydown", event => {
 });
 """
 _SCRIPT = re.compile(r"<script([^>]*)>(.*?)</script>", re.DOTALL)
+_LONG_SCRIPT = 10_000
 
 
 @dataclass(frozen=True)
@@ -332,14 +344,14 @@ def viewer_of(state: bytes) -> Viewer | None:
     page = _page()
     if page is None:
         return None
-    head, body = page
+    head, body, sources = page
     data = f'<script type="text/plain" id="state">{base64.b64encode(state).decode("ascii")}</script>\n'
-    return Viewer(head + data + body, _sources(head + body))
+    return Viewer(head + data + body, sources)
 
 
 @cache
-def _page() -> tuple[str, str] | None:
-    """Viewer page before and after the place of the data, constant from report to report."""
+def _page() -> tuple[str, str, tuple[str, ...]] | None:
+    """Viewer page before and after the place of the data, and the hashes of its scripts: the same in every report."""
     found = importlib.util.find_spec("trame_vtk")
     if found is None or found.origin is None:
         return None
@@ -351,10 +363,21 @@ def _page() -> tuple[str, str] | None:
     text = text.replace("</head>", _STYLE + "</head>", 1)
     before, opened, after = text.partition("<body>")
     place = f'\n<div class="content" tabindex="0" role="img" aria-label="{LABEL}"></div>\n'
-    return before + opened + place, f"<script>{_LOADER}</script>" + after
+    head, loader = before + opened + place, f"<script>{_LOADER}</script>"
+    return head, _SCRIPT.sub(_packed, after) + loader, _sources(head + after + loader)
 
 
-@cache
+def _packed(script: re.Match[str]) -> str:
+    """A long script as text that the loader unpacks; a short one as it is."""
+    attributes, content = script.groups()
+    if len(content) < _LONG_SCRIPT:
+        return script[0]
+    kind = re.search(r'type="([\w/]+)"', attributes)
+    zipped = base64.b64encode(gzip.compress(content.encode(), 9, mtime=0)).decode("ascii")
+    data = f'data-type="{kind[1] if kind else ""}"'
+    return f'<script type="text/plain" id="viewer-script" {data}>{zipped}</script>'
+
+
 def _sources(page: str) -> tuple[str, ...]:
     scripts = [content for _, content in _SCRIPT.findall(page)]
     digests = [hashlib.sha256(content.encode()).digest() for content in scripts]

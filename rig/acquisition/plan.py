@@ -197,6 +197,12 @@ class Plan:
         """Number of frames that the plan takes."""
         return self._stops()[-1].steps.stop
 
+    @property
+    def dark_steps(self) -> tuple[range, ...]:
+        """Steps of the dark frames, a range for every exposure."""
+        count = self.dark_frames
+        return tuple(range(k * count, (k + 1) * count) for k in range(len(self.exposures_s) if count else 0))
+
     def complete(self, done: Collection[int]) -> set[int]:
         """Those of the steps that belong to stops of which every frame is done."""
         whole = [stop.steps for stop in self._stops() if all(step in done for step in stop.steps)]
@@ -215,7 +221,7 @@ class Plan:
         yield LightEvent(on=False)
         for stop in left:
             if stop.pose is None:
-                yield from self._frames(stop)
+                yield from self._darks(stop.steps)
         left = [stop for stop in left if stop.pose is not None]
         if left:
             yield LightEvent(on=True)
@@ -226,17 +232,28 @@ class Plan:
                 yield from self._frames(stop)
         yield LightEvent(on=False, needed=False)
 
+    def _darks(self, steps: Collection[int]) -> Iterator[Event]:
+        """Take these dark frames, exposure by exposure."""
+        for exposure_s, all_steps in zip(self.exposures_s, self.dark_steps, strict=True):
+            wanted = [step for step in all_steps if step in steps]
+            if self.brackets and wanted:
+                yield ExposeEvent(exposure_s)
+            for step in wanted:
+                yield DarkEvent(step)
+
+    def first_darks(self) -> Iterator[Event]:
+        """Take one dark frame of every exposure, to be compared with those of other parts."""
+        yield LightEvent(on=False)
+        yield from self._darks([steps[0] for steps in self.dark_steps])
+
     def _frames(self, stop: _Stop, *, check: bool = False) -> Iterator[Event]:
         """Go there, and take the frames exposure by exposure; a check of the first pose is no step of the plan."""
-        if stop.pose is not None:
-            yield MoveEvent(stop.pose, self.settle_s)
+        assert stop.pose is not None
+        yield MoveEvent(stop.pose, self.settle_s)
         for number, step in enumerate(stop.steps):
             if self.brackets and number % stop.each == 0:
                 yield ExposeEvent(self.exposures_s[number // stop.each])
-            if stop.pose is None:
-                yield DarkEvent(step)
-            else:
-                yield SampleEvent(stop.pose, None if check else step, again=check or stop.again)
+            yield SampleEvent(stop.pose, None if check else step, again=check or stop.again)
 
     def _stops(self) -> list[_Stop]:
         visits: list[tuple[Pose | None, bool]] = [(pose, False) for pose in self.poses]

@@ -2,12 +2,12 @@
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from anisoscope.rig.acquisition.plan import (
 )
 from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, Shot
 from anisoscope.rig.camera import CameraSettings
-from anisoscope.rig.frame import Frame, FrameKind
+from anisoscope.rig.frame import Frame, FrameKind, check_compression
 from anisoscope.rig.light import rest
 from anisoscope.rig.rigfile import RigFile, check_arm
 from anisoscope.rig.stage import SYMBOLS, RotationStage
@@ -41,7 +41,9 @@ def check_plan(plan: Plan, rig: Rig) -> None:
         RigError: a tilt that the arm does not have, or a place without axes that go there.
         RigFileError: an angle or a place that cannot be reached from below within the limits of its axis.
         LimitExceeded: axes would collide at a pose, or on the way to it.
+        UsageError: frames cannot be packed as the rig file says.
     """
+    check_compression(rig.file.camera.compression)
     if any(plan.seat.place_mm) and not {"x", "y"} <= rig.linear.keys():
         x_mm, y_mm = plan.seat.place_mm
         raise RigError(
@@ -170,7 +172,16 @@ class Watch:
             self._thread.join()
 
 
-__all__ = ["FrameRecord", "Progress", "ProgressSink", "Rig", "check_plan", "open_rig", "run_plan"]
+__all__ = [
+    "FrameRecord",
+    "KnownDarks",
+    "Progress",
+    "ProgressSink",
+    "Rig",
+    "check_plan",
+    "open_rig",
+    "run_plan",
+]
 
 
 @dataclass(frozen=True)
@@ -185,6 +196,19 @@ class Progress:
 ProgressSink = Callable[[Progress], None]
 
 
+class KnownDarks(Protocol):
+    """Dark frames that were taken before, and whether they still hold."""
+
+    @property
+    def shots(self) -> tuple[Shot, ...]:
+        """One a frame, with its step in the plan and its file."""
+        ...
+
+    def agree(self, own: Sequence[Frame]) -> bool:
+        """Whether dark frames taken now, one of every exposure, are like them."""
+        ...
+
+
 def run_plan(
     plan: Plan,
     rig: Rig,
@@ -192,6 +216,7 @@ def run_plan(
     on_progress: ProgressSink | None = None,
     cancel: threading.Event | None = None,
     part: tuple[str | None, str | None] = (None, None),
+    darks: KnownDarks | None = None,
 ) -> list[FrameRecord]:
     """Carry out a plan; every frame is written to ``folder/frames`` and entered in the journal as it arrives.
 
@@ -207,9 +232,10 @@ def run_plan(
         on_progress: receives the progress.
         cancel: setting it, from any thread, stops the axes at once and ends the acquisition with a `RigError`.
         part: serial number and lot of the sample, which enter the metadata of its frames.
+        darks: dark frames of earlier inspections, which a new one takes over where one of its own agrees with them.
 
     Returns:
-        The frames taken now.
+        The frames taken now, and dark ones that were taken over.
 
     Raises:
         RigError: a tilt that the arm does not have, a cancel, or a device in trouble.
@@ -226,11 +252,12 @@ def run_plan(
     cancel = cancel or threading.Event()
     watch = Watch(rig.stop, cancel)
     with JournalFile(folder) as lines:
-        writer = FrameWriter(folder, lines, len(journal.runs), len(journal.frames), watch.trouble)
+        number, packing = len(journal.frames), rig.file.camera.compression
+        writer = FrameWriter(folder, lines, len(journal.runs), number, watch.trouble, packing)
         writer.part = part
         try:
             with writer, watch, _safe_afterwards(rig):
-                run = _Run(plan, rig, journal, writer, watch, on_progress or (lambda _: None))
+                run = _Run(plan, rig, journal, writer, watch, on_progress or (lambda _: None), darks)
                 lines.append([run.opening_line()])
                 run.execute()
         except RigError as error:
@@ -253,9 +280,17 @@ def _safe_afterwards(rig: Rig) -> Iterator[None]:
 
 class _Run:
     def __init__(
-        self, plan: Plan, rig: Rig, journal: Journal, writer: FrameWriter, watch: Watch, report: ProgressSink
+        self,
+        plan: Plan,
+        rig: Rig,
+        journal: Journal,
+        writer: FrameWriter,
+        watch: Watch,
+        report: ProgressSink,
+        darks: KnownDarks | None,
     ) -> None:
         self.plan, self.rig, self.writer, self.watch, self.report = plan, rig, writer, watch, report
+        self.darks = darks
         self.number = len(journal.runs)
         self.before = journal.by_step
         self.acquired = 0
@@ -282,10 +317,33 @@ class _Run:
         reusable = self._reusable_steps()
         self.total = self.plan.frame_count - len(reusable)
         self._home()
+        if not self.before:
+            reusable = self._shared_darks()
+            self.total -= len(reusable) - self.acquired
         for event in self.plan.remaining(reusable):
             self._check_halt()
             self._do(event)
         self._check_halt()
+
+    def _shared_darks(self) -> set[int]:
+        """Take a dark frame of every exposure; where they agree with those of others, these serve for the other steps.
+
+        Returns the steps that are done: all dark ones, or none.
+        """
+        if self.darks is None:
+            return set()
+        own: dict[int, Frame] = {}
+        for event in self.plan.first_darks():
+            self._check_halt()
+            if isinstance(event, DarkEvent):
+                own[event.step] = self._take("dark", event.step)
+            else:
+                self._do(event)
+        if not self.darks.agree(list(own.values())):
+            return set()
+        for shot in self.darks.shots:
+            self.writer.put(shot)
+        return set(own) | {shot.step for shot in self.darks.shots if shot.step is not None}
 
     def _expose_for(self, exposure_s: float) -> None:
         """Set the exposure; those of a bracket must not become one and the same in the camera."""
@@ -385,12 +443,13 @@ class _Run:
         below = target - self.rig.file.axes[table].approach
         return (below, target) if self.rig.by_table[table].position_deg() > below else (target,)
 
-    def _take(self, kind: FrameKind, step: int | None, *, again: bool = False) -> None:
+    def _take(self, kind: FrameKind, step: int | None, *, again: bool = False) -> Frame:
         frame = self._expose(kind)
         self.acquired += 1
         linear = {table: self.readings[table] for table in self.rig.linear}
         self.writer.put(Shot(frame, self.pose, step, again, linear))
         self._report(f"{kind} frame at {frame.stage_deg:.3f}°")
+        return frame
 
     def _expose(self, kind: FrameKind) -> Frame:
         info = self.rig.camera.info

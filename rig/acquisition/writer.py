@@ -14,6 +14,7 @@ from typing import Self
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile
 from anisoscope.rig.acquisition.plan import Pose
+from anisoscope.rig.camera import Compression
 from anisoscope.rig.frame import Frame, write_frame
 
 FRAMES = "frames"
@@ -31,6 +32,7 @@ class FrameRecord:
         step: number of the frame in the plan; None for a check on resuming.
         sha256: of the file.
         linear_mm: readings of x, y and z, of a rig that has them.
+        before: whether it was taken before this acquisition.
     """
 
     path: Path
@@ -40,17 +42,19 @@ class FrameRecord:
     step: int | None
     sha256: str
     linear_mm: Mapping[str, float] = field(default_factory=dict)
+    before: bool = False
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A frame that waits to be written."""
+    """A frame that waits to be written; one that was taken before may have a file and its SHA-256 already."""
 
     frame: Frame
     pose: Pose
     step: int | None
     again: bool
     linear_mm: Mapping[str, float] = field(default_factory=dict)
+    before: tuple[Path, str] | None = None
 
 
 class FrameWriter:
@@ -65,16 +69,23 @@ class FrameWriter:
         run: number of the run.
         number: number of the next file.
         on_trouble: called, in the thread of the writer, when writing fails.
+        compression: how frames are packed.
     """
 
     def __init__(
-        self, folder: Path, journal: JournalFile, run: int, number: int, on_trouble: Callable[[], None]
+        self,
+        folder: Path,
+        journal: JournalFile,
+        run: int,
+        number: int,
+        on_trouble: Callable[[], None],
+        compression: Compression = "zlib",
     ) -> None:
         self.records: list[FrameRecord] = []
         self.part: tuple[str | None, str | None] = (None, None)
         """Serial number and lot of the sample, for the metadata of its frames."""
         self._folder, self._journal, self._run, self._number = folder, journal, run, number
-        self._on_trouble = on_trouble
+        self._on_trouble, self._compression = on_trouble, compression
         self._waiting: queue.SimpleQueue[Shot | None] = queue.SimpleQueue()
         self._room = threading.Semaphore(1)
         self._error: BaseException | None = None
@@ -112,10 +123,10 @@ class FrameWriter:
         if frame.kind == "sample":
             frame = replace(frame, serial=self.part[0], lot=self.part[1])
         path = self._folder / FRAMES / f"{self._number:03d}_{_name(frame, shot.pose)}.tif"
-        write_frame(frame, path)
+        if shot.before is None or not _linked(*shot.before, path):
+            write_frame(frame, path, self._compression)
         _sync(path.parent)
-        with path.open("rb") as stream:
-            sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+        sha256 = _hash(path)
         line = FrameLine(
             run=self._run,
             step=shot.step,
@@ -134,7 +145,16 @@ class FrameWriter:
         self._journal.append([line])
         self._number += 1
         self.records.append(
-            FrameRecord(path, frame, shot.again, shot.pose, shot.step, sha256, shot.linear_mm)
+            FrameRecord(
+                path,
+                frame,
+                shot.again,
+                shot.pose,
+                shot.step,
+                sha256,
+                shot.linear_mm,
+                before=shot.before is not None,
+            )
         )
 
     def __enter__(self) -> Self:
@@ -149,6 +169,20 @@ class FrameWriter:
             self._thread.join()
         if kind is None:
             self.check()
+
+
+def _linked(source: Path, sha256: str, path: Path) -> bool:
+    """Make a path a further name of a file, if that is as it was and the file system can."""
+    try:
+        os.link(source, path)
+        return _hash(path) == sha256
+    except OSError:
+        return False
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _name(frame: Frame, pose: Pose) -> str:

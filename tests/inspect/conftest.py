@@ -18,6 +18,7 @@ import tomli_w
 from anisoscope.base.errors import CameraError
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.inspection.objects import OBJECTS
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
@@ -125,7 +126,8 @@ class VirtualRig:
     @property
     def folders(self) -> list[Path]:
         """The folders of inspections."""
-        return sorted(path for path in self.out.iterdir() if path.is_dir()) if self.out.exists() else []
+        found = self.out.iterdir() if self.out.exists() else ()
+        return sorted(path for path in found if path.is_dir() and path.name != OBJECTS)
 
     def inspect(self, serial: str = "T-1", methods: Methods = PLAIN) -> Inspected:
         """Inspect the part; without ``methods`` its report is one line."""

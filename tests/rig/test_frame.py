@@ -1,15 +1,27 @@
 """Frames survive the disk, and what is no frame is refused in one line."""
 
+import importlib.util
 import json
+import sys
 from dataclasses import fields, replace
+from importlib import import_module
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from anisoscope.base import atomic_write
-from anisoscope.base.errors import RecordError
-from anisoscope.rig.frame import Frame, filters_in_header, read_frame, write_frame
+from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.rig.frame import (
+    Frame,
+    check_compression,
+    filters_in_header,
+    header_of,
+    read_frame,
+    write_frame,
+)
 
 
 @pytest.fixture
@@ -29,6 +41,49 @@ def test_round_trip(frame, tmp_path):
     for field in fields(Frame)[1:]:
         assert getattr(again, field.name) == getattr(frame, field.name)
     assert [file.name for file in tmp_path.iterdir()] == ["a.tif"]
+
+
+def noisy(rows=300, cols=400):
+    """A picture as a camera of 12 bits takes it: a slope with shot noise."""
+    rng = np.random.default_rng(5)
+    slope = np.linspace(200.0, 3000.0, cols) * np.linspace(0.5, 1.0, rows)[:, None]
+    return np.clip(rng.normal(slope, np.sqrt(slope / 3.0)), 0, 4095).astype(np.uint16)
+
+
+@pytest.mark.parametrize("packing", ["none", "zlib", "jpeg-xl"])
+def test_packing_loses_nothing(frame, tmp_path, packing):
+    counts = noisy()
+    write_frame(replace(frame, counts=counts), tmp_path / "a.tif", packing)
+    again = read_frame(tmp_path / "a.tif")
+    np.testing.assert_array_equal(again.counts, counts)
+    assert (again.camera, again.stage_deg) == (frame.camera, frame.stage_deg)
+    assert header_of(tmp_path / "a.tif").gain == frame.gain
+    size = (tmp_path / "a.tif").stat().st_size / counts.nbytes
+    assert size < {"none": 1.01, "zlib": 0.75, "jpeg-xl": 0.6}[packing]
+
+
+def test_packed_by_zlib_it_is_read_by_others(frame, tmp_path):
+    counts = noisy()
+    write_frame(replace(frame, counts=counts), tmp_path / "a.tif", "zlib")
+    with Image.open(tmp_path / "a.tif") as picture:
+        np.testing.assert_array_equal(np.asarray(picture), counts)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.tif"), cv2.IMREAD_UNCHANGED), counts)
+
+
+def test_without_its_package_jpeg_xl_is_refused_in_one_line(frame, tmp_path, monkeypatch):
+    write_frame(replace(frame, counts=noisy()), tmp_path / "a.tif", "jpeg-xl")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    monkeypatch.setattr(tifffile.tifffile, "imagecodecs", import_module("tifffile._imagecodecs"))
+    for codecs in (tifffile.TIFF.DECOMPRESSORS, tifffile.TIFF.COMPRESSORS):
+        monkeypatch.setattr(codecs, "_codecs", {})
+    with pytest.raises(RecordError, match=r"a\.tif: JPEG XL needs the package imagecodecs: pip install"):
+        read_frame(tmp_path / "a.tif")
+    with pytest.raises(UsageError, match=r"compression = .jpeg-xl.: JPEG XL needs"):
+        check_compression("jpeg-xl")
+    check_compression("zlib")
+    write_frame(replace(frame, counts=noisy()), tmp_path / "b.tif", "zlib")  # by what Python has
+    np.testing.assert_array_equal(read_frame(tmp_path / "b.tif").counts, noisy())
 
 
 def test_the_mosaic_of_a_colour_camera_keeps_its_name(frame, tmp_path):

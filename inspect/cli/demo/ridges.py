@@ -12,7 +12,7 @@ from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 
 PARTS = {"good": "PASS", "burrs": "FAIL", "angle": "FAIL"}
-MEGABYTES = 200
+MEGABYTES = 90
 """Size of the folder of one demo."""
 
 PITCH_UM = 100.0

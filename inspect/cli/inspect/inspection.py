@@ -17,6 +17,7 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
+    from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import Inspected
     from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
@@ -269,18 +270,66 @@ def report(folder: Folder, /, *, json_: Json = False) -> int:
     return 0
 
 
-def recompute(folder: Folder, /, *, json_: Json = False) -> int:
-    """Judge an inspection again from its raw frames and compare with its record; nothing is written.
+def recompute(
+    folder: Folder,
+    /,
+    *more: Path,
+    jobs: Annotated[
+        int | None, Parameter(help="Processes for several folders; left out, one a core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786) for several folders.")
+    ] = None,
+    json_: Json = False,
+) -> int:
+    """Judge inspections again from their raw frames and compare with their records; nothing is written.
 
     Exit codes: 0 the same verdict and numbers, 1 different ones, 64 and above an unusable folder.
 
     Examples:
         anisoscope recompute inspections/A-0001-20260115T101500Z
+        anisoscope recompute inspections/A-*
     """
+    if more:
+        return _recompute_all([folder, *more], jobs, scheduler, json_=json_)
     from anisoscope.inspection.recompute import recompute as again
 
     with progress(folder.name, quiet=json_) as advance:
         found = again(folder, advance)
+    content, lines = _compared(found)
+    _print_lines(content, lines, json_=json_)
+    return 1 if found.differences else 0
+
+
+def _recompute_all(folders: list[Path], jobs: int | None, scheduler: str | None, *, json_: bool) -> int:
+    from anisoscope.base.errors import RecordError
+    from anisoscope.inspection.recompute import recompute_or_reason
+    from anisoscope.study.sweep import Workers
+    from anisoscope.study.whatif import again_after_a_kill
+
+    with progress("inspections", quiet=json_) as advance:
+        tasks = [folder.resolve() for folder in folders]
+        found = again_after_a_kill(recompute_or_reason, tasks, Workers(jobs, scheduler), advance)
+    contents: list[dict[str, Any]] = []
+    lines: list[str] = []
+    for folder, one in zip(folders, found, strict=True):
+        if isinstance(one, str):
+            contents.append({"folder": str(folder), "same": None, "problem": one})
+            lines.append(f"{folder}: {one}")
+            continue
+        content, words = _compared(one)
+        contents.append(content)
+        lines += [f"{folder}: {words[0]}", *words[1:]]
+    differing = sum(one["same"] is False for one in contents)
+    unusable = sum(one["same"] is None for one in contents)
+    same = len(found) - differing - unusable
+    lines.append(f"{same} of {len(found)} as recorded, {differing} differ, {unusable} cannot be judged again")
+    _print_lines({"inspections": contents}, lines, json_=json_)
+    return 1 if differing else RecordError.exit_code if unusable else 0
+
+
+def _compared(found: "Recomputed") -> tuple[dict[str, Any], list[str]]:
+    """A recomputed inspection as JSON and as lines."""
     verdict = found.recorded.verdict
     content: dict[str, Any] = {
         "folder": str(found.folder),
@@ -294,8 +343,7 @@ def recompute(folder: Folder, /, *, json_: Json = False) -> int:
         lines = [f"{len(found.differences)} values differ:", *(f"  {line}" for line in found.differences)]
     else:
         lines = [f"{verdict}, and every number, as recorded"]
-    _print_lines(content, [*lines, *(f"note: {note}" for note in found.notes)], json_=json_)
-    return 1 if found.differences else 0
+    return content, [*lines, *(f"note: {note}" for note in found.notes)]
 
 
 def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -> int:

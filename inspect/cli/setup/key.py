@@ -112,7 +112,7 @@ def trust(
 
 @app.command
 def revoke(
-    file: File, key: Name, /, *, reason: Annotated[str, Parameter(help='Such as "laptop stolen".')]
+    file: File, key: Name, /, *, reason: Annotated[str, Parameter(help='Reason, such as "laptop stolen".')]
 ) -> int:
     """Let nothing count that a key has signed, whenever it was: a thief writes any date.
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclopts import App, ArgumentCollection
 
 ACQUIRE = (("inspect",), ("batch",), ("watch",))
-REVIEW = (("show",), ("compare",), ("history",), ("export",), ("spc",), ("msa",))
+REVIEW = (("show",), ("compare",), ("history",), ("export",), ("whatif",), ("spc",), ("msa",))
 COMMANDS: dict[str, tuple[tuple[str, ...], ...]] = {
     "recipe": (*ACQUIRE, ("golden",)),
     "rig": (
@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], ...]] = {
     "operator": (("inspect",), ("batch",), ("calibrate",)),
     "station": (("inspect",), ("batch",)),
     "history": (*ACQUIRE, ("resume",), ("serve",), *REVIEW),
+    "store": (("archive",),),
 }
 """Key of the file -> commands that take it as an option; elsewhere an option of that name means something else."""
 INSTEAD = {"rig": ("--frames", "--driver"), "history": ("--csv",)}
@@ -52,6 +53,7 @@ class ProjectFile(Part):
     rig: LocalPath | None = None
     out: LocalPath | None = None
     history: str | None = Field(default=None, min_length=1)
+    store: str | None = Field(default=None, min_length=1)
     operator: str | None = Field(default=None, min_length=1)
     station: str | None = Field(default=None, min_length=1)
     lang: Literal["en", "de", "da"] | None = None
@@ -79,6 +81,8 @@ def read_project(path: Path) -> dict[str, Default]:
         values["history"] = path.resolve().parent / found.history
     if found.signing_key is not None and ":" not in found.signing_key and found.signing_key != "none":
         values["signing_key"] = path.resolve().parent / found.signing_key
+    if found.store is not None and "://" not in found.store:
+        values["store"] = path.resolve().parent / found.store
     return {name: Default(str(value), path) for name, value in values.items()}
 
 

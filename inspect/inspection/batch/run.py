@@ -92,6 +92,7 @@ def refuse_part(
             frames=0,
             rig_folder=here,
             refused=reason,
+            share=True,
         )
         if picture is not None:
             write_frame(picture, folder / CODE_PICTURE)

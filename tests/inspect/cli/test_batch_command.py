@@ -242,8 +242,8 @@ def test_inspect_takes_a_scanned_serial_number_and_lot(start, rig, tmp_path):
     nurseries.os.write(command._ours, b"]d210L7<GS>21A 17\r")
     code, shown = command.finish()
     assert code == INVALID, shown
-    (folder,) = tmp_path.iterdir()
-    record = json.loads((folder / "record.json").read_text())
+    (path,) = tmp_path.glob("*/record.json")
+    record = json.loads(path.read_text())
     assert (record["serial"], record["particulars"]["lot"]) == ("A 17", "L7")
 
 
@@ -278,8 +278,7 @@ def arriving(start, rig, tmp_path_factory):
         "none",
     )
     assert command.finish()[0] == INVALID
-    (folder,) = out.iterdir()
-    frames = [read_frame(path) for path in sorted((folder / "frames").glob("*.tif"))]
+    frames = [read_frame(path) for path in sorted(out.glob("*/frames/*.tif"))]
     write_frame_folder(out / "source", frames)
     return out / "source"
 

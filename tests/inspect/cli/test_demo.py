@@ -1,15 +1,18 @@
 import html
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import get_args
 
 import pytest
+import tomli_w
 
 from anisoscope.base.notation import true_minus
 from anisoscope.base.progress import silent
 from anisoscope.cli.demo.demo import SCENES, Kind
 from anisoscope.cli.demo.ridges import PARTS, lay_out
+from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
 
 
@@ -47,6 +50,30 @@ def test_demo_writes_what_it_promises(anisoscope, demo_folder):
         "DEMO-angle",
     }
     assert all((Path(path).parent / "report.html").is_file() for path in records)
+
+
+def bytes_added(inspections):
+    """Mean bytes that an inspection adds to what they have in common."""
+    folders = [path.parent for path in inspections.glob("*/record.json")]
+    files = [path.stat() for folder in folders for path in folder.rglob("*") if path.is_file()]
+    return sum(one.st_size for one in files if one.st_nlink == 1) / len(folders)
+
+
+def test_an_inspection_adds_20_mb(demo):
+    assert bytes_added(demo[0] / "inspections") <= 20e6
+
+
+@pytest.mark.soak
+def test_with_jpeg_xl_an_inspection_adds_14_mb(tmp_path):
+    folder = lay_out(tmp_path, 5, silent)
+    for name in PARTS:
+        path = folder / "bench" / name / "rig.toml"
+        table = tomllib.loads(path.read_text())
+        table["camera"]["compression"] = "jpeg-xl"
+        path.write_text(tomli_w.dumps(table))
+        done = inspect_part(folder / "recipe.toml", path, f"P-{name}", folder / "out")
+        assert recompute(done.folder).differences == ()
+    assert bytes_added(folder / "out") <= 14e6
 
 
 def test_page_1_of_its_reports_has_finding_action_and_pictures(demo_folder):

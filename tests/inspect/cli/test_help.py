@@ -159,6 +159,7 @@ SAME_QUANTITY = {
     "--dot": "side of a dot",
     "--dots": "dots a",  # along or across
     "--dpi": "dots.* per inch",
+    "--dry-run": "only print",
     "--facet-azimuth": "azimuth toward which",
     "--format": "format of the new files",
     "--height-loss": "share of the .*missing",

@@ -113,7 +113,7 @@ def inspection_of(rig, out):
 
 
 def folder_in(out):
-    return next((path for path in out.iterdir() if path.is_dir()), None) if out.exists() else None
+    return next((path.parent for path in out.glob("*/job.json")), None)
 
 
 def wait_for(command, out, lines):

@@ -77,7 +77,8 @@ def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, referen
     }
     for entry in (*record.inputs, *record.frames, *record.files):
         assert entry.sha256 == sha256_of(inspected.folder / entry.name)
-    own = {"frames", "frames.jsonl", "inputs", "job.json", "record.json", "report.html", "report.sha256"}
+    own = {"frames", "frames.jsonl", "inputs", "job.json", "measured.npz", "record.json"}
+    own |= {"report.html", "report.sha256"}
     assert {p.name for p in inspected.folder.iterdir()} == own
 
     frames = [read_frame(inspected.folder / entry.name) for entry in record.frames]

@@ -79,12 +79,12 @@ def port():
 def test_a_disk_that_fills_during_an_inspection_loses_nothing_and_can_be_emptied(port, tmp_path, monkeypatch):
     write, written = writer.write_frame, []
 
-    def fill(frame, path):
+    def fill(frame, path, packing):
         written.append(path)
         if len(written) > 3:
             path.write_bytes(b"half a frame")
             raise RecordError(f"cannot write {path}: {os.strerror(errno.ENOSPC)}")
-        write(frame, path)
+        write(frame, path, packing)
 
     with monkeypatch.context() as patch:
         patch.setattr(writer, "write_frame", fill)

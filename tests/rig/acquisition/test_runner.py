@@ -483,7 +483,7 @@ def test_a_cancel_stops_the_stage_while_the_camera_exposes(rig, log, tmp_path):
 def test_a_full_disk_ends_a_move_at_once(rig, log, tmp_path, monkeypatch):
     rig = Rig(Waiting(log), rig.camera, rig.light, rig.file)
 
-    def fail(frame, path):
+    def fail(frame, path, packing):
         assert rig.stage.moving.wait(60)
         raise RecordError("no space left")
 
@@ -498,9 +498,9 @@ def test_frames_already_taken_are_written_when_a_run_breaks_off(rig, tmp_path, m
     slow = threading.Event()
     really = writer.write_frame
 
-    def write_late(frame, path):
+    def write_late(frame, path, packing):
         slow.wait(0.2)
-        really(frame, path)
+        really(frame, path, packing)
 
     monkeypatch.setattr(writer, "write_frame", write_late)
     interrupted(rig, tmp_path, PLAN, after=4)

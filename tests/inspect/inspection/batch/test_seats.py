@@ -155,7 +155,7 @@ def test_an_interrupted_part_goes_on_at_its_own_seat(tray, tmp_path, monkeypatch
             inspect_part(
                 rig.recipe, rig.rig, "P2", tmp_path, particulars=place(SEATS[1]), methods=undiagnosed
             )
-    (folder,) = tmp_path.iterdir()
+    folder = next(tmp_path.glob("*/job.json")).parent
     for axis in rig.bench.linear.values():  # somebody moved them meanwhile
         axis.start_move(axis.position() + 1.0)
     found = resume_part(folder, methods=undiagnosed)

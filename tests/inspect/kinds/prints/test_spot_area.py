@@ -67,7 +67,7 @@ def test_a_spot_on_the_rig_has_its_area_and_dirt_is_no_spot(print_rig):
     signal[np.hypot(rows - 280, cols - 174) < 8] *= 0.8
     dirty = replace(job, white=replace(job.white, signal=signal))
     expected = expectation_of_print(job.recipe, job.rig)
-    record, _ = judge(made, dirty, expected, read_frames(done.folder, made))
+    record, *_ = judge(made, dirty, expected, read_frames(done.folder, made))
     assert record.verdict == "INVALID"
     place = re.search(
         r"something stays at column (\d+), row (\d+) of the picture while the print", record.reasons[0]

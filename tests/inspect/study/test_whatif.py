@@ -1,0 +1,164 @@
+"""Kept inspections under another recipe: the verdicts of the frames, without the frames where these are not needed."""
+
+import json
+import os
+import signal
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+
+from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import as_json
+from anisoscope.cli.history.whatif import selection, write_html
+from anisoscope.history.rows import Row, row_of
+from anisoscope.record.schema import read_record
+from anisoscope.study import whatif as module
+from anisoscope.study.sweep import SweepError, Workers
+from anisoscope.study.whatif import Costs, again_after_a_kill, what_if
+
+HERE = Workers(1)
+
+
+def row(folder, number=1):
+    new = row_of(read_record(folder), folder)
+    return Row(**vars(new), id=number)
+
+
+@pytest.fixture
+def past(inspected_part):
+    """A recipe that can be written anew, and the row of a finished inspection by it."""
+    rig, inspected = inspected_part
+    table = tomllib.loads(rig.recipe.read_text(encoding="utf-8"))
+
+    def other(**changes):
+        path = rig.recipe.with_name("other.toml")
+        path.write_text(
+            tomli_w.dumps(table | {k: table.get(k, {}) | v for k, v in changes.items()}), encoding="utf-8"
+        )
+        return path
+
+    return other, row(inspected.folder)
+
+
+def test_the_same_recipe_changes_nothing(past):
+    other, one = past
+    found = what_if(other(), [one], {}, HERE)
+    (part,) = found.inspections
+    assert (part.before, part.after, part.judged_from, part.flip) == ("PASS", "PASS", "kept", None)
+    assert found.flips == {}
+
+
+def test_a_tolerance_is_judged_from_what_was_kept_as_from_the_frames(past, monkeypatch):
+    other, one = past
+    recipe = other(decision={"tolerance": 0.0005})
+    kept = what_if(recipe, [one], {1: "accept"}, HERE, Costs(900.0, 4.0))
+    (part,) = kept.inspections
+    assert part.after != "PASS"
+    assert (part.judged_from, kept.from_kept) == ("kept", 1)
+    monkeypatch.setattr(
+        type(module._plan(recipe.resolve(), "x").kind), "needs_frames", lambda *_: "a test asks"
+    )
+    from_frames = what_if(recipe, [one], {}, HERE)
+    assert from_frames.inspections[0].judged_from == "frames"
+    assert from_frames.inspections[0].frames_because == "a test asks"
+    assert (from_frames.inspections[0].after, from_frames.inspections[0].reasons) == (
+        part.after,
+        part.reasons,
+    )
+    assert json.dumps(as_json(kept))
+
+
+def test_another_region_takes_the_frames_and_says_so(past):
+    other, one = past
+    (part,) = what_if(other(region={"size_mm": [0.8, 0.8]}), [one], {}, HERE).inspections
+    assert (part.after, part.judged_from) == ("PASS", "frames")
+    assert part.frames_because.startswith("region is ")
+
+
+def test_a_changed_limit_of_drift_makes_it_invalid(past):
+    other, one = past
+    (part,) = what_if(other(limits={"drift": 1e-9}), [one], {}, HERE).inspections
+    assert (part.after, part.judged_from) == ("INVALID", "kept")
+    assert "at the end the first pose is" in part.reasons[0]
+
+
+def test_what_cannot_be_judged_says_why(past, tmp_path):
+    other, one = past
+    rows = [
+        replace(one, id=1, folder=str(tmp_path / "gone")),
+        replace(one, id=2, seal="0" * 64),
+        replace(one, id=3),
+    ]
+    found = what_if(other(poses={"angles_deg": [0.0, 45.0]}), rows, {}, HERE)
+    reasons = [part.reasons[0] for part in found.unjudged]
+    assert "was this inspection finished" in reasons[0]
+    assert "holds another record than the history knows" in reasons[1]
+    assert reasons[2] == "it was not photographed at 45°, tilt 0°"
+    with pytest.raises(UsageError, match="no inspection is selected"):
+        what_if(other(), [], {}, HERE)
+
+
+def test_risks_are_counted_against_reviewers_with_intervals():
+    parts = [
+        ("reject", "PASS"),
+        ("rework", "FAIL"),
+        ("accept", "PASS"),
+        ("accept", "FAIL"),
+        (None, "FAIL"),
+        ("hold", "PASS"),
+    ]
+    risks = module._risks(parts, Costs(100.0, 7.0))
+    assert (risks.escapes.count, risks.escapes.of) == (1, 2)
+    assert (risks.false_rejects.count, risks.false_rejects.of) == (1, 2)
+    assert risks.cost == 107.0
+    # Clopper and Pearson for 1 of 2: 0.0126 to 0.9874
+    assert risks.escapes.low == pytest.approx(1.0 - np.sqrt(0.975), rel=1e-9)
+    assert risks.escapes.high == pytest.approx(np.sqrt(0.975), rel=1e-9)
+    assert module._risks([], None).cost is None
+
+
+def test_the_page_shows_the_flips(past, tmp_path):
+    other, one = past
+    found = what_if(other(decision={"tolerance": 0.0005}), [one], {1: "accept"}, HERE)
+    write_html(tmp_path / "flips.html", found, {1: one})
+    page = (tmp_path / "flips.html").read_text(encoding="utf-8")
+    assert "What if: 1 of 1 verdicts change" in page
+    assert page.count("data:image/jpeg;base64,") == 1
+    assert "0 of 1: 0 % (95 %: 0 to 98 %)" in page or "1 of 1: 1e+02 %" in page
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [(["colour=red"], "KEY=VALUE with one of since"), (["lot"], "KEY=VALUE"), (["lot=1", "lot=2"], "twice")],
+)
+def test_conditions_that_are_none(where, message):
+    with pytest.raises(UsageError, match=message):
+        selection(where)
+
+
+def test_conditions_are_those_of_the_history():
+    assert selection(["lot=L=1", "verdict=fail"]).filters().verdict == "FAIL"
+
+
+def test_a_killed_process_loses_nothing(tmp_path, monkeypatch):
+    def dies_once(path):
+        if not path.exists():
+            path.write_text("dead")
+            os.kill(os.getpid(), signal.SIGKILL)
+        return path.name
+
+    def dies_always(_):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(module, "PORTION", 3)
+    paths = [tmp_path / f"{number}" for number in range(6)]
+    for path in paths:
+        path.touch()
+    paths[4].unlink()
+    assert again_after_a_kill(dies_once, paths, Workers(2)) == [path.name for path in paths]
+    with pytest.raises(SweepError, match="killed"):
+        again_after_a_kill(dies_always, [Path(), Path()], Workers(2))
