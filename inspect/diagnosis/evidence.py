@@ -56,7 +56,7 @@ class Evidence:
     @property
     def data(self) -> int:
         """Number of data."""
-        more = (self.share is not None) + (self.pitch is not None) + 2 * (self.form is not None)
+        more = (self.share is not None) + (self.pitch is not None) + 3 * (self.form is not None)
         return len(self.deviation) + more
 
     def share_variance(self, shares: FloatArray) -> FloatArray:

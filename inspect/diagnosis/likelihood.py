@@ -29,7 +29,7 @@ FAMILY = 0.015
 """Standard deviation of ln L of every pose that a lobe with a tail leaves of a real one."""
 FORM_GROUPS = 20.0
 """How many groups of cells a predicted form of the marks is worth: real marks have other forms than the model's."""
-FORM_OF_GOOD = (0.7, 0.4)
+FORM_OF_GOOD = (0.7, 0.4, 0.05)
 """Form of the few cells that deviate on good parts."""
 _LEAST_BACKGROUND = 0.001
 _ODD = 0.05  # share of the cells of a mark that lie otherwise than its form says
@@ -80,7 +80,7 @@ def unspecific(evidence: Evidence, spread: float) -> Fitted:
     covariance = evidence.good + spread**2 * np.eye(poses)
     chi2, size = _quadratic(covariance[None], evidence.deviation[None])
     cost = _minus_two_ln(chi2, evidence) + size
-    unknown = np.full((1, 2), np.nan)
+    unknown = np.full((1, len(FORM_OF_GOOD)), np.nan)
     for off, more in (
         _share_costs(evidence, np.zeros(1), 0.0, spread / 3.0),
         _form_costs(evidence, np.ones(1), unknown, 0.0),
@@ -297,8 +297,8 @@ def joint_costs(acting: Sequence[Act], evidence: Evidence, *, as_input: bool = F
 
 
 def _form_of(acting: Sequence[Act], count: int) -> FloatArray:
-    """(E, 2) form of the cells that deviate by causes that act together, each by its share; NaN where it is unknown."""
-    total, weights = np.zeros((count, 2)), np.zeros((count, 1))
+    """(E, 3) form of the cells that deviate by causes that act together, each by its share; NaN where it is unknown."""
+    total, weights = np.zeros((count, len(FORM_OF_GOOD))), np.zeros((count, 1))
     for signature, extents in acting:
         _, share = signature.at(extents)
         known = np.where(share > 0.0, share, 0.0)[:, None]
@@ -323,7 +323,7 @@ def _form_costs(
     background = max(evidence.background, _LEAST_BACKGROUND)
     weight = (shares / (shares + background))[:, None]
     expected = _within(weight * forms + (1.0 - weight) * np.array(FORM_OF_GOOD))
-    hits = seen.groups * np.array([seen.in_line, seen.along])
+    hits = seen.groups * np.array([seen.in_line, seen.along, seen.aligned])
 
     def density(share: FloatArray) -> FloatArray:
         a, b = FORM_GROUPS * share, FORM_GROUPS * (1.0 - share)
@@ -499,7 +499,7 @@ def _with_tail(
     cost += float(np.linalg.slogdet(curvature)[1]) + 2.0 * float(np.sum(np.log(spread)))
     for off, more in (
         _share_costs(evidence, np.zeros(1), 0.0),
-        _form_costs(evidence, np.zeros(1), np.zeros((1, 2)), 0.0),
+        _form_costs(evidence, np.zeros(1), np.zeros((1, len(FORM_OF_GOOD))), 0.0),
         _pitch_costs(evidence, 0.0),
     ):
         chi2, cost = chi2 + float(off[0]), cost + float(more[0])

@@ -81,8 +81,8 @@ class Signature:
         tangents: response to the inputs of the prediction along the cause; None: as on the good part.
         levels: of the cells of the contrast map at every extent; None where the recipe states its threshold, or where
             no map was predicted.
-        forms: (S, 2) `MarkForm.in_line` and ``along`` of the deviating cells; NaN where none deviates, None without a
-            map.
+        forms: (S, 3) `MarkForm.in_line`, ``along`` and ``aligned`` of the deviating cells; NaN where none deviates,
+            None without a map.
         u_share: (S,) standard uncertainty of the share, by the number of marks and the smear of the picture; None
             where the recipe states its threshold.
     """
@@ -119,10 +119,10 @@ class Signature:
         return found[..., :-1], found[..., -1]
 
     def form_at(self, extent: float | FloatArray) -> FloatArray:
-        """(…, 2) form of the deviating cells at extents, linear between those computed; NaN where it is unknown."""
+        """(…, 3) form of the deviating cells at extents, linear between those computed; NaN where it is unknown."""
         at = np.asarray(extent, dtype=np.float64)
         if self.forms is None or not (known := np.isfinite(self.forms[:, 0])).any():
-            return np.full((*at.shape, 2), np.nan)
+            return np.full((*at.shape, 3), np.nan)
         columns = [np.interp(at, self.extents[known], column[known]) for column in self.forms.T]
         return np.stack(columns, axis=-1)
 
@@ -312,8 +312,10 @@ class _Look:
 
 
 def _forms(found: Sequence[MarkForm | None]) -> FloatArray:
-    """(S, 2) of forms; NaN for none."""
-    return np.array([(np.nan, np.nan) if one is None else (one.in_line, one.along) for one in found])
+    """(S, 3) of forms; NaN for none."""
+    return np.array(
+        [3 * (np.nan,) if one is None else (one.in_line, one.along, one.aligned) for one in found]
+    )
 
 
 def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False) -> Signature:

@@ -124,11 +124,15 @@ class MarkForm:
         in_line: share of the cells in those two neighbouring columns of a pitch that hold most: scratches and burrs
             are at the crests, dust is anywhere.
         along: share of the cells with a deviating neighbour along the ridge: burrs extend along it.
+        aligned: share of the groups that have one on each neighbouring ridge in a straight line with them, at most 45°
+            from straight across; ridges at the ends do not count. A scratch crosses ridges as a row of nicks,
+            whatever its width and depth; burrs and grains are where they are by chance.
     """
 
     groups: int
     in_line: float
     along: float
+    aligned: float
 
 
 def form_of(over: Cells) -> MarkForm | None:
@@ -140,9 +144,26 @@ def form_of(over: Cells) -> MarkForm | None:
     neighbour = np.zeros_like(over)
     neighbour[1:] |= over[:-1]
     neighbour[:-1] |= over[1:]
-    count, _ = cv2.connectedComponents(over.astype(np.uint8), connectivity=8)
+    count, _, _, centres = cv2.connectedComponentsWithStats(over.astype(np.uint8), connectivity=8)
     in_line = float((columns + np.roll(columns, -1)).max()) / cells
-    return MarkForm(count - 1, in_line, np.count_nonzero(over & neighbour) / cells)
+    along = np.count_nonzero(over & neighbour) / cells
+    return MarkForm(count - 1, in_line, along, _aligned(centres[1:], over.shape))
+
+
+def _aligned(centres: FloatArray, shape: tuple[int, ...]) -> float:
+    """`MarkForm.aligned` of (n, 2) centres (column, row) of groups; a cell to every side is near enough."""
+    step = CELLS_PER_PITCH
+    rows, cols = shape
+    dots = np.zeros(shape, dtype=np.uint8)
+    dots[tuple(np.rint(centres).astype(int).T[::-1])] = 1
+    near = np.pad(cv2.dilate(dots, np.ones((3, 3), dtype=np.uint8)), step)
+    left, right = near[:, :cols], near[:, 2 * step :]
+    lines = np.zeros(shape, dtype=np.uint8)
+    for rise in range(-step, step + 1):
+        lines |= left[step - rise :][:rows] & right[step + rise :][:rows]
+    inner = slice(step, max(cols - step, step))
+    among = np.count_nonzero(dots[:, inner])
+    return np.count_nonzero((dots & lines)[:, inner]) / among if among else 0.0
 
 
 def kind_of(inside: Cells) -> Kind:

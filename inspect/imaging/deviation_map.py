@@ -34,9 +34,27 @@ class CellMap:
     off: FloatArray
     thresholds: FloatArray
 
-    def deviating(self, shift: float = 0.0) -> npt.NDArray[np.bool_]:
-        """(cell rows, cell cols) True where a cell deviates in some pair, by thresholds that are larger by a shift."""
-        return np.asarray(np.any(np.abs(self.off) > self.thresholds[:, None, None] + shift, axis=0))
+    def deviating(self) -> npt.NDArray[np.bool_]:
+        """(cell rows, cell cols) True where a cell deviates in some pair."""
+        return np.asarray(np.any(np.abs(self.off) > self.thresholds[:, None, None], axis=0))
+
+    def u_share(self, noise: FloatArray) -> float:
+        """Standard uncertainty of the share of deviating cells, from noise and from their number.
+
+        Noise puts a cell near its threshold on either side, every cell by itself: with the probability p that a cell
+        deviates the share varies by √(Σ p (1 − p))/N; half a cell is the resolution. That noise makes more cells
+        deviate than it hides is left in the share, as it is on golden parts.
+
+        Args:
+            noise: (pairs,) standard uncertainty of the ln ratio of a cell.
+        """
+        from scipy.special import ndtr  # noqa: PLC0415 - start-up time
+
+        beyond = np.abs(self.off) - self.thresholds[:, None, None]
+        scores = beyond / np.maximum(noise, 1e-12)[:, None, None]
+        chance = 1.0 - np.prod(ndtr(-scores), axis=0)
+        variance = np.sum(chance * (1.0 - chance)) / chance.size**2
+        return float(np.sqrt(variance + (0.5 / chance.size) ** 2))
 
 
 NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
@@ -123,14 +141,14 @@ def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
 def cell_map(measured: Measured, poses: tuple[Pose, ...], rule: AreaPart) -> CellMap:
     """The contrast map of a part, with a recipe's threshold."""
     ratios = cell_log_ratios(measured, poses)
-    thresholds = cell_thresholds(ratios, rule.cell_deviation, _noise(measured, poses))
+    thresholds = cell_thresholds(ratios, rule.cell_deviation, float(_noise(measured, poses).max()))
     return CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
 
 
-def _noise(measured: Measured, poses: tuple[Pose, ...]) -> float:
-    """Standard uncertainty of the ln ratio of a cell from noise, of the noisiest pair."""
+def _noise(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
+    """(pairs,) standard uncertainty of the ln ratio of a cell from noise."""
     noise = measured.cell_noise
-    return float(max(np.hypot(noise[i], noise[j]) for i, j in consecutive_pairs(poses)))
+    return np.array([np.hypot(noise[i], noise[j]) for i, j in consecutive_pairs(poses)])
 
 
 def judge_area(
@@ -166,15 +184,15 @@ def judge_area(
     if rule is None:
         return None, None
     found = cell_map(measured, poses, rule) if cells is None else cells
-    over, noise, least = found.deviating(), _noise(measured, poses), float(found.thresholds.min())
+    over, each_noise, least = found.deviating(), _noise(measured, poses), float(found.thresholds.min())
+    noise = float(each_noise.max())
     if noise > (1.0 + 1e-9) * MAX_CELL_NOISE * least:
         raise MeasurementError(
             f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
             f"{least:g} (limit {MAX_CELL_NOISE * least:.3f}): "
             "take more frames_per_pose, a longer exposure_s, or brackets (acquisition.brackets)"
         )
-    share, at_low, at_high = (float(np.mean(found.deviating(shift))) for shift in (0.0, -noise, noise))
-    u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / over.size))
+    share, u = float(np.mean(over)), found.u_share(each_noise)
     each = tuple(map(float, found.thresholds)) if rule.cell_deviation == "auto" else None
     if known is not None:
         return _limit_by_golden(share, u, known, alpha, p_means).model_copy(

@@ -527,7 +527,7 @@ def _area_of(measured: Measured, size: Size, name: RecipeName) -> Row:
     area, over = judge_area(seen, recipe.poses.poses(), recipe.area, recipe.decision.coverage)
     assert area is not None
     assert over is not None
-    form = form_of(over) or MarkForm(0, 0.0, 0.0)
+    form = form_of(over) or MarkForm(0, 0.0, 0.0, 0.0)
     return {
         "share": area.share,
         "u_share": area.u,
@@ -540,7 +540,7 @@ def _area_of(measured: Measured, size: Size, name: RecipeName) -> Row:
 def _no_area(name: RecipeName) -> Row:
     """The same of a part whose cells are not known."""
     pairs = len(consecutive_pairs(POSES[name]))
-    form = {"groups": 0, "in_line": 0.0, "along": 0.0}
+    form = asdict(MarkForm(0, 0.0, 0.0, 0.0))
     return {"share": np.nan, "u_share": np.nan, "cells": 0, "thresholds": np.full(pairs, np.nan), **form}
 
 

@@ -15,7 +15,7 @@ Judges by what is known of the plastic and the number n of golden parts:
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -462,9 +462,7 @@ def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | N
     found = Evidence(off[row], covariance, inputs=inputs)
     if np.isfinite(share):
         found = replace(found, share=share, u_share=u_share, background=mean, u_background=u)
-        marks = {
-            key: judge.columns[f"areas/{name}/{key}"][row].item() for key in ("groups", "in_line", "along")
-        }
+        marks = {key.name: judge.columns[f"areas/{name}/{key.name}"][row].item() for key in fields(MarkForm)}
         found = replace(found, form=MarkForm(**marks) if marks["groups"] else None)
     if golden is None:
         return found

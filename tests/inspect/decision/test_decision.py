@@ -270,6 +270,24 @@ def test_noise_of_cells_near_the_limit_makes_the_area_uncertain(make_recipe, rng
     assert noisy.u > 3 * calm.u
 
 
+def test_the_share_of_deviating_cells_scatters_by_its_uncertainty(make_recipe, rng):
+    """Cells near the threshold change sides each by its own noise, not all of them together."""
+    noise, rule = 0.05, make_recipe().area
+    true = TABLE[:, None, None] * np.exp(0.12 * rng.standard_normal((3, 40, 40)))
+    seen = [
+        judge_area(
+            measured(TABLE, cells=true * np.exp(noise * rng.standard_normal(true.shape)), cell_noise=noise),
+            expected().poses,
+            rule,
+            1.645,
+        )[0]
+        for _ in range(60)
+    ]
+    shares = np.array([one.share for one in seen])
+    stated = np.mean([one.u for one in seen])
+    assert stated == pytest.approx(shares.std(ddof=1), rel=0.4)
+
+
 def test_cells_too_noisy_to_tell_anything_are_invalid(make_recipe):
     cells = TABLE[:, None, None] * np.ones((3, 40, 40))
     with pytest.raises(MeasurementError, match="frames_per_pose"):

@@ -175,8 +175,8 @@ def test_signatures_state_the_form_of_their_marks_by_the_thresholds_of_a_part(re
     again = _unpacked(_packed(marks), recipe, PLASTIC_CAUSES)
     for found in (marks, again):
         burrs, dust = found.by_thresholds([0.1, 0.1]).found
-        at_crests, along = burrs.form_at(0.05)
-        anywhere, alone = dust.form_at(200.0)
+        at_crests, along, _ = burrs.form_at(0.05)
+        anywhere, alone, _ = dust.form_at(200.0)
         assert at_crests > 0.9
         assert anywhere < 0.7
         assert along > 0.6

@@ -191,20 +191,20 @@ def test_marks_in_the_map_tell_twins_apart(rng):
 
 def test_the_form_of_marks_tells_twins_of_one_area_apart(rng):
     V, slope = covariance(rng), rng.normal(size=len(POSES))
-    forms = {"crests": (1.0, 0.8), "anywhere": (0.55, 0.1)}
+    forms = {"crests": (1.0, 0.8, 0.1), "anywhere": (0.55, 0.1, 0.05), "lines": (1.0, 0.7, 0.5)}
     found = known(
-        *(replace(line(name, slope, share=0.2), forms=np.full((5, 2), form)) for name, form in forms.items())
+        *(replace(line(name, slope, share=0.2), forms=np.full((5, 3), form)) for name, form in forms.items())
     )
     d = 0.5 * slope
     alone = diagnose(found, Evidence(d, V, 0.1, 0.005))
     assert {one.cause for one in alone.ties} == set(forms)
-    for name, (in_line, along) in forms.items():
-        seen = Evidence(d, V, 0.1, 0.005, form=MarkForm(40, in_line, along))
-        assert seen.data == len(POSES) + 3
+    for name, form in forms.items():
+        seen = Evidence(d, V, 0.1, 0.005, form=MarkForm(40, *form))
+        assert seen.data == len(POSES) + 4
         result = diagnose(found, seen)
         assert [one.cause for one in result.ties] == [name]
         assert result.unexplained_p > 0.05
-    few = diagnose(found, Evidence(d, V, 0.1, 0.005, form=MarkForm(2, 1.0, 0.8)))
+    few = diagnose(found, Evidence(d, V, 0.1, 0.005, form=MarkForm(2, 1.0, 0.8, 0.0)))
     assert {one.cause for one in few.ties} == set(forms)  # of two groups of cells the form is hardly known
 
 

@@ -136,9 +136,20 @@ def test_the_form_of_marks_tells_what_keeps_to_a_place_of_the_pitch_and_extends_
     over = np.zeros((28, 100), dtype=bool)
     assert form_of(over) is None
     over[3:6, 3] = over[3:6, 4] = over[10:12, 47] = True  # the raster cuts the crests between columns 3 and 4
-    assert form_of(over) == MarkForm(2, 1.0, 1.0)
+    assert form_of(over) == MarkForm(2, 1.0, 1.0, 0.0)
     over[20, 10] = over[20, 53] = True
-    assert form_of(over) == MarkForm(4, 0.8, 0.8)
+    assert form_of(over) == MarkForm(4, 0.8, 0.8, 0.0)
     anywhere = form_of(rng.random((200, 400)) < 0.02)
     assert anywhere.in_line == pytest.approx(0.5, abs=0.04)
     assert anywhere.along == pytest.approx(0.04, abs=0.015)
+
+
+@pytest.mark.parametrize(("rise", "aligned"), [(0, 1.0), (3, 1.0), (-4, 1.0), (6, 0.0)])
+def test_nicks_of_a_scratch_are_in_line_from_ridge_to_ridge(rise, aligned):
+    """Nicks in the crests of the eleven ridges that a scratch crosses; those at its ends have one neighbour only."""
+    over = np.zeros((80, 44), dtype=bool)
+    for ridge in range(11):
+        over[40 + rise * (ridge - 5), 4 * ridge + 2] = True
+    assert form_of(over).aligned == aligned
+    over[:, 22] = False  # the middle one is missing
+    assert form_of(over).aligned == pytest.approx(0.75 * aligned)
