@@ -147,7 +147,9 @@ def form_of(over: Cells) -> MarkForm | None:
     count, _, _, centres = cv2.connectedComponentsWithStats(over.astype(np.uint8), connectivity=8)
     in_line = float((columns + np.roll(columns, -1)).max()) / cells
     along = np.count_nonzero(over & neighbour) / cells
-    return MarkForm(count - 1, in_line, along, _aligned(centres[1:], over.shape))
+    return MarkForm(
+        count - 1, in_line, along, _aligned(np.asarray(centres[1:], dtype=np.float64), over.shape)
+    )
 
 
 def _aligned(centres: FloatArray, shape: tuple[int, ...]) -> float:
@@ -156,7 +158,8 @@ def _aligned(centres: FloatArray, shape: tuple[int, ...]) -> float:
     rows, cols = shape
     dots = np.zeros(shape, dtype=np.uint8)
     dots[tuple(np.rint(centres).astype(int).T[::-1])] = 1
-    near = np.pad(cv2.dilate(dots, np.ones((3, 3), dtype=np.uint8)), step)
+    wide = np.asarray(cv2.dilate(dots, np.ones((3, 3), dtype=np.uint8)), dtype=np.uint8)
+    near = np.pad(wide, step)
     left, right = near[:, :cols], near[:, 2 * step :]
     lines = np.zeros(shape, dtype=np.uint8)
     for rise in range(-step, step + 1):

@@ -311,9 +311,9 @@ class _Facets:
     """Prediction of regions of few ridges, facet by facet: each with the lobe of its class, shadows of the whole map.
 
     What the points of the map do to walls and crests is made good for by the profile of all regions of the class
-    together (`anisoscope.prediction.ridge_edges.field_edges`), where ridges do not run along the grid. Light that is
-    reflected more than once is that of the groove of this profile, else of the median ridge angle; uncertainties are
-    those of ideal ridges, and of walls narrower than a pixel.
+    together (`anisoscope.prediction.ridge_edges.field_edges`), unless walls along the grid are narrower than a pixel.
+    Light that is reflected more than once is that of the groove of this profile, else of the median ridge angle;
+    uncertainties are those of ideal ridges, and of walls narrower than a pixel.
     """
 
     surface: HeightMap
@@ -346,7 +346,8 @@ class _Facets:
         mask = np.rot90(points, quarters)[:-1, :-1]
         design = self._design(lying, mask, rest)
         edges = None
-        if abs(rest) > ON_GRID_DEG:  # else all ridges show their walls at the same few places
+        # along the grid all ridges show their walls at the same few places, none of which may be on a wall
+        if abs(rest) > ON_GRID_DEG or design.wall_width_um >= max(relief.pixels_um):
             fields = np.rot90(np.where(points, self.regions.labels, 0), quarters)
             edges = field_edges(relief, np.ascontiguousarray(fields, dtype=np.int32), design)
         lobe = self.material
