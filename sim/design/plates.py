@@ -39,7 +39,8 @@ FORMATS = {"datamatrix": "DataMatrix", "qr": "QRCode"}
 def modules_of_code(text: str, symbology: Symbology, quiet: int | None = None) -> npt.NDArray[np.bool_]:
     """(rows, cols) dark modules of a code, first row at the top, quiet zone included.
 
-    Encoded by zxing-cpp, in the smallest symbol that holds the text.
+    Encoded by zxing-cpp, in the smallest symbol that holds the text; of Data Matrices the smallest square one, because
+    many readers do not know the long rectangles (ISO/IEC 21471).
 
     Args:
         text: what it says.
@@ -51,7 +52,8 @@ def modules_of_code(text: str, symbology: Symbology, quiet: int | None = None) -
     """
     library: Any = importlib.import_module("zxingcpp")  # compiled, without types
     try:
-        barcode = library.create_barcode(text, getattr(library.BarcodeFormat, FORMATS[symbology]))
+        square = {"force_square": True} if symbology == "datamatrix" else {}
+        barcode = library.create_barcode(text, getattr(library.BarcodeFormat, FORMATS[symbology]), **square)
         dark = np.asarray(barcode.to_image(scale=1)) < 128
     except (ValueError, RuntimeError) as problem:
         shown = repr(text) if len(text) <= SHOWN else f"{text[:SHOWN]!r} … ({len(text)} characters)"

@@ -1,5 +1,6 @@
 """Pictures of ridges: what the fields show is what was asked for, at each stage angle."""
 
+import arbez_dmtx
 import cv2
 import numpy as np
 import pytest
@@ -27,6 +28,16 @@ def test_qr_codes_are_read_by_another_reader_than_the_one_that_encodes_them(text
     drawn = np.where(modules_of_code(text, "qr"), 0, 255).astype(np.uint8)
     found, _, _ = cv2.QRCodeDetector().detectAndDecode(np.kron(drawn, np.ones((8, 8), np.uint8)))
     assert found == text
+
+
+@pytest.mark.parametrize("text", ["A17", "RIDGE", "LOT 7 of 2026, insert 12", "x" * 120])
+def test_data_matrices_are_square_and_read_by_another_reader(text):
+    """The smallest symbol of 120 letters would be of 20 × 64 modules, which libdmtx does not know."""
+    modules = modules_of_code(text, "datamatrix")
+    assert modules.shape[0] == modules.shape[1]
+    drawn = np.kron(np.where(modules, 0, 255).astype(np.uint8), np.ones((8, 8), np.uint8))
+    (found,) = arbez_dmtx.decode(np.stack([drawn] * 3, axis=-1), max_count=1)
+    assert found.data.decode() == text
 
 
 def test_one_picture_is_shown_nearly_exactly():
