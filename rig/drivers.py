@@ -7,12 +7,13 @@ from typing import cast
 from anisoscope.base.errors import RigFileError
 from anisoscope.base.plugins import installed
 from anisoscope.rig.camera import Camera
-from anisoscope.rig.light import Light
+from anisoscope.rig.light import FilterWheel, Light
 from anisoscope.rig.stage import RotationStage
 
 STAGES = "anisoscope.stages"
 CAMERAS = "anisoscope.cameras"
 LIGHTS = "anisoscope.lights"
+WHEELS = "anisoscope.wheels"
 
 
 def open_stage(name: str, *, table: str = "stage", **options: object) -> RotationStage:
@@ -42,6 +43,13 @@ def open_light(name: str, **options: object) -> Light:
     if options.get("port") is None:
         options.pop("port", None)
     return cast("Light", _open(LIGHTS, "light", name, options))
+
+
+def open_wheel(name: str, **options: object) -> FilterWheel:
+    """Connect to a filter wheel; options and errors as for `open_stage`."""
+    if options.get("port") is None:
+        options.pop("port", None)
+    return cast("FilterWheel", _open(WHEELS, "light.wheel", name, options))
 
 
 def _open(group: str, table: str, name: str, options: dict[str, object]) -> object:

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from anisoscope.base.errors import AnisoscopeError, CameraError, RigError
 from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
 from anisoscope.rig.holdline import ALIVE_S, LONGEST_LINE, HoldLine
-from anisoscope.rig.light import Light
+from anisoscope.rig.light import ChannelLight, Light
 from anisoscope.rig.portholder import Holder, claim, holder_of, release
 from anisoscope.rig.rigfile import BY_HAND, CameraPart, LightPart, MotorPart
 from anisoscope.rig.stage import MotionState, RotationStage, Unit, motion_state, unit_of
@@ -46,7 +46,12 @@ KINDS = {CameraPart: "camera", LightPart: "light"}
 def key_of(part: Part) -> str:
     """What an owner and a client agree on: kind, driver, port and options of a device."""
     kind = KINDS.get(type(part), "axis")
-    return json.dumps([kind, part.driver, _port_of(part), dict(sorted(part.options.items()))])
+    named: list[object] = [kind, part.driver, _port_of(part), dict(sorted(part.options.items()))]
+    if isinstance(part, LightPart) and part.channels:
+        wheel, channels = part.wheel, part.channels
+        switched = {name: [one.lamps, one.level_percent, one.filter] for name, one in channels.items()}
+        named += [None if wheel is None else wheel.model_dump(), switched]
+    return json.dumps(named)
 
 
 def _port_of(part: Part) -> str | None:
@@ -187,7 +192,7 @@ class Owner:
             return _camera_action(device, do, arguments), _nothing
         if isinstance(device, RotationStage):
             return _stage_action(device, do, arguments)
-        return _light_action(device, do), _nothing
+        return _light_action(device, do, arguments), _nothing
 
 
 def _nothing() -> None:
@@ -227,11 +232,14 @@ def _camera_action(camera: SharedCamera, do: str, arguments: list[Any]) -> Calla
     raise RigError(f"the process that holds the rig knows no '{do}' of a camera")
 
 
-def _light_action(light: Light, do: str) -> Callable[[], Any]:
+def _light_action(light: Light, do: str, arguments: list[Any]) -> Callable[[], Any]:
+    if do == "select" and isinstance(light, ChannelLight) and len(arguments) == 1:
+        return lambda: light.select(str(arguments[0]))
     actions: dict[str, Callable[[], Any]] = {
         "describe": lambda: {
             "name": str(getattr(light, "name", "")),
             "asks": bool(getattr(light, "asks", False)),
+            "channel": getattr(light, "channel", None),
         },
         "on": light.on,
         "off": light.off,
@@ -404,9 +412,17 @@ class HeldLight:
         self._key, self._line = key, HoldLine(holder)
         found = self._line.describe(key)
         self.name, self.asks = str(found["name"]), bool(found["asks"])
+        self._channel: str | None = None
+
+    def select(self, channel: str) -> None:
+        """Choose the channel that `on` lights, for this client alone."""
+        self._channel = channel
+        self._line.ask(self._key, "select", channel)
 
     def on(self) -> None:
         """Switch on; return when it is lit."""
+        if self._channel is not None:
+            self._line.ask(self._key, "select", self._channel)
         self._line.ask(self._key, "on")
 
     def off(self) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NameOrFile, Part, Positive, read_toml_model
@@ -189,6 +189,41 @@ class CameraPart(Part):
     options: dict[str, Option] = Field(default_factory=dict)
 
 
+class WheelPart(Part):
+    """A filter wheel in the beam of the light: its driver, port (as for an axis) and options."""
+
+    driver: str
+    port: Annotated[str, Field(min_length=1)] | None = None
+    options: dict[str, Option] = Field(default_factory=dict)
+
+
+def _as_tuple(value: Any) -> Any:  # noqa: ANN401
+    """Tables that were looked at before hold lists."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+class ChannelPart(Part):
+    """A light channel: what shines, and what of the light is then different from its table.
+
+    Attributes:
+        lamps: those of the controller that shine together; without any, its only lamp, or all.
+        level_percent: level of these lamps.
+        filter: place of the filter wheel, from 1.
+        angle_deg: as in `LightPart`, as are spectrum, wavelength, bandwidth and half angle.
+        flat: white reference that was taken under it; that of ``[calibration]`` by default.
+    """
+
+    lamps: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = ()
+    level_percent: Annotated[int, Field(ge=1, le=100)] = 100
+    filter: Annotated[int, Field(ge=1)] | None = None
+    angle_deg: float | None = None
+    spectrum: NameOrFile | None = None
+    wavelength_nm: Positive | None = None
+    bandwidth_nm: Annotated[float, Field(ge=0.0)] | None = None
+    half_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
+    flat: LocalPath | None = None
+
+
 class LightPart(Part):
     """The light.
 
@@ -203,6 +238,9 @@ class LightPart(Part):
         bandwidth_nm: full width of its spectrum at half of its height.
         half_angle_deg: of the cone of light that falls on a point of the sample.
         options: further options of the driver.
+        wheel: filter wheel in its beam.
+        channels: light channels by their names.
+        channel: the channel that is used where a recipe or a command names none.
     """
 
     driver: str = BY_HAND
@@ -213,6 +251,26 @@ class LightPart(Part):
     bandwidth_nm: Annotated[float, Field(ge=0.0)] | None = None
     half_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
     options: dict[str, Option] = Field(default_factory=dict)
+    wheel: WheelPart | None = None
+    channels: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")], ChannelPart] = Field(
+        default_factory=dict
+    )
+    channel: str | None = None
+
+    @model_validator(mode="after")
+    def _channels_are_there(self) -> Self:
+        for name, one in self.channels.items():
+            if one.filter is not None and self.wheel is None:
+                raise ValueError(f"channels.{name}.filter: there is no table [light.wheel]")
+        if self.channel is not None and self.channel not in self.channels:
+            there = ", ".join(self.channels) or "none"
+            raise ValueError(f"channel: there is no channel '{self.channel}'; there are: {there}")
+        return self
+
+    def in_channel(self, name: str) -> Self:
+        """The same light in one of its channels."""
+        own = self.channels[name].model_dump(exclude_none=True, include=set(type(self).model_fields))
+        return self.model_copy(update={**own, "channel": name})
 
     @model_validator(mode="before")
     @classmethod
@@ -325,6 +383,32 @@ class RigFile(RigAxes):
     camera: CameraPart
     light: LightPart
 
+    def in_channel(self, name: str | None) -> Self:
+        """The rig in a light channel: its lamp, and the flat that was taken under it.
+
+        Args:
+            name: of the channel; None for the one that the rig file uses by default.
+
+        Raises:
+            RigFileError: there is no such channel, or there are channels and none is chosen.
+        """
+        names, name = ", ".join(self.light.channels), name or self.light.channel
+        if name is None and not names:
+            return self
+        if name is None:
+            raise RigFileError(
+                f"light.channels: the rig '{self.name}' has {names}: choose one, by acquisition.light_channel of the "
+                "recipe, by --channel, or by light.channel of the rig file"
+            )
+        if name not in self.light.channels:
+            there = f"it has {names}" if names else "it has none"
+            raise RigFileError(f"light.channels: the rig '{self.name}' has no channel '{name}'; {there}")
+        found: dict[str, object] = {"light": self.light.in_channel(name)}
+        if (flat := self.light.channels[name].flat) is not None:
+            known = self.calibration or CalibrationPart(flat=flat)
+            found["calibration"] = known.model_copy(update={"flat": flat})
+        return self.model_copy(update=found)
+
     @property
     def without_devices(self) -> bool:
         """Whether it describes geometry and calibrations alone, so that nothing can be photographed with it."""
@@ -367,17 +451,18 @@ class ReplayRigFile(RigFile):
     camera: ReplayCameraPart
 
 
-def read_rig(path: Path, *, here: Path | None = None) -> RigFile:
+def read_rig(path: Path, *, here: Path | None = None, channel: str | None = None) -> RigFile:
     """Read a rig file; ``${here}`` in it stands for its own folder.
 
     Args:
         path: the file.
         here: the folder that ``${here}`` stands for, if it is another one: that of the original of a copy.
+        channel: the light channel; None for the one that the file uses by default, if it has channels.
 
     Raises:
         RigFileError: the file is missing or wrong; the message names the key.
     """
-    return _read(path, RigFile, here)
+    return _in_channel(_read(path, RigFile, here), channel)
 
 
 def read_axes(path: Path) -> RigAxes:
@@ -385,12 +470,18 @@ def read_axes(path: Path) -> RigAxes:
     return _read(path, RigAxes, None)
 
 
-def read_replay_rig(path: Path) -> RigFile:
+def read_replay_rig(path: Path, channel: str | None = None) -> RigFile:
     """Read a rig file for its geometry; the tables of the devices may be missing. Errors as for `read_rig`."""
-    return _read(path, ReplayRigFile, None)
+    return _in_channel(_read(path, ReplayRigFile, None), channel)
+
+
+def _in_channel(file: "RigFileT", name: str | None) -> "RigFileT":
+    """The rig in a channel; a rig with several of which none is chosen stays as it is."""
+    return file.in_channel(name) if name or file.light.channel else file
 
 
 AxesT = TypeVar("AxesT", bound=RigAxes)
+RigFileT = TypeVar("RigFileT", bound=RigFile)
 
 
 def _read(path: Path, model: type[AxesT], here: Path | None) -> AxesT:

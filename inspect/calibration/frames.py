@@ -32,6 +32,7 @@ class Taking:
         valid_days: validity of the calibration in days; None for the default.
         operator: name of the operator.
         temperature_c: ambient temperature.
+        light_channel: of the rig file; None for the one that it uses by default.
     """
 
     exposure_s: float
@@ -40,6 +41,7 @@ class Taking:
     valid_days: float | None = None
     operator: str | None = None
     temperature_c: float | None = None
+    light_channel: str | None = None
 
     def __post_init__(self) -> None:
         if not MIN_FRAMES <= self.frames <= MAX_FRAMES:
@@ -126,7 +128,7 @@ class Bed:
 
 
 @contextmanager
-def calibration_bed(rig_path: Path, advance: Advance) -> Iterator[Bed]:
+def calibration_bed(rig_path: Path, taking: Taking, advance: Advance) -> Iterator[Bed]:
     """Open a rig without moving its stage; an arm with a tilt axis is set to 0°.
 
     Camera and light tilt together, so that one calibration serves all tilts.
@@ -134,7 +136,7 @@ def calibration_bed(rig_path: Path, advance: Advance) -> Iterator[Bed]:
     Raises:
         RigFileError, RigError: the rig.
     """
-    with open_rig(read_rig(rig_path)) as rig:
+    with open_rig(read_rig(rig_path, channel=taking.light_channel)) as rig:
         yield Bed(rig, _upright(rig, advance), advance)
 
 

@@ -385,7 +385,7 @@ def calibrate_linearity(
     if not MIN_STEPS <= steps <= MAX_STEPS:
         raise UsageError(f"a linearity series needs {MIN_STEPS} to {MAX_STEPS} steps, not {steps}")
     days_of("linearity", taking.valid_days)
-    with calibration_bed(rig_path, on_progress) as bed:
+    with calibration_bed(rig_path, taking, on_progress) as bed:
         top_s = _full_scale_exposure(bed, taking)
         exposures = np.linspace(FIRST_SHARE, LAST_SHARE, steps) * top_s
         series = [_step(bed, float(one), taking.gain, number, steps) for number, one in enumerate(exposures)]
@@ -525,7 +525,7 @@ def calibrate_response(
         CalibrationError: the camera is linear already, or the frames carry no curve.
         RecordError: the file cannot be written.
     """
-    with calibration_bed(rig_path, on_progress) as bed:
+    with calibration_bed(rig_path, taking, on_progress) as bed:
         info = bed.rig.camera.info
         if info.linear:
             raise CalibrationError(

@@ -83,7 +83,7 @@ def calibrate_flat(
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
     days_of("flat", taking.valid_days)
-    with calibration_bed(rig_path, on_progress) as bed:
+    with calibration_bed(rig_path, taking, on_progress) as bed:
         dark, flat = bed.stack("dark", taking), bed.stack("flat", taking)
         light_cosine = _light_cosine(bed)
         content = bed.content(taking, 2 * taking.frames, flat)
@@ -132,7 +132,7 @@ def calibrate_dark(
         RecordError: a file cannot be written.
     """
     days_of("dark", taking.valid_days)
-    with calibration_bed(rig_path, on_progress) as bed:
+    with calibration_bed(rig_path, taking, on_progress) as bed:
         dark = bed.stack("dark", taking)
         content = bed.content(taking, taking.frames, dark)
         full_scale = bed.full_scale
@@ -192,13 +192,13 @@ def calibrate_stray(
     if not 0.0 <= target_reflectance < 1.0:
         raise UsageError(f"the reflectance of the target must lie between 0 and 1, not {target_reflectance}")
     days_of("stray", taking.valid_days)
-    part = read_rig(rig_path).calibration
+    part = read_rig(rig_path, channel=taking.light_channel).calibration
     if part is None:
         raise RigFileError(
             f"{rig_path} names no flat, which scales stray light: take one with `anisoscope calibrate flat` first"
         )
     white = read_reference(part.flat)
-    with calibration_bed(rig_path, on_progress) as bed:
+    with calibration_bed(rig_path, taking, on_progress) as bed:
         if white.camera != bed.camera.serial:
             raise CalibrationError(
                 f"the flat was taken with camera {white.camera}, this is {bed.camera.serial}: "

@@ -71,7 +71,7 @@ def calibrate_rotation(
     if angles < MIN_ANGLES:
         raise UsageError(f"the rotation needs at least {MIN_ANGLES} angles, not {angles}")
     days_of("rotation", taking.valid_days)
-    file = read_rig(rig_path)
+    file = read_rig(rig_path, channel=taking.light_channel)
     if file.fixture is None:
         raise RigFileError(f"{rig_path} describes no [fixture]: the rotation is found by its markers")
     check_fixture(file.fixture)

@@ -116,7 +116,14 @@ def check_serial(serial: str) -> str:
     return serial
 
 
-def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | None = None) -> Job:
+def prepare(
+    recipe_path: Path,
+    rig_path: Path,
+    serial: str,
+    *,
+    without: Kind | None = None,
+    channel: str | None = None,
+) -> Job:
     """Read and check everything that an inspection needs; nothing moves and nothing is written.
 
     Args:
@@ -124,6 +131,7 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
         rig_path: rig file.
         serial: serial number of the part.
         without: a calibration that is not looked at, because it is about to be taken.
+        channel: light channel in place of that of the recipe.
 
     Raises:
         UsageError: the serial number.
@@ -133,7 +141,9 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
     check_serial(serial)
     signer_in_use()  # a key that is missing shows before anything moves
     kind = kind_of(recipe_path)
-    recipe, rig = kind.read_recipe(recipe_path), read_rig(rig_path)
+    recipe = kind.read_recipe(recipe_path)
+    rig = read_rig(rig_path, channel=channel or recipe.acquisition.light_channel)
+    rig = rig if rig.light.channel else rig.in_channel(None)  # one of several must be chosen
     white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)
     assert rig.calibration is not None
     check_calibration_files(rig_path, rig.calibration, without)

@@ -175,7 +175,7 @@ def read_job_file(folder: Path) -> Manifest:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
 
 
-def reopen(folder: Path) -> tuple[Manifest, Job]:
+def reopen(folder: Path, channel: str | None = None) -> tuple[Manifest, Job]:
     """The job of an inspection folder, from its own copies alone.
 
     Raises:
@@ -190,7 +190,12 @@ def reopen(folder: Path) -> tuple[Manifest, Job]:
     kind = kind_of(paths["recipe"])
     recipe = kind.read_recipe(paths["recipe"])
     here = Path(manifest.rig_folder)
-    rig = read_rig(paths["rig"], here=here) if manifest.origin == "rig" else read_replay_rig(paths["rig"])
+    channel = channel or recipe.acquisition.light_channel
+    rig = (
+        read_rig(paths["rig"], here=here, channel=channel)
+        if manifest.origin == "rig"
+        else read_replay_rig(paths["rig"], channel)
+    )
     rig = rig.model_copy(update={"calibration": CalibrationPart(flat=paths["white reference"])})
     recipe, rig = kind.from_copies(recipe, rig, paths)
     recipe = with_logo(recipe, paths.get(LOGO))

@@ -148,8 +148,8 @@ def scan_setup(
         UsageError: a tilt or a step that is none, too few poses, or a part without a recipe.
         RecipeError, RigFileError, HeightMapError: a file.
     """
-    rig = read_rig(rig_path)
     recipe = None if recipe_path is None else kind_of(recipe_path).read_recipe(recipe_path)
+    rig = read_rig(rig_path, channel=None if recipe is None else recipe.acquisition.light_channel)
     return setup_of(rig, recipe, name, tilt_deg=tilt_deg, step_deg=step_deg, poses=poses)
 
 

@@ -71,6 +71,7 @@ class Lamps(BaseModel):
     tilts: int
     exposure_s: float | None
     folders: tuple[str, ...]
+    channels: tuple[str | None, ...] = ()
 
 
 class ScanSettings(BaseModel):
@@ -84,6 +85,7 @@ class ScanSettings(BaseModel):
     tilts_deg: tuple[float, ...]
     exposure_s: float
     brackets: tuple[float, ...]
+    light_channel: str | None = None
 
     @model_validator(mode="after")
     def _some_poses(self) -> Self:
@@ -234,6 +236,7 @@ def begin_scan(
     stages: int = 24,
     tilts: int = 13,
     exposure_s: float | None = None,
+    channel: str | None = None,
     on_progress: Advance = silent,
 ) -> ScanResult:
     """Scan into a new folder.
@@ -247,6 +250,7 @@ def begin_scan(
         stages: number of stage angles.
         tilts: number of tilts.
         exposure_s: shortest exposure; that of the recipe by default.
+        channel: light channel; that of the recipe or the rig file by default.
         on_progress: called with what is being done, steps done and steps in all.
 
     Raises:
@@ -256,8 +260,9 @@ def begin_scan(
         MeasurementError: the pictures cannot be used.
     """
     job, settings = planned_scan(
-        rig_path, recipe_path, specimen, tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s
-    )
+        rig_path, recipe_path, specimen,
+        tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s, channel=channel,
+    )  # fmt: skip
     _new_folder(folder)
     job, setup = _scanning(job, settings)
     with working_in(folder), _resumable(folder):
@@ -278,9 +283,10 @@ def planned_scan(
     stages: int = 24,
     tilts: int = 13,
     exposure_s: float | None = None,
+    channel: str | None = None,
 ) -> tuple[Job, ScanSettings]:
     """The job and the poses of a scan; nothing moves. Arguments and errors as for `begin_scan`."""
-    job = prepare(recipe_path, rig_path, "scan")
+    job = prepare(recipe_path, rig_path, "scan", channel=channel)
     recipe = job.surface_recipe
     angle, surface = 0.0, recipe.surface
     if specimen == "part":
@@ -299,6 +305,7 @@ def planned_scan(
         tilts_deg=all_tilts,
         exposure_s=acquisition.exposure_s if exposure_s is None else exposure_s,
         brackets=acquisition.brackets or BRACKETS,
+        light_channel=channel,
     )
 
 
@@ -316,7 +323,7 @@ def resume_scan(folder: Path, on_progress: Advance = silent) -> ScanResult:
     except ValidationError as problem:
         raise RecordError(f"{folder / SCAN} is damaged: {problem.errors()[0]['msg']}") from problem
     with working_in(folder), _resumable(folder):
-        manifest, job = reopen(folder)
+        manifest, job = reopen(folder, settings.light_channel)
         check_frames(folder)
         sweep(folder)
         job, setup = _scanning(job, settings)
@@ -334,34 +341,46 @@ def planned_lamps(
     stages: int = 24,
     tilts: int = 13,
     exposure_s: float | None = None,
+    channels: Sequence[str] = (),
 ) -> Lamps:
     """A scan of one specimen with several lamps; nothing moves.
 
     Args:
-        rig_paths: a rig file for each lamp, with its wavelength and the flat taken under it.
+        rig_paths: a rig file for each lamp, with its wavelength and the flat taken under it; or one with channels.
         recipe_path: as for `begin_scan`, as is the rest.
         specimen: what lies on the stage.
         tilt_deg: largest tilt.
         stages: number of stage angles.
         tilts: number of tilts.
         exposure_s: shortest exposure.
+        channels: light channels of the one rig file, each a lamp.
 
     Raises:
-        UsageError: a lamp without a wavelength, or two of one; and as for `begin_scan`.
+        UsageError: channels of several rig files, a lamp without a wavelength, or two of one; and as for `begin_scan`.
     """
+    if channels and len(rig_paths) > 1:
+        raise UsageError("light channels are those of one rig file: name one, or a rig file for each lamp")
+    each = [(rig_paths[0], one) for one in channels] if channels else [(path, None) for path in rig_paths]
     folders: list[str] = []
-    for path in rig_paths:
+    for path, channel in each:
         job, _ = planned_scan(
-            path, recipe_path, specimen, tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s
+            path, recipe_path, specimen,
+            tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s, channel=channel,
+        )  # fmt: skip
+        nm, lamp = (
+            job.rig.light.wavelength_nm,
+            f"{path}" if channel is None else f"{path}, channel {channel},",
         )
-        nm = job.rig.light.wavelength_nm
         if nm is None or f"{nm:g}nm" in folders:
             what = "states no light.wavelength_nm" if nm is None else f"is a second one of {nm:g} nm"
-            raise UsageError(f"{path} {what}: a scan with several lamps needs a rig file for each wavelength")
+            raise UsageError(
+                f"{lamp} {what}: a scan with several lamps needs a rig file or a light channel for each wavelength"
+            )
         folders.append(f"{nm:g}nm")
     return Lamps(
-        rigs=tuple(path.resolve() for path in rig_paths), recipe=recipe_path.resolve(), specimen=specimen,
-        tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s, folders=tuple(folders),
+        rigs=tuple(path.resolve() for path, _ in each), channels=tuple(one for _, one in each),
+        recipe=recipe_path.resolve(), specimen=specimen, tilt_deg=tilt_deg, stages=stages, tilts=tilts,
+        exposure_s=exposure_s, folders=tuple(folders),
     )  # fmt: skip
 
 
@@ -390,7 +409,8 @@ def resume_lamps(folder: Path, on_progress: Advance = silent) -> tuple[ScanResul
         raise RecordError(f"{folder / LAMPS} is damaged: {problem.errors()[0]['msg']}") from problem
     found: list[ScanResult] = []
     try:
-        for rig, name in zip(lamps.rigs, lamps.folders, strict=True):
+        channels = lamps.channels or (None,) * len(lamps.rigs)
+        for rig, name, channel in zip(lamps.rigs, lamps.folders, channels, strict=True):
             here = folder / name
             on_progress(name, len(found), len(lamps.folders))
             if (here / SCAN).exists():
@@ -406,6 +426,7 @@ def resume_lamps(folder: Path, on_progress: Advance = silent) -> tuple[ScanResul
                     stages=lamps.stages,
                     tilts=lamps.tilts,
                     exposure_s=lamps.exposure_s,
+                    channel=channel,
                     on_progress=on_progress,
                 )
             )

@@ -544,7 +544,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
             check_logo(recipe, path)
             check_poses(recipe.poses, light_angle_deg, path)
             return self.capability(recipe, None, light_angle_deg, tries, advance)
-        rig = read_replay_rig(rig_path)
+        rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
         self.check(recipe, rig, path, rig_path)
         check_region(recipe, rig.fixture, path)
         try:

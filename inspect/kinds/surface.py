@@ -627,7 +627,7 @@ def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, sou
     from anisoscope.decision.predictive_test import learnt_scatter, suggested_scatter  # noqa: PLC0415 - scipy
 
     recipe, source = kind.read_recipe(recipe_path), kind.read_recipe(source_path)
-    rig = read_replay_rig(rig_path)
+    rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
     if recipe.material.material() != source.material.material():
         raise UsageError(
             f"{recipe_path} and {source_path} state different plastics, whose parts need not scatter alike: name the "

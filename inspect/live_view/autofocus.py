@@ -358,7 +358,7 @@ def map_focus(
     """
     places = np.array(places_mm, dtype=float).reshape(-1, 2)
     fit_plane(places, np.zeros(len(places)), 0.0)
-    file = read_rig(rig_path)
+    file = read_rig(rig_path, channel=taking.light_channel)
     part = file.z
     if part is None:
         raise UsageError("nothing moves the focus there: the rig file has no table [z]")

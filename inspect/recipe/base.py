@@ -19,6 +19,7 @@ class AcquisitionPart(Part):
 
     ``brackets`` are further exposures of every pose, as multiples of ``exposure_s``, for parts whose dark poses drown
     in noise at the longest exposure that the bright ones allow. The number of frames is per exposure.
+    ``light_channel`` is that of the rig file under which the part is photographed.
     """
 
     exposure_s: Positive
@@ -27,6 +28,7 @@ class AcquisitionPart(Part):
     frames_per_pose: Annotated[int, Field(ge=2, le=256)] = 4
     dark_frames: Annotated[int, Field(ge=2, le=256)] = 4
     settle_s: NotNegative = 0.1
+    light_channel: str | None = None
 
     @model_validator(mode="after")
     def _brackets_rise(self) -> Self:

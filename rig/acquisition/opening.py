@@ -10,9 +10,9 @@ from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.collisions import Guard
-from anisoscope.rig.drivers import open_camera, open_light, open_stage
+from anisoscope.rig.drivers import open_camera, open_light, open_stage, open_wheel
 from anisoscope.rig.hold import held_camera, held_light, held_stage
-from anisoscope.rig.light import Light, rest
+from anisoscope.rig.light import Channel, ChannelLight, FilterWheel, Light, rest
 from anisoscope.rig.rigfile import BY_HAND, CameraPart, LightPart, MotorPart, RigAxes, RigFile
 from anisoscope.rig.stage import RotationStage, unit_of
 from anisoscope.rig.transport import shared_ports
@@ -222,5 +222,26 @@ def open_eye(part: CameraPart) -> Camera:
 def open_lamp(part: LightPart) -> Light:
     """Open a light from its table, or use it where another process holds it; errors as for `open_devices`."""
     if (held := held_light(part)) is not None:
+        if part.channel is not None:
+            held.select(part.channel)
         return held
-    return open_light(part.driver, port=part.port, **part.options)
+    light = open_light(part.driver, port=part.port, **part.options)
+    if not part.channels:
+        return light
+    wheel: FilterWheel | None = None
+    try:
+        if (turned := part.wheel) is not None:
+            wheel = open_wheel(turned.driver, port=turned.port, **turned.options)
+        channels = {
+            name: Channel(dict.fromkeys(one.lamps, one.level_percent), one.filter)
+            for name, one in part.channels.items()
+        }
+        found = ChannelLight(light, wheel, channels)
+        if part.channel is not None:
+            found.select(part.channel)
+    except BaseException:
+        light.close()
+        if wheel is not None:
+            wheel.close()
+        raise
+    return found

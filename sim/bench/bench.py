@@ -5,6 +5,7 @@ file (`SamplePart`), a word for it in ``SamplePart.kind``, and a line in `build_
 level and noise belong to the bench; a sample does not know them.
 """
 
+import copy
 import hashlib
 import importlib
 import io
@@ -29,6 +30,7 @@ from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.bench.benchfile import (
     BenchFile,
     CodePart,
+    FilterPart,
     MaterialPart,
     OpticsPart,
     SamplePart,
@@ -36,8 +38,10 @@ from anisoscope.sim.bench.benchfile import (
     read_bench,
 )
 from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
-from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
+from anisoscope.sim.bench.firmware.catalogue import COOLLED, LIGHT, WHEEL, Mount, build
+from anisoscope.sim.bench.firmware.coolled import CoolLedFirmware
 from anisoscope.sim.bench.firmware.device import Firmware
+from anisoscope.sim.bench.firmware.fw102c import PLACES, WheelFirmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import (
@@ -276,9 +280,9 @@ Counts = npt.NDArray[np.uint16]
 class Bench:
     """A virtual rig built from a bench file.
 
-    The stage's firmware turns ``axis``; the light's firmware, or the setter of ``light_on``, switches ``lamp``; the
-    camera sees the sample at the angle where the axis *really* is, as bright as the lamp really is. Everything random
-    comes from the file's seed.
+    The stage's firmware turns ``axis``; the light's firmware, or the setter of ``light_on``, switches ``lamp``; of
+    several ``lamps``, of which it is the first, a CoolLED controller. The camera sees the sample at the angle where the
+    axis *really* is, as bright as the lamps really are. Everything random comes from the file's seed.
 
     Raises:
         RigFileError: a spectrum that the file names cannot be used.
@@ -311,12 +315,22 @@ class Bench:
         }
         self.sensor = Sensor(file.sensor, sensor_rng)
         self.lamp = Lamp(file.optics, light_rng)
-        self.light_firmware = LightFirmware(self.lamp)
+        others = [(letter, light_rng.spawn(1)[0]) for letter in list(file.lamps)[1:]]
+        self.lamps = {next(iter(file.lamps), ""): self.lamp}
+        self.lamps |= {letter: Lamp(file.optics, rng) for letter, rng in others}
+        self.light_firmware: LightFirmware | CoolLedFirmware
+        if file.lamps:
+            model = "pE-4000" if "D" in file.lamps else "pE-300"
+            self.light_firmware = CoolLedFirmware(dict(sorted(self.lamps.items())), model)
+        else:
+            self.light_firmware = LightFirmware(self.lamp)
+        wheel = next(name for name, places in PLACES.items() if places >= len(file.filters))
+        self.wheel = WheelFirmware(wheel, clock=clock, time_scale=scale)
         self._sample_rng = sample_rng
-        self._sample: Sample | None = None
+        self._samples: dict[float | None, Sample] = {}
         self._mosaic = Mosaic(file.sensor, file.vision().strengths())
-        self._scene: tuple[_Pose, Image] | None = None
-        self._sharp: tuple[tuple[float, float, tuple[float, float]], FloatArray] | None = None
+        self._scenes: dict[_Shine, tuple[_Pose, Image]] = {}
+        self._sharp: dict[_Shine, tuple[_InFocus, FloatArray]] = {}
         self._lock = threading.Lock()
 
     @property
@@ -361,13 +375,19 @@ class Bench:
         return self._moved_mm("z") + self.file.tray.height_mm(*(float(one) for one in seen))
 
     def device(self, name: str) -> Firmware:
-        """What answers on a line of this rig: the axes of a protocol, or the ``light``.
+        """What answers on a line of this rig: the axes of a protocol, ``light`` or ``coolled``, or ``fw102c``.
 
         Raises:
             UsageError: this rig has no such device.
         """
-        if name == LIGHT:
+        if name == (COOLLED if self.file.lamps else LIGHT):
             return self.light_firmware
+        if name == WHEEL and self.file.filters:
+            return self.wheel
+        if name in {LIGHT, COOLLED, WHEEL}:
+            raise UsageError(
+                "this bench has one lamp (light) and no wheel, unless its file has tables [lamps.A] and [[filters]]"
+            )
         if name not in self.lines:
             raise UsageError(f"the axes of this bench speak {' and '.join(self.lines)}, not {name}")
         return self.lines[name]
@@ -377,50 +397,74 @@ class Bench:
         with self._lock:
             optics = self.file.optics
             signal = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
-            lamp = 0.0 if optics.lens_cap else self.lamp.brightness()
-            if lamp > 0.0:
-                per_second = self._radiance_on_sensor() * np.float64(lamp * optics.electrons)
+            shines = [] if optics.lens_cap else self._shining()
+            if shines:
+                per_second = sum(
+                    self._radiance_on_sensor(shine) * np.float64(lamp * optics.electrons)
+                    for shine, lamp in shines
+                )
                 if self.file.sensor.auto_exposure == "on":
                     exposure_s = self.sensor.automatic_exposure_s(per_second)
                 signal = per_second * exposure_s
             return self.sensor.expose(signal, exposure_s, gain)
 
-    def _radiance_on_sensor(self) -> Image:
+    def _shining(self) -> list[tuple["_Shine", float]]:
+        """The lamps that shine during the next frame, behind the filter, and their brightness."""
+        found = []
+        place = self.wheel.place - 1
+        beam = self.file.filters[place] if place < len(self.file.filters) else FilterPart()
+        for letter, lamp in self.lamps.items():
+            part = self.file.lamps[letter] if letter else None  # type: ignore[index]
+            level = lamp.brightness() * beam.passes
+            angle = self.file.geometry.light_angle_deg if part is None else part.light_angle_deg
+            own = None if part is None else part.wavelength_nm
+            if level > 0.0:
+                share = 1.0 if part is None else part.brightness
+                found.append((_Shine(angle, beam.wavelength_nm or own), share * level))
+        return found
+
+    def _radiance_on_sensor(self, shine: "_Shine") -> Image:
         pose = _Pose(self.sample_angle_deg, self.tilt_deg, self.shift_mm, self.defocus_mm)
-        if self._scene is None or self._scene[0] != pose:
+        if shine not in self._scenes or self._scenes[shine][0] != pose:
             axes = (self.axis, self.tilt_axis, *self.linear.values())
             moving = any(axis is not None and axis.busy() for axis in axes)
             # what a live view shows on the way is of no use to another process, nor is one of many planes of focus
             passing = moving or bool(self.linear)
-            self._scene = pose, self._render(pose) if passing else self._cached_scene(pose)
-        return self._scene[1]
+            self._scenes[shine] = (
+                pose,
+                self._render(pose, shine) if passing else self._cached_scene(pose, shine),
+            )
+        return self._scenes[shine][1]
 
-    def _cached_scene(self, pose: "_Pose") -> Image:
+    def _cached_scene(self, pose: "_Pose", shine: "_Shine") -> Image:
         """The scene of a pose, from the cache of all processes."""
-        table = self.file.model_dump(mode="json", exclude={"stage", "tilt", "x", "y", "z"})
-        entry = Cache().entry("scenes", {"bench": _with_content(table), "pose": pose[:2]}, __name__)
-        return entry.result(lambda: self._render(pose), _packed, _unpacked)
+        exclude = {"stage", "tilt", "x", "y", "z", "lamps", "filters"}
+        key = {"bench": _with_content(self.file.model_dump(mode="json", exclude=exclude)), "pose": pose[:2]}
+        if self.file.lamps or self.file.filters:
+            key["light"] = shine
+        entry = Cache().entry("scenes", key, __name__)
+        return entry.result(lambda: self._render(pose, shine), _packed, _unpacked)
 
-    def _render(self, pose: "_Pose") -> Image:
-        if self._sharp is None or self._sharp[0] != pose.in_focus:
-            self._sharp = pose.in_focus, self._in_focus(pose)
-        file, picture = self.file, self._sharp[1]
+    def _render(self, pose: "_Pose", shine: "_Shine") -> Image:
+        if shine not in self._sharp or self._sharp[shine][0] != pose.in_focus:
+            self._sharp[shine] = pose.in_focus, self._in_focus(pose, shine)
+        file, picture = self.file, self._sharp[shine][1]
         if "z" in self.linear:
             picture = np.stack([defocused(channel, file.optics, pose.defocus_mm) for channel in picture])
         shade = vignette(file.optics, file.sensor)
         scene = (self._mosaic.pick(picture) + file.optics.stray_radiance) * shade * self._mosaic.passed
         return np.asarray(scene, dtype=np.float32)
 
-    def _in_focus(self, pose: "_Pose") -> FloatArray:
+    def _in_focus(self, pose: "_Pose", shine: "_Shine") -> FloatArray:
         """(channels, rows, cols) radiance on the sensor, but for vignette and stray light."""
         file = self.file
-        convention = Convention(light_angle_deg=file.geometry.light_angle_deg)
+        convention = Convention(light_angle_deg=shine.angle_deg)
         to_light, to_camera = directions((Pose(pose.angle_deg, pose.tilt_deg),), convention)
         cos_light = to_light[0, 2]
         if file.sample.kind == "white-tile":
             shape = (1, file.sensor.rows, file.sensor.cols)
             return np.full(shape, file.sample.reflectance / np.pi * cos_light)
-        picture, cover = self._image_of_samples(pose, to_light, to_camera)
+        picture, cover = self._image_of_samples(pose, shine, to_light, to_camera)
         image = picture.astype(np.float64)
         if file.fixture is not None:
             view = (file.optics, file.sensor, pose.angle_deg, pose.tilt_deg)
@@ -431,15 +475,13 @@ class Bench:
         return image
 
     def _image_of_samples(
-        self, pose: "_Pose", to_light: FloatArray, to_camera: FloatArray
+        self, pose: "_Pose", shine: "_Shine", to_light: FloatArray, to_camera: FloatArray
     ) -> tuple[Image, Image]:
         """(channels, rows, cols) image of the samples on the sensor, and the share of each pixel that they cover.
 
         The directions are (1, 3), in the frame of the stage's plate.
         """
-        if self._sample is None:
-            self._sample = build_sample(self.file, self._sample_rng)
-        sample, file = self._sample, self.file
+        sample, file = self._sample_under(shine), self.file
         seat = seating_rotation(*file.sample.seating_tilt_deg)
         radiance = sample.radiance((to_light @ seat)[0], (to_camera @ seat)[0])
         view = (sample.pixel_um, file.optics, file.sensor, pose.angle_deg, pose.tilt_deg, pose.shift_mm)
@@ -449,6 +491,30 @@ class Bench:
         ]
         images = [np.stack([image for image, _ in channels]) for channels in shown]
         return sum(images[1:], images[0]), sum((one[0][1] for one in shown[1:]), shown[0][0][1])
+
+    def _sample_under(self, shine: "_Shine") -> Sample:
+        """The sample; a wafer shows something else under a lamp of another wavelength."""
+        wafer = self.file.sample.wafer
+        nm = shine.wavelength_nm if wafer is not None else None
+        if nm not in self._samples:
+            file = self.file
+            if nm is not None and wafer is not None:
+                part = file.sample.model_copy(
+                    update={"wafer": wafer.model_copy(update={"wavelength_nm": nm})}
+                )
+                file = file.model_copy(update={"sample": part})
+            self._samples[nm] = build_sample(file, copy.deepcopy(self._sample_rng))
+        return self._samples[nm]
+
+
+class _Shine(NamedTuple):
+    """Direction of a lamp, and its wavelength where it is not that of the sample's table."""
+
+    angle_deg: float
+    wavelength_nm: float | None
+
+
+_InFocus = tuple[float, float, tuple[float, float]]
 
 
 class _Pose(NamedTuple):
@@ -460,7 +526,7 @@ class _Pose(NamedTuple):
     defocus_mm: float
 
     @property
-    def in_focus(self) -> tuple[float, float, tuple[float, float]]:
+    def in_focus(self) -> _InFocus:
         """All but the distance."""
         return self[:3]
 

@@ -251,8 +251,27 @@ class GeometryPart(Part):
     tilt_deg: float = 0.0
 
 
+class LampPart(Part):
+    """One of several lamps: where it truly stands, how bright it is, and its wavelength where a wafer's differs."""
+
+    light_angle_deg: float = 10.0
+    brightness: Positive = 1.0
+    wavelength_nm: Positive | None = None
+
+
+class FilterPart(Part):
+    """A filter of the wheel: the share of the light that it passes, and the wavelength that it leaves a wafer."""
+
+    passes: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+    wavelength_nm: Positive | None = None
+
+
 class BenchFile(Part):
-    """A virtual rig: sample, sensor, optics, stage, fixture, and the seed of everything random."""
+    """A virtual rig: sample, sensor, optics, stage, fixture, and the seed of everything random.
+
+    ``lamps`` are those of a CoolLED controller, by letter, in place of the one lamp of ``optics``; ``filters`` those of
+    a wheel before them, from place 1 on.
+    """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     seed: int = 1
@@ -267,6 +286,8 @@ class BenchFile(Part):
     tray: TrayPart = TrayPart()
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
+    lamps: dict[Literal["A", "B", "C", "D"], LampPart] = Field(default_factory=dict)
+    filters: Annotated[tuple[FilterPart, ...], Field(max_length=12)] = ()
 
     @property
     def linear(self) -> dict[str, LinearPart]:

@@ -129,7 +129,8 @@ def show(
             raise CalibrationError(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
             )
-    angle = light_angle if rig is None else read_rig(rig).light.angle_deg
+    channel = rules.acquisition.light_channel
+    angle = light_angle if rig is None else read_rig(rig, channel=channel).light.angle_deg
     output = kind.show_reference(known, rules, angle)
     measured_with = getattr(known, "equipment", None)
     content = _content(path, known.lacking, len(known.parts)) | {"equipment": measured_with} | output.content

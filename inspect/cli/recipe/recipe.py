@@ -183,7 +183,7 @@ def suggest(
             f"{file}: poses are chosen where a recipe states how good parts differ ([scatter]), not for {kind.one}"
         )
     sized, asked = with_sizes(recipe, defect)
-    rig_file = None if rig is None else read_rig(rig)
+    rig_file = None if rig is None else read_rig(rig, channel=recipe.acquisition.light_channel)
     angle = light_angle if rig_file is None else rig_file.light.angle_deg
     allowed = parse_range(angles, "--angles"), parse_range(tilts, "--tilts")
     with progress(file.name, quiet=json_) as advance:

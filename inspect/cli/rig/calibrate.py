@@ -28,6 +28,10 @@ _Gain = Annotated[float, Parameter(help="Gain of the camera, as a factor.")]
 _Frames = Annotated[int, Parameter(name="--count", help="Frames to average.")]
 _Days = Annotated[float | None, Parameter(help="Days of validity; else the usual number for its kind.")]
 _Operator = Annotated[str | None, Parameter(help="Operator, for the record.")]
+_Channel = Annotated[
+    str | None,
+    Parameter(name="--channel", help="Light channel of the rig file; its light.channel by default."),
+]
 _Temperature = Annotated[float | None, Parameter(help="Temperature in °C, for the record.")]
 
 
@@ -45,6 +49,7 @@ def flat(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
+    channel: _Channel = None,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile: shading of the picture and scale of the radiances.
@@ -57,7 +62,7 @@ def flat(
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_flat
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
+    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
     with progress("flat", quiet=json_) as advance:
         meta, record = calibrate_flat(rig, out, taking, reflectance=reflectance, on_progress=advance)
     if json_:
@@ -82,6 +87,7 @@ def dark(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
+    channel: _Channel = None,
     json_: Json = False,
 ) -> int:
     """Photograph with the light off: dark level, noise and hot pixels at an exposure and gain.
@@ -95,7 +101,7 @@ def dark(
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_dark
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
+    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
     with progress("dark", quiet=json_) as advance:
         record = calibrate_dark(rig, out, taking, on_progress=advance)
     return _show(record, out, json_=json_)
@@ -115,6 +121,7 @@ def stray(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
+    channel: _Channel = None,
     json_: Json = False,
 ) -> int:
     """Photograph black glass or a light trap under the lit lamp: stray light, which inspections then subtract.
@@ -127,7 +134,7 @@ def stray(
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_stray
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
+    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
     with progress("stray light", quiet=json_) as advance:
         record = calibrate_stray(rig, out, taking, target_reflectance=target_reflectance, on_progress=advance)
     return _show(record, out, json_=json_)
@@ -149,6 +156,7 @@ def linearity(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
+    channel: _Channel = None,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile with many exposures: gain, read noise, linearity and saturation after EMVA 1288.
@@ -161,7 +169,7 @@ def linearity(
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.linearity import calibrate_linearity
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
+    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
     with progress("linearity", quiet=json_) as advance:
         record = calibrate_linearity(rig, out, taking, steps=steps, on_progress=advance)
     return _show(record, out, json_=json_)
@@ -226,6 +234,7 @@ def rotation(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
+    channel: _Channel = None,
     json_: Json = False,
 ) -> int:
     """Turn the fixture by a full turn: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
@@ -239,7 +248,7 @@ def rotation(
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.rotation import calibrate_rotation
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
+    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
     with progress("rotation", quiet=json_) as advance:
         record = calibrate_rotation(rig, out, taking, angles=angles, at_mm=at, on_progress=advance)
     return _show(record, out, json_=json_)

@@ -11,7 +11,7 @@ from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, Yes, confirm, home_axes
+from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, Yes, confirm, home_axes
 
 if TYPE_CHECKING:
     from anisoscope.live_view.autofocus import Focus, Sweep
@@ -31,6 +31,7 @@ def focus(
     average: Annotated[int, Parameter(help="Frames averaged at each reading.")] = 1,
     measure: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
     light: LightState = "on",
+    channel: Channel = None,
     map_: Annotated[
         Path | None,
         Parameter(
@@ -59,8 +60,8 @@ def focus(
         raise UsageError("--from must be below --to, and --steps, --repeat and --average 1 or more")
     if map_ is not None:
         sweep = Sweep(low, high, steps, repeat, measure, average)
-        return _map(rig, map_, out, (exposure, gain), sweep, yes=yes, json_=json_)
-    file = read_rig(rig)
+        return _map(rig, map_, out, (exposure, gain), sweep, channel, yes=yes, json_=json_)
+    file = read_rig(rig, channel=channel)
     if file.z is None:
         raise UsageError("nothing moves the focus there: the rig file has no table [z]")
     lamp = None if light == "as-is" else file.light
@@ -85,6 +86,7 @@ def _map(
     out: Path,
     exposed: tuple[float, float],
     sweep: "Sweep",
+    channel: str | None,
     *,
     yes: bool,
     json_: bool,
@@ -97,7 +99,7 @@ def _map(
     seats = [slot.place_mm for slot in read_tray(tray).slots if slot.place_mm is not None]
     confirm(message("the axes search their references and go to {count} seats", count=len(seats)), yes=yes)
     with progress("focus map", quiet=json_) as advance:
-        record = map_focus(rig, seats, out, Taking(*exposed), sweep, advance)
+        record = map_focus(rig, seats, out, Taking(*exposed, light_channel=channel), sweep, advance)
     if json_:
         print_json({"file": str(out), **record.model_dump(mode="json")})
     else:

@@ -23,6 +23,10 @@ LightState = Annotated[
     Literal["on", "off", "as-is"],
     Parameter(help="Light while the picture is taken; as-is leaves it alone, and asks nobody to switch it."),
 ]
+Channel = Annotated[
+    str | None,
+    Parameter(name="--channel", help="Light channel of the rig file; its light.channel by default."),
+]
 RigPath = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative="", help="Home without asking.")]
 

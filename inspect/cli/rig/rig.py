@@ -45,6 +45,7 @@ def _register(path: str, group: Group) -> None:
 _register("anisoscope.cli.rig.status:status", _look)
 _register("anisoscope.cli.rig.snap:snap", _look)
 _register("anisoscope.cli.rig.live:live", _look)
+_register("anisoscope.cli.rig.light:light", _look)
 for _motion in ("home", "move", "jog", "stop"):
     _register(f"anisoscope.cli.rig.motion:{_motion}", _move)
 _register("anisoscope.cli.rig.focus:focus", _move)

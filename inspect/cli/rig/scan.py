@@ -45,6 +45,14 @@ def scan(
     exposure: Annotated[
         float | None, Parameter(help="Shortest exposure in seconds; that of the recipe by default.")
     ] = None,
+    channel: Annotated[
+        tuple[str, ...],
+        Parameter(
+            negative="",
+            consume_multiple=False,
+            help="Light channel of the rig file; given several times, one scan with all of them.",
+        ),
+    ] = (),
     dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
     json_: Json = False,
 ) -> int:
@@ -53,11 +61,12 @@ def scan(
     Poses are dense where facets mirror the light. The seating of a coupon is found from the scan; one that is not flat
     is refused. Writes brdf.csv for bsdf fit, readings.csv for calibrate material --readings, budget.json, and with a
     lamp of known wavelength goniometer.csv for ink fit. The stage homes and turns: keep its path free.
-    With several rig files each lamp has a folder, and the tables of all lamps lie above them.
+    With several rig files or channels each lamp has a folder, and the tables of all lamps lie above them.
 
     Examples:
         anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan
         anisoscope rig scan --coupon -g red.toml -g green.toml -g blue.toml -r ink.toml --out scan
+        anisoscope rig scan --coupon -g rig.toml --channel red --channel blue -r ink.toml --out scan
         anisoscope rig scan --continue scan
     """
     from anisoscope.inspection.reflectance_scan import (
@@ -71,7 +80,7 @@ def scan(
     )
 
     if continue_ is not None:
-        if rig or recipe or out or coupon or part:
+        if rig or recipe or out or coupon or part or channel:
             raise UsageError("--continue goes on with what the folder says: leave the other options out")
         with progress("scan", quiet=json_) as advance:
             if (continue_ / LAMPS).exists():
@@ -79,28 +88,31 @@ def scan(
             return _show(resume_scan(continue_, advance), continue_, as_json=json_)
     if coupon == part:
         raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
-    if not rig or recipe is None:
-        raise UsageError("a scan needs --rig FILE and --recipe FILE")
+    if not rig or recipe is None or (len(rig) > 1 and channel):
+        raise UsageError("a scan needs --rig FILE (one, where --channel is given) and --recipe FILE")
     specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
     if exposure is not None and not 0.0 < exposure < float("inf"):
         raise UsageError(f"--exposure takes a positive number of seconds, not {exposure:g}")
+    only, lights = next(iter(channel), None), max(len(rig), len(channel))
     if dry_run:
         job, settings = planned_scan(
-            rig[0], recipe, specimen, tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure
-        )
-        return _show_plan(settings, job.recipe.acquisition.frames_per_pose, len(rig), as_json=json_)
+            rig[0], recipe, specimen,
+            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, channel=only,
+        )  # fmt: skip
+        return _show_plan(settings, job.recipe.acquisition.frames_per_pose, lights, as_json=json_)
     if out is None:
         raise UsageError("--out FOLDER says where the scan goes; --dry-run prints the plan only")
-    if len(rig) > 1:
+    if lights > 1:
         lamps = planned_lamps(
-            rig, recipe, specimen, tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure
-        )
+            rig, recipe, specimen,
+            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, channels=channel,
+        )  # fmt: skip
         with progress("scan", quiet=json_) as advance:
             return _show_lamps(begin_lamps(lamps, out, advance), out, as_json=json_)
     with progress("scan", quiet=json_) as advance:
         found = begin_scan(
             rig[0], recipe, specimen, out,
-            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, on_progress=advance,
+            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, channel=only, on_progress=advance,
         )  # fmt: skip
     return _show(found, out, as_json=json_)
 

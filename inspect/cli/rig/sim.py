@@ -10,6 +10,7 @@ from anisoscope.base.errors import UsageError
 
 if TYPE_CHECKING:
     from anisoscope.sim.bench.bench import Bench
+    from anisoscope.sim.bench.benchfile import BenchFile
     from anisoscope.sim.bench.firmware.device import Firmware
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
@@ -133,11 +134,14 @@ def _serve_bench(
     others = [name for name in virtual_rig.lines if name != own]
     lines: dict[str, PtyServer | TcpServer] = {
         "stage": line(virtual_rig.device(own), 0),
-        "light": line(virtual_rig.device("light"), 1),
+        "light": line(virtual_rig.light_firmware, 1),
     }
     camera = CameraServer(lambda: SimulatedCamera(virtual_rig), base and base + 2)
     for number, name in enumerate(others, start=OTHERS):
         lines[name] = line(virtual_rig.device(name), number)
+    if virtual_rig.file.filters:
+        others.append("wheel")
+        lines["wheel"] = line(virtual_rig.wheel, OTHERS + len(others) - 1)
     for server in (*lines.values(), camera):
         stack.enter_context(server)
     places = {"stage": lines["stage"].port, "light": lines["light"].port, "camera": camera.port}
@@ -191,14 +195,33 @@ def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:
     if file.sensor.filters != "mono" or file.sample.kind == "print":
         table["camera"]["sensitivities"] = file.sensor.sensitivities
     table["light"] = {
-        "driver": "serial",
+        "driver": "coolled" if file.lamps else "serial",
         "port": urls["light"],
         "angle_deg": file.geometry.light_angle_deg,
         "spectrum": file.optics.spectrum,
+        **_channels(file, urls.get("wheel")),
     }
     if file.fixture is not None:
         table["fixture"] = file.fixture.model_dump(mode="json")
     write_text(path, tomli_w.dumps(table))
+
+
+def _channels(file: "BenchFile", wheel: str | None) -> dict[str, Any]:
+    """Light channels: each lamp, behind each filter."""
+    found: dict[str, dict[str, Any]] = {}
+    places = [(number, one) for number, one in enumerate(file.filters, 1)] or [(None, None)]
+    for letter, lamp in file.lamps.items() or [(None, None)]:
+        for place, passed in places:
+            name = "-".join(str(one) for one in (letter, place) if one is not None)
+            own: dict[str, Any] = (
+                {} if lamp is None else {"lamps": [letter], "angle_deg": lamp.light_angle_deg}
+            )
+            own |= {} if place is None else {"filter": place}
+            nm = (passed and passed.wavelength_nm) or (lamp and lamp.wavelength_nm)
+            if name:
+                found[name] = own if nm is None else own | {"wavelength_nm": nm}
+    named = {"channels": found, "channel": next(iter(found))} if found else {}
+    return named if wheel is None else {"wheel": {"driver": "fw102c", "port": wheel}, **named}
 
 
 def _linear_options(virtual_rig: "Bench", name: str) -> dict[str, str | int | float]:

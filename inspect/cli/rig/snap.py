@@ -10,7 +10,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, write_line
+from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
@@ -28,6 +28,7 @@ def snap(
     gain: Gain = 1.0,
     frames: Annotated[int, Parameter(name="--count", help="Frames to average, rounded to counts.")] = 1,
     light: LightState = "on",
+    channel: Channel = None,
     preview: Annotated[bool, Parameter(negative="", help="Also write a PNG preview next to it.")] = False,
     stage: Annotated[
         bool,
@@ -56,7 +57,7 @@ def snap(
     _check_files(out, picture, overwrite=overwrite)
     if not 1 <= frames <= 10_000:
         raise UsageError(f"--count must lie between 1 and 10000, not {frames}")
-    file = read_rig(rig)
+    file = read_rig(rig, channel=channel)
     axes = {"stage": file.stage} | ({} if file.tilt is None else {"tilt": file.tilt})
     lamp = None if light == "as-is" else file.light
     with open_devices(axes if stage else {}, file.camera, lamp) as devices:

@@ -109,6 +109,7 @@ def _light(part: "LightPart", stack: contextlib.ExitStack) -> dict[str, Any]:
         "port": part.port,
         "device": str(getattr(light, "name", part.driver)),
         "angle_deg": part.angle_deg,
+        "channels": list(part.channels),
     }
 
 
@@ -185,4 +186,6 @@ def _line(table: str, device: dict[str, Any]) -> str:
         ]
     elif table == "light":
         words.append(message("{angle}° from the camera", angle=format(device["angle_deg"], "g")))
+        if device["channels"]:
+            words.append(message("channels {names}", names=", ".join(device["channels"])))
     return ", ".join(words)

@@ -49,7 +49,7 @@ def photograph_first_pose(
     first = recipe.poses.poses()[0]
     pose = Pose(first.stage_deg, first.tilt_deg)
     acquisition = recipe.acquisition
-    file = read_rig(rig_path)
+    file = read_rig(rig_path, channel=acquisition.light_channel)
     known = Calibrations() if file.calibration is None else read_calibrations(file.calibration)
     plan = Plan((pose,), exposure_s or acquisition.exposure_s, acquisition.gain, seat=known.seat(place_mm))
     with open_rig(file) as rig:

@@ -214,7 +214,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     if not 0.5 <= share < 1.0:
         raise UsageError(f"--share must lie between 0.5 and 1, not {share:g}")
     recipe = read_print_recipe(recipe_path)
-    rig = read_replay_rig(rig_path)
+    rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
     check_print_rig(rig, rig_path)
     golden = read_golden_prints(golden_path(recipe_path), recipe, rig)
     if golden is None or golden.lacking is not None:

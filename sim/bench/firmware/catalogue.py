@@ -14,7 +14,8 @@ from anisoscope.sim.bench.firmware.device import Firmware
 
 STAGES = ("elliptec", "zaber", "grbl", "apt", "smc100")
 LIGHT = "light"
-DEVICES = (*STAGES, LIGHT)
+COOLLED, WHEEL = "coolled", "fw102c"
+DEVICES = (*STAGES, LIGHT, COOLLED, WHEEL)
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def simulated(name: str) -> Simulated:
         UsageError: there is none.
     """
     if name not in DEVICES:
-        raise UsageError(f"there is no simulated stage '{name}'; there are: {', '.join(DEVICES)}")
+        raise UsageError(f"there is no simulated device '{name}'; there are: {', '.join(DEVICES)}")
     return cast("Simulated", import_module(f"anisoscope.sim.bench.firmware.{name}").SIMULATED)
 
 

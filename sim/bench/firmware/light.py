@@ -28,7 +28,7 @@ class Dimmable(Protocol):
     attend: Callable[[], None]
 
 
-class _Led:
+class Led:
     """An LED without a lamp model."""
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class LightFirmware(SimulatedDevice):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(faults, clock)
-        self.lamp: Dimmable = lamp or _Led()
+        self.lamp: Dimmable = lamp or Led()
         self._switched_on = 0
         self._power_up()
         # Whoever looks at the lamp finds it off once the watchdog has bitten.

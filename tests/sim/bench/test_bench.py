@@ -57,7 +57,7 @@ def test_a_scene_is_rendered_once_for_all_benches_of_one_file(bench_path, scenes
     first, again = (Bench(read_bench(bench_path())) for _ in range(2))
     for bench in (first, again):
         bench.light_on = True
-    again._image_of_sample = None  # it must not be called
+    again._image_of_samples = None  # it must not be called
     assert np.array_equal(photograph(first), photograph(again))
     assert scenes() == 1
 
