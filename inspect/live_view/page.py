@@ -20,11 +20,13 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from anisoscope.base.errors import RigError
+from anisoscope.rig.jogging import Jogger, commands_of
 
 HOST = "127.0.0.1"
 SLOW_S = 5.0
 WAIT_S = 0.5
 MAX_VIEWERS = 16
+MAX_KEY = 16  # bytes of a key
 BOUNDARY = "frame"
 
 Number = float | int | str | None | list[float]
@@ -36,6 +38,7 @@ class LivePage:
     Args:
         port: TCP port of 127.0.0.1; 0 takes any free one.
         title: what the page is headed with.
+        jogger: moves the axes by keys that are pressed on the page; without it the page only shows.
 
     Attributes:
         address: what to open in a browser; whoever knows it can see the picture.
@@ -44,13 +47,14 @@ class LivePage:
         RigError: the port is taken, or not a port number.
     """
 
-    def __init__(self, port: int = 0, title: str = "anisoscope live") -> None:
+    def __init__(self, port: int = 0, title: str = "anisoscope live", jogger: Jogger | None = None) -> None:
         if not 0 <= port < 65536:
             raise RigError(f"cannot serve on TCP port {port}; choose 1…65535, or 0 for any")
         self.feed = _Feed()
         self.token = secrets.token_urlsafe(24)
         self._nonce = secrets.token_urlsafe(16)
-        self.html = _render(title, self._nonce)
+        self.jogger = jogger
+        self.html = _render(title, self._nonce, jogs=jogger is not None)
         try:
             self._server = _Server(self, port)
         except OSError as problem:
@@ -73,7 +77,10 @@ class LivePage:
 
     def publish(self, jpeg: bytes, numbers: Mapping[str, Number]) -> None:
         """Publish a picture and its numbers; returns at once. NaN is shown as an empty value."""
-        self.feed.put(jpeg, json.dumps({name: _plain(value) for name, value in numbers.items()}).encode())
+        plain = {name: _plain(value) for name, value in numbers.items()}
+        if self.jogger is not None:
+            plain["axes"] = self.jogger.state()
+        self.feed.put(jpeg, json.dumps(plain).encode())
 
     def close(self) -> None:
         """End all streams, free the port, wait until both is done."""
@@ -97,13 +104,13 @@ def _plain(value: Number) -> Number:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _render(title: str, nonce: str) -> bytes:
+def _render(title: str, nonce: str, *, jogs: bool) -> bytes:
     import jinja2  # noqa: PLC0415 - only who serves a page needs it
 
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    return environment.get_template("live.html").render(title=title, nonce=nonce).encode()
+    return environment.get_template("live.html").render(title=title, nonce=nonce, jogs=jogs).encode()
 
 
 class _Feed:
@@ -188,15 +195,34 @@ class _Handler(BaseHTTPRequestHandler):
         super().finish()
 
     def do_GET(self) -> None:
+        if self._may_be_served():
+            self._serve(self._requested_path())
+
+    def do_POST(self) -> None:
+        """A key of the page: its body is what a terminal sends for it."""
+        if not self._may_be_served():
+            return
+        jogger = self._page.jogger
+        if jogger is None or self._requested_path() != "key":
+            self._answer(HTTPStatus.NOT_FOUND)
+            return
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > MAX_KEY:
+            self._answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            return
+        for command in commands_of(self.rfile.read(int(length))):
+            jogger.do(command)
+        self._answer(HTTPStatus.NO_CONTENT)
+
+    def _may_be_served(self) -> bool:
+        """Whether there is room, and the request is for this host; it is answered where not."""
         if not self._welcome:
             self._answer(HTTPStatus.SERVICE_UNAVAILABLE)
-        elif self.headers.get("Host", "") not in {
-            f"{HOST}:{self._page.port}",
-            f"localhost:{self._page.port}",
-        }:
-            self._answer(HTTPStatus.MISDIRECTED_REQUEST)
-        else:
-            self._serve(self._requested_path())
+            return False
+        if self.headers.get("Host", "") in {f"{HOST}:{self._page.port}", f"localhost:{self._page.port}"}:
+            return True
+        self._answer(HTTPStatus.MISDIRECTED_REQUEST)
+        return False
 
     def _requested_path(self) -> str | None:
         """Path below the token; None if the token is wrong."""

@@ -7,20 +7,32 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import UsageError
+from anisoscope.base.errors import RigError, UsageError
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, write_line
+from anisoscope.cli.rig.options import (
+    Channel,
+    Exposure,
+    Gain,
+    LightState,
+    RigPath,
+    Yes,
+    home_axes,
+    write_line,
+)
 
 if TYPE_CHECKING:
     from anisoscope.live_view.page import LivePage
     from anisoscope.live_view.view import Counts, FocusMeasure, Reading
     from anisoscope.rig.camera import Camera, CameraInfo
+    from anisoscope.rig.jogging import Gamepad, Jogger
+    from anisoscope.rig.stage import RotationStage
 
     Sink = Callable[[Counts, CameraInfo, Reading], None]
 
@@ -34,10 +46,19 @@ def live(
     exposure: Exposure,
     gain: Gain = 1.0,
     light: LightState = "on",
+    channel: Channel = None,
     focus: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
     frames: Annotated[int | None, Parameter(name="--count", help="End after so many frames.")] = None,
     fps: Annotated[float, Parameter(help="Frames per second at most.")] = 10.0,
     web: Annotated[bool, Parameter(negative="", help="Show the picture on a page for the browser.")] = False,
+    jog: Annotated[
+        bool, Parameter(negative="", help="Move the axes by keys, here or on the page, and by --pad.")
+    ] = False,
+    pad: Annotated[
+        Path | None,
+        Parameter(help="With --jog: game pad, such as /dev/input/event5; auto takes the only one (Linux)."),
+    ] = None,
+    yes: Yes = False,
     port: Annotated[
         int, Parameter(name="--web-port", help="With --web: TCP port of 127.0.0.1; 0 takes any free one.")
     ] = 0,
@@ -45,34 +66,99 @@ def live(
 ) -> int:
     """Show focus (of the best seen), saturation, mean, histogram and ridge direction, until Ctrl-C or q and Enter.
 
-    The port of the stage stays free: move it from another terminal. The light goes off at the end. With --web
-    the first line is the address to open; it works on this machine only and holds a secret key.
+    The port of the stage stays free: move it from another terminal; or with --jog by keys: arrows for stage and tilt,
+    page up and down for z, a d w s for x and y, + and - for the size of the step, space stops all axes. A stick of a
+    game pad steps its axis while it is held; shoulder buttons change the step, all others stop. The light goes off at
+    the end. With --web the first line is the address to open; it works on this machine only and holds a secret key.
 
     Examples:
         anisoscope rig live --rig rig.toml --exposure 0.003
         anisoscope rig live --rig rig.toml --exposure 0.003 --web
+        anisoscope rig live --rig rig.toml --exposure 0.003 --jog --pad auto --yes
     """
     from anisoscope.rig.acquisition.opening import open_devices
-    from anisoscope.rig.rigfile import read_rig
+    from anisoscope.rig.rigfile import BY_HAND, read_rig
 
     if frames is not None and frames < 1:
         raise UsageError(f"--count must be 1 or more, not {frames}")
     if not 0.0 < fps <= 1000.0:
         raise UsageError(f"--fps must lie above 0 and up to 1000, not {fps:g}")
-    file = read_rig(rig)
-    with open_devices({}, file.camera, None if light == "as-is" else file.light) as devices:
+    if pad is not None and not jog:
+        raise UsageError("--pad moves axes: it goes with --jog")
+    file = read_rig(rig, channel=channel)
+    axes = {name: part for name, part in file.axes.items() if jog and part.driver != BY_HAND}
+    lit = None if light == "as-is" else file.light
+    with open_devices(axes, file.camera, lit, rows_of=file) as devices:
         camera, lamp = devices.camera, devices.light
         assert camera is not None
         camera.configure(exposure, gain)
         if lamp is not None:
             (lamp.on if light == "on" else lamp.off)()
         by_hand = lamp is not None and file.light.driver == "manual"  # which asks in the same terminal
+        home_axes(devices.axes, axes, file, yes=yes)
         try:
-            with _sinks(web, port, file.name, json_=json_) as sinks:
-                _watch(camera, sinks, focus, frames, 1.0 / fps, end_request(listen=not by_hand))
+            with ExitStack() as stack:
+                jogger, ended = _jogging(devices.axes, pad, stack) if jog else (None, None)
+                ended = ended or end_request(listen=not by_hand)
+                sinks = stack.enter_context(_sinks(web, port, file.name, jogger, json_=json_))
+                _watch(camera, sinks, focus, frames, 1.0 / fps, ended)
         except KeyboardInterrupt:
             return 0
     return 0
+
+
+def _jogging(
+    axes: "dict[str, RotationStage]", pad: Path | None, stack: ExitStack
+) -> "tuple[Jogger, threading.Event]":
+    """Jogging by the keys of the terminal and a game pad; the event is set when q is pressed."""
+    from anisoscope.rig.jogging import Gamepad, Jogger
+
+    ended = threading.Event()
+    pads = [] if pad is None else [Gamepad.find() if str(pad) == "auto" else Gamepad(pad)]
+    for one in pads:
+        stack.callback(one.close)
+    jogger = stack.enter_context(Jogger(axes))
+
+    def follow(one: "Gamepad") -> None:
+        try:
+            for command in one.commands(ended):
+                jogger.do(command)
+        except RigError as problem:
+            write_line(str(problem))
+
+    threads = [threading.Thread(target=follow, args=(one,), name="game pad", daemon=True) for one in pads]
+    for thread in threads:
+        thread.start()
+        stack.callback(thread.join)
+    stack.callback(ended.set)
+    _listen_to_keys(jogger, ended, stack)
+    return jogger, ended
+
+
+def _listen_to_keys(jogger: "Jogger", ended: threading.Event, stack: ExitStack) -> None:
+    """Take keys without Enter, where there is a terminal that can; it is set back at the end."""
+    from anisoscope.rig.jogging import commands_of
+
+    try:
+        import termios
+        import tty
+    except ImportError:  # Windows: keys of the page and the game pad remain
+        return
+    if sys.stdin is None or not sys.stdin.isatty():
+        return
+    descriptor = sys.stdin.fileno()
+    before = termios.tcgetattr(descriptor)
+    stack.callback(termios.tcsetattr, descriptor, termios.TCSADRAIN, before)
+    tty.setcbreak(descriptor)
+
+    def take() -> None:
+        while not ended.is_set() and (data := os.read(descriptor, 64)):
+            for command in commands_of(data):
+                jogger.do(command)
+            if b"q" in data:
+                ended.set()
+
+    threading.Thread(target=take, name="keys", daemon=True).start()
 
 
 def _watch(
@@ -116,12 +202,14 @@ def end_request(*, listen: bool) -> threading.Event:
 
 
 @contextmanager
-def _sinks(web: bool, port: int, title: str, *, json_: bool) -> "Iterator[list[Sink]]":
+def _sinks(
+    web: bool, port: int, title: str, jogger: "Jogger | None", *, json_: bool
+) -> "Iterator[list[Sink]]":
     with ExitStack() as stack:
         if web:
             from anisoscope.live_view.page import LivePage
 
-            page = stack.enter_context(LivePage(port, f"{title} – live"))
+            page = stack.enter_context(LivePage(port, f"{title} – live", jogger))
             print(message("live picture at {path}", path=page.address), flush=True)  # noqa: T201
             write_line(message("Ctrl-C ends it"))
             yield [_to_page(page)]
@@ -131,7 +219,7 @@ def _sinks(web: bool, port: int, title: str, *, json_: bool) -> "Iterator[list[S
             from rich.live import Live
 
             screen = stack.enter_context(Live(auto_refresh=False, transient=False))
-            yield [_to_screen(screen)]
+            yield [_to_screen(screen, jogger)]
         else:
             yield [lambda _counts, _info, reading: print(plain(reading), flush=True)]  # noqa: T201
 
@@ -149,11 +237,12 @@ def _json_line(_counts: "Counts", _info: "CameraInfo", reading: "Reading") -> No
     print_json_line(numbers(reading))
 
 
-def _to_screen(screen: Any) -> "Sink":  # noqa: ANN401 - rich's Live
+def _to_screen(screen: Any, jogger: "Jogger | None") -> "Sink":  # noqa: ANN401 - rich's Live
     from rich.text import Text
 
     def show(_counts: "Counts", _info: "CameraInfo", reading: "Reading") -> None:
-        screen.update(Text(panel(reading)), refresh=True)
+        moved = "" if jogger is None else f"\n{message('arrows move')}: {jogger.state()}"
+        screen.update(Text(panel(reading) + moved), refresh=True)
 
     return show
 

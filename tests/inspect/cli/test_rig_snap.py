@@ -250,3 +250,43 @@ def test_status_calls_a_bent_camera_uncalibrated_until_something_knows_its_bend(
     found = json.loads(command("rig", "status", "-g", known.rig, "--json")[1])["camera"]
     assert (found["linear"], found["uncalibrated"]) == (False, False)
     assert "UNCALIBRATED" not in command("rig", "status", "-g", virtual_rig("usual").rig)[1]
+
+
+def test_arrow_keys_turn_the_stage_while_the_picture_is_watched(rig):
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-Im", "anisoscope", *(str(part) for part in live(rig, "--jog", "--yes"))]
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE) as process:
+        os.close(theirs)
+        shown = b""
+
+        def read_until(words):
+            nonlocal shown
+            while words not in shown:
+                shown += os.read(ours, 65536)
+
+        read_until(b"arrows move")
+        os.write(ours, b"+\x1b[C")
+        read_until(b"stage 5\xc2\xb0")
+        os.write(ours, b"q")
+        with pytest.raises(OSError, match="Input/output"):
+            while os.read(ours, 65536):
+                pass
+        _, errors = process.communicate(timeout=120)
+    os.close(ours)
+    assert process.returncode == 0
+    assert b"homing" in errors
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        (("--pad", "auto"), 64, "--pad moves axes: it goes with --jog"),
+        (("--jog", "--yes", "--pad", "/dev/no-pad"), 69, "game pad /dev/no-pad: No such file or directory"),
+        (("--jog",), 64, "there is no terminal to ask in"),
+    ],
+)
+def test_jogging_that_cannot_be(command, rig, monkeypatch, more, code, words):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    found, _, err = command(*live(rig, *more))
+    assert found == code
+    assert words in err

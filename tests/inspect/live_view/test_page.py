@@ -12,6 +12,7 @@ import pytest
 
 from anisoscope.base.errors import RigError
 from anisoscope.live_view.page import LivePage
+from anisoscope.rig.jogging import Step
 
 JPEG = b"\xff\xd8" + b"x" * 500 + b"\xff\xd9"
 
@@ -101,7 +102,7 @@ def test_other_host_names_are_refused(page, host):
 
 
 def test_nothing_can_be_sent_to_the_page(page):
-    assert get(page, f"/{page.token}/", "POST")[0] == 501
+    assert get(page, f"/{page.token}/", "POST")[0] == 404
 
 
 def test_numbers_are_those_that_were_published(page):
@@ -196,3 +197,47 @@ def test_a_port_that_is_taken_or_none(page):
         LivePage(page.port)
     with pytest.raises(RigError, match="choose 1…65535"):
         LivePage(70000)
+
+
+class Keys:
+    """What takes the commands of a page."""
+
+    def __init__(self):
+        self.taken = []
+
+    def do(self, command):
+        self.taken.append(command)
+
+    def state(self):
+        return "stage 12°; ± 1°"
+
+
+def post(page, path, body, **headers):
+    line = http.client.HTTPConnection("127.0.0.1", page.port, timeout=60)
+    try:
+        line.request("POST", path, body=body, headers=headers)
+        return line.getresponse().status
+    finally:
+        line.close()
+
+
+def test_keys_of_the_page_move_axes_and_their_place_is_shown():
+    keys = Keys()
+    with LivePage(jogger=keys) as page:
+        assert post(page, f"/{page.token}/key", b"\x1b[C") == 204
+        assert post(page, f"/{page.token}/key", b" ") == 204
+        assert post(page, f"/{page.token}/key", b"?") == 204  # means nothing
+        assert keys.taken == [Step("stage", 1), "stop"]
+        assert post(page, "/wrong/key", b"\x1b[C") == 404
+        assert post(page, f"/{page.token}/numbers.json", b"\x1b[C") == 404
+        assert post(page, f"/{page.token}/key", b" " * 17) == 413
+        assert post(page, f"/{page.token}/key", b" ", Host="evil.example") == 421
+        assert len(keys.taken) == 2
+        page.publish(JPEG, {"frame": 1})
+        assert json.loads(get(page, f"/{page.token}/numbers.json")[2])["axes"] == "stage 12°; ± 1°"
+        assert b"ArrowRight" in get(page, f"/{page.token}/")[2]
+
+
+def test_a_page_without_axes_takes_no_keys(page):
+    assert post(page, f"/{page.token}/key", b"\x1b[C") == 404
+    assert b"ArrowRight" not in get(page, f"/{page.token}/")[2]
