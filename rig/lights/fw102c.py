@@ -88,7 +88,7 @@ class ThorlabsWheel:
         self._transport.close()
 
     def _query(self, command: bytes, answer: bytes) -> bytes:
-        """The answer to a question; damaged ones are asked again."""
+        """Send a question, again where its answer was damaged; return the answer."""
         pattern = re.compile(re.escape(command) + rb"[\r\n]+" + answer + rb"[\r\n]+> $")
         for _ in range(TRIES):
             if (found := self._exchange(command, pattern, self._timeout_s)) is not None:

@@ -19,6 +19,7 @@ from anisoscope.rig.bayer import Filters
 from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.firmware.fw102c import PLACES
 from anisoscope.sim.bench.plate import PlatePart
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.prints import check_print
@@ -287,7 +288,7 @@ class BenchFile(Part):
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
     lamps: dict[Literal["A", "B", "C", "D"], LampPart] = Field(default_factory=dict)
-    filters: Annotated[tuple[FilterPart, ...], Field(max_length=12)] = ()
+    filters: Annotated[tuple[FilterPart, ...], Field(max_length=max(PLACES.values()))] = ()
 
     @property
     def linear(self) -> dict[str, LinearPart]:

@@ -54,6 +54,12 @@ GUARDED = {
     ("sim/bench/serve.py", "tty"): "likewise",
     ("sim/bench/serve.py", "os.ttyname"): "likewise",
     ("inspect/inspection/folder.py", "fcntl"): "where it is missing, Windows' msvcrt locks",
+    (
+        "inspect/cli/rig/live.py",
+        "termios",
+    ): "keys of a terminal; where it is missing, those of the page remain",
+    ("inspect/cli/rig/live.py", "tty"): "likewise",
+    ("rig/jogging.py", "fcntl"): "asks a Linux input device for its range",
     ("rig/portholder.py", "os.getuid"): "behind hasattr(os, 'getuid')",
     ("profiles/files/decoder_worker.py", "resource"): "on Linux only; elsewhere the parent limits time",
     ("profiles/files/decoder_worker.py", "signal.setitimer"): "likewise",
