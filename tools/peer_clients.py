@@ -1,4 +1,4 @@
-"""Other people's clients, whose licence keeps them out of the tests, against the simulated stages.
+"""Other people's clients, whose licence keeps them out of the tests, against the simulated devices.
 
 Each gets an environment of its own below a cache folder, made once by pip, and drives a device on a pseudo terminal.
 Run it before a release; nothing of the package or its tests imports any of them::
@@ -17,6 +17,9 @@ from platformdirs import user_cache_path
 
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.firmware.coolled import CoolLedFirmware
+from anisoscope.sim.bench.firmware.device import Firmware
+from anisoscope.sim.bench.firmware.fw102c import WheelFirmware
 from anisoscope.sim.bench.serve import PtyServer
 
 HERE = Path(__file__).resolve().parent
@@ -39,6 +42,8 @@ PEERS = {
     "pylablib_k10cr1": Peer("pylablib-lightweight==1.4.3", "GPL-3", "apt", "K10CR1"),
     "apt_device_kdc101": Peer("thorlabs-apt-device==0.3.8", "GPL-3", "apt", "KDC101"),
     "microscope_zaber": Peer("microscope==0.7.0", "GPL-3", "zaber", "X-RSW60A"),
+    "microscope_coolled": Peer("microscope==0.7.0", "GPL-3", "coolled", "pE-300"),
+    "microscope_fw102c": Peer("microscope==0.7.0", "GPL-3", "fw102c", "FW102C"),
     "hvl_ccb_smc100": Peer("hvl-ccb==0.19.6", "GPL-3", "smc100", "urs75pp"),
 }
 
@@ -70,7 +75,8 @@ def run(name: str) -> tuple[bool, str]:
     peer = PEERS[name]
     python = interpreter_with(peer.package)
     axis = RotaryAxis(time_scale=0.1, start_deg=12.0)
-    with PtyServer(build(peer.device, [Mount(axis)], model=peer.model)) as server:
+    device = build(peer.device, [Mount(axis)], model=peer.model)
+    with PtyServer(device) as server:
         done = subprocess.run(
             [python, HERE / "peers" / f"{name}.py", server.port],
             capture_output=True,
@@ -78,22 +84,36 @@ def run(name: str) -> tuple[bool, str]:
             timeout=LIMIT_S,
             check=False,
         )
-    arrived = done.returncode == 0 and abs(axis.position() - TURNED_DEG) < 0.01
+    arrived = done.returncode == 0 and _stands(device, axis)
     said = done.stdout if done.returncode == 0 else done.stdout + done.stderr
     return arrived, said.replace(server.port, "PORT").strip()
+
+
+def _stands(device: Firmware, axis: RotaryAxis) -> bool:
+    """Whether the device is where its client was to bring it."""
+    if isinstance(device, CoolLedFirmware):
+        return [round(lamp.level, 3) for lamp in device.lamps.values()] in (
+            [0.0, 0.4, 0.0],
+            [0.0, 0.4, 0.0, 0.0],
+        )
+    if isinstance(device, WheelFirmware):
+        return device.place == 4
+    return abs(axis.position() - TURNED_DEG) < 0.01
 
 
 def page(results: dict[str, tuple[bool, str]]) -> str:
     """The page of evidence."""
     lines = [
         "# Clients of other people\n",
-        "`python tools/peer_clients.py --write` lets published clients drive the simulated stages on a pseudo",
-        "terminal: home, then 33°. Their licence (GPL) keeps them out of the tests; each has its own environment.",
+        "`python tools/peer_clients.py --write` lets published clients drive the simulated devices on a pseudo",
+        "terminal: home, then 33° (of lamps B at 40 %, of filters the fourth). Their licence (GPL) keeps",
+        "them out of the tests; each has its own environment.",
         "Permissive ones (`zaber-motion`, `thorlabs-apt-protocol`, `pygrbl-streamer`) are in the tests.\n",
     ]
     for name, (arrived, said) in results.items():
         peer = PEERS[name]
-        verdict = "stands at 33°" if arrived else "does not stand at 33°"
+        there = {"coolled": "lamp B at 40 %", "fw102c": "filter 4"}.get(peer.device, "stands at 33°")
+        verdict = there if arrived else f"not: {there}"
         lines += [f"## {peer.package}, {peer.device} {peer.model}: {verdict}\n", "```", said, "```\n"]
     return "\n".join(lines)
 

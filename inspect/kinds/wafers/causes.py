@@ -13,6 +13,7 @@ order in every input by itself. The scale of a second lamp is free, because no r
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,10 +25,10 @@ from anisoscope.diagnosis.cause_words import RIG_WORDS, CauseWords
 from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.kinds.wafers.etched import EtchedPredictor
+from anisoscope.kinds.wafers.etched import EtchedPredictor, NearWidths
 from anisoscope.kinds.wafers.lighting import moved_light, needed_reach, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer
-from anisoscope.kinds.wafers.states import DEPTH, SCATTER, WIDTH
+from anisoscope.kinds.wafers.states import DEPTH, EDGES, SCATTER, WIDTH, edges_u_nm, width_step_nm
 from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
@@ -416,11 +417,22 @@ def moved_inputs(recipe: WaferRecipe, wafer: EtchedPredictor, state: State) -> t
         ("zero of the tilt", stated.tilt_deg, lambda u: (wafer, replace(state, tilt_deg=u)), SQUARE),
         ("light angle", stated.light_angle_deg, lambda u: (wafer, _lit(state, u)), SQUARE),
     ]
+    edges = edges_u_nm(recipe, wafer, state.light_angle_deg)
+    if edges > 0.0:
+        near = wafer.near_widths(width_step_nm(recipe))
+        moves += [
+            (name, edges, partial(_edged, near, phase, state), SQUARE_OF_ETCHING)
+            for name, phase in zip(EDGES, (1.0, 1.0j), strict=True)
+        ]
     found = [Moved(name, make(-u), make(u), square) for name, u, make, square in moves if u > 0.0]
     for name, low, high in moved_light(recipe.light, wafer.light):
         of_lamp = name != "aperture of the lens"
         found.append(Moved(name, (wafer.under(low), state), (wafer.under(high), state), of_lamp=of_lamp))
     return tuple(found)
+
+
+def _edged(near: NearWidths[EtchedPredictor], phase: complex, state: State, u_nm: float) -> EtchedState:
+    return near(0.0, u_nm * phase), state
 
 
 def _with_scatter(state: State, more: float) -> State:

@@ -5,9 +5,8 @@ average is predicted too. What is reflected does not depend on the angle: the re
 1 % up to 30° from the normal, that of silicon by less than 2 %, and contrasts do not know it at all.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -54,6 +53,17 @@ class WaferLight:
         return Optics(self.lamp_half_angle_deg, self.aperture_half_angle_deg)
 
 
+WaferT_co = TypeVar("WaferT_co", covariant=True)
+
+
+class NearWidths(Protocol[WaferT_co]):
+    """A wafer at a bias of its widths, and with waves of its edges, in nm."""
+
+    def __call__(self, wider_nm: float, edges_nm: complex = 0.0) -> WaferT_co:
+        """The predictor."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class EtchedPredictor:
     """Predicts radiances of a wafer; the signature of every predictor.
@@ -89,17 +99,22 @@ class EtchedPredictor:
         tile = self.tile.widened(1e-3 * wider_nm)
         return replace(self, tile=tile, orders=Orders.of(tile, self.reach, self.bands))
 
-    def near_widths(self, step_nm: float) -> Callable[[float], Self]:
+    def near_widths(self, step_nm: float) -> "NearWidths[Self]":
         """The same wafer at any bias of its widths in nm, quick: by parabolas through widths up to a step away.
 
         Within the step the radiances are right to 1e-4 where edges move by less than 0.01 of a period, at twice the
-        step to 1e-3.
+        step to 1e-3. A second number, complex and in nm too, is the widening that stands for the waves of the edges
+        (`anisoscope.sim.light.wave.choice.edge_widening_um`).
         """
         tile, reach = self.tile, self.reach
         series = WidthOrders.of(
             lambda share: Orders.of(tile.widened(1e-3 * step_nm * share), reach, self.bands)
         )
-        return lambda wider_nm: replace(self, orders=series.at(wider_nm / step_nm))
+
+        def near(wider_nm: float, edges_nm: complex = 0.0) -> Self:
+            return replace(self, orders=series.at(wider_nm / step_nm, edges_nm / step_nm))
+
+        return near
 
     def under(self, light: WaferLight) -> Self:
         """The same wafer in another light."""

@@ -19,7 +19,16 @@ from anisoscope.kinds.wafers.causes import WAFER_CAUSES, WAFER_WORDS
 from anisoscope.kinds.wafers.etched import EtchedPredictor
 from anisoscope.kinds.wafers.lighting import moved_light, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer, recognises
-from anisoscope.kinds.wafers.states import BEYOND, DEPTH, SCATTER, WIDTH, WaferStates
+from anisoscope.kinds.wafers.states import (
+    BEYOND,
+    DEPTH,
+    EDGES,
+    SCATTER,
+    WIDTH,
+    WaferStates,
+    edges_u_nm,
+    width_step_nm,
+)
 from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
 from anisoscope.prediction.optics_selection import optics_for
 from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
@@ -47,7 +56,6 @@ class WaferOptics:
         notes = optics_notes(optics_for(surface, rig, request), rig, request)
         notes |= {
             "model": "wave",
-            "stated_error": NUMERICAL_ERROR,
             "reason": f"{notes['reason']} (a mirror with steps: diffraction orders of the tile)",
         }
         points = int(DRAWN_UM / surface.pixel_x_um)
@@ -73,6 +81,12 @@ class WaferOptics:
             pairs.append((DEPTH, predictor.with_depths(-deep), predictor.with_depths(deep)))
         if (wide := stated.etch_width_nm) > 0.0:
             pairs.append((WIDTH, predictor.with_widths(-wide), predictor.with_widths(wide)))
+        if (edges := edges_u_nm(wafer, predictor, convention.light_angle_deg)) > 0.0:
+            near = predictor.near_widths(width_step_nm(wafer))
+            pairs += [
+                (name, near(0.0, -edges * phase), near(0.0, edges * phase))
+                for name, phase in zip(EDGES, (1.0, 1.0j), strict=True)
+            ]
         found = []
         for name, below, above in pairs:
             low, high = (
@@ -153,6 +167,14 @@ class Wafers(SurfaceKind[WaferRecipe]):
     def recipe(self) -> type[WaferRecipe]:
         """The model of its recipe."""
         return WaferRecipe
+
+    def as_recorded(self, recipe: WaferRecipe, recorded: Mapping[str, Any]) -> WaferRecipe:
+        """As of all surfaces; a record that does not state ``step_edges_nm`` was judged without waves of the edges."""
+        recipe = super().as_recorded(recipe, recorded)
+        if "step_edges_nm" in recorded.get("uncertainty", {}):
+            return recipe
+        stated = recipe.uncertainty.model_copy(update={"step_edges_nm": 0.0})
+        return recipe.model_copy(update={"uncertainty": stated})
 
     def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
         """Check that the region does not leave the wafer, whose tiles are all alike."""

@@ -28,10 +28,15 @@ class WaferMaterial(MaterialPart):
 
 
 class WaferUncertainty(RigUncertainty):
-    """Standard uncertainties of the rig, and of good wafers: ``etch_…``, depth of the passes and width of features."""
+    """Standard uncertainties of the rig, of good wafers (``etch_…``: depth of the passes, width of features), of waves.
+
+    ``step_edges_nm``: of the widening that stands for what scalar waves neglect at the edges of steps; by default from
+    rigorous waves of aluminium.
+    """
 
     etch_depth_nm: NotNegative = 1.0
     etch_width_nm: NotNegative = 20.0
+    step_edges_nm: NotNegative | None = None
 
 
 class WaferRecipe(SurfaceRecipe):

@@ -12,29 +12,55 @@ from functools import cached_property
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.kinds.wafers.etched import EtchedPredictor
+from anisoscope.kinds.wafers.etched import EtchedPredictor, NearWidths
 from anisoscope.kinds.wafers.lighting import light_steps, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.profile_likelihood import FARTHEST
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.sim.light.geometry import Convention
+from anisoscope.sim.light.wave.choice import edge_widening_um
 
 DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
+EDGES = ("edges of the steps, in phase", "edges of the steps, out of phase")
+"""Real and imaginary part of the widening that stands for what scalar waves neglect at edges."""
+
 SCATTER = "share of scattered light"
 """Counterpart of a plastic's albedo."""
 BEYOND = ", beyond the slope"
 _STEP = 0.02  # u, of a derivative
 _WIDTHS = 2.0  # u, between the widths that are drawn
 _ETCHED = 40.0
+_LEAST_WIDTH_NM = 20.0
 _LEAST = 0.5  # of its nominal value: no lamp or lens is less than that
+
+
+def width_step_nm(recipe: WaferRecipe) -> float:
+    """Between the widths at which a wafer is drawn, for others near them."""
+    return _WIDTHS * (recipe.uncertainty.etch_width_nm or _LEAST_WIDTH_NM)
+
+
+def edges_u_nm(recipe: WaferRecipe, wafer: EtchedPredictor, light_angle_deg: float) -> float:
+    """Standard uncertainty, in nm, of either part of the widening that stands for the waves of edges.
+
+    Half the bound's modulus: that of a disc on which all values are equally likely. The recipe may state another one.
+    """
+    stated = recipe.uncertainty.step_edges_nm
+    if stated is not None:
+        return stated
+    levels = np.ptp(wafer.tile.levels_um)
+    tilt = max(abs(angle) for angle in recipe.poses.tilts_deg) + abs(light_angle_deg)
+    slant = float(np.tan(np.radians(min(tilt, 80.0))))
+    return 500.0 * edge_widening_um(float(levels), 1e-3 * wafer.light.wavelength_nm, slant)
 
 
 @dataclass(frozen=True)
 class _Inputs:
-    """Inputs of one state, in the units of the recipe."""
+    """Inputs of one state, in the units of the recipe; `wider_nm` and `edges_nm` are those of its wafer."""
 
     state: State
     wafer: EtchedPredictor
+    wider_nm: float = 0.0
+    edges_nm: complex = 0.0
 
 
 _Mover = Callable[[_Inputs, float], _Inputs]
@@ -87,9 +113,8 @@ class WaferStates:
         return recipe_wafer(self.recipe, self.light_angle_deg)[0]
 
     @cached_property
-    def _at_width(self) -> Callable[[float], EtchedPredictor]:
-        wide = self.recipe.uncertainty.etch_width_nm
-        return self._wafer.near_widths(_WIDTHS * wide)
+    def _at_width(self) -> NearWidths[EtchedPredictor]:
+        return self._wafer.near_widths(width_step_nm(self.recipe))
 
     @cached_property
     def _nominal(self) -> FloatArray:
@@ -107,12 +132,14 @@ class WaferStates:
     def _movers(self) -> dict[str, _Mover]:
         """By source, what a number of standard uncertainties makes of the inputs; those that are certain are left out.
 
-        The width comes first: it takes the wafer that was drawn at another width.
+        Width and edges come first: they take the wafer that was drawn at another width.
         """
         stated, material = self.recipe.uncertainty, self.recipe.material
         found: dict[str, _Mover] = {}
         if stated.etch_width_nm > 0.0:
             found[WIDTH] = self._widened
+        if (u_nm := edges_u_nm(self.recipe, self._wafer, self.light_angle_deg)) > 0.0:
+            found |= {name: self._edged(u_nm * phase) for name, phase in zip(EDGES, (1.0, 1.0j), strict=True)}
         if stated.etch_depth_nm > 0.0:
             found[DEPTH] = self._deepened
         if material.u_albedo > 0.0:
@@ -130,7 +157,15 @@ class WaferStates:
         return found
 
     def _widened(self, at: _Inputs, share: float) -> _Inputs:
-        return replace(at, wafer=self._at_width(share * self.recipe.uncertainty.etch_width_nm))
+        wider_nm = at.wider_nm + share * self.recipe.uncertainty.etch_width_nm
+        return replace(at, wider_nm=wider_nm, wafer=self._at_width(wider_nm, at.edges_nm))
+
+    def _edged(self, u_nm: complex) -> _Mover:
+        def edged(at: _Inputs, share: float) -> _Inputs:
+            edges_nm = at.edges_nm + share * u_nm
+            return replace(at, edges_nm=edges_nm, wafer=self._at_width(at.wider_nm, edges_nm))
+
+        return edged
 
     def _deepened(self, at: _Inputs, share: float) -> _Inputs:
         return replace(at, wafer=at.wafer.with_depths(share * self.recipe.uncertainty.etch_depth_nm))

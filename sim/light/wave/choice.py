@@ -196,6 +196,28 @@ def stepped_error(depth_um: float, width_um: float, wavelength_um: float, slant:
     return min(1.0, share * min(1.0, 5.0 * depth_um / wavelength_um))
 
 
+EDGE_REACH, EDGE_DEPTH, EDGE_SLANT, LEAST_STEP = 0.4, 4.5, 2.0, 0.5
+
+
+def edge_widening_um(depth_um: float, wavelength_um: float, slant: float) -> float:
+    """Largest modulus of the complex widening of etched features that stands for what scalar waves neglect at edges.
+
+    Every edge adds a wave of its own: that of a strip ε wide, in some phase. A scalar strip that changes sides adds
+    (exp(iφ) − 1)·δ/2, φ the phase of a step there and back; so δ = 2ε/|exp(iφ) − 1|, of which the real part is a
+    widening and the imaginary one has no counterpart in a scalar wave. One ε explains the orders of all widths: what it
+    leaves is a tenth to a third of the error. |ε| ≤ 0.36 λ in gratings and random tiles of aluminium with either
+    polarisation near the normal. Source: rigorous coupled waves (`tests/sim/light/wave/test_edges.py`).
+
+    Args:
+        depth_um: of the step.
+        wavelength_um: of the light.
+        slant: tan θ of light or camera from the normal, the larger one.
+    """
+    strip = EDGE_REACH * min(1.0, EDGE_DEPTH * depth_um / wavelength_um) * wavelength_um
+    step = abs(np.exp(4.0j * np.pi * depth_um / wavelength_um) - 1.0)
+    return float(2.0 * strip * (1.0 + EDGE_SLANT * slant) / max(step, LEAST_STEP))
+
+
 @dataclass(frozen=True)
 class OpticsChoice:
     """Which optics, and why.

@@ -225,11 +225,13 @@ class WidthOrders:
             power of the share, for shares below 0.
         wider: likewise for shares above 0.
         share: of the step between widths that were drawn: the width that is set.
+        edges: complex widening, in such steps, by which the waves of edges differ from scalar ones; to first order.
     """
 
     narrower: Orders
     wider: Orders
     share: float = 0.0
+    edges: complex = 0.0
 
     @classmethod
     def of(cls, at: Callable[[float], Orders]) -> Self:
@@ -238,14 +240,14 @@ class WidthOrders:
         below, above = (_parabola(middle, at(0.5 * side), at(side), side) for side in (-1.0, 1.0))
         return cls(below, above)
 
-    def at(self, share: float) -> Self:
-        """At another width."""
-        return replace(self, share=share)
+    def at(self, share: float, edges: complex = 0.0) -> Self:
+        """At another width, and with waves of the edges."""
+        return replace(self, share=share, edges=edges)
 
     def density(self, levels_um: FloatArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
         """As `Orders.density`, of the width that is set."""
         phases = level_phases(levels_um, wavelength_um, half.z)
-        powers = np.array([1.0, self.share, self.share**2])
+        powers = np.array([1.0, self.share + self.edges, self.share**2])
         terms = self.narrower if self.share < 0.0 else self.wider
         return terms.blurred(np.outer(powers, phases).ravel(), half, wavelength_um, window)
 

@@ -7,11 +7,13 @@ from anisoscope.kinds.wafers.etched import WaferLight
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.lighting import recipe_wafer, wafer_light
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.kinds.wafers.states import EDGES, edges_u_nm
 from anisoscope.prediction.expectation import SECOND_ORDER, expectation
 from anisoscope.prediction.profile_likelihood import FARTHEST, nearest_anywhere
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.wave.choice import edge_widening_um
 
 SIDE_UM = 64.0
 
@@ -37,7 +39,12 @@ def recipe(tmp_path_factory):
             "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, 3.0]},
             "acquisition": {"exposure_s": 4e-5},
             "region": {"size_mm": [0.5, 0.5]},
-            "uncertainty": {"seating_tilt_deg": 0.05, "light_angle_deg": 0.05, "tilt_deg": 0.02},
+            "uncertainty": {
+                "seating_tilt_deg": 0.05,
+                "light_angle_deg": 0.05,
+                "tilt_deg": 0.02,
+                "step_edges_nm": 0.0,
+            },
         }
     )
 
@@ -133,3 +140,23 @@ def test_wrong_etching_is_as_far_off_as_it_is_wrong_however_far(expected):
     states, own = expected.states, 1e-6 * np.eye(6)
     found = nearest_anywhere(states, states.change(moved(states, depth=20.0)), own, states.farthest)
     assert 0.7 * 400.0 < found <= 400.0 + 1e-2
+
+
+def test_waves_of_the_edges_are_states_of_the_wafer(recipe, expected):
+    """In phase they act as a widening to first order; bounded as by rigorous waves, unless the recipe states them."""
+    free = recipe.model_copy(
+        update={"uncertainty": recipe.uncertainty.model_copy(update={"step_edges_nm": None})}
+    )
+    found = expectation(free, 0.0, OPTICS)
+    assert set(found.states.sources) == {*expected.states.sources, *EDGES}
+    wafer, _ = recipe_wafer(free, 0.0)
+    u_nm = edges_u_nm(free, wafer, 0.0)
+    um, depth = 1e-3 * free.light.wavelength_nm, float(np.ptp(wafer.tile.levels_um))
+    slant = np.tan(np.radians(max(abs(tilt) for tilt in free.poses.tilts_deg)))
+    assert u_nm == pytest.approx(500.0 * edge_widening_um(depth, um, slant))
+    in_phase = found.states.change(moved(found.states, **{EDGES[0].replace(" ", "_"): 0.05}))
+    wider = found.states.change(moved(found.states, width=0.05 * u_nm / free.uncertainty.etch_width_nm))
+    np.testing.assert_allclose(in_phase, wider, atol=0.1 * np.abs(wider).max())
+    rows = {component.source for component in found.components}
+    assert any(row.startswith(EDGES[1]) for row in rows)
+    assert not any(component.source.startswith("edges") for component in expected.components)
