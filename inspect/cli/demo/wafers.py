@@ -32,7 +32,7 @@ TILE_UM = DOT_UM * DOTS
 DRAWS = 12
 TILT_DEG = 3.0
 OVER_ETCH_NM = 20.0
-WIDTH_BIAS_NM = 480.0  # far more than the waves of the edges, which act like 210 nm at most
+WIDTH_BIAS_NM = 640.0  # far more than the waves of the edges, which act like 210 nm at most
 LIGHT = {
     "wavelength_nm": WAVELENGTH_NM,
     "bandwidth_nm": 10.0,

@@ -39,7 +39,7 @@ from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 Changed = Callable[[EtchedPredictor, State, float], tuple[EtchedPredictor, State]]
 
 DEPTHS_NM = (2.0, 4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0)
-WIDTHS_NM = (50.0, 100.0, 150.0, 200.0, 275.0, 350.0, 500.0)
+WIDTHS_NM = (50.0, 100.0, 150.0, 200.0, 275.0, 350.0, 500.0, 700.0, 900.0)
 SCATTERED = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 ANGLES_DEG = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
 _DOUBT_OF_DEPTH, _DOUBT_OF_WIDTH = 0.05, 0.1

@@ -22,7 +22,7 @@ from anisoscope.record.schema import RECORD_NAME, UNSEALED
 from anisoscope.report.inspection_page import REPORT_NAME
 
 TILE_UM = 128.0
-WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 320.0}}
+WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 640.0}}
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_the_record_and_the_report_say_which_optics_and_why(inspected):
 
 @pytest.mark.parametrize(
     ("name", "cause", "true", "rel", "tied"),
-    [("deep", "over-etch", 20.0, 0.05, "under-etch"), ("wide", "width-bias", 320.0, 0.15, "width-loss")],
+    [("deep", "over-etch", 20.0, 0.05, "under-etch"), ("wide", "width-bias", 640.0, 0.15, "width-loss")],
 )
 def test_wrong_etching_fails_and_is_named_with_its_size(inspected, name, cause, true, rel, tied):
     record = inspected(name).record
