@@ -102,7 +102,7 @@ def test_the_bound_of_steps_holds_for_what_it_was_not_fitted_to():
         assert error(cell, [0.0])[0] < bound, cell
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 8.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 3.0, 8.0])
 def test_one_wave_an_edge_explains_the_orders_near_the_normal(angle_deg):
     """Within the bound of its strength, and all but 4.5 % of the brightest order; of the random tile all but 2 %."""
     near = [cell for cell in cells()[0] if cell[3] == angle_deg]
