@@ -36,7 +36,7 @@ class HoldLine:
         self._socket: socket.socket | None = None
         self._pending = b""
 
-    def ask(self, device: str | None, do: str, *arguments: float) -> Any:  # noqa: ANN401
+    def ask(self, device: str | None, do: str, *arguments: float | str) -> Any:  # noqa: ANN401
         """Answer of the owner.
 
         Raises:
@@ -50,7 +50,7 @@ class HoldLine:
         answer = self._request(device, do, arguments)
         return answer["ok"], answer.get("data", bytearray())
 
-    def _request(self, device: str | None, do: str, arguments: tuple[float, ...]) -> dict[str, Any]:
+    def _request(self, device: str | None, do: str, arguments: tuple[float | str, ...]) -> dict[str, Any]:
         request = {"token": self._holder.token, "device": device, "do": do, "args": arguments}
         with self._lock:
             try:

@@ -399,10 +399,9 @@ class Bench:
             signal = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
             shines = [] if optics.lens_cap else self._shining()
             if shines:
-                per_second = sum(
-                    self._radiance_on_sensor(shine) * np.float64(lamp * optics.electrons)
-                    for shine, lamp in shines
-                )
+                per_second = np.zeros_like(signal)
+                for shine, lamp in shines:
+                    per_second += self._radiance_on_sensor(shine) * np.float64(lamp * optics.electrons)
                 if self.file.sensor.auto_exposure == "on":
                     exposure_s = self.sensor.automatic_exposure_s(per_second)
                 signal = per_second * exposure_s

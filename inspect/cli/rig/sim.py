@@ -131,7 +131,7 @@ def _serve_bench(
         return PtyServer(firmware) if pty else TcpServer(firmware, base and base + number)
 
     own = virtual_rig.file.stage.protocol
-    others = [name for name in virtual_rig.lines if name != own]
+    others: list[str] = [name for name in virtual_rig.lines if name != own]
     lines: dict[str, PtyServer | TcpServer] = {
         "stage": line(virtual_rig.device(own), 0),
         "light": line(virtual_rig.light_firmware, 1),
@@ -209,16 +209,18 @@ def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:
 def _channels(file: "BenchFile", wheel: str | None) -> dict[str, Any]:
     """Light channels: each lamp, behind each filter."""
     found: dict[str, dict[str, Any]] = {}
-    places = [(number, one) for number, one in enumerate(file.filters, 1)] or [(None, None)]
-    for letter, lamp in file.lamps.items() or [(None, None)]:
-        for place, passed in places:
-            name = "-".join(str(one) for one in (letter, place) if one is not None)
-            own: dict[str, Any] = (
-                {} if lamp is None else {"lamps": [letter], "angle_deg": lamp.light_angle_deg}
+    for letter in (*file.lamps, *([] if file.lamps else [""])):
+        lamp = next((one for name, one in file.lamps.items() if name == letter), None)
+        shared: dict[str, Any] = (
+            {} if lamp is None else {"lamps": [letter], "angle_deg": lamp.light_angle_deg}
+        )
+        for place, passed in enumerate(file.filters or (None,), 1):
+            own = shared if passed is None else shared | {"filter": place}
+            nm = (None if passed is None else passed.wavelength_nm) or (
+                None if lamp is None else lamp.wavelength_nm
             )
-            own |= {} if place is None else {"filter": place}
-            nm = (passed and passed.wavelength_nm) or (lamp and lamp.wavelength_nm)
-            if name:
+            if own:
+                name = "-".join([letter] * bool(letter) + [str(place)] * (passed is not None))
                 found[name] = own if nm is None else own | {"wavelength_nm": nm}
     named = {"channels": found, "channel": next(iter(found))} if found else {}
     return named if wheel is None else {"wheel": {"driver": "fw102c", "port": wheel}, **named}

@@ -431,7 +431,7 @@ def moved_inputs(recipe: WaferRecipe, wafer: EtchedPredictor, state: State) -> t
     return tuple(found)
 
 
-def _edged(near: NearWidths[EtchedPredictor], phase: complex, state: State, u_nm: float) -> EtchedState:
+def _edged(near: NearWidths, phase: complex, state: State, u_nm: float) -> EtchedState:
     return near(0.0, u_nm * phase), state
 
 

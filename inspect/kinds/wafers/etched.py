@@ -6,7 +6,7 @@ average is predicted too. What is reflected does not depend on the angle: the re
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self, TypeVar
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -53,13 +53,10 @@ class WaferLight:
         return Optics(self.lamp_half_angle_deg, self.aperture_half_angle_deg)
 
 
-WaferT_co = TypeVar("WaferT_co", covariant=True)
-
-
-class NearWidths(Protocol[WaferT_co]):
+class NearWidths(Protocol):
     """A wafer at a bias of its widths, and with waves of its edges, in nm."""
 
-    def __call__(self, wider_nm: float, edges_nm: complex = 0.0) -> WaferT_co:
+    def __call__(self, wider_nm: float, edges_nm: complex = 0.0) -> "EtchedPredictor":
         """The predictor."""
         ...
 
@@ -99,7 +96,7 @@ class EtchedPredictor:
         tile = self.tile.widened(1e-3 * wider_nm)
         return replace(self, tile=tile, orders=Orders.of(tile, self.reach, self.bands))
 
-    def near_widths(self, step_nm: float) -> "NearWidths[Self]":
+    def near_widths(self, step_nm: float) -> NearWidths:
         """The same wafer at any bias of its widths in nm, quick: by parabolas through widths up to a step away.
 
         Within the step the radiances are right to 1e-4 where edges move by less than 0.01 of a period, at twice the

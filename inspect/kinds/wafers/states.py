@@ -113,7 +113,7 @@ class WaferStates:
         return recipe_wafer(self.recipe, self.light_angle_deg)[0]
 
     @cached_property
-    def _at_width(self) -> NearWidths[EtchedPredictor]:
+    def _at_width(self) -> NearWidths:
         return self._wafer.near_widths(width_step_nm(self.recipe))
 
     @cached_property
