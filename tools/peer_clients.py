@@ -92,10 +92,7 @@ def run(name: str) -> tuple[bool, str]:
 def _stands(device: Firmware, axis: RotaryAxis) -> bool:
     """Whether the device is where its client was to bring it."""
     if isinstance(device, CoolLedFirmware):
-        return [round(lamp.level, 3) for lamp in device.lamps.values()] in (
-            [0.0, 0.4, 0.0],
-            [0.0, 0.4, 0.0, 0.0],
-        )
+        return b"CSSBSN040" in device.commands and all(lamp.level == 0.0 for lamp in device.lamps.values())
     if isinstance(device, WheelFirmware):
         return device.place == 4
     return abs(axis.position() - TURNED_DEG) < 0.01
@@ -112,7 +109,9 @@ def page(results: dict[str, tuple[bool, str]]) -> str:
     ]
     for name, (arrived, said) in results.items():
         peer = PEERS[name]
-        there = {"coolled": "lamp B at 40 %", "fw102c": "filter 4"}.get(peer.device, "stands at 33°")
+        there = {"coolled": "lamp B at 40 %, then dark", "fw102c": "filter 4"}.get(
+            peer.device, "stands at 33°"
+        )
         verdict = there if arrived else f"not: {there}"
         lines += [f"## {peer.package}, {peer.device} {peer.model}: {verdict}\n", "```", said, "```\n"]
     return "\n".join(lines)

@@ -21,8 +21,8 @@ _ENDS = re.compile(rb"[\r\n]")
 class CoolLedFirmware(SimulatedDevice):
     """One controller with its lamps.
 
-    It is dark at power-up; a lamp that is not selected stays dark. Lines may end with CR, as the maker's client ends
-    them, or with LF.
+    It is dark at power-up, with all lamps selected; one that is not selected stays dark. Lines may end with CR, as the
+    maker's client ends them, or with LF.
 
     Args:
         lamps: the lamps that it drives, by letter.
