@@ -108,7 +108,7 @@ class EtchedPredictor:
             lambda share: Orders.of(tile.widened(1e-3 * step_nm * share), reach, self.bands)
         )
 
-        def near(wider_nm: float, edges_nm: complex = 0.0) -> Self:
+        def near(wider_nm: float, edges_nm: complex = 0.0) -> EtchedPredictor:
             return replace(self, orders=series.at(wider_nm / step_nm, edges_nm / step_nm))
 
         return near
