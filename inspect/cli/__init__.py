@@ -189,6 +189,10 @@ COMMANDS = {
                 "device is opened."
             ),
         ),
+        "qualify": (
+            "setup.qualify:qualify",
+            "Write evidence that this installation is as released (IQ) and computes what it should (OQ).",
+        ),
         "warm": (
             "cache.warm:warm",
             "Compile the kernels of all models for this machine, once; later commands then start without this delay.",

@@ -58,7 +58,7 @@ def doctor(
         anisoscope doctor
         anisoscope doctor --rig rig.toml --json
     """
-    found = list(_findings(rig, recipe))
+    found = list(findings(rig, recipe))
     if json_:
         print_json({"findings": found, "missing": sum(one.state == "missing" for one in found)})
     else:
@@ -68,7 +68,8 @@ def doctor(
     return RigError.exit_code if any(one.state == "missing" for one in found) else 0
 
 
-def _findings(rig: Path | None, recipe: Path | None) -> Iterator[Finding]:
+def findings(rig: Path | None, recipe: Path | None) -> Iterator[Finding]:
+    """Everything that is looked at, with rig file and recipe, or those of the project."""
     yield Finding("python", "ok", f"{platform.python_version()} at {sys.executable}")
     yield from _packages()
     yield _kernels()
