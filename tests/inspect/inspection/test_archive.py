@@ -252,6 +252,39 @@ def test_rules_delete_what_is_due_but_for_holds_and_leave_a_note(finished, folde
     assert not release(folder_store, held)
 
 
+def test_a_retention_that_is_killed_anywhere_deletes_nothing_else_and_leaves_its_notes(finished, tmp_path):
+    share, later = tmp_path / "share", datetime.now(UTC) + timedelta(days=2)
+    store = FolderStore(share)
+    check_format(store, begin=True)
+    for serial, days in (("P-1", 400), ("P-2", 300), ("P-3", 400), ("P-4", 410)):
+        push(store, with_serial(finished, serial, NOW - timedelta(days=days), "PASS"))
+    there = {one.serial: one for one in (read_manifest(store, name) for name in archived(store))}
+    hold(store, there["P-3"], "claim 17", "R. R.", NOW)
+
+    def retain(left):
+        dying = Dying(share, left)
+        for one in due(dying, [parse_rule("PASS:365")], NOW):
+            if one.held is None:
+                let_go(dying, one, "me", NOW)
+        clear(dying, later)
+
+    left = 0
+    while killed_in_a_child(retain, left):
+        left += 1
+        stays = {read_manifest(store, name).serial for name in archived(store)}
+        noted = {
+            json.loads(path.read_text())["inspection"]["serial"] for path in (share / "deleted").glob("*")
+        }
+        assert {"P-2", "P-3"} <= stays
+        assert noted <= {"P-1", "P-4"}
+        assert stays | noted == set(there)  # none is gone without its note
+        assert prove(store, 0.0, 0.95, np.random.default_rng(1)).intact
+    assert left >= 8
+    assert {read_manifest(store, name).serial for name in archived(store)} == {"P-2", "P-3"}
+    assert prove(store, 0.0, 0.95, np.random.default_rng(1)).intact
+    (share / "clearing.json").unlink(missing_ok=True)
+
+
 def test_a_push_does_not_end_while_objects_are_cleared_away(finished, folder_store):
     folder_store.write("clearing.json", datetime.now(UTC).isoformat().encode())
     with pytest.raises(ArchiveError, match="`archive retain` is at work there"):

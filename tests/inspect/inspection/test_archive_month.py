@@ -82,11 +82,11 @@ def database(postgresql_server):
 class Month:
     """Two stations that inspect and push for a month; what they did."""
 
-    def __init__(self, base, objects, folder, url):
+    def __init__(self, base, folder, url):
         self.base, self.model, self.url = base, read_record(base), url
         self.stations = {name: folder / name for name in "AB"}
         for out in self.stations.values():
-            shutil.copytree(objects, out / "objects")
+            out.mkdir()
         self.rng, self.store = np.random.default_rng(3), open_store(url)
         self.serials, self.killed, self.push_s = [], 0, 0.0
 
@@ -157,7 +157,7 @@ def by_rules(store, there):
 def test_a_month_of_two_stations(inspected_part, database, s3, tmp_path):
     """Nothing is lost, nothing doubles, nothing local is gone that is not proven elsewhere; numbers are printed."""
     rig, inspected = inspected_part
-    month = Month(inspected.folder, rig.out / "objects", tmp_path, s3("month"))
+    month = Month(inspected.folder, tmp_path, s3("month"))
     store = month.store
     check_format(store, begin=True)
     with open_history(database, create=True) as history:
