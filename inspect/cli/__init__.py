@@ -103,7 +103,7 @@ COMMANDS = {
         ),
         "export": (
             "history.history:export",
-            "Export past inspections as CSV, JSON or JUnit; the filters are those of history.",
+            "Export past inspections as CSV, JSON, JUnit or AQDEF; the filters are those of history.",
         ),
         "whatif": (
             "history.whatif:whatif",
