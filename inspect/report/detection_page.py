@@ -171,7 +171,7 @@ def write_detection_curve(path: Path, defect: str, source: str, found: Detection
     curve = Curve("probability of detection", found.grid, found.probability, found.low, found.high)
     chart = Chart(
         found.verdict, f"size of {defect}", "probability of detection [1]", (curve,),
-        log_x=found.size_scale == "log", mark_x=found.sizes[1].size, points=False,
+        mark_x=found.sizes[1].size, points=False,
     )  # fmt: skip
     note = f"Band and limits: profile likelihood ratio, {found.confidence:.0%}; the line marks a90."
     tables = detection_curve_tables(found)
