@@ -26,7 +26,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import number_name, number_text
-from anisoscope.cli.history.options import ALL, Place, Which, opened
+from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Place, Which, opened
 from anisoscope.cli.inspect.inspection import conclusion_lines, explained
 from anisoscope.cli.progress import progress
 
@@ -614,13 +614,17 @@ def _aqdef(path: Path, which: Which, limit: int, place: str | None) -> None:
     from datetime import UTC, datetime
 
     from anisoscope.base.atomic_write import write_bytes
-    from anisoscope.cli.statistics.source import readings_from
+    from anisoscope.history.address import chosen
     from anisoscope.history.aqdef import TIME, AqdefFile, description_lines, encoded, value_lines
     from anisoscope.quality.capability import specification
+    from anisoscope.quality.readings import history_readings
 
     if path.suffix.lower() not in (".dfq", ".dfd"):
         raise UsageError(f"--aqdef {path}: name a file *.dfq, or *.dfd for a description and values apart")
-    readings = readings_from(None, place, which, limit)
+    where = chosen(place, DEFAULT_OUT)
+    if where is None:
+        raise UsageError("name the history: --history PLACE")
+    readings = history_readings(where, which.filters(limit))
     kinds = sorted(set(readings.column("recipe")))
     if len(kinds) > 1:
         raise UsageError(
