@@ -314,7 +314,9 @@ def measurement_process(
         if gauge.appraiser is None:
             notes.append("one appraiser: the influence of appraisers is taken as none")
     elif any(name in more for name in OF_PARTS):
-        raise UsageError("uncertainties of the process need measurements of parts: name them with --parts")
+        raise UsageError(
+            "uncertainties of the process need measurements of parts: name them with --gauge-study"
+        )
     if standards.count < 30:
         notes.append(f"{standards.count} measurements of standards: ISO 22514-7 asks for 30")
     if standards.lack_of_fit is not None and standards.lack_of_fit[1] < ALPHA:

@@ -580,7 +580,6 @@ def export(
 
     Examples:
         anisoscope export --csv-file week.csv --since 7d
-        anisoscope export --junit results.xml --lot L42
         anisoscope export --aqdef week.dfq --product plate --since 7d
         anisoscope export --bundle A1.zip --serial A1
     """

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.history.options import Place
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
@@ -182,9 +183,8 @@ def stability(
     return 1 if not study.chart.stable or (study.bias is not None and study.bias.significant) else 0
 
 
-Tolerance = Annotated[float, Parameter(help="Width between the limits of good parts.")]
+Tolerance = Annotated[float, Parameter(help="Tolerance: width between the limits of good parts.")]
 Resolution = Annotated[float | None, Parameter(help="Resolution of the gauge.")]
-Stated = Annotated[float | None, Parameter(help="Standard uncertainty, as stated or found elsewhere.")]
 
 
 @app.command
@@ -194,7 +194,7 @@ def attribute(
         Path | None,
         Parameter(
             name="--csv",
-            help="Decisions: columns part, appraiser, decision, reference and, if measured, value.",
+            help="CSV file of decisions: part, appraiser, decision, reference and, if measured, value.",
         ),
     ] = None,
     masters: Annotated[
@@ -206,9 +206,10 @@ def attribute(
     place: Place = None,
     which: Selection = EVERYTHING,
     tolerance: Annotated[
-        float | None, Parameter(help="Width between the limits of good parts, for signal detection.")
+        float | None,
+        Parameter(help="Tolerance, width between the limits of good parts, for signal detection."),
     ] = None,
-    confidence: Annotated[float, Parameter(help="Of the intervals.")] = 0.95,
+    confidence: Annotated[float, Parameter(help="Confidence of the intervals.")] = 0.95,
     html: Html = None,
     json_: Json = False,
 ) -> int:
@@ -275,11 +276,16 @@ def type1(
 
 
 @app.command
+@everyday(
+    *("standards", "gauge_study_", "number", "tolerance", "resolution", "corrected"),
+    *("u_calibration", "u_temperature", "u_object", "html", "json_"),
+)
 def process(
     *,
     standards: Annotated[Path, Parameter(help="CSV file with repeated readings: reference and a number.")],
-    parts: Annotated[
-        Path | None, Parameter(help="CSV file of a gauge study: part, appraiser and a number.")
+    gauge_study_: Annotated[
+        Path | None,
+        Parameter(name="--gauge-study", help="CSV file of a gauge study: part, appraiser and a number."),
     ] = None,
     number: Number = None,
     tolerance: Tolerance,
@@ -287,15 +293,19 @@ def process(
     corrected: Annotated[
         bool, Parameter(help="Readings are corrected by the line of the standards.", negative=())
     ] = False,
-    calibration: Stated = None,
-    linearity_: Annotated[float | None, Parameter(name="--linearity", help="Standard uncertainty.")] = None,
-    object_: Annotated[
-        float | None, Parameter(name="--object", help="Standard uncertainty of the part.")
+    u_calibration: Annotated[float | None, Parameter(help="Standard uncertainty by the calibration.")] = None,
+    u_linearity: Annotated[float | None, Parameter(help="Standard uncertainty by the linearity.")] = None,
+    u_object: Annotated[
+        float | None, Parameter(help="Standard uncertainty by the part itself, such as its form.")
     ] = None,
-    temperature: Stated = None,
-    stability_: Annotated[float | None, Parameter(name="--stability", help="Standard uncertainty.")] = None,
-    gauges: Annotated[float | None, Parameter(help="Standard uncertainty between gauges.")] = None,
-    other: Stated = None,
+    u_temperature: Annotated[float | None, Parameter(help="Standard uncertainty by the temperature.")] = None,
+    u_stability: Annotated[
+        float | None, Parameter(help="Standard uncertainty by the stability over time.")
+    ] = None,
+    u_gauges: Annotated[
+        float | None, Parameter(help="Standard uncertainty by differences between gauges.")
+    ] = None,
+    u_other: Annotated[float | None, Parameter(help="Standard uncertainty by other influences.")] = None,
     largest_error: Annotated[
         float | None,
         Parameter(help="Maximum permissible error, in place of calibration, bias and linearity."),
@@ -312,7 +322,7 @@ def process(
     Exit codes: 0 capable, 1 not, 64 and above no analysis is possible.
 
     Examples:
-        anisoscope msa process --standards standards.csv --parts gauge.csv --tolerance 0.4 --calibration 0.002
+        anisoscope msa process --standards standards.csv --gauge-study gauge.csv --tolerance 0.4 --u-calibration 0.002
     """
     from anisoscope.quality.gauge import gauge_data, gauge_study
     from anisoscope.quality.measurement_process import measurement_process, standards_study
@@ -323,11 +333,17 @@ def process(
         raise UsageError(f"{standards}, line 1: measurements of standards need a column {REFERENCE!r}")
     own = standards_study(readings.numbers[REFERENCE], values, corrected=corrected)
     gauge_ = None
-    if parts is not None:
-        measured, of_parts, _ = _number(parts, None, EVERYTHING, 0, number)
+    if gauge_study_ is not None:
+        measured, of_parts, _ = _number(gauge_study_, None, EVERYTHING, 0, number)
         gauge_ = gauge_study(gauge_data(measured, of_parts), tolerance)
-    given = {"CAL": calibration, "LIN": linearity_, "OBJ": object_, "T": temperature, "STAB": stability_}
-    given |= {"GV": gauges, "rest": other}
+    given = {
+        "CAL": u_calibration,
+        "LIN": u_linearity,
+        "OBJ": u_object,
+        "T": u_temperature,
+        "STAB": u_stability,
+    }
+    given |= {"GV": u_gauges, "rest": u_other}
     study = measurement_process(
         tolerance, own, gauge_, {key: one for key, one in given.items() if one is not None},
         resolution=resolution, largest_error=largest_error, limits=(system_limit, process_limit),

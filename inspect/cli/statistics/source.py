@@ -17,7 +17,7 @@ Csv = Annotated[
     Path | None,
     Parameter(
         name="--csv",
-        help="Readings from this CSV or AQDEF file (.dfq, .dfd) instead of the history: see docs/statistics.md.",
+        help="Readings from this CSV file (or AQDEF: .dfq, .dfd) instead of the history: see docs/statistics.md.",
     ),
 ]
 Html = Annotated[Path | None, Parameter(name="--html", help="Write a page with charts to this file.")]

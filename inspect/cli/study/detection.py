@@ -140,13 +140,15 @@ def pod_command(
     ] = None,
     defect: Annotated[
         str,
-        Parameter(help="Of simulated parts: height_loss, edge_radius [µm], ridge_angle [°], alpha, albedo."),
+        Parameter(
+            help="Defect of simulated parts: height_loss, edge_radius [µm], ridge_angle [°], alpha, albedo."
+        ),
     ] = "height_loss",
     csv: Annotated[
         Path | None,
         Parameter(
             name="--csv",
-            help="Master parts instead: size,hit (1 or 0) or size,signal; size 0: no defect.",
+            help="CSV file of master parts instead: size,hit (1 or 0) or size,signal.",
         ),
     ] = None,
     parts: Annotated[int, Parameter(help="Simulated parts with a defect.")] = 400,
@@ -164,17 +166,17 @@ def pod_command(
         float | None, Parameter(help="Of signals: a defect counts as found from this signal on.")
     ] = None,
     noise: Annotated[
-        float | None, Parameter(help="Of signals: those at or below this are known to be so only.")
+        float | None, Parameter(help="Noise: signals at or below this are known to be so only.")
     ] = None,
     saturation: Annotated[
-        float | None, Parameter(help="Of signals: those at or above this are known to be so only.")
+        float | None, Parameter(help="Saturation: signals at or above this are known to be so only.")
     ] = None,
     size_scale: Annotated[Scaled, Parameter(help="The curve is over the size or its logarithm.")] = "log",
     signal_scale: Annotated[Scaled, Parameter(help="Of signals: the signal or its logarithm.")] = "log",
     link: Annotated[
         Literal["logit", "probit"], Parameter(help="Of hits: logistic or normal curve.")
     ] = "logit",
-    confidence: Annotated[float, Parameter(help="Of intervals and of a90/95.")] = 0.95,
+    confidence: Annotated[float, Parameter(help="Confidence of intervals and of a90/95.")] = 0.95,
     seed: Annotated[int, Parameter(help="Seed of parts, rigs and errors.")] = 1,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,

@@ -249,14 +249,14 @@ def test_msa_type1_and_process(done, tmp_path):
     rng = np.random.default_rng(5)
     rows = [(p, a, 3.0 * p + 0.1 * rng.normal()) for _ in range(3) for a in "ABC" for p in range(10)]
     parts = csv_of(tmp_path / "g.csv", "part,appraiser,value", rows)
-    given = ("msa", "process", "--standards", standard, "--tolerance", 20, "--calibration", 0.01)
-    code, out, err = done(*given, "--parts", parts, "--temperature", 0.02, "--html", page)
+    given = ("msa", "process", "--standards", standard, "--tolerance", 20, "--u-calibration", 0.01)
+    code, out, err = done(*given, "--gauge-study", parts, "--u-temperature", 0.02, "--html", page)
     assert (code, err) == (0, "")
     assert "measurement process capable: Q_MP" in out
     code, out, _ = done(*given, "--json")
     content = json.loads(out)
     assert (code, content["process"], content["system"]["components"]["CAL"]) == (0, None, 0.01)
-    code, _, err = done(*given, "--temperature", 0.02)
+    code, _, err = done(*given, "--u-temperature", 0.02)
     assert (code, "need measurements of parts" in err) == (64, True)
 
 
