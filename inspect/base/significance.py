@@ -29,6 +29,24 @@ def f_tail(ratio: FloatArray | float, m: float, freedom: float) -> FloatArray:
     return np.asarray(fdtrc(m, freedom, ratio))
 
 
+def proportion_interval(hits: float, tries: float, confidence: float = 0.95) -> tuple[float, float]:
+    """Two-sided interval of a probability after C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404.
+
+    Its coverage is never below the stated one. One-sided limits of confidence c are the ends for 2c − 1.
+
+    Args:
+        hits: number of successes, 0 to ``tries``; a fraction for a sample that counts as fewer than it is.
+        tries: size of the sample; for 0 everything is possible.
+        confidence: of the interval.
+    """
+    from scipy.special import betaincinv  # noqa: PLC0415 - start-up time
+
+    tail = (1.0 - confidence) / 2.0
+    low = float(betaincinv(hits, tries - hits + 1.0, tail)) if hits > 0 else 0.0
+    high = float(betaincinv(hits + 1.0, tries - hits, 1.0 - tail)) if hits < tries else 1.0
+    return low, high
+
+
 def mahalanobis(deviation: FloatArray, covariance: FloatArray) -> tuple[float, int]:
     """Squared distance dᵀV⁺d within the range of V, and the rank of V.
 

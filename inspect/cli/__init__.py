@@ -103,14 +103,17 @@ COMMANDS = {
         ),
         "export": (
             "history.history:export",
-            "Export past inspections as CSV, JSON or JUnit; the filters are those of history.",
+            "Export past inspections as CSV, JSON, JUnit or AQDEF; the filters are those of history.",
         ),
         "whatif": (
             "history.whatif:whatif",
             "Judge past inspections by another recipe: which verdicts change, what that means for escapes and cost.",
         ),
         "spc": ("statistics.spc:spc", "Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk."),
-        "msa": ("statistics.msa:app", "Measurement system analysis: gauge R&R, bias, linearity, stability."),
+        "msa": (
+            "statistics.msa:app",
+            "Measurement system analysis: gauge R&R, bias, linearity, stability, attributes, type 1, VDA 5.",
+        ),
         "archive": (
             "history.archive:app",
             "Archive finished inspections on a share or in an object store, by rules.",

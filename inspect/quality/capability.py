@@ -196,6 +196,8 @@ def specification(
     Raises:
         UsageError: the parts were predicted or tolerated differently, so that no one pair of limits holds.
     """
+    if number in readings.limits and tolerances is None:
+        return Specification(*readings.limits[number])
     contrast = number.removeprefix(DEVIATION)
     width = tolerances.get(contrast) if tolerances is not None else _one(readings, TOLERANCE + contrast)
     if width is None:

@@ -20,6 +20,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
+from anisoscope.quality.distributions import FittedCapability, fitted_capability
 from anisoscope.quality.individuals import BoolArray, Limits, Period, given_limits, limits_of, moving_range
 from anisoscope.quality.nelson import Flag, flags
 
@@ -171,6 +172,7 @@ class Settings:
         width: L of the EWMA.
         center, sigma: known mean and short-term standard deviation, in place of a baseline; both or neither.
         period: whose values the limits rest on, in place of a baseline.
+        distribution: of the capability by quantiles besides that of a normal one, or "best"; None for none.
     """
 
     baseline: int | None = None
@@ -179,6 +181,7 @@ class Settings:
     center: float | None = None
     sigma: float | None = None
     period: Period | None = None
+    distribution: str | None = None
 
     def limits(self, values: FloatArray) -> Limits:
         """Limits of a series.
@@ -235,6 +238,7 @@ class ControlStudy:
         capability: where there is a specification.
         normality: where there are enough values.
         notes: what the reader should know.
+        fitted: capability by a fitted distribution, where it was asked for.
     """
 
     name: str
@@ -248,6 +252,7 @@ class ControlStudy:
     capability: Capability | None
     normality: Normality | None
     notes: tuple[str, ...]
+    fitted: FittedCapability | None = None
 
     @property
     @in_json("measured")
@@ -302,6 +307,8 @@ class ControlStudy:
         words = [f"stable: nothing unusual among {self.count} values" if self.stable else self._trouble()]
         if self.capability is not None:
             words.append(capable_words(self.capability, self.stable))
+        if self.fitted is not None:
+            words.append(self.fitted.verdict)
         return "; ".join(words)
 
     def _trouble(self) -> str:
@@ -407,6 +414,8 @@ def control_study(
     Raises:
         UsageError: too few values, or settings that make no sense.
     """
+    if settings.distribution is not None and specification is None:
+        raise UsageError(f"{name}: a capability by a distribution needs limits: --lower, --upper or --recipe")
     limits = settings.limits(values)
     ranges = moving_range(values)
     wide = ranges > limits.range_upper
@@ -414,8 +423,12 @@ def control_study(
     found = flags(values, limits.center, limits.sigma)
     able = None if specification is None else capability(values, limits, specification)
     notes = tuple(_notes(values, ranges, limits))
+    fitted = None
+    if settings.distribution is not None and specification is not None:
+        fitted = fitted_capability(values, specification, settings.distribution)
+    normal = anderson_darling(values)
     return ControlStudy(
-        name, values, labels, limits, ranges, average, found, wide, able, anderson_darling(values), notes
+        name, values, labels, limits, ranges, average, found, wide, able, normal, notes, fitted
     )
 
 

@@ -1,9 +1,9 @@
-"""Readings to chart: numbers in measurement order with their groups, from CSV files or from the history."""
+"""Readings to chart: numbers in measurement order with their groups, from CSV and AQDEF files or from the history."""
 
 import csv
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.csv_style import CsvReader
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
+from anisoscope.history.aqdef import SUFFIXES, read_aqdef
 from anisoscope.history.column_wise import Columns
 from anisoscope.history.filters import Filters
 from anisoscope.history.store import open_history
@@ -34,6 +35,7 @@ class Readings:
         numbers: columns of numbers, NaN where there is none.
         zone: of the times; None for that of this computer.
         base: folder that relative folders of inspections are in.
+        limits: lower and upper limit of numbers that come with such.
     """
 
     source: str
@@ -41,6 +43,7 @@ class Readings:
     numbers: Mapping[str, FloatArray]
     zone: tzinfo | None = None
     base: Path = Path()
+    limits: Mapping[str, tuple[float | None, float | None]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.numbers.values()), ()))
@@ -130,11 +133,12 @@ class Readings:
             {name: column[places] for name, column in self.numbers.items()},
             self.zone,
             self.base,
+            self.limits,
         )
 
 
 def read_readings(path: Path) -> Readings:
-    """Read a CSV file: a header, then one reading a line, in the order in which they were measured.
+    """Read a CSV file: a header, then one reading a line, in the order in which they were measured; or an AQDEF file.
 
     Columns are separated by commas, or by semicolons, and numbers then have a decimal comma.
 
@@ -144,6 +148,17 @@ def read_readings(path: Path) -> Readings:
     Raises:
         UsageError: the file cannot be read, or a line of it cannot be used; line and column are named.
     """
+    if path.suffix.lower() in SUFFIXES:
+        found = read_aqdef(path)
+        if not next((len(column) for column in found.numbers.values()), 0):
+            raise UsageError(f"{path}: the characteristics have no values (.dfx)")
+        return Readings(
+            str(path),
+            found.texts,
+            without_invalid(found.texts, found.numbers),
+            base=path.parent,
+            limits=found.limits,
+        )
     reader = CsvReader(read_text(path), path)
     try:
         columns = _columns(path, next(reader, []))

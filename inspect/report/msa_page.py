@@ -1,4 +1,4 @@
-"""Pages of measurement systems analysis: gauge R&R, bias, linearity, stability; they open offline."""
+"""Pages of measurement systems analysis: gauge R&R, bias, linearity, stability, attributes, capability of a process."""
 
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from anisoscope.quality.attribute import AttributeStudy, Kappa, Share, Zone
 from anisoscope.quality.bias import Bias
+from anisoscope.quality.measurement_process import COVERAGE, MeasurementProcess, TypeOne
 from anisoscope.quality.stability import Stability
 from anisoscope.report.page import write_page
 from anisoscope.report.spc_page import study_content
@@ -315,6 +317,216 @@ def write_stability_page(path: Path, title: str, source: str, study: Stability) 
     tables = [*chart["tables"], *([] if study.bias is None else [biases((study.bias,))])]
     good = study.chart.stable and not (study.bias and study.bias.significant)
     _write(path, (title, source), (study.verdict, good), chart["pictures"], tables, chart["notes"])
+
+
+def effectiveness_picture(study: AttributeStudy) -> str:
+    """Effectiveness of every appraiser with its interval, as a data URI."""
+    with new_figure(9.4, 1.1 + 0.45 * len(study.appraisers)) as (figure, axes):
+        rows = np.arange(len(study.appraisers), dtype=np.float64)
+        found = [one.effectiveness for one in study.appraisers]
+        value = 100.0 * np.array([one.count / one.of for one in found])
+        reach = [value - [100.0 * one.low for one in found], [100.0 * one.high for one in found] - value]
+        axes.errorbar(value, rows, xerr=reach, fmt="o", color=BLUE, capsize=4)
+        for level in (80.0, 90.0):
+            axes.axvline(level, color=RED, linewidth=0.9, linestyle="--")
+        axes.set_yticks(rows, [one.name for one in study.appraisers])
+        axes.margins(y=0.3)
+        axes.invert_yaxis()
+        axes.set_xlabel("effectiveness [%];  dashes: 80 % and 90 %")
+        return svg_uri(figure)
+
+
+def zone_picture(study: AttributeStudy, zone: Zone) -> str:
+    """Share of accepting decisions over the reference value and the zones of disagreement, as a data URI."""
+    assert study.data.values is not None
+    with new_figure(9.4, 3.2) as (figure, axes):
+        accepted = 100.0 * study.data.decisions.reshape(study.parts, -1).mean(axis=1)
+        axes.plot(study.data.values, accepted, "o", color=BLUE, markersize=4)
+        for ends in (zone.upper, zone.lower):
+            if ends is not None:
+                axes.axvspan(*sorted(ends), color=ORANGE, alpha=0.3, linewidth=0)
+        axes.set_xlabel("reference value")
+        axes.set_ylabel("accepted [%]")
+        return svg_uri(figure)
+
+
+def write_attribute_page(path: Path, title: str, source: str, study: AttributeStudy) -> None:
+    """Write the page of an attribute study, atomically.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    texts = ", ".join(f"{one.name} {share(one.effectiveness.value)}" for one in study.appraisers)
+    pictures = [
+        Picture(
+            effectiveness_picture(study),
+            f"Effectiveness: {texts}",
+            "Parts on which all trials of an appraiser agree with the reference.",
+        )
+    ]
+    if study.zone is not None:
+        pictures.append(
+            Picture(
+                zone_picture(study, study.zone),
+                f"Zones of disagreement of a mean width of {number(study.zone.width)}",
+                "The bands reach from the last part that all reject to the first that all accept.",
+            )
+        )
+    verdict = (study.verdict, study.acceptable)
+    _write(path, (title, source), verdict, pictures, attribute_tables(study), study.notes)
+
+
+def attribute_tables(study: AttributeStudy) -> tuple[Grid, ...]:
+    """Rates of appraisers, kappas, tables of pairs, and signal detection."""
+    confidence = f"{study.confidence:.0%}"
+
+    def of(one: Share) -> str:
+        return f"{share(one.value)} ({one.count}/{one.of}; {share(one.low)} to {share(one.high)})"
+
+    rates = tuple(
+        (one.name, of(one.consistent), of(one.effectiveness), of(one.miss), of(one.false_alarm), one.rating)
+        for one in study.appraisers
+    )
+    columns = ("appraiser", "own trials agree", "effectiveness", "miss rate", "false alarms", "rating")
+    whole = f"All decisions agree on {of(study.all_agree)}, and with the reference on {of(study.all_right)}."
+    pairs = [*study.pairs, *(one.with_reference for one in study.appraisers)]
+    rows = [
+        (f"{one.first} × {one.second}", "Cohen", *_kappa(one.kappa), *map(str, one.table)) for one in pairs
+    ]
+    own = [(f"{one.name}, own trials", one.within) for one in study.appraisers]
+    rows += [
+        (name, "Fleiss", *_kappa(found), "", "", "", "")
+        for name, found in [*own, ("all decisions", study.among)]
+        if found is not None
+    ]
+    cells = ("both bad", "only 2nd good", "only 1st good", "both good")
+    table = ("agreement of", "kappa of", "kappa", f"{confidence} interval", *cells)
+    found = [
+        Grid("Rates", f"Rates with {confidence} intervals", columns, rates, "rates", note=whole),
+        Grid("Kappa", "Agreement beyond chance; intervals over parts", table, tuple(rows), "kappa"),
+    ]
+    if study.zone is not None:
+        zone = study.zone
+        ends = [
+            "–" if one is None else f"{number(one[0], 6)} to {number(one[1], 6)}"
+            for one in (zone.upper, zone.lower)
+        ]
+        row = (*ends, number(zone.width, 6), number(zone.uncertainty, 6), share(zone.share))
+        names = ("upper zone", "lower zone", "d", "U = d/2", "d of the tolerance")
+        found.append(Grid("Signal detection", "Zones of disagreement", names, (row,), "zone"))
+    return tuple(found)
+
+
+def _kappa(one: Kappa) -> tuple[str, str]:
+    return number(one.value, 3), f"{number(one.low, 2)} to {number(one.high, 2)}"
+
+
+def type_one_picture(values: FloatArray, study: TypeOne) -> str:
+    """Measurements in order between ±10 % of the tolerance about the reference, as a data URI."""
+    with new_figure(9.4, 3.0) as (figure, axes):
+        axes.plot(np.arange(1, len(values) + 1), values, "o-", color=BLUE, linewidth=0.8, markersize=4)
+        axes.axhline(study.bias.reference, color=GREEN, linewidth=1.6)
+        for sign in (-1.0, 1.0):
+            level = study.bias.reference + sign * 0.1 * study.tolerance
+            axes.axhline(level, color=RED, linewidth=1.0, linestyle="--")
+        axes.set_xlabel("measurement")
+        axes.set_ylabel("value")
+        return svg_uri(figure)
+
+
+def write_type_one_page(path: Path, title: str, source: str, study: TypeOne, values: FloatArray) -> None:
+    """Write the page of a type-1 study, atomically.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    picture = Picture(
+        type_one_picture(values, study),
+        f"{study.bias.count} measurements, reference {number(study.bias.reference)}, dashes at ±10 % of the tolerance",
+        "Measurements in their order; the line is the reference, the dashes are ±10 % of the tolerance about it.",
+    )
+    _write(
+        path, (title, source), (study.verdict, study.capable), (picture,), type_one_tables(study), study.notes
+    )
+
+
+def type_one_tables(study: TypeOne) -> tuple[Grid, ...]:
+    """Cg and Cgk, and the bias."""
+    rows = tuple(
+        (name, number(one.value, 3), f"{number(one.low, 3)} to {number(one.high, 3)}")
+        for name, one in (("Cg", study.cg), ("Cgk", study.cgk))
+    )
+    note = (
+        f"6 sigma fill {share(study.repeatability_share)} of the tolerance of {number(study.tolerance)}; smallest "
+        f"tolerance with Cg and Cgk of 1.33: {number(study.smallest_tolerance)}"
+    )
+    grid = Grid(
+        "Type 1", "Capability of the gauge", ("index", "value", "95 % interval"), rows, "type1", note=note
+    )
+    return grid, biases((study.bias,))
+
+
+def process_picture(study: MeasurementProcess) -> str:
+    """Every component of the process, or else of the system, as twice its expanded uncertainty over the tolerance."""
+    parts = (study.process or study.system).components
+    with new_figure(9.4, 0.9 + 0.45 * len(parts)) as (figure, axes):
+        rows = np.arange(len(parts), dtype=np.float64)
+        widths = [200.0 * COVERAGE * value / study.tolerance for value in parts.values()]
+        bars = axes.barh(rows, widths, 0.6, color=BLUE)
+        axes.bar_label(bars, fmt="%.1f %%", padding=3, fontsize=8, color=INK)
+        axes.set_yticks(rows, list(parts))
+        axes.invert_yaxis()
+        axes.margins(x=0.12)
+        axes.set_xlabel("Q of the component alone [%]")
+        return svg_uri(figure)
+
+
+def write_process_page(path: Path, title: str, source: str, study: MeasurementProcess) -> None:
+    """Write the page of the capability of a measurement process, atomically.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    picture = Picture(
+        process_picture(study),
+        ", ".join(
+            f"u({name}) {number(one)}" for name, one in (study.process or study.system).components.items()
+        ),
+        "What the uncertainty is made of; squares of the bars add up.",
+    )
+    _write(
+        path, (title, source), (study.verdict, study.capable), (picture,), process_tables(study), study.notes
+    )
+
+
+def process_tables(study: MeasurementProcess) -> tuple[Grid, ...]:
+    """Components of the uncertainty, and Q of system and process."""
+    both = (study.system.components, {} if study.process is None else study.process.components)
+    names = tuple(dict.fromkeys([*both[0], *both[1]]))
+    parts = tuple((f"u({name})", *(number(one.get(name)) for one in both)) for name in names)
+    rows = tuple(
+        (
+            name,
+            number(one.standard),
+            number(one.expanded),
+            share(one.share),
+            share(one.limit),
+            number(one.smallest_tolerance),
+            number(one.capability, 3),
+        )
+        for name, one in (("measuring system", study.system), ("measurement process", study.process))
+        if one is not None
+    )
+    columns = ("of", "u", "U (k = 2)", "Q", "limit", "smallest tolerance", "C")
+    note = f"Tolerance {number(study.tolerance)}" + (
+        "" if study.resolution_share is None else f"; resolution {share(study.resolution_share)} of it"
+    )
+    return (
+        Grid("Capability", "ISO 22514-7 and VDA 5", columns, rows, "process", note=note),
+        Grid(
+            "Components", "Standard uncertainties", ("component", "system", "process"), parts, "uncertainty"
+        ),
+    )
 
 
 def _write(

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.quality.capability import Capability, Index
+from anisoscope.quality.distributions import FittedCapability
 from anisoscope.quality.nelson import MEANING
 from anisoscope.quality.readings import Readings
 from anisoscope.report.inspection_page import REPORT_NAME
@@ -340,6 +341,7 @@ def study_content(study: ControlStudy, points: Points | None = None) -> dict[str
 def tables(study: ControlStudy, listed: int = LISTED) -> list[Grid]:
     """Limits, capability, and the first patterns of a series."""
     able = [] if study.capability is None else [_capability(study.capability)]
+    able += [] if study.fitted is None else [_fitted(study.fitted)]
     return [_limits(study), *able, *([_flags(study, listed)] if study.flags else [])]
 
 
@@ -410,6 +412,20 @@ def _origin(study: ControlStudy) -> str:
     if limits.baseline == study.count:
         return f"from all {study.count} measured values"
     return f"from the first {limits.baseline} measured values, {ends}"
+
+
+def _fitted(found: FittedCapability) -> Grid:
+    names = (("Pp", found.pp), ("Ppk", found.ppk))
+    rows = tuple((name, interval(index)) for name, index in names if index is not None)
+    ends = f"{number(found.low)}, {number(found.median)}, {number(found.high)}"
+    rows += (
+        ("quantiles of 0.135, 50 and 99.865 %", ends),
+        ("outside, by the distribution", _in_a_million(found.outside_expected)),
+        ("model over time", found.time_model or "too few values"),
+    )
+    title = f"By a {found.fitted.family} distribution (ISO 22514-2)"
+    columns = ("what", f"value ({found.confidence:.0%} interval)")
+    return Grid("Capability by quantiles", title, columns, rows, "fitted")
 
 
 def _capability(found: Capability) -> Grid:

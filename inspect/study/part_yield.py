@@ -1,16 +1,23 @@
-"""How many parts of a lot pass a recipe, with the risks of both sides, from the verdicts of drawn parts."""
+"""How many parts of a lot pass a recipe, with the risks of both sides, from the verdicts of drawn parts.
 
-from dataclasses import dataclass, fields
+And how often a defect of the whole part is found, by its size.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.decision import pair_values
 from anisoscope.prediction.expectation import Expectation
+from anisoscope.quality.detection_probability import Trials
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.study.lot import VERDICTS, Judged, Lot, judged_on_rig, setting_of
+from anisoscope.study.lot import VERDICTS, Judged, Lot, Shift, judged_on_rig, setting_of
 from anisoscope.study.statistics import Rate, rate
 from anisoscope.study.sweep import Workers, sweep
 
@@ -115,3 +122,71 @@ def _summary(lot: Lot, expected: Expectation, judged: Judged, rigs: npt.NDArray[
         consumer = rate(judged.verdict[~good] == VERDICTS.index(Verdict.PASS), rigs[~good])
     significant = rate(judged.significant, rigs)
     return PartYield(by_verdict, significant, tuple(contrasts), conforming, producer, consumer)
+
+
+LARGEST_DEFECT = {"ridge_angle": 4.0, "alpha": 1.0, "albedo": 1.0, "height_loss": 0.5, "edge_radius": 20.0}
+"""Largest size that is tried, in the units of `Shift`."""
+_PILOT_SIZES, _PILOT_PARTS = 9, 12
+_SIZES = 20
+
+
+def detection_trials(
+    lot: Lot, defect: str, largest: float | None, workers: Workers, seed: int = 1, advance: Advance = silent
+) -> Trials:
+    """Draw parts with a defect of many sizes, and good ones, and judge them; every part on a rig of its own.
+
+    So no two parts share a rig, its golden parts or its plastic, and their verdicts are independent.
+
+    Args:
+        lot: good parts and how they are inspected; its number of parts is that with a defect, a tenth more have none.
+        defect: a name in `Shift`.
+        largest: largest size; None: a short series of trials finds sizes from hardly ever to nearly always found.
+        workers: processes or cluster; the result does not depend on them.
+        seed: of everything random.
+        advance: called with the number of finished parts.
+
+    Returns:
+        Sizes, evenly spread in their logarithm, and whether the verdict was FAIL.
+
+    Raises:
+        UsageError: another defect, a size that is none, or no size that is found at all.
+        HeightMapError, RecipeError: as for `lot.setting_of`.
+        SweepError: a process failed.
+    """
+    if defect not in LARGEST_DEFECT:
+        raise UsageError(
+            f"--defect takes {', '.join(LARGEST_DEFECT)}, not {defect!r}; defects that show in the picture only, such "
+            "as scratches, need master parts: inspect them and use --csv"
+        )
+    if largest is not None and not 0.0 < largest < float("inf"):
+        raise UsageError(f"the largest size must be a finite number above 0, not {largest:g}")
+    setting_of(lot)  # errors of the recipe come before any process
+
+    def judged(sizes: FloatArray, each: int, seed: int) -> Trials:
+        own = [replace(lot, shift=Shift(**{defect: float(size)}), parts=each, rigs=each) for size in sizes]
+        tasks = [(one, number) for one in own for number in range(each)]
+        found = sweep(judged_on_rig, tasks, workers, seed=seed, advance=advance, doing="parts")
+        fail = VERDICTS.index(Verdict.FAIL)
+        return Trials(np.repeat(sizes, each), np.array([bool(one.verdict[0] == fail) for one in found]))
+
+    ends = (largest / _SIZES, largest) if largest is not None else _range_of(defect, judged, seed + 1)
+    each = max(lot.parts // _SIZES, 2)
+    sizes = np.geomspace(*ends, _SIZES)
+    bad, good = judged(sizes, each, seed), judged(np.zeros(1), max(lot.parts // 10, 10), seed + 2)
+    return Trials(np.concatenate([good.size, bad.size]), np.concatenate([good.hit, bad.hit]))
+
+
+def _range_of(
+    defect: str, judged: Callable[[FloatArray, int, int], Trials], seed: int
+) -> tuple[float, float]:
+    """Sizes from hardly ever found to nearly always found, by a short series of trials."""
+    tried = LARGEST_DEFECT[defect] * 2.0 ** -np.arange(_PILOT_SIZES, dtype=np.float64)[::-1]
+    share = judged(tried, _PILOT_PARTS, seed).hit.reshape(_PILOT_SIZES, -1).mean(axis=1)
+    if share.max() < 0.5:
+        raise UsageError(
+            f"{defect} of {tried[-1]:g} is found in {share[-1]:.0%}: no size of it is found reliably"
+        )
+    rarely, nearly = np.flatnonzero(share <= 0.05), np.flatnonzero(share >= 0.95)
+    first = tried[rarely[-1]] if rarely.size else tried[0]
+    last = tried[nearly[nearly > (rarely[-1] if rarely.size else -1)][0]] if nearly.size else tried[-1]
+    return float(first), float(last)

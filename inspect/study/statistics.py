@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.significance import proportion_interval
 
 FOLDS = 5
 PRIOR_PARTS = 30
@@ -46,14 +47,9 @@ def rate(hits: npt.NDArray[np.bool_], groups: npt.NDArray[np.int_] | None = None
         hits: (N,) of parts.
         groups: (N,) rig of every part; None: parts are independent.
     """
-    from scipy.special import betaincinv  # noqa: PLC0415 - start-up time
-
     k, n = int(np.count_nonzero(hits)), int(np.size(hits))
     share = _effective_share(hits, groups) if 0 < k < n and groups is not None else 1.0
-    few, all_ = k * share, n * share
-    low = 0.0 if k == 0 else float(betaincinv(few, all_ - few + 1, 0.025))
-    high = 1.0 if k == n else float(betaincinv(few + 1, all_ - few, 0.975))
-    return Rate(k, n, low, high)
+    return Rate(k, n, *proportion_interval(k * share, n * share))
 
 
 def _effective_share(hits: npt.NDArray[np.bool_], groups: npt.NDArray[np.int_]) -> float:

@@ -26,7 +26,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import number_name, number_text
-from anisoscope.cli.history.options import ALL, Place, Which, opened
+from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Place, Which, opened
 from anisoscope.cli.inspect.inspection import conclusion_lines, explained
 from anisoscope.cli.progress import progress
 
@@ -561,6 +561,10 @@ def export(
     junit: Annotated[
         Path | None, Parameter(help="Write JUnit XML, for servers of continuous integration.")
     ] = None,
+    aqdef: Annotated[
+        Path | None,
+        Parameter(help="Write AQDEF of one product and recipe: *.dfq, or *.dfd with *.dfx next to it."),
+    ] = None,
     bundle: Annotated[
         Path | None,
         Parameter(
@@ -570,13 +574,13 @@ def export(
     limit: Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")] = 0,
     place: Place = None,
 ) -> int:
-    """Export past inspections as CSV, JSON or JUnit; the filters are those of `history`.
+    """Export past inspections as CSV, JSON, JUnit or AQDEF; the filters are those of `history`.
 
     A bundle is verified without anisoscope, by docs/verify_bundle.py.
 
     Examples:
         anisoscope export --csv-file week.csv --since 7d
-        anisoscope export --junit results.xml --lot L42
+        anisoscope export --aqdef week.dfq --product plate --since 7d
         anisoscope export --bundle A1.zip --serial A1
     """
     from anisoscope.history.export import csv_lines, json_lines, junit_lines, write_lines
@@ -584,8 +588,10 @@ def export(
     files = [path for path in (csv, json, junit) if path is not None]
     if bundle is not None:
         _bundled(bundle, which.serial, place)
-    if not files and bundle is None:
-        raise UsageError("name a file: --csv-file FILE, --json-file FILE, --junit FILE or --bundle FILE")
+    if aqdef is not None:
+        _aqdef(aqdef, which, limit, place)
+    if not files and bundle is None and aqdef is None:
+        raise UsageError("name a file: --csv-file, --json-file, --junit, --aqdef or --bundle FILE")
     if not files:
         return 0
     with opened(place) as found, found.selection(which.filters(limit)) as selected:
@@ -600,6 +606,53 @@ def export(
     for path in files:
         write_line(f"{count} inspections: {path}")
     return 0
+
+
+def _aqdef(path: Path, which: Which, limit: int, place: str | None) -> None:
+    """Write measured values, limits and catalogues of one product and recipe; the oldest first."""
+    from datetime import UTC, datetime
+
+    from anisoscope.base.atomic_write import write_bytes
+    from anisoscope.history.address import chosen
+    from anisoscope.history.aqdef import TIME, AqdefFile, description_lines, encoded, value_lines
+    from anisoscope.quality.capability import specification
+    from anisoscope.quality.readings import history_readings
+
+    if path.suffix.lower() not in (".dfq", ".dfd"):
+        raise UsageError(f"--aqdef {path}: name a file *.dfq, or *.dfd for a description and values apart")
+    where = chosen(place, DEFAULT_OUT)
+    if where is None:
+        raise UsageError("name the history: --history PLACE")
+    readings = history_readings(where, which.filters(limit))
+    kinds = sorted(set(readings.column("recipe")))
+    if len(kinds) > 1:
+        raise UsageError(
+            f"{readings.source}: {len(kinds)} recipes ({', '.join(kinds[:3])} …): an AQDEF file holds one, choose it "
+            "with --recipe"
+        )
+    times = [datetime.fromisoformat(one).replace(tzinfo=UTC).astimezone() for one in readings.column("time")]
+    texts = dict(readings.texts) | {"time": tuple(f"{one:{TIME}}" for one in times)}
+    pairs = {}
+    for name in readings.numbers:
+        try:
+            found = specification(readings, name)
+        except UsageError:  # predicted or tolerated differently: no one pair of limits holds
+            found = None
+        if found is not None:
+            pairs[name] = (found.lower, found.upper)
+    middle = {
+        name: 0.5 * (low + high)
+        for name, (low, high) in pairs.items()
+        if low is not None and high is not None
+    }
+    content = AqdefFile(readings.column("product")[0], texts, readings.numbers, pairs, middle)
+    values = path.with_suffix(".DFX" if path.suffix.isupper() else ".dfx")
+    if path.suffix.lower() == ".dfq":
+        write_bytes(path, encoded((*description_lines(content), *value_lines(content))))
+    else:
+        write_bytes(values, encoded(value_lines(content)))
+        write_bytes(path, encoded(description_lines(content)))
+    write_line(f"{len(readings)} inspections: {path}")
 
 
 def _bundled(path: Path, name: str | None, place: str | None) -> None:

@@ -11,7 +11,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console, print_output
+from anisoscope.cli.tables import console, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.kinds.kind import Reference
@@ -137,6 +137,91 @@ def show(
     line = f"measured with: {measured_with or 'not recorded by the version that collected them'}"
     print_output(replace(output, content=content, lines=(*output.lines, line)), json_=json_)
     return 0
+
+
+@app.command
+def certify(
+    *folders: Annotated[
+        Path, Parameter(help="Folders of finished inspections of good parts that are not golden.")
+    ],
+    recipe: RecipeFile,
+    false_alarms: Annotated[float, Parameter(help="Largest rate of false alarms that is wanted.")] = 0.01,
+    confidence: Annotated[float, Parameter(help="One-sided confidence.")] = 0.95,
+    html: Annotated[Path | None, Parameter(help="Write the certificate as a page.")] = None,
+    json_: Json = False,
+) -> int:
+    """Certify the rate of false alarms from inspections of good parts, whatever their distribution.
+
+    Every folder is of another part, judged by this recipe and its golden parts as they are now, and none is golden.
+
+    Exit codes: 0 certified, 1 not, 64 and above nothing can be said.
+
+    Examples:
+        anisoscope golden certify --recipe recipe.toml --false-alarms 0.02 inspections/OK-*
+    """
+    from anisoscope.decision.reference_parts import certificate, golden_path
+    from anisoscope.kinds.registry import kind_of
+    from anisoscope.record.schema import read_record, sha256_of
+    from anisoscope.report.study_page import Table, write_study_page
+
+    if not folders:
+        raise UsageError("name the folders of finished inspections of good parts")
+    kind, path = kind_of(recipe), golden_path(recipe)
+    rules = kind.read_recipe(recipe)
+    with _as_usage():
+        known = kind.read_reference(path, rules)
+    golden = set() if known is None else {one.serial for one in known.parts}
+    now = [(file.name, sha256_of(file)) for file in (recipe, path) if file.is_file()]
+    seen: dict[str, Path] = {}
+    records, invalid = [], 0
+    for folder in folders:
+        record = read_record(folder)
+        if record.serial in golden:
+            raise UsageError(
+                f"{folder}: {record.serial} is a golden part: it made the rule and proves nothing about it"
+            )
+        if record.serial in seen:
+            raise UsageError(
+                f"{folder}: {record.serial} is the part of {seen[record.serial]}: name each part once"
+            )
+        seen[record.serial] = folder
+        used = {one.sha256 for one in record.inputs}
+        changed = next((name for name, digest in now if digest not in used), None)
+        if changed is not None:
+            raise UsageError(
+                f"{folder}: was judged by another {changed} than the present one: inspect the part again"
+            )
+        if record.verdict == "INVALID":
+            invalid += 1
+        else:
+            records.append(record)
+    stated = getattr(rules.decision, "alpha", None)
+    found = certificate(
+        [one.verdict for one in records], [one.p_value for one in records], false_alarms, confidence, stated
+    )
+    level = "too few parts" if found.level is None else f"{found.level:.3g}"
+    rows = (
+        ("good parts with a verdict", str(found.parts)),
+        ("of these FAIL", str(found.alarms)),
+        ("of these INCONCLUSIVE", str(found.undecided)),
+        (f"false alarms at most, {confidence:.0%} confidence", f"{found.highest:.2%}"),
+        ("stated by the model: level of the recipe", "–" if stated is None else f"{stated:.2%}"),
+        (f"level that holds {false_alarms:.2%}, whatever the distribution", level),
+    )
+    notes = [
+        found.verdict,
+        *([f"{invalid} INVALID inspections say nothing and are left out"] if invalid else []),
+    ]
+    if html is not None:
+        table = Table("False alarms", ("", "value"), rows)
+        write_study_page(html, "Certificate of false alarms", str(recipe), [], [table], notes)
+    if json_:
+        print_json(found)
+    else:
+        print_table("False alarms", ["", "value"], [list(row) for row in rows])
+        for line in notes:
+            console().print(line, markup=False, highlight=False, soft_wrap=True)
+    return 0 if found.certified else 1
 
 
 def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.history.options import Place
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
@@ -24,14 +25,17 @@ from anisoscope.cli.statistics.source import (
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
+    from anisoscope.quality.attribute import AttributeStudy
     from anisoscope.quality.bias import Bias
     from anisoscope.quality.gauge import GaugeStudy
     from anisoscope.quality.linearity import GaugeLinearity
+    from anisoscope.quality.measurement_process import MeasurementProcess, TypeOne
     from anisoscope.quality.readings import Readings
     from anisoscope.quality.stability import Stability
     from anisoscope.report.statistics_sections import Grid
 
-app = App(name="msa", help="Measurement system analysis: gauge R&R, bias, linearity, stability.")
+ABOUT = "Measurement system analysis: gauge R&R, bias, linearity, stability, attributes, type 1, VDA 5."
+app = App(name="msa", help=ABOUT)
 
 REFERENCE = "reference"
 Reference = Annotated[float | None, Parameter(help="Known value of the part.")]
@@ -179,6 +183,177 @@ def stability(
     return 1 if not study.chart.stable or (study.bias is not None and study.bias.significant) else 0
 
 
+Tolerance = Annotated[float, Parameter(help="Tolerance: width between the limits of good parts.")]
+Resolution = Annotated[float | None, Parameter(help="Resolution of the gauge.")]
+
+
+@app.command
+def attribute(
+    *,
+    csv: Annotated[
+        Path | None,
+        Parameter(
+            name="--csv",
+            help="CSV file of decisions: part, appraiser, decision, reference and, if measured, value.",
+        ),
+    ] = None,
+    masters: Annotated[
+        Path | None,
+        Parameter(
+            help="Decisions of the history on these parts: CSV file with the columns part and reference."
+        ),
+    ] = None,
+    place: Place = None,
+    which: Selection = EVERYTHING,
+    tolerance: Annotated[
+        float | None,
+        Parameter(help="Tolerance, width between the limits of good parts, for signal detection."),
+    ] = None,
+    confidence: Annotated[float, Parameter(help="Confidence of the intervals.")] = 0.95,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Attribute agreement: decisions good or bad on parts of known quality.
+
+    Kappa of Cohen and Fleiss, effectiveness, miss and false-alarm rates; with measured references signal detection.
+
+    Exit codes: 0 acceptable, 1 not, 64 and above no analysis is possible.
+
+    Examples:
+        anisoscope msa attribute --csv decisions.csv --tolerance 0.1
+        anisoscope msa attribute --masters masters.csv --since 7d
+    """
+    from anisoscope.quality.attribute import attribute_study, decisions_of_history, read_decisions
+    from anisoscope.report.msa_page import attribute_tables, write_attribute_page
+
+    if csv is not None and masters is None and place is None:
+        data, source = read_decisions(csv), str(csv)
+    elif masters is not None and csv is None:
+        readings = readings_from(None, place, which)
+        data, source = decisions_of_history(readings, masters), readings.source
+    else:
+        raise UsageError("name the decisions: --csv FILE, or --masters FILE for those of the history")
+    study = attribute_study(data, tolerance, confidence)
+    if html is not None:
+        write_attribute_page(html, "Attribute agreement", source, study)
+    _show(study, attribute_tables(study), study.notes, html, json_=json_)
+    return 0 if study.acceptable else 1
+
+
+@app.command
+def type1(
+    *,
+    csv: Csv = None,
+    place: Place = None,
+    number: Number = None,
+    which: Selection = EVERYTHING,
+    limit: Limit = 0,
+    reference: Reference = None,
+    tolerance: Tolerance,
+    resolution: Resolution = None,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Type-1 study: one standard measured repeatedly, Cg and Cgk.
+
+    Exit codes: 0 capable, 1 not, 64 and above no analysis is possible.
+
+    Examples:
+        anisoscope msa type1 --csv standard.csv --reference 6 --tolerance 0.5 --resolution 0.01
+    """
+    from anisoscope.quality.measurement_process import type_one
+    from anisoscope.report.msa_page import type_one_tables, write_type_one_page
+
+    readings, name, values = _number(csv, place, which, limit, number)
+    known = _reference(readings, reference)
+    if known is None:
+        raise UsageError("name the known value: --reference, or a column `reference` in the CSV file")
+    study = type_one(values, known, tolerance, resolution)
+    if html is not None:
+        write_type_one_page(html, f"Type 1: {name}", readings.source, study, values)
+    _show(study, type_one_tables(study), study.notes, html, json_=json_)
+    return 0 if study.capable else 1
+
+
+@app.command
+@everyday(
+    *("standards", "gauge_study_", "number", "tolerance", "resolution", "corrected"),
+    *("u_calibration", "u_temperature", "u_object", "html", "json_"),
+)
+def process(
+    *,
+    standards: Annotated[Path, Parameter(help="CSV file with repeated readings: reference and a number.")],
+    gauge_study_: Annotated[
+        Path | None,
+        Parameter(name="--gauge-study", help="CSV file of a gauge study: part, appraiser and a number."),
+    ] = None,
+    number: Number = None,
+    tolerance: Tolerance,
+    resolution: Resolution = None,
+    corrected: Annotated[
+        bool, Parameter(help="Readings are corrected by the line of the standards.", negative=())
+    ] = False,
+    u_calibration: Annotated[float | None, Parameter(help="Standard uncertainty by the calibration.")] = None,
+    u_linearity: Annotated[float | None, Parameter(help="Standard uncertainty by the linearity.")] = None,
+    u_object: Annotated[
+        float | None, Parameter(help="Standard uncertainty by the part itself, such as its form.")
+    ] = None,
+    u_temperature: Annotated[float | None, Parameter(help="Standard uncertainty by the temperature.")] = None,
+    u_stability: Annotated[
+        float | None, Parameter(help="Standard uncertainty by the stability over time.")
+    ] = None,
+    u_gauges: Annotated[
+        float | None, Parameter(help="Standard uncertainty by differences between gauges.")
+    ] = None,
+    u_other: Annotated[float | None, Parameter(help="Standard uncertainty by other influences.")] = None,
+    largest_error: Annotated[
+        float | None,
+        Parameter(help="Maximum permissible error, in place of calibration, bias and linearity."),
+    ] = None,
+    system_limit: Annotated[float, Parameter(help="Largest Q of the measuring system, as a share.")] = 0.15,
+    process_limit: Annotated[float, Parameter(help="Largest Q of the process, as a share.")] = 0.30,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Capability of a measuring system and its process: ISO 22514-7 and VDA 5.
+
+    %Q_MS and %Q_MP, twice the expanded uncertainty (k = 2) over the tolerance, and the smallest tolerance.
+
+    Exit codes: 0 capable, 1 not, 64 and above no analysis is possible.
+
+    Examples:
+        anisoscope msa process --standards standards.csv --gauge-study gauge.csv --tolerance 0.4 --u-calibration 0.002
+    """
+    from anisoscope.quality.gauge import gauge_data, gauge_study
+    from anisoscope.quality.measurement_process import measurement_process, standards_study
+    from anisoscope.report.msa_page import process_tables, write_process_page
+
+    readings, name, values = _number(standards, None, EVERYTHING, 0, number)
+    if REFERENCE not in readings.numbers:
+        raise UsageError(f"{standards}, line 1: measurements of standards need a column {REFERENCE!r}")
+    own = standards_study(readings.numbers[REFERENCE], values, corrected=corrected)
+    gauge_ = None
+    if gauge_study_ is not None:
+        measured, of_parts, _ = _number(gauge_study_, None, EVERYTHING, 0, number)
+        gauge_ = gauge_study(gauge_data(measured, of_parts), tolerance)
+    given = {
+        "CAL": u_calibration,
+        "LIN": u_linearity,
+        "OBJ": u_object,
+        "T": u_temperature,
+        "STAB": u_stability,
+    }
+    given |= {"GV": u_gauges, "rest": u_other}
+    study = measurement_process(
+        tolerance, own, gauge_, {key: one for key, one in given.items() if one is not None},
+        resolution=resolution, largest_error=largest_error, limits=(system_limit, process_limit),
+    )  # fmt: skip
+    if html is not None:
+        write_process_page(html, f"Measurement process: {name}", readings.source, study)
+    _show(study, process_tables(study), study.notes, html, json_=json_)
+    return 0 if study.capable else 1
+
+
 def _number(
     csv: Path | None, place: str | None, which: Selection, limit: int, number: str | None
 ) -> "tuple[Readings, str, FloatArray]":
@@ -204,7 +379,7 @@ def _reference(readings: "Readings", given: float | None) -> float | None:
 
 
 def _show(
-    study: "GaugeStudy | Bias | GaugeLinearity | Stability",
+    study: "GaugeStudy | Bias | GaugeLinearity | Stability | AttributeStudy | TypeOne | MeasurementProcess",
     grids: "tuple[Grid, ...]",
     notes: tuple[str, ...],
     html: Path | None,

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 Csv = Annotated[
     Path | None,
     Parameter(
-        name="--csv", help="Readings from this CSV file instead of the history: see docs/statistics.md."
+        name="--csv",
+        help="Readings from this CSV file (or AQDEF: .dfq, .dfd) instead of the history: see docs/statistics.md.",
     ),
 ]
 Html = Annotated[Path | None, Parameter(name="--html", help="Write a page with charts to this file.")]

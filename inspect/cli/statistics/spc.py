@@ -72,6 +72,14 @@ class Charting:
     ] = None
     lower: Annotated[float | None, Parameter(name="--lower", help="Lower limit of good parts.")] = None
     upper: Annotated[float | None, Parameter(name="--upper", help="Upper limit of good parts.")] = None
+    distribution: Annotated[
+        str | None,
+        Parameter(
+            name="--distribution",
+            help="Capability by the quantiles of a distribution too: best, lognormal, weibull, rayleigh, "
+            "folded-normal, logistic or normal.",
+        ),
+    ] = None
 
     def settings(self, readings: "Readings") -> "Settings":
         """Options as settings of the chart of some readings.
@@ -82,7 +90,9 @@ class Charting:
         from anisoscope.quality.control import Settings
 
         period = None if self.period is None else period_of(readings, self.period)
-        return Settings(self.baseline, self.weight, self.width, self.center, self.sigma, period)
+        return Settings(
+            self.baseline, self.weight, self.width, self.center, self.sigma, period, self.distribution
+        )
 
 
 def period_of(readings: "Readings", text: str) -> "Period":

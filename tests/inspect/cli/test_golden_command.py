@@ -13,6 +13,15 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     done = anisoscope("golden", "show", *at)
     assert (done.code, done.err.count("\n")) == (64, 1)
     assert "there are no golden parts" in done.err
+    page = rig.recipe.with_name("certificate.html")
+    done = anisoscope("golden", "certify", *at, *folders, "--false-alarms", 0.7, "--html", page)
+    assert (done.code, done.err) == (1, "")
+    assert "not certified: at most 77.64% false alarms with 95% confidence after 2 good parts" in done.out
+    assert "Certificate of false alarms" in page.read_text(encoding="utf-8")
+    done = anisoscope("golden", "certify", *at, *folders, "--false-alarms", 0.8, "--json")
+    assert (done.code, done.json["certified"], done.json["needed"]) == (0, True, 2)
+    done = anisoscope("golden", "certify", *at, folders[0], folders[0])
+    assert (done.code, "name each part once" in done.err) == (64, True)
     done = anisoscope("golden", "add", *at, *folders)
     assert done.code == 0, done.err
     assert "2 added, 2 golden parts" in done.out
@@ -28,12 +37,16 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     assert "golden parts: ridged test plate" in shown
     assert "what golden parts can show" in shown
     assert "now there are 2" in shown
+    done = anisoscope("golden", "certify", *at, folders[0])
+    assert (done.code, "A is a golden part" in done.err) == (64, True)
     again = anisoscope("golden", "add", *at, folders[0])
     assert again.code >= 64
     assert "in the set already" in again.err
     done = anisoscope("golden", "remove", *at, "A", "--json")
     assert (done.code, done.json["removed"], done.json["count"]) == (0, 1, 1)
     assert anisoscope("golden", "remove", *at, "C").code >= 64
+    done = anisoscope("golden", "certify", *at, folders[0])
+    assert (done.code, "was judged by another" in done.err) == (64, True)
     assert anisoscope("golden", "remove", *at, "B").code == 0
     assert not golden_path(rig.recipe).exists()
 

@@ -7,11 +7,14 @@ from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
 from anisoscope import cli
+from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
+from anisoscope.quality.readings import history_readings, read_readings
 
 NOW = datetime.now(UTC).replace(microsecond=0)
 MARKUP = "[red]x[/red] [/] \\[b] [link=file:///etc/passwd]y[/link] \x1b[2J\x07\u202e %s"
@@ -198,6 +201,26 @@ def test_export(place, said, tmp_path):
     assert said("export")[0] == 64
     code, _, err = said("export", "--csv-file", tmp_path / "none" / "out.csv")
     assert (code, err.count("\n")) == (74, 1)
+
+
+def test_export_of_aqdef_is_read_by_the_statistics(place, said, tmp_path):
+    path = tmp_path / "out.dfq"
+    code, _, err = said("export", "--aqdef", path, "--lot", "L1")
+    assert (code, "2 recipes" in err, path.exists()) == (64, True, False)
+    which = ("--recipe", "ridged plate 1123456789ab")
+    code, out, err = said("export", "--aqdef", path, *which)
+    assert (code, err, out.count("5 inspections: ")) == (0, "", 1)
+    found = read_readings(path)
+    history = history_readings(place, Filters(recipe=which[1]))
+    assert found.column("serial") == history.column("serial")
+    assert found.column("verdict") == history.column("verdict")
+    assert [found.moment(k) for k in range(5)] == [history.moment(k) for k in range(5)]
+    for name, values in history.numbers.items():
+        np.testing.assert_array_equal(found.numbers[name], values)
+    assert said("export", "--aqdef", tmp_path / "apart.dfd", *which)[0] == 0
+    assert (tmp_path / "apart.dfx").exists()
+    code, _, err = said("export", "--aqdef", tmp_path / "out.txt")
+    assert (code, "name a file *.dfq" in err) == (64, True)
 
 
 def test_verify_names_what_was_changed_and_notices_a_cut(place, said):

@@ -218,6 +218,66 @@ def test_msa_linearity(done, tmp_path):
     assert (code, "needs a column 'reference'" in err) == (64, True)
 
 
+def test_msa_attribute(done, tmp_path):
+    rows = [
+        (p, a, int(p % 2 == 0 or (p == 1 and a == "C")), p % 2 == 0, 0.1 * p)
+        for p in range(12)
+        for a in "ABC"
+    ]
+    rows = [(p, a, made, int(known), value) for p, a, made, known, value in rows for _ in range(2)]
+    path, page = (
+        csv_of(tmp_path / "a.csv", "part,appraiser,decision,reference,value", rows),
+        tmp_path / "a.html",
+    )
+    code, out, err = done("msa", "attribute", "--csv", path, "--html", page)
+    assert (code, err) == (1, "")
+    assert "unacceptable rates: C" in out
+    assert "Attribute agreement" in page.read_text(encoding="utf-8")
+    code, out, _ = done("msa", "attribute", "--csv", path, "--json")
+    assert json.loads(out)["appraisers"][0]["with_reference"]["kappa"]["value"] == 1.0
+    for wrong in ((), ("--csv", path, "--masters", path)):
+        code, _, err = done("msa", "attribute", *wrong)
+        assert (code, "name the decisions" in err) == (64, True)
+
+
+def test_msa_type1_and_process(done, tmp_path):
+    standard = csv_of(tmp_path / "s.csv", "reference,value", [(6.0, v) for v in QUIET])
+    page = tmp_path / "t.html"
+    code, out, err = done("msa", "type1", "--csv", standard, "--tolerance", 20, "--html", page)
+    assert (code, err, "capable: Cg" in out, page.exists()) == (0, "", True, True)
+    assert done("msa", "type1", "--csv", standard, "--tolerance", 1)[0] == 1
+    rng = np.random.default_rng(5)
+    rows = [(p, a, 3.0 * p + 0.1 * rng.normal()) for _ in range(3) for a in "ABC" for p in range(10)]
+    parts = csv_of(tmp_path / "g.csv", "part,appraiser,value", rows)
+    given = ("msa", "process", "--standards", standard, "--tolerance", 20, "--u-calibration", 0.01)
+    code, out, err = done(*given, "--gauge-study", parts, "--u-temperature", 0.02, "--html", page)
+    assert (code, err) == (0, "")
+    assert "measurement process capable: Q_MP" in out
+    code, out, _ = done(*given, "--json")
+    content = json.loads(out)
+    assert (code, content["process"], content["system"]["components"]["CAL"]) == (0, None, 0.01)
+    code, _, err = done(*given, "--u-temperature", 0.02)
+    assert (code, "need measurements of parts" in err) == (64, True)
+
+
+def test_pod_of_master_parts(done, tmp_path):
+    rng = np.random.default_rng(3)
+    sizes = rng.uniform(0.2, 5.0, 60)
+    rows = [(size, int(rng.random() < size**3 / (1.0 + size**3))) for size in sizes]
+    path, page = csv_of(tmp_path / "scratches.csv", "size,hit", [*rows, (0, 0)]), tmp_path / "p.html"
+    code, out, err = done("research", "pod", "--csv", path, "--html", page)
+    assert (code, err) == (0, "")
+    assert "a90/95" in out
+    assert "false calls: 0 of 1" in out
+    assert "Probability of detection: scratches" in page.read_text(encoding="utf-8")
+    signals = csv_of(tmp_path / "s.csv", "size,signal", [(s, s * np.exp(0.2 * rng.normal())) for s in sizes])
+    code, out, _ = done("research", "pod", "--csv", signals, "--threshold", 2, "--json")
+    assert (code, json.loads(out)["sizes"][0]["size"]) == (0, pytest.approx(2.0, rel=0.1))
+    for wrong, word in (((), "name the parts"), (("--csv", signals), "signals need --threshold")):
+        code, _, err = done("research", "pod", *wrong)
+        assert (code, word in err) == (64, True)
+
+
 def test_camera_of_a_record(done, tmp_path):
     values = {
         "gain": 0.2,

@@ -8,23 +8,31 @@ import pytest
 from anisoscope.base.errors import RecordError
 from anisoscope.calibration.linearity import TransferCurve
 from anisoscope.calibration.record import dated, write_calibration
+from anisoscope.quality.attribute import AttributeData, attribute_study
 from anisoscope.quality.bias import bias_study
 from anisoscope.quality.camera import read_camera
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
 from anisoscope.quality.gauge import GaugeData, gauge_study
 from anisoscope.quality.linearity import gauge_linearity
+from anisoscope.quality.measurement_process import measurement_process, standards_study, type_one
 from anisoscope.quality.stability import stability_study
 from anisoscope.report.camera_page import write_camera_page
 from anisoscope.report.msa_page import (
+    write_attribute_page,
     write_bias_page,
     write_gauge_page,
     write_linearity_page,
+    write_process_page,
     write_stability_page,
+    write_type_one_page,
 )
 from anisoscope.report.spc_page import write_spc_page
 
-NAMES = ("spc", "many", "gauge", "bias", "linearity", "stability", "camera", "old-camera")
+NAMES = (
+    *("spc", "many", "gauge", "bias", "linearity", "stability", "camera", "old-camera"),
+    *("attribute", "type-one", "process"),
+)
 PICTURES = {
     "spc": 4,
     "many": 2,
@@ -34,6 +42,9 @@ PICTURES = {
     "stability": 2,
     "camera": 3,
     "old-camera": 0,
+    "attribute": 2,
+    "type-one": 1,
+    "process": 1,
 }
 NASTY = "<script>alert('x')</script>"
 
@@ -89,6 +100,23 @@ def studies():
         "gauge": gauge_study(GaugeData(tuple("abcdefghij"), ("Ada", NASTY, "Eve"), values), 8.0),
         "bias": (bias_study(readings, 6.0), readings),
         "linearity": gauge_linearity(references, references + 0.1 * rng.normal(size=18)),
+        "attribute": attribute_study(
+            AttributeData(
+                tuple(map(str, range(9))),
+                ("Ada", NASTY),
+                np.repeat(np.array([0, 0, 1, 1, 1, 1, 1, 0, 0])[:, None, None], 2, axis=1),
+                np.array([0, 0, 1, 1, 1, 1, 1, 0, 0]),
+                np.arange(9.0),
+            ),
+            4.0,
+        ),
+        "type-one": type_one(readings, 6.0, 8.0),
+        "process": measurement_process(
+            8.0,
+            standards_study(np.full(30, 6.0), readings),
+            gauge_study(GaugeData(tuple("abcdefghij"), ("Ada", NASTY, "Eve"), values)),
+        ),
+        "readings": readings,
         "stability": stability_study(readings, tuple(map(str, range(30))), Settings(), 6.0),
     }
 
@@ -109,6 +137,9 @@ def pages(studies, tmp_path_factory):
     write_bias_page(folder / "bias.html", "Bias", "file", *studies["bias"])
     write_linearity_page(folder / "linearity.html", "Linearity", "file", studies["linearity"])
     write_stability_page(folder / "stability.html", "Stability", "file", studies["stability"])
+    write_attribute_page(folder / "attribute.html", "Attributes", NASTY, studies["attribute"])
+    write_type_one_page(folder / "type-one.html", "Type 1", NASTY, studies["type-one"], studies["readings"])
+    write_process_page(folder / "process.html", "Process", NASTY, studies["process"])
     write_camera_page(folder / "camera.html", camera_record(folder, curve=True))
     write_camera_page(folder / "old-camera.html", camera_record(folder, curve=False))
     return folder

@@ -1,12 +1,16 @@
 """Yield of a lot: rates, risks and contrasts from the verdicts of its parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from anisoscope.base.errors import UsageError
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.quality.detection_probability import hit_miss
 from anisoscope.study import part_yield as yields
-from anisoscope.study.lot import Judged, Lot, Spread
-from anisoscope.study.part_yield import part_yield
+from anisoscope.study.lot import Judged, Lot, Shift, Spread
+from anisoscope.study.part_yield import detection_trials, part_yield
 from anisoscope.study.sweep import Workers
 
 LIGHT_DEG = 10.0
@@ -71,3 +75,34 @@ def test_good_parts_are_significant_as_often_as_the_level_says(golden, least, mo
     lot = Lot(one, LIGHT_DEG, Spread.of(one), parts=2000, rigs=400, golden=golden)
     found = part_yield(lot, Workers(None))
     assert least < found.significant.value < most
+
+
+def test_larger_defects_are_found_and_small_ones_are_not():
+    """Against the prediction, without a search of the range: sizes, their number, and good parts."""
+    lot = Lot(recipe(), LIGHT_DEG, Spread(), parts=40, rigs=2)
+    found = detection_trials(lot, "height_loss", 0.1, Workers(), seed=3)
+    assert (len(found.size), np.count_nonzero(found.size == 0.0)) == (50, 10)
+    assert found.size.max() == pytest.approx(0.1)
+    assert not found.hit[found.size < 0.008].any()
+    assert found.hit[found.size > 0.08].all()
+
+
+@pytest.mark.parametrize(
+    ("defect", "largest", "word"),
+    [("scratches", None, "show in the picture only"), ("alpha", -1.0, "largest size must be")],
+)
+def test_a_defect_that_is_not_simulated_is_refused(defect, largest, word):
+    with pytest.raises(UsageError, match=word):
+        detection_trials(Lot(recipe(), LIGHT_DEG, Spread(), parts=40, rigs=2), defect, largest, Workers())
+
+
+@pytest.mark.statistics
+def test_a90_is_found_in_nine_of_ten_of_many_parts():
+    """The curve of 400 parts against a count of 2000 at its a50 and a90; three golden parts on every rig."""
+    one = recipe()
+    lot = Lot(one, LIGHT_DEG, Spread.of(one), parts=400, rigs=2, golden=3)
+    curve = hit_miss(detection_trials(lot, "height_loss", None, Workers(None)))
+    for limit in curve.sizes:
+        many = replace(lot, shift=Shift(height_loss=limit.size), parts=2000, rigs=2000)
+        share = part_yield(many, Workers(None), seed=99).verdicts["FAIL"].value
+        assert share == pytest.approx(limit.probability, abs=0.1)
