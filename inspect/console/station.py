@@ -368,7 +368,7 @@ class Station:
                 raise HTTPException(503, "too many pages are open: close some")
 
     def take(self, session: Session) -> None:
-        """Hold the rig: at once if it is free, or its holder has closed the page; otherwise its holder is asked."""
+        """Hold the rig: at once if it is free, or its holder has closed the page; else request it from its holder."""
         with self._lock:
             holder = self._holder
             if (
