@@ -517,7 +517,7 @@ class Station:
         self._publish()
 
     def stop(self, session: Session) -> dict[str, str]:
-        """Stop everything that moves, and the inspection; every role may. Its frames are kept, and it can be resumed.
+        """Stop everything that moves, and the inspection; every role may. It can be resumed with its frames.
 
         Returns:
             By table of the rig file what was not stopped, and why.
