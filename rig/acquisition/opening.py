@@ -247,9 +247,6 @@ def open_lamp(part: LightPart) -> Light:
     return found
 
 
-    return open_light(part.driver, port=part.port, **part.options)
-
-
 @dataclass(frozen=True)
 class HeldRig:
     """Devices of a rig that this process holds for others, and why its camera is not among them ("" if it is)."""
