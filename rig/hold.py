@@ -109,6 +109,7 @@ class Owner:
 
     Attributes:
         address: ``host:port`` at which it listens.
+        camera: the camera, for this process as for others.
     """
 
     def __init__(
@@ -122,6 +123,7 @@ class Owner:
         parts: list[tuple[Part, RotationStage | Light | SharedCamera]] = [*axes.values()]
         parts += [] if light is None else [light]
         parts += [] if camera is None else [(camera[0], SharedCamera(camera[1]))]
+        self.camera = next((device for _, device in parts if isinstance(device, SharedCamera)), None)
         self._devices = {key_of(part): device for part, device in parts}
         tables = [*axes, *(["light"] * (light is not None)), *(["camera"] * (camera is not None))]
         self._keys = {table: key_of(part) for table, (part, _) in zip(tables, parts, strict=True)}

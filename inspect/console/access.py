@@ -199,6 +199,7 @@ class Trail:
             entry |= {"what": what, "why": why, "more": more, "previous": previous}
             entry["hash"] = _digest(entry)
             try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
                 with self.path.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(entry, ensure_ascii=False) + "\n")
                     file.flush()
@@ -329,8 +330,8 @@ class Needs:
     def __init__(self, permission: Permission | None) -> None:
         self.permission = permission
 
-    def __call__(self, request: Request) -> Session:
-        """The session of a request.
+    async def __call__(self, request: Request) -> Session:
+        """The session of a request; in the loop, so that no busy thread holds up a stop.
 
         Raises:
             HTTPException: 401 without a session of somebody, 403 without permission or with a wrong token.

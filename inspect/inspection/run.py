@@ -134,6 +134,7 @@ def inspect_part(
     cancel: threading.Event | None = None,
     methods: Methods | None = None,
     reports: Reports | None = None,
+    on_folder: Callable[[Path], None] = lambda _: None,
 ) -> Inspected:
     """Photograph a part on a rig and judge it.
 
@@ -148,6 +149,7 @@ def inspect_part(
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
         methods: what varies, for tests.
         reports: where the report is written in the background; without it, before this returns.
+        on_folder: called with the inspection folder before the first frame.
 
     Returns:
         The record, INVALID included. It is on disk whatever becomes of the report: a note says so where there is none.
@@ -173,6 +175,7 @@ def inspect_part(
             _check_rig(rig, plan, job)
             ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
             folder = cleanup.enter_context(new_folder(out, serial))
+            on_folder(folder)
             here = rig_path.resolve().parent
             manifest = begin(
                 folder,

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from anisoscope.base.errors import RigError, RigFileError
+from anisoscope.base.errors import CameraError, NotConnected, RigError, RigFileError, UsageError
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.collisions import Guard
 from anisoscope.rig.drivers import open_camera, open_light, open_stage, open_wheel
-from anisoscope.rig.hold import held_camera, held_light, held_stage
+from anisoscope.rig.hold import ASKING, Owner, held_camera, held_light, held_stage, is_held
 from anisoscope.rig.light import Channel, ChannelLight, FilterWheel, Light, rest
 from anisoscope.rig.rigfile import BY_HAND, CameraPart, LightPart, MotorPart, RigAxes, RigFile
 from anisoscope.rig.stage import RotationStage, unit_of
@@ -245,3 +245,49 @@ def open_lamp(part: LightPart) -> Light:
             wheel.close()
         raise
     return found
+
+
+@dataclass(frozen=True)
+class HeldRig:
+    """Devices of a rig that this process holds for others, and why its camera is not among them ("" if it is)."""
+
+    owner: Owner
+    devices: Devices
+    missing: str
+
+
+@contextlib.contextmanager
+def hold_devices(axes: Mapping[str, MotorPart], file: RigAxes | None, rig: str = "") -> Iterator[HeldRig]:
+    """Keep the devices of a rig open and serve them to other processes of this user.
+
+    What asks the operator is left out. A camera that does not open does not keep the axes from being held.
+
+    Args:
+        axes: axes by their tables of the rig file.
+        file: the rig file, or None.
+        rig: its path; "" without.
+
+    Raises:
+        UsageError: no axis has a motor, or another process holds the rig.
+        RigFileError, NotConnected: as for `open_devices`.
+    """
+    axes = {table: part for table, part in axes.items() if part.driver not in ASKING}
+    if not axes:
+        raise UsageError("nothing can be held: an axis needs a motor")
+    light = None if file is None or file.light is None or file.light.driver in ASKING else file.light
+    eye = None if file is None else file.camera
+    if any(is_held(part) for part in (*axes.values(), light, eye) if part is not None):
+        raise UsageError("another process holds this rig already; end it with q in its window")
+    with open_devices(axes, light=light, rows_of=file) as devices, contextlib.ExitStack() as stack:
+        missing = ""
+        if eye is not None:
+            try:
+                devices.camera = open_eye(eye)
+                stack.push(_closing(devices.camera))
+            except (NotConnected, CameraError) as problem:
+                missing = str(problem)
+        served = {table: (axes[table], axis) for table, axis in devices.axes.items()}
+        lamp = None if light is None or devices.light is None else (light, devices.light)
+        shared = None if eye is None or devices.camera is None else (eye, devices.camera)
+        with Owner(served, lamp, rig, shared) as owner:
+            yield HeldRig(owner, devices, missing)

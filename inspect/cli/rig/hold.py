@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import CameraError, NotConnected, UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, home_axes, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
-    from anisoscope.rig.camera import Camera
     from anisoscope.rig.hold import Owner
-    from anisoscope.rig.rigfile import CameraPart, RigAxes
+    from anisoscope.rig.rigfile import RigAxes
 
 
 def hold(
@@ -35,53 +33,27 @@ def hold(
     Examples:
         anisoscope rig hold --rig rig.toml --home
     """
-    from anisoscope.rig.acquisition.opening import open_devices
-    from anisoscope.rig.hold import ASKING, Owner, is_held
+    from anisoscope.rig.acquisition.opening import hold_devices
 
     file, axes = which.read()
-    axes = {table: part for table, part in axes.items() if part.driver not in ASKING}
-    if not axes:
-        raise UsageError("nothing can be held: an axis needs a motor")
-    light = None if file is None or file.light is None or file.light.driver in ASKING else file.light
-    eye = None if file is None else file.camera
-    if any(is_held(part) for part in (*axes.values(), light, eye) if part is not None):
-        raise UsageError("another process holds this rig already; end it with q in its window")
-    with open_devices(axes, light=light, rows_of=file) as devices, contextlib.ExitStack() as stack:
-        camera, missing = _camera_of(eye, stack)
+    with hold_devices(axes, file, "" if which.rig is None else str(which.rig.resolve())) as held:
+        devices = held.devices
         if home:
             home_axes(devices.axes, axes, file, yes=yes)
-        served = {table: (axes[table], axis) for table, axis in devices.axes.items()}
-        lamp = None if light is None or devices.light is None else (light, devices.light)
-        shared = None if eye is None or camera is None else (eye, camera)
-        with Owner(served, lamp, "" if which.rig is None else str(which.rig.resolve()), shared) as owner:
-            held = [message("light")] * (lamp is not None) + [message("camera")] * (shared is not None)
-            _announce(devices, held)
-            free = [missing] * bool(missing) + [message("light")] * (lamp is None and _has_light(file))
-            if free:
-                write_line(
-                    message("not held: {names}; every command opens them itself", names=", ".join(free))
-                )
-            with contextlib.suppress(KeyboardInterrupt):
-                _listen(owner)
+        missing = f"{message('camera')} ({held.missing})" if held.missing else ""
+        names = [message("light")] * (devices.light is not None)
+        names += [message("camera")] * (devices.camera is not None)
+        _announce(devices, names)
+        free = [missing] * bool(missing) + [message("light")] * (devices.light is None and _has_light(file))
+        if free:
+            write_line(message("not held: {names}; every command opens them itself", names=", ".join(free)))
+        with contextlib.suppress(KeyboardInterrupt):
+            _listen(held.owner)
     return 0
 
 
 def _has_light(file: "RigAxes | None") -> bool:
     return file is not None and file.light is not None
-
-
-def _camera_of(part: "CameraPart | None", stack: contextlib.ExitStack) -> "tuple[Camera | None, str]":
-    """The open camera; where it does not open, None and why: the axes are held all the same."""
-    from anisoscope.rig.acquisition.opening import open_eye
-
-    if part is None:
-        return None, ""
-    try:
-        camera = open_eye(part)
-    except (NotConnected, CameraError) as problem:
-        return None, f"{message('camera')} ({problem})"
-    stack.callback(camera.close)
-    return camera, ""
 
 
 def _announce(devices: "Devices", others: list[str]) -> None:

@@ -37,7 +37,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "out": (*ACQUIRE, ("serve",), ("recipe", "teach")),
     "operator": (("inspect",), ("batch",), ("calibrate",)),
-    "station": (("inspect",), ("batch",)),
+    "station": (("inspect",), ("batch",), ("serve",)),
     "history": (*ACQUIRE, ("resume",), ("serve",), *REVIEW),
     "store": (("archive",),),
 }

@@ -1,14 +1,23 @@
 """A console with a virtual rig, served to a client in the process or to a browser."""
 
+import contextlib
 import shutil
 import threading
 from contextlib import contextmanager
 
 import pytest
 
+from anisoscope.cli.inspect.history_entry import remember
+from anisoscope.cli.inspect.inspection import explained
+from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.console.access import Access, Trail
 from anisoscope.console.application import Page, create_app, hosts_of, listen, server_of
 from anisoscope.console.fleet import fleet_router
+from anisoscope.console.station import Eyes, Station, station_router
+from anisoscope.console.work import WorkerHere, Workplace
+from anisoscope.rig.acquisition.opening import open_devices
+from anisoscope.rig.hold import SharedCamera
+from anisoscope.rig.rigfile import read_rig
 
 
 @pytest.fixture(scope="session")
@@ -42,9 +51,9 @@ def small_app(tmp_path_factory):
     )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium():
-    """Debian's chromium, driven by Playwright; one for the session."""
+    """Debian's chromium, driven by Playwright, whose loop would be in the way of tests that run one."""
     playwright = pytest.importorskip("playwright.sync_api")
     executable = shutil.which("chromium")
     if executable is None:
@@ -53,3 +62,47 @@ def chromium():
         browser = driver.chromium.launch(executable_path=executable, args=["--no-sandbox"])
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def station_at(virtual_rigs, plain):
+    """``station_at(name, **changes)``: a station at a virtual rig, in this process, and what was asked to stop."""
+    with contextlib.ExitStack() as stack:
+
+        def make(name="part", **changes):
+            rig = virtual_rigs(name, **changes)
+            recipes = rig.recipe.parent / "recipes"
+            recipes.mkdir(exist_ok=True)
+            shutil.copy(rig.recipe, recipes / "plate.toml")
+            file = read_rig(rig.rig)
+            devices = stack.enter_context(open_devices({}, file.camera, file.light))
+            eyes = Eyes(SharedCamera(devices.camera), devices.light)
+            history = rig.out / "history.sqlite"
+            place = Workplace(rig.rig, rig.out, history, remember, lot_mates, explained, plain)
+            stops = []
+            station = Station(
+                place,
+                recipes,
+                WorkerHere(place),
+                lambda: stops.append(1) or {},
+                eyes,
+                Trail(rig.rig.with_name("trail")),
+                "S1",
+            )
+            stack.callback(station.end)
+            return station, stops
+
+        yield make
+
+
+@pytest.fixture(scope="session")
+def app_of():
+    """``app_of(station, access)``: what serves the application of a station, for hosts."""
+
+    def make(station, access=None):
+        who = access or Access(None, Trail(None))
+        routers = [station_router(station), fleet_router(station.place.history)]
+        pages = [Page("/station", "Station"), Page("/fleet", "Fleet")]
+        return lambda hosts: create_app(who, routers, hosts, pages=pages)
+
+    return make

@@ -1,20 +1,165 @@
-"""The console in a real browser."""
+"""The operator's day in a real browser, on a virtual rig."""
+
+import re
+import threading
 
 import pytest
+
+from anisoscope.sim.bench.camera import SimulatedCamera
 
 pytestmark = pytest.mark.browser
 
 
-def test_a_page_loads_only_from_here_and_complains_of_nothing(served, small_app, chromium):
+@pytest.fixture(scope="module")
+def station(station_at):
+    return station_at("day", recipe={"product": "<script>document.title='broken'</script> plate"})
+
+
+@pytest.fixture(scope="module")
+def address(served, app_of, station):
+    with served(app_of(station[0])) as found:
+        yield found
+
+
+@pytest.fixture
+def page(chromium, address):
     asked, said = [], []
-    with served(small_app) as address:
-        page = chromium.new_page()
-        page.on("request", lambda one: asked.append(one.url))
-        page.on("console", lambda one: said.append(one.text))
-        page.on("pageerror", lambda one: said.append(str(one)))
-        page.goto(address)
-        page.get_by_role("link", name="Fleet").click()
-        assert "0 inspections" in page.inner_text("main")
-        page.close()
-    assert said == []
-    assert {url.startswith(address) for url in asked} == {True}
+    found = chromium.new_page(viewport={"width": 1024, "height": 768})
+    found.set_default_timeout(15_000)
+    found.on("request", lambda one: asked.append(one.url))
+    found.on("console", lambda one: said.append(one.text))
+    found.on("pageerror", lambda one: said.append(str(one)))
+    found.goto(address)
+    found.locator("#holder").get_by_text(re.compile("rig")).wait_for()
+    if found.locator("#verdict").is_visible():  # of the part before
+        found.get_by_role("button", name="Next part").click()
+    if found.locator("#take").is_visible():  # whose page is closed
+        found.locator("#take").click()
+        found.locator("#holder").get_by_text("You hold the rig").wait_for()
+    yield found
+    found.close()
+    assert [text for text in said if "409" not in text and "404" not in text] == []
+    assert {url.startswith((address, f"blob:{address}", "data:")) for url in asked} == {True}
+
+
+def start(page, serial, lot=""):
+    page.get_by_label("Serial number").fill(serial)
+    page.get_by_label("Lot").fill(lot)
+    page.get_by_role("button", name="Start", exact=True).click()
+
+
+def test_a_day(page, station):
+    page.locator("#focus-text").get_by_text("%").wait_for()
+    page.get_by_role("button", name="Check the rig").click()
+    page.locator("#checks .lamp").nth(5).wait_for()
+    start(page, "D-1", "<img src=x onerror=\"document.title='broken'\">")
+    verdict = page.locator("#verdict")
+    verdict.get_by_text("PASS", exact=True).wait_for()
+    assert "D-1 · <script>" in verdict.inner_text()
+    assert page.locator("#frames img").count() == 10
+    assert page.title().startswith("Station")
+    page.get_by_role("button", name="Next part").click()
+    assert not verdict.is_visible()
+    station[0]._busy.join()
+    page.get_by_role("link", name="Fleet").click()
+    assert "1 inspections" in page.inner_text("main")
+
+
+def test_the_space_bar_stops_and_the_page_offers_to_resume(page, station, monkeypatch):
+    grab, count, reached, go = SimulatedCamera.grab, [], threading.Event(), threading.Event()
+
+    def wait_at_the_fifth(camera):
+        count.append(threading.current_thread().name == "task")  # the others are of the live picture
+        if sum(count) == 5:
+            reached.set()
+            go.wait()
+        return grab(camera)
+
+    with page.expect_response(re.compile("live.jpg")):
+        pass
+    with monkeypatch.context() as patch:
+        page.get_by_label("Serial number").fill("D-2")
+        patch.setattr(SimulatedCamera, "grab", wait_at_the_fifth)
+        page.get_by_role("button", name="Start", exact=True).click()
+        assert reached.wait(60)
+        page.locator("#work").wait_for()
+        before = len(station[1])
+        with page.expect_response(re.compile("/stop$")):
+            page.keyboard.press("Space")
+        assert len(station[1]) == before + 1
+        go.set()
+        page.locator("#failure").get_by_text("stopped").wait_for()
+    page.reload()
+    page.get_by_role("button", name=re.compile("Resume D-2")).click()
+    page.locator("#word").get_by_text("PASS", exact=True).wait_for()
+
+
+def test_two_browsers_see_the_same_and_one_holds_the_rig(page, chromium, address):
+    other = chromium.new_context().new_page()
+    other.set_default_timeout(15_000)
+    other.goto(address)
+    start(page, "D-3")
+    for one in (page, other):
+        one.locator("#word").get_by_text("PASS", exact=True).wait_for()
+    other.get_by_role("button", name="Next part").click()
+    assert other.get_by_role("button", name="Start", exact=True).is_disabled()
+    other.get_by_role("button", name="Ask for the rig").click()
+    page.locator("#holder").get_by_text("asks for it").wait_for()
+    page.get_by_role("button", name="Next part").click()
+    page.get_by_role("button", name="Hand the rig over").click()
+    other.locator("#holder").get_by_text("You hold the rig").wait_for()
+    other.get_by_role("button", name="Hand the rig over").click()
+    other.locator("#holder").get_by_text("free").wait_for()
+    other.close()
+
+
+def test_the_page_is_small_and_stop_is_in_sight_at_every_size(page):
+    sizes = []
+    page.on(
+        "response",
+        lambda one: (
+            sizes.append(len(one.body())) if "live" not in one.url and "events" not in one.url else None
+        ),
+    )
+    page.reload()
+    page.locator("#stop").wait_for()
+    for width, height in ((1024, 768), (1920, 1080), (390, 844)):
+        page.set_viewport_size({"width": width, "height": height})
+        box = page.locator("#stop").bounding_box()
+        assert min(box["x"], box["y"]) >= 0
+        assert box["x"] + box["width"] <= width
+        assert box["y"] + box["height"] <= height
+        assert box["height"] >= 48
+    assert sum(sizes) < 200_000
+
+
+def test_it_is_worked_by_the_keyboard_alone(page):
+    page.get_by_label("Serial number").focus()
+    page.keyboard.type("D-4")
+    page.keyboard.press("Enter")
+    page.locator("#word").get_by_text("PASS", exact=True).wait_for()
+    assert page.evaluate("document.activeElement.id") == "next"
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.name") == "serial"
+
+
+CONTRAST = """() => {
+  const linear = x => (x /= 255) <= .03928 ? x / 12.92 : ((x + .055) / 1.055) ** 2.4;
+  const light = c => { const v = c.match(/[\\d.]+/g).map(linear); return .2126 * v[0] + .7152 * v[1] + .0722 * v[2]; };
+  const clear = c => c.endsWith(', 0)');
+  const ground = e => { while (e && clear(getComputedStyle(e).backgroundColor)) e = e.parentElement;
+    return e ? getComputedStyle(e).backgroundColor : 'rgb(255, 255, 255)'; };
+  const speaks = e => e.offsetParent && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim());
+  return [...document.querySelectorAll('body *')].filter(speaks).map(e => {
+    const a = light(getComputedStyle(e).color), b = light(ground(e));
+    return [(Math.max(a, b) + .05) / (Math.min(a, b) + .05), e.textContent.trim().slice(0, 40)];
+  }).filter(x => x[0] < 4.5); }"""
+
+
+def test_texts_have_the_contrast_of_wcag_aa_and_every_control_a_name(page):
+    assert page.evaluate(CONTRAST) == []
+    unnamed = page.evaluate(
+        "[...document.querySelectorAll('button, input, select, img, a')].filter(e => e.offsetParent && "
+        "!(e.textContent.trim() || e.labels?.length || e.alt || e.ariaLabel)).map(e => e.outerHTML)"
+    )
+    assert unnamed == []

@@ -1,0 +1,149 @@
+"use strict";
+// The station page: it shows what the events say, and asks for changes. Nothing is kept here that the server does not know.
+const $ = id => document.getElementById(id);
+const root = $("station"), words = JSON.parse(root.dataset.words), me = root.dataset.me;
+let now = {}, events = null, last = "", looking = false, shown = 0, sounded = "", dismissed = sessionStorage.getItem("dismissed");
+
+// Stop: the button, and the space bar wherever nothing is typed or pressed by it.
+const stop = () => post("/api/v1/stop");
+$("stop").addEventListener("click", stop);
+document.addEventListener("keydown", event => {
+  if (event.code !== "Space" || event.repeat) return;
+  const typed = event.target.matches("input[name=serial], input[name=lot]");
+  const running = now.state === "running" || now.state === "stopping";
+  if (running || !(typed || event.target.matches("button, input, a, summary"))) { event.preventDefault(); stop(); }
+}, true);
+
+function beep(verdict) {
+  if (!navigator.userActivation.hasBeenActive) return;  // a page that only looks on
+  try {
+    const sound = new AudioContext(), tones = { PASS: [660, 880], FAIL: [220, 180, 220], INCONCLUSIVE: [440, 440], INVALID: [330, 220] };
+    (tones[verdict] || [440]).forEach((pitch, k) => {
+      const tone = sound.createOscillator(), loud = sound.createGain();
+      tone.frequency.value = pitch; loud.gain.value = .2;
+      tone.connect(loud).connect(sound.destination);
+      tone.start(sound.currentTime + .25 * k); tone.stop(sound.currentTime + .25 * k + .2);
+    });
+  } catch { /* a browser without sound shows word and colour */ }
+}
+
+function list(target, texts) {
+  target.replaceChildren(...texts.map(text => Object.assign(document.createElement("li"), { textContent: text })));
+}
+
+function showFrames(count) {
+  if (count < shown) { shown = 0; $("frames").replaceChildren(); }
+  while (shown < count) {
+    const image = Object.assign(new Image(), { alt: `${words.frame} ${++shown}`, width: 160 });
+    const path = `/api/v1/frames/${shown}.jpg?of=${encodeURIComponent(now.folder)}`;
+    let tries = 0;  // its line in the journal may come a moment after its event
+    image.onerror = () => { if (++tries < 20) setTimeout(() => { image.src = `${path}&try=${tries}`; }, 250); };
+    image.src = path;
+    const item = document.createElement("li"); item.append(image); $("frames").prepend(item);
+  }
+}
+
+function showVerdict(found) {
+  const dialog = $("verdict");
+  if (!found || found.folder === dismissed) { if (dialog.open) dialog.close(); return; }
+  dialog.className = found.verdict.toLowerCase();
+  $("word").textContent = found.word;
+  $("part").textContent = `${found.serial} · ${found.product}`;
+  $("finding").textContent = found.finding;
+  $("action").textContent = found.action ? `${words.next}: ${found.action}` : "";
+  list($("reasons"), found.verdict === "PASS" ? [] : [...found.reasons, ...found.lines]);
+  $("report").href = `/inspections/${encodeURIComponent(found.folder)}/report.html`;
+  if (!dialog.open) { dialog.show(); $("next").focus(); }
+  if (sounded !== found.folder) { sounded = found.folder; beep(found.verdict); }
+}
+
+function show(state) {
+  const before = now.folder;
+  now = state;
+  if (state.folder !== before) { shown = 0; $("frames").replaceChildren(); }
+  const running = state.state === "running" || state.state === "stopping";
+  $("work").hidden = !running && !state.frames;
+  document.querySelector(".live").hidden = running;
+  $("advice").hidden = running;
+  document.querySelector(".numbers").hidden = running;
+  progress(state);
+  showVerdict(state.state === "done" ? state.verdict : null);
+  $("failure").hidden = !state.failure;
+  $("failure").textContent = state.failure ? (state.failure.stopped ? `${words.stopped}: ` : "") + state.failure.text : "";
+  if (state.checked) $("checks").replaceChildren(...state.checked.checks.map(one => {
+    const item = document.createElement("li"), lamp = document.createElement("span");
+    item.className = { PASS: "green", WARN: "yellow", FAIL: "red" }[one.outcome] || "grey";
+    lamp.className = "lamp"; lamp.setAttribute("aria-hidden", "true");
+    item.append(lamp, `${one.words}: ${words[one.outcome]}${one.remark ? "; " + one.remark : ""}`);
+    return item;
+  }));
+  const mine = state.holder && state.holder.id === me, others = state.holder && !mine;
+  if ($("holder")) {
+    const asks = state.asking ? ` ${words.asks.replace("{name}", state.asking.id === me ? words.you : state.asking.name)}` : "";
+    $("holder").textContent = (mine ? words.mine : others ? words.held.replace("{name}", state.holder.name) : words.free) + asks;
+    $("take").hidden = !others; $("release").hidden = !mine;
+    for (const button of [$("go"), $("check"), ...document.querySelectorAll("[data-resume]")]) button.disabled = running || Boolean(others);
+  }
+  if (!running) look();
+}
+
+function progress(at) {
+  $("doing").textContent = at.doing || "";
+  $("progress").max = Math.max(at.total, 1); $("progress").value = at.done;
+  showFrames(at.frames);
+}
+
+// Events while the page is seen: a browser has six connections to one server, and a stop must not wait for one.
+function follow() {
+  if (events || document.hidden) return;
+  events = new EventSource(`/api/v1/events?after=${encodeURIComponent(last)}`);
+  const take = (kind, what) => events.addEventListener(kind, event => { last = event.lastEventId; complain(""); what(JSON.parse(event.data)); });
+  take("state", show);
+  take("progress", progress);
+  events.onerror = () => { complain(words.away); if (events.readyState === 2) { events = null; setTimeout(follow, 1000); } };
+}
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden && events) { events.close(); events = null; }
+  follow(); look();
+});
+
+async function look() {
+  if (looking) return;
+  looking = true;
+  while (!document.hidden && now.state !== "running" && now.state !== "stopping") {
+    const recipe = new FormData($("start")).get("recipe");
+    if (!recipe) break;
+    try {
+      const answer = await fetch(`/api/v1/live.jpg?recipe=${encodeURIComponent(recipe)}`);
+      if (!answer.ok) { $("advice").textContent = (await answer.json()).error; await pause(2000); continue; }
+      const found = JSON.parse(answer.headers.get("X-Numbers")), old = $("live").src;
+      $("live").src = URL.createObjectURL(await answer.blob());
+      if (old) URL.revokeObjectURL(old);
+      $("advice").textContent = found.advice.join(" · ") || words.good;
+      $("focus").value = found.relative_focus || 0;
+      $("focus-text").textContent = found.relative_focus === null ? "–" : `${Math.round(100 * found.relative_focus)} %`;
+      $("mean").textContent = `${Math.round(100 * found.mean)} %`;
+      $("saturated").textContent = `${(100 * found.saturated_share).toFixed(2)} %`;
+    } catch { await pause(2000); }
+    await pause(50);
+  }
+  looking = false;
+}
+const pause = ms => new Promise(done => setTimeout(done, ms));
+
+$("start").addEventListener("submit", async event => {
+  event.preventDefault();
+  const asked = Object.fromEntries(new FormData($("start")));
+  if (await post("/api/v1/start", asked)) $("start").elements.serial.value = "";
+});
+const ask = (id, path, content) => { if ($(id)) $(id).addEventListener("click", () => post(path, content ? content() : {})); };
+ask("take", "/api/v1/take");
+ask("release", "/api/v1/release");
+ask("check", "/api/v1/check", () => ({ name: new FormData($("start")).get("recipe") || "" }));
+for (const button of document.querySelectorAll("[data-resume]"))
+  button.addEventListener("click", async () => { if (await post("/api/v1/resume", { name: button.dataset.resume })) $("resumable").hidden = true; });
+$("next").addEventListener("click", () => {
+  sessionStorage.setItem("dismissed", dismissed = now.folder);
+  $("verdict").close(); $("start").elements.serial.focus();
+});
+follow();

@@ -1,0 +1,275 @@
+"""What the console has done at a rig: inspections, their resumption and self tests, in a process of their own.
+
+The process that serves pages keeps the devices open and does nothing else, so that a stop is never behind a
+computation. The other one computes; it begins when the console begins, has everything imported when the first part
+comes, and ends with the console: what it was at can be resumed from its folder.
+"""
+
+import contextlib
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from anisoscope.base.crash import crash_line
+from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.json_fields import as_json
+from anisoscope.base.language import language, use
+from anisoscope.record.schema import Particulars
+
+Emit = Callable[[str, dict[str, Any]], None]
+POLL_S = 0.02
+
+
+def _nothing(*_: object) -> None:
+    """Enter nothing."""
+
+
+def _no_mates(*_: object) -> tuple[Any, ...]:
+    return ()
+
+
+def _no_lines(_: object) -> list[str]:
+    return []
+
+
+@dataclass(frozen=True)
+class Task:
+    """One thing to do: ``inspect`` a part, ``resume`` the inspection of a folder, ``check`` the rig."""
+
+    kind: Literal["inspect", "resume", "check"]
+    recipe: Path | None = None
+    serial: str = ""
+    particulars: Particulars = field(default_factory=Particulars)
+    folder: Path | None = None
+    exposure_s: float = 0.0
+    gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """Where inspections are made, and what becomes of them; a process receives it.
+
+    Attributes:
+        rig: rig file.
+        out: folder of the inspection folders.
+        history: place of the history, or None.
+        remember: called with a finished inspection and the place.
+        lot_mates: inspections of a lot, from the place and the lot.
+        explain: lines that say what is wrong and where, from a record.
+        methods: as for `anisoscope.inspection.run.inspect_part`.
+    """
+
+    rig: Path
+    out: Path
+    history: str | Path | None = None
+    remember: Callable[[Any, str | Path | None], None] = _nothing
+    lot_mates: Callable[[str | Path | None, str | None], Sequence[Any]] = _no_mates
+    explain: Callable[[Any], list[str]] = _no_lines
+    methods: Any = None
+
+
+class Worker(Protocol):
+    """Does one task after the other."""
+
+    def run(self, task: Task, emit: Emit, cancel: threading.Event) -> None:
+        """Do a task; return when it has ended, and all that it emitted has arrived.
+
+        Args:
+            task: what to do.
+            emit: called with ``progress``, ``folder``, ``verdict``, ``checked``, ``note``, and at last ``failed``.
+            cancel: stops the rig and ends the task.
+        """
+
+
+@dataclass(frozen=True)
+class WorkerHere:
+    """Does tasks in the thread that asks for them."""
+
+    place: Workplace
+
+    def run(self, task: Task, emit: Emit, cancel: threading.Event) -> None:
+        """Do a task; see `Worker`."""
+        perform(task, self.place, emit, cancel)
+
+
+def perform(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
+    """Do a task in this thread; whatever goes wrong is emitted as ``failed``, in a line, with what to do next."""
+    try:
+        (_check if task.kind == "check" else _inspect)(task, place, emit, cancel)
+    except (AnisoscopeError, KeyboardInterrupt) as error:
+        lines = [" ".join(str(error).split()), *getattr(error, "__notes__", ())]
+        emit("failed", {"text": "; ".join(filter(None, lines)), "stopped": cancel.is_set()})
+    except Exception as error:  # noqa: BLE001 - the console goes on
+        emit("failed", {"text": crash_line(error, f"console: {task.kind} {task.serial}"), "stopped": False})
+
+
+def _inspect(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
+    from anisoscope.inspection.reports import Reports  # noqa: PLC0415 - the page is served before all of it is loaded
+    from anisoscope.inspection.run import inspect_part, resume_part  # noqa: PLC0415
+
+    def advance(doing: str, done: int, total: int) -> None:
+        emit("progress", {"doing": doing, "done": done, "total": total})
+
+    def begun(folder: Path) -> None:
+        emit("folder", {"folder": folder.name})
+
+    with Reports(lambda text: emit("note", {"text": text})) as reports:
+        if task.folder is not None:
+            begun(task.folder)
+            inspected = resume_part(
+                task.folder,
+                advance,
+                lot_mates=lambda lot: tuple(place.lot_mates(place.history, lot)),
+                cancel=cancel,
+                methods=place.methods,
+                reports=reports,
+            )
+        else:
+            assert task.recipe is not None
+            inspected = inspect_part(
+                task.recipe,
+                place.rig,
+                task.serial,
+                place.out,
+                advance,
+                particulars=task.particulars,
+                lot_mates=place.lot_mates(place.history, task.particulars.lot),
+                cancel=cancel,
+                methods=place.methods,
+                reports=reports,
+                on_folder=begun,
+            )
+        record = inspected.record
+        said = record.conclusion
+        emit(
+            "verdict",
+            {
+                "verdict": record.verdict,
+                "serial": record.serial,
+                "product": record.product,
+                "finding": "" if said is None else said.finding,
+                "action": "" if said is None else said.action,
+                "reasons": list(record.reasons),
+                "lines": place.explain(record),
+                "folder": inspected.folder.name,
+            },
+        )
+        place.remember(inspected, place.history)
+        for note in inspected.notes:
+            emit("note", {"text": note})
+
+
+def _check(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
+    from anisoscope.commissioning.selftest import self_test  # noqa: PLC0415
+    from anisoscope.commissioning.selftest_record import Settings, write_self_test  # noqa: PLC0415
+
+    def advance(doing: str, done: int, total: int) -> None:
+        if cancel.is_set():
+            raise KeyboardInterrupt("the self test was stopped")
+        emit("progress", {"doing": doing, "done": done, "total": total})
+
+    result = self_test(place.rig, Settings(exposure_s=task.exposure_s, gain=task.gain), on_progress=advance)
+    write_self_test(result, place.out / "selftests")
+    emit("checked", as_json({"fit": result.fit, "checks": [one.model_dump() for one in result.checks]}))
+
+
+class WorkerProcess:
+    """A process that does tasks; one that has ended is followed by a new one at the next task.
+
+    Args:
+        place: where, and what becomes of it; its functions are those of modules.
+    """
+
+    def __init__(self, place: Workplace) -> None:
+        self._place = place
+        self._context = multiprocessing.get_context("spawn")
+        self._process: Any = None
+        self._line: Connection | None = None
+        self.start()
+
+    def start(self) -> None:
+        """Start the process, unless it runs."""
+        if self._process is not None and self._process.is_alive():
+            return
+        self._line, theirs = self._context.Pipe()
+        self._process = self._context.Process(
+            target=_work, args=(theirs, self._place, language()), name="anisoscope inspections"
+        )
+        self._process.start()
+        theirs.close()
+
+    def run(self, task: Task, emit: Emit, cancel: threading.Event) -> None:
+        """Do a task; see `Worker`."""
+        self.start()
+        assert self._line is not None
+        asked = False
+        try:
+            self._line.send(task)
+            while True:
+                if cancel.is_set() and not asked:
+                    self._line.send(None)
+                    asked = True
+                if not self._line.poll(POLL_S):
+                    continue
+                kind, content = self._line.recv()
+                if kind == "end":
+                    return
+                emit(kind, content)
+        except (EOFError, OSError):
+            emit(
+                "failed",
+                {"text": "the process of the inspection has ended; resume the inspection", "stopped": False},
+            )
+
+    def close(self) -> None:
+        """End the process; an inspection is stopped before, and can be resumed."""
+        if self._line is not None:
+            self._line.close()
+        if self._process is not None:
+            self._process.join(10.0)
+            if self._process.is_alive():
+                self._process.kill()
+
+
+def _work(line: Connection, place: Workplace, lang: str) -> None:
+    """Main function of the process: tasks come along the line, None cancels, and its end ends everything."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # whoever ends the console closes the line
+    use(lang)
+    tasks: list[Task] = []
+    ready, over, cancel = threading.Semaphore(0), threading.Event(), threading.Event()
+
+    def listen() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                task = line.recv()
+                if task is None:
+                    cancel.set()
+                else:
+                    cancel.clear()
+                    tasks.append(task)
+                    ready.release()
+        over.set()
+        cancel.set()
+        ready.release()
+
+    threading.Thread(target=listen, name="tasks", daemon=True).start()
+    import anisoscope.inspection.run  # noqa: F401, PLC0415 - before the first part comes
+
+    sending = threading.Lock()
+
+    def emit(kind: str, content: dict[str, Any]) -> None:
+        with sending, contextlib.suppress(OSError):
+            line.send((kind, content))
+
+    while True:
+        ready.acquire()
+        if over.is_set():
+            return
+        perform(tasks.pop(0), place, emit, cancel)
+        emit("end", {})

@@ -1,0 +1,221 @@
+"""Accounts, sessions, the audit trail, and every route with every role."""
+
+import contextlib
+import io
+import json
+
+import httpx
+import pytest
+
+from anisoscope.base.clock import VirtualClock
+from anisoscope.base.errors import ConfigError, UsageError
+from anisoscope.cli import run
+from anisoscope.console import access as module
+from anisoscope.console.access import TRIES, TRIES_S, Access, Accounts, Trail, trail_of
+from anisoscope.console.application import permissions_of
+
+ROLES = ("operator", "engineer", "auditor", "administrator")
+EVERYBODY = {None, *ROLES}
+LOGGED_IN = set(ROLES)
+WORKERS = {"operator", "engineer"}
+# Who may use which route; None is somebody without a login. Written down here, not read from the code.
+TABLE = {
+    ("GET", "/"): EVERYBODY,
+    ("GET", "/login"): EVERYBODY,
+    ("POST", "/login"): EVERYBODY,
+    ("POST", "/logout"): EVERYBODY,
+    ("GET", "/static/{name}"): EVERYBODY,
+    ("GET", "/fleet"): LOGGED_IN,
+    ("GET", "/station"): LOGGED_IN,
+    ("GET", "/inspections/{folder}/report.html"): LOGGED_IN,
+    ("GET", "/api/v1/openapi.json"): LOGGED_IN,
+    ("GET", "/api/v1/session"): LOGGED_IN,
+    ("GET", "/api/v1/recipes"): LOGGED_IN,
+    ("GET", "/api/v1/status"): LOGGED_IN,
+    ("GET", "/api/v1/calibrations"): LOGGED_IN,
+    ("GET", "/api/v1/resumable"): LOGGED_IN,
+    ("GET", "/api/v1/events"): LOGGED_IN,
+    ("GET", "/api/v1/live.jpg"): LOGGED_IN,
+    ("GET", "/api/v1/frames/{number}.jpg"): LOGGED_IN,
+    ("GET", "/api/v1/results"): LOGGED_IN,
+    ("POST", "/api/v1/take"): WORKERS,
+    ("POST", "/api/v1/release"): WORKERS,
+    ("POST", "/api/v1/start"): WORKERS,
+    ("POST", "/api/v1/resume"): WORKERS,
+    ("POST", "/api/v1/check"): WORKERS,
+    ("POST", "/api/v1/stop"): LOGGED_IN,
+}
+PASSWORD = "correct horse battery"
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """Hashes that take no time; what argon2 takes is its own business."""
+    from argon2 import PasswordHasher
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_hasher", lambda: PasswordHasher(time_cost=1, memory_cost=64, parallelism=1))
+        yield
+
+
+@pytest.fixture(scope="module")
+def accounts(quick, tmp_path_factory):
+    found = Accounts(tmp_path_factory.mktemp("users") / "users.json")
+    for role in ROLES:
+        found.put(f"the {role}", role, PASSWORD)
+    return found
+
+
+@pytest.fixture
+def clock():
+    return VirtualClock()
+
+
+@pytest.fixture
+def access(accounts, clock):
+    return Access(accounts, Trail(None), clock)
+
+
+@pytest.fixture
+def address(served, app_of, station_at, access):
+    with served(app_of(station_at("users")[0], access)) as found:
+        yield found
+
+
+def client_of(address, role):
+    client = httpx.Client(base_url=address, timeout=60)
+    page = client.get("/login").text
+    client.headers["X-CSRF-Token"] = page.partition('name="token" content="')[2].partition('"')[0]
+    if role is not None:
+        answer = client.post("/login", json={"name": f"the {role}", "password": PASSWORD})
+        assert answer.status_code == 200
+        client.headers["X-CSRF-Token"] = answer.json()["token"]
+    return client
+
+
+def test_every_route_with_every_role(address, served, app_of, station_at, access):
+    app = app_of(station_at("users")[0], access)(frozenset())
+    assert set(permissions_of(app)) == set(TABLE)
+    ends = {("POST", "/login"), ("POST", "/logout")}  # these end the session: last
+    for role in (None, *ROLES):
+        with contextlib.closing(client_of(address, role)) as client:
+            for (method, path), allowed in sorted(TABLE.items(), key=lambda one: one[0] in ends):
+                if path == "/api/v1/events" and role in allowed:
+                    continue  # has no end; the tests of the station read it
+                where = (
+                    path.replace("{name}", "icon.svg").replace("{folder}", "none").replace("{number}", "1")
+                )
+                if method == "POST":
+                    wrong = {"X-CSRF-Token": "of another session"}
+                    assert client.post(where, json={}, headers=wrong).status_code in {401, 403}, (role, path)
+                answer = client.request(method, where, json={} if method == "POST" else None)
+                refused = answer.status_code in {401, 403}
+                assert refused == (role not in allowed), (role, method, path, answer.status_code, answer.text)
+
+
+def test_a_page_without_a_login_leads_to_it(address):
+    with httpx.Client(base_url=address, follow_redirects=True) as client:
+        answer = client.get("/station", headers={"Accept": "text/html"})
+    assert (answer.url.path, answer.status_code) == ("/login", 200)
+
+
+def test_wrong_passwords_and_unknown_names_are_one_answer_and_soon_wait(address, access, clock):
+    with contextlib.closing(client_of(address, None)) as client:
+        answers = {
+            (answer.status_code, answer.text)
+            for name in ("the operator", "nobody")
+            for answer in [client.post("/login", json={"name": name, "password": "wrong"})]
+        }
+        assert len(answers) == 1
+        for _ in range(TRIES - 2):
+            assert (
+                client.post("/login", json={"name": "the operator", "password": "wrong"}).status_code == 401
+            )
+        right = {"name": "the operator", "password": PASSWORD}
+        assert client.post("/login", json=right).status_code == 429
+        clock.sleep(TRIES_S)
+        assert client.post("/login", json=right).status_code == 200
+
+
+def test_a_login_begins_a_session_of_its_own(address):
+    with contextlib.closing(client_of(address, None)) as client:
+        before = client.cookies["anisoscope_session"]
+        client.post("/login", json={"name": "the operator", "password": PASSWORD})
+        after = client.cookies["anisoscope_session"]
+        assert before != after
+        client.headers["X-CSRF-Token"] = client.get("/api/v1/session").json()["token"]
+        assert client.post("/logout").status_code == 200
+        assert client.get("/api/v1/status").status_code == 401
+
+
+def test_a_session_ends_after_its_time(access, clock):
+    session = access.begin()
+    assert access.find(session.id) is session
+    clock.sleep(module.SESSION_S + 1.0)
+    assert access.find(session.id) is None
+
+
+def test_those_who_work_keep_their_sessions_when_others_come(access):
+    mine = access.log_in("the operator", PASSWORD, "127.0.0.1")
+    for _ in range(module.MOST_SESSIONS + 10):
+        access.begin()
+    assert access.find(mine.id) is mine
+
+
+def test_the_file_of_accounts_is_private_and_has_no_password(accounts):
+    assert accounts.path.stat().st_mode & 0o077 == 0
+    text = accounts.path.read_text()
+    assert PASSWORD not in text
+    assert text.count("$argon2id$") == len(ROLES)
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "password"),
+    [
+        ("", "operator", PASSWORD),
+        ("a\nb", "operator", PASSWORD),
+        ("a", "king", PASSWORD),
+        ("a", "operator", "short"),
+    ],
+)
+def test_accounts_that_cannot_be(quick, tmp_path, name, role, password):
+    with pytest.raises(UsageError):
+        Accounts(tmp_path / "users.json").put(name, role, password)
+
+
+def test_a_file_that_is_none_of_accounts(tmp_path):
+    (tmp_path / "users.json").write_text('{"kind": "other"}')
+    with pytest.raises(ConfigError, match="no file of accounts"):
+        Accounts(tmp_path / "users.json")
+
+
+def test_a_changed_or_removed_line_of_the_trail_is_found(tmp_path):
+    trail = trail_of(tmp_path / "users.json")
+    for what in ("start", "stop", "account set"):
+        trail.add("anna", what, "why not", serial="A-1")
+    assert trail.damaged() == []
+    lines = trail.path.read_text().splitlines()
+    changed = json.loads(lines[1]) | {"who": "bo"}
+    trail.path.write_text("\n".join([lines[0], json.dumps(changed), lines[2]]) + "\n")
+    assert trail.damaged() == [2]
+    trail.path.write_text("\n".join([lines[0], lines[2]]) + "\n")
+    assert trail.damaged() == [2]
+
+
+def test_accounts_by_the_command_line(quick, tmp_path, capsys, monkeypatch):
+    users = tmp_path / "users.json"
+    monkeypatch.setattr("sys.stdin", io.StringIO(f"{PASSWORD}\n"))
+    assert run(["user", "add", "anna", "--users", str(users), "--as", "operator", "--why", "new"]) == 0
+    capsys.readouterr()
+    assert run(["user", "list", "--users", str(users), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "users": {"anna": "operator"},
+        "damaged_lines_of_the_trail": [],
+    }
+    assert Accounts(users).check("anna", PASSWORD).role == "operator"
+    assert run(["user", "remove", "anna", "--users", str(users)]) == 0
+    assert run(["user", "remove", "anna", "--users", str(users)]) == 64
+    assert [(line["what"], line["why"]) for line in trail_of(users).lines()] == [
+        ("account set", "new"),
+        ("account removed", ""),
+    ]

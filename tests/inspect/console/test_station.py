@@ -1,0 +1,305 @@
+"""A part is inspected by the interface of programs: what it shows, who may steer, what a stop and a crash leave."""
+
+import asyncio
+import contextlib
+import json
+import runpy
+import threading
+from pathlib import Path
+
+import httpx
+import pytest
+
+from anisoscope.console.access import Session
+from anisoscope.console.station import EventLog, Start, exposure_advice, focus_advice
+from anisoscope.rig.acquisition.journal import read_journal
+from anisoscope.sim.bench.camera import SimulatedCamera
+
+
+@pytest.fixture(scope="module")
+def at(station_at):
+    return station_at("api")[0]
+
+
+@pytest.fixture(scope="module")
+def address(served, app_of, at):
+    with served(app_of(at)) as found:
+        yield found
+
+
+class Browser:
+    """A client with a session."""
+
+    def __init__(self, address):
+        self.client = httpx.Client(base_url=f"{address}/api/v1", timeout=60)
+        self.who = self.client.get("/session").json()
+        self.client.headers["X-CSRF-Token"] = self.who["token"]
+
+    def post(self, path, **content):
+        return self.client.post(path, json=content)
+
+    def get(self, path, **query):
+        return self.client.get(path, params=query).json()
+
+    def events(self, last=""):
+        """Events as (id, kind, content), until the connection is cut."""
+        with self.client.stream("GET", "/events", headers={"Last-Event-ID": last}) as answer:
+            event = {}
+            for line in answer.iter_lines():
+                if line:
+                    name, _, text = line.partition(": ")
+                    event[name] = text
+                elif "data" in event:
+                    yield event["id"], event["event"], json.loads(event["data"])
+                    event = {}
+
+    def first(self, last=""):
+        """The first event after an id; then the connection is cut."""
+        with contextlib.closing(self.events(last)) as events:
+            return next(events)
+
+    def wait(self):
+        """The state once the rig is at rest again."""
+        with contextlib.closing(self.events()) as events:
+            states = (content for _, kind, content in events if kind == "state")
+            return next(state for state in states if state["state"] in {"done", "failed"})
+
+
+@pytest.fixture
+def browser(address):
+    found = Browser(address)
+    yield found
+    found.post("/release")
+    found.client.close()
+
+
+def begin(browser, serial, **more):
+    answer = browser.post("/start", recipe="plate", serial=serial, **more)
+    assert answer.status_code == 200, answer.text
+
+
+def test_a_part_is_inspected_and_enters_the_history(browser, at):
+    begin(browser, "A-1", lot="L7")
+    state = browser.wait()
+    assert (state["verdict"]["verdict"], state["verdict"]["serial"]) == ("PASS", "A-1")
+    assert all(state["verdict"][name] for name in ("finding", "action"))
+    journal = read_journal(at.place.out / state["folder"])
+    assert state["frames"] == len(journal.frames)
+    for number in (1, len(journal.frames)):
+        picture = browser.client.get(f"/frames/{number}.jpg")
+        assert picture.content[:2] == b"\xff\xd8"
+    assert browser.client.get(f"/frames/{len(journal.frames) + 1}.jpg").status_code == 404
+    at._busy.join()  # the history follows the verdict
+    (row,) = browser.get("/results", serial="A-1")
+    assert (row["verdict"], row["lot"], row["station"], row["operator"]) == (
+        "PASS",
+        "L7",
+        "S1",
+        "this computer",
+    )
+
+
+def test_every_event_arrives_once_though_the_connection_is_cut_after_each(browser, at):
+    at._busy.join()
+    first, _, _ = browser.first()
+    begin(browser, "A-2")
+    seen, last = [], first
+    while not seen or (seen[-1][2].get("state"), seen[-1][2].get("task", {}).get("serial")) != (
+        "done",
+        "A-2",
+    ):
+        last, kind, content = browser.first(last)
+        seen.append((last, kind, content))
+    numbers = [int(id_.partition("-")[2]) for id_, _, _ in seen]
+    assert numbers == list(range(int(first.partition("-")[2]) + 1, numbers[-1] + 1))
+    assert (
+        sum(" frame at " in content["doing"] for _, kind, content in seen if kind == "progress")
+        == seen[-1][2]["frames"]
+    )
+
+
+def test_who_comes_back_after_a_restart_gets_the_state(browser):
+    assert browser.first("0123abcd-99")[1] == "state"
+    assert browser.first("nonsense")[1] == "state"
+
+
+def test_only_one_holds_the_rig_and_all_may_stop(address, browser):
+    other = Browser(address)
+    browser.post("/take")
+    following = browser.events()
+    next(following)  # the page of the holder is open
+    state = other.post("/take").json()
+    assert (state["holder"]["id"], state["asking"]["id"]) == (browser.who["id"], other.who["id"])
+    refused = other.post("/start", recipe="plate", serial="A-3")
+    assert refused.status_code == 409
+    assert "ask for it" in refused.json()["error"]
+    assert other.post("/release").status_code == 409
+    assert other.post("/stop").status_code == 200
+    state = browser.post("/release").json()
+    assert (state["holder"]["id"], state["asking"]) == (other.who["id"], None)
+    following.close()
+    other.post("/release")
+    other.client.close()
+
+
+def test_a_stop_ends_the_inspection_and_it_can_be_resumed(browser, at, monkeypatch):
+    grab, count, reached, go = SimulatedCamera.grab, [], threading.Event(), threading.Event()
+
+    def wait_at_the_fifth(camera):
+        count.append(1)
+        if len(count) == 5:
+            reached.set()
+            go.wait()
+        return grab(camera)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SimulatedCamera, "grab", wait_at_the_fifth)
+        begin(browser, "A-4")
+        assert reached.wait(60)
+        assert browser.get("/status")["state"] == "running"
+        assert browser.post("/start", recipe="plate", serial="A-5").status_code == 409
+        assert browser.client.get("/live.jpg", params={"recipe": "plate"}).status_code == 409
+        browser.post("/stop")
+        go.set()
+        state = browser.wait()
+    assert state["state"] == "failed"
+    assert state["failure"]["stopped"]
+    assert browser.get("/resumable") == [state["folder"]]
+    assert browser.post("/resume", name="../../etc").status_code == 404
+    browser.post("/resume", name=state["folder"])
+    done = browser.wait()
+    assert (done["verdict"]["serial"], done["verdict"]["verdict"]) == ("A-4", "PASS")
+    assert browser.get("/resumable") == []
+
+
+def test_a_stop_reaches_the_axes_though_every_thread_waits(station_at, served, app_of, monkeypatch):
+    station, stops = station_at("stopping")
+    go, waiting = threading.Event(), threading.Semaphore(0)
+
+    def hang(*_):
+        waiting.release()
+        go.wait()
+        return b"", {"advice": []}
+
+    monkeypatch.setattr(station.live, "look", hang)
+    with served(app_of(station)) as address:
+        browser = Browser(address)
+        cookies = dict(browser.client.cookies)
+        threads = [
+            threading.Thread(
+                target=httpx.get,
+                args=(f"{address}/api/v1/live.jpg?recipe=plate",),
+                kwargs={"cookies": cookies, "timeout": 60},
+            )
+            for _ in range(45)
+        ]
+        for thread in threads:
+            thread.start()
+        for _ in range(40):  # all threads of the server
+            assert waiting.acquire(timeout=60)
+        assert browser.post("/stop").status_code == 200
+        assert stops == [1]
+        go.set()
+        for thread in threads:
+            thread.join()
+        browser.client.close()
+
+
+def test_the_live_picture_has_numbers_and_the_lamp_goes_off_for_others(browser, at):
+    answer = browser.client.get("/live.jpg", params={"recipe": "plate"})
+    numbers = json.loads(answer.headers["x-numbers"])
+    assert answer.content[:2] == b"\xff\xd8"
+    assert numbers["relative_focus"] == 1.0
+    lamp = at.live._eyes.light
+    assert at.live._lit
+    at.live.pause()
+    assert not at.live._lit
+    at.live.go_on()
+    assert lamp is not None
+    assert browser.client.get("/live.jpg", params={"recipe": "no such"}).status_code == 404
+
+
+def test_advice():
+    assert exposure_advice(0.5, 0.0) == []
+    assert exposure_advice(0.5, 0.01) == ["too bright: shorten the exposure"]
+    assert exposure_advice(0.02, 0.0) == ["too dark: lengthen the exposure"]
+    assert focus_advice(1.0, None, 1.0) == []
+    assert focus_advice(1.1, 1.0, 1.0) == ["sharper: go on in this direction"]
+    assert focus_advice(0.9, 1.0, 0.95) == ["less sharp than it was: go back"]
+    assert focus_advice(0.5, 0.5, 0.6) == ["less sharp than it was: go back"]
+    assert focus_advice(float("nan"), 1.0, float("nan")) == []
+
+
+def test_a_check_of_the_rig_shows_every_light(browser):
+    browser.post("/check", name="plate")
+    state = browser.wait()
+    outcomes = {one["key"]: one["outcome"] for one in state["checked"]["checks"]}
+    assert outcomes["axes.home"] == "PASS"
+    assert len(outcomes) > 8
+
+
+def test_calibrations_say_how_long_they_hold(browser):
+    (flat,) = browser.get("/calibrations")
+    assert (flat["kind"], flat["light"]) == ("flat", "green")
+    assert 29.0 < flat["days"] <= 30.0
+
+
+@pytest.mark.parametrize("serial", ["<script>alert(1)</script>", "", "x" * 65, "\x00", "=1+1"])
+def test_serial_numbers_that_cannot_be_used_are_refused(browser, serial):
+    answer = browser.post("/start", recipe="plate", serial=serial)
+    assert answer.status_code in {409, 422}
+    assert "\n" not in answer.json()["error"]
+
+
+def test_no_name_leads_out_of_the_folders(browser, address):
+    for name in ("../recipe", "/etc/passwd", "plate.toml", "..\\recipe"):
+        assert browser.post("/start", recipe=name, serial="A-9").status_code == 404
+    for path in ("..%2f..%2fetc", "%2e%2e", "nothing"):
+        assert browser.client.get(f"{address}/inspections/{path}/report.html").status_code == 404
+
+
+def test_who_did_what_is_in_the_trail(browser, at):
+    whats = [line["what"] for line in at._trail.lines()]
+    assert {"inspect", "resume", "check", "stop", "holds the rig"} <= set(whats)
+    assert at._trail.damaged() == []
+
+
+def test_an_event_that_is_gone_is_followed_by_the_state(monkeypatch):
+    log = EventLog()
+    for number in range(6000):
+        log.add("progress", {"number": number})
+    assert log.after(10) is None
+    assert [number for number, _, _ in log.after(5998)] == [5999, 6000]
+    assert log.after(6001) is None
+
+
+def test_a_stream_wakes_when_a_thread_adds():
+    log = EventLog()
+
+    async def follow():
+        stream = log.stream("", lambda: (log.number, {}))
+        assert "event: state" in await anext(stream)
+        adding = threading.Thread(target=log.add, args=("progress", {"done": 1}))
+        adding.start()
+        found = await anext(stream)
+        adding.join()
+        await stream.aclose()
+        return found
+
+    assert '"done": 1' in asyncio.run(follow())
+    assert log._waiting == set()
+
+
+def test_the_holder_who_closed_the_page_makes_room(at):
+    first, second = Session("a", "t", "anna"), Session("b", "t", "bo")
+    at.take(first)
+    at.take(second)
+    assert at.state()[1]["holder"]["name"] == "bo"
+    at.release(second)
+    assert Start(recipe="plate", serial="A").lot is None
+
+
+def test_the_client_of_the_docs_inspects_a_part(address, capsys):
+    client = runpy.run_path(str(Path(__file__).parents[3] / "docs/examples/console/client.py"))
+    client["main"](address, "plate", "C-1")
+    assert capsys.readouterr().out.splitlines()[-1] == "PASS"
