@@ -141,7 +141,7 @@ The last column has the bound of each angle that `predict` states for steps, λ/
 TAIL = """
 Scalar waves err at edges: as 1/w, by a few percent of the brightest order for shallow steps of 4 µm, and by tens of
 percent for narrow deep ones under slanted light, where walls cast shadows and metal guides one polarisation along the
-edges. The kind `wafers` has waves of the edges in its budget ([decision](../decisions/0026-waves-of-edges.md)).
+edges. The kind `wafers` has waves of the edges in its budget ([decision](../decisions/0028-waves-of-edges.md)).
 
 Leaving out the floor that walls shade, for light and camera, is no remedy for all: TE {better},
 but {worse}. It is not done.
