@@ -42,10 +42,11 @@ TEMPLATES = (
     "inspect/report/templates/history.html",
     "inspect/report/templates/compared.html",
     "inspect/kinds/prints/templates/inspection_print_colours.html",
+    *(f"inspect/console/templates/{name}.html" for name in ("base", "login", "station")),
 )
 CALLS = (
     *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig", "inspect/cli/demo"),
-    *("inspect/cli/history", "inspect/kinds"),
+    *("inspect/cli/history", "inspect/kinds", "inspect/console"),
 )
 """Folders whose calls of `message` are messages."""
 ERRORS = {"MeasurementError", "CalibrationError", "RegistrationError"}

@@ -27,6 +27,7 @@ from anisoscope.base.language import message, translated
 from anisoscope.console.access import Needs, Session, Trail
 from anisoscope.console.pages import render
 from anisoscope.console.work import Task, Worker, Workplace
+from anisoscope.live_view.page import or_none
 from anisoscope.record.schema import RECORD_NAME, Particulars
 from anisoscope.rig.hold import SharedCamera
 from anisoscope.rig.light import Light
@@ -162,11 +163,11 @@ class Live:
             view, before = reading.view, None if self._newest is None else self._newest[3]["focus"]
             numbers = {
                 "frame": reading.frame,
-                "frames_per_s": _finite(reading.frames_per_s),
+                "frames_per_s": or_none(reading.frames_per_s),
                 "mean": view.mean,
                 "saturated_share": view.saturated_share,
-                "focus": _finite(view.focus),
-                "relative_focus": _finite(reading.relative_focus),
+                "focus": or_none(view.focus),
+                "relative_focus": or_none(reading.relative_focus),
                 "ridge_deg": view.ridge_deg,
                 "advice": [
                     *exposure_advice(view.mean, view.saturated_share),
@@ -207,10 +208,6 @@ class Live:
         """Take pictures again, on request."""
         with self._lock:
             self._paused, self._meter = False, self._new_meter()
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def exposure_advice(mean: float, saturated_share: float) -> list[str]:

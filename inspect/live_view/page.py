@@ -77,7 +77,7 @@ class LivePage:
 
     def publish(self, jpeg: bytes, numbers: Mapping[str, Number]) -> None:
         """Publish a picture and its numbers; returns at once. NaN is shown as an empty value."""
-        plain = {name: _plain(value) for name, value in numbers.items()}
+        plain = {name: or_none(value) for name, value in numbers.items()}
         if self.jogger is not None:
             plain["axes"] = self.jogger.state()
         self.feed.put(jpeg, json.dumps(plain).encode())
@@ -100,7 +100,8 @@ class LivePage:
         self.close()
 
 
-def _plain(value: Number) -> Number:
+def or_none(value: Number) -> Number:
+    """The value, or None in place of NaN and infinity, which JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -56,6 +56,7 @@ class WaferOptics:
         notes = optics_notes(optics_for(surface, rig, request), rig, request)
         notes |= {
             "model": "wave",
+            "stated_error": NUMERICAL_ERROR,
             "reason": f"{notes['reason']} (a mirror with steps: diffraction orders of the tile)",
         }
         points = int(DRAWN_UM / surface.pixel_x_um)
