@@ -1,39 +1,559 @@
-"""The fleet page: every station of a history."""
+"""The fleet page: every station of a history, its yield, causes and control charts; reports, dispositions, exports.
 
+What is asked for stands in the address, so that a view can be sent. All of it works without scripts, but for
+dispositions, whose token a script sends.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
+from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Request
-from fastapi.responses import HTMLResponse
+import numpy as np
+from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
+from fastapi import Path as InPath
+from fastapi.responses import HTMLResponse, StreamingResponse
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from anisoscope.console.access import Needs, Session
+from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.notation import number_name, number_text, true_minus
+from anisoscope.console.access import Access, Needs, Session, Trail
 from anisoscope.console.pages import render
+from anisoscope.history.address import parse_address
+from anisoscope.history.columns import us_to_datetime
+from anisoscope.history.comparing import record_of
+from anisoscope.history.dispositions import DECISIONS, MAX_COMMENT, Decision, Disposition, checked_disposition
+from anisoscope.history.export import csv_lines, json_lines
+from anisoscope.history.filters import MOST_IDS, Filters, parse_moment
+from anisoscope.history.overview import Facts, IntArray, Overview
+from anisoscope.history.rows import MAX_TEXT, Row
+from anisoscope.history.store import History, open_history
+from anisoscope.inspection.report_seal import report_state
+from anisoscope.quality.capability import charted, specification
+from anisoscope.quality.control import ControlStudy, Settings, control_study
+from anisoscope.quality.nelson import MEANING, flagged
+from anisoscope.quality.readings import Readings, readings_of
+from anisoscope.record.verdict import Verdict
+from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.study.statistics import Rate, rate
+
+A_PAGE, A_PORTION = 50, 500
+CHARTED, CHARTS = 2000, 12
+CAUSES, STATIONS, CHOICES, LAST = 12, 100, 200, 20
+LETTERS = {"PASS": "P", "FAIL": "F", "INCONCLUSIVE": "?", "INVALID": "!"}
+REPORT_POLICY = (
+    "sandbox allow-scripts allow-popups; default-src 'none'; script-src 'unsafe-inline' data: blob:; "
+    "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; media-src data:; worker-src blob: data:"
+)
+"""Of a report, which runs its scripts with an origin of its own: it reaches neither the session nor the network."""
+
+Looks = Annotated[Session, Depends(Needs("look"))]
+Number = Annotated[int, InPath(ge=1, lt=2**62)]
 
 
-def fleet_router(history: str | Path | None) -> APIRouter:
+class Asked(BaseModel):
+    """What the address of a view asks for; empty fields of a form ask for nothing."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    since: str | None = Field(None, max_length=40)
+    until: str | None = Field(None, max_length=40)
+    product: str | None = Field(None, max_length=MAX_TEXT)
+    station: str | None = Field(None, max_length=MAX_TEXT)
+    lot: str | None = Field(None, max_length=MAX_TEXT)
+    cavity: str | None = Field(None, max_length=MAX_TEXT)
+    serial: str | None = Field(None, max_length=MAX_TEXT)
+    verdict: Verdict | None = None
+    cause: str | None = Field(None, max_length=MAX_TEXT)
+    page: int = Field(1, ge=1, le=1_000_000)
+    number: str | None = Field(None, max_length=MAX_TEXT)
+    by: Literal["station", "cavity", "lot", "product"] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_empty(cls, given: Any) -> Any:  # noqa: ANN401 - anything may be asked
+        return (
+            {name: value for name, value in given.items() if value != ""}
+            if isinstance(given, dict)
+            else given
+        )
+
+    def filters(self, now: datetime) -> Filters:
+        """The selection; `cause` is not part of it.
+
+        Raises:
+            UsageError: a time that is none.
+        """
+        return Filters(
+            since=None if self.since is None else parse_moment(self.since, "since", now=now),
+            until=None if self.until is None else parse_moment(self.until, "until", now=now, at_end=True),
+            **{
+                name: getattr(self, name)
+                for name in ("product", "station", "lot", "cavity", "serial", "verdict")
+            },
+        )
+
+    def query(self, **changes: object) -> str:
+        """The part of an address behind its path that asks for the same, changed; None asks for nothing."""
+        values = self.model_dump(exclude_defaults=True, mode="json") | {"page": None} | changes
+        found = urlencode({name: value for name, value in values.items() if value is not None})
+        return f"?{found}" if found else ""
+
+
+Wants = Annotated[Asked, Query()]
+
+
+class Decided(BaseModel):
+    """A disposition from the page; who decides is who is logged in."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    decision: Decision
+    reason: str = Field(min_length=1, max_length=MAX_COMMENT, pattern=r"\S")
+
+
+def fleet_router(
+    history: str | Path | None, now: Callable[[], datetime] = lambda: datetime.now(UTC)
+) -> APIRouter:
     """Routes of the fleet page.
 
     Args:
         history: what `anisoscope.history.store.open_history` takes; None without a history.
+        now: the time, with a zone.
     """
-    router = APIRouter()
+    router = APIRouter(include_in_schema=False)
+    fleet = _Fleet(history, now, Overview())
 
-    @router.get("/fleet", include_in_schema=False)
-    def page(request: Request, _: Annotated[Session, Depends(Needs("look"))]) -> HTMLResponse:
-        return render(request, "fleet.html", count=_count(history))
+    @router.get("/fleet")
+    def page(request: Request, _: Looks, asked: Wants) -> HTMLResponse:
+        return render(request, "fleet.html", asked=asked, **fleet.page(asked))
+
+    @router.get("/fleet/charts")
+    def charts(request: Request, _: Looks, asked: Wants) -> HTMLResponse:
+        return render(request, "fleet_charts.html", asked=asked, **fleet.charts(asked))
+
+    @router.get("/fleet/export/{form}")
+    def export(form: Literal["csv", "json"], _: Looks, asked: Wants) -> Response:
+        kind = "text/csv; charset=utf-8" if form == "csv" else "application/json"
+        name = {"Content-Disposition": f'attachment; filename="inspections.{form}"'}
+        return StreamingResponse(fleet.export(form, asked), media_type=kind, headers=name)
+
+    @router.get("/fleet/inspections/{number}")
+    def inspection(request: Request, _: Looks, number: Number) -> HTMLResponse:
+        row, decided = fleet.inspection(number)
+        content = {
+            "decided": decided,
+            "decisions": DECISIONS,
+            "numbers": _numbers(row),
+            "where": _report(row)[1],
+        }
+        return render(request, "fleet_inspection.html", row=row, time=_time, **content)
+
+    @router.get("/fleet/inspections/{number}/report")
+    def report(_: Looks, number: Number) -> Response:
+        path, where = _report(fleet.inspection(number)[0])
+        if path is None:
+            raise HTTPException(404, where)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be read: {error.strerror}") from error
+        return Response(content, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
+    @router.post("/fleet/inspections/{number}/dispositions")
+    def dispose(
+        request: Request,
+        session: Annotated[Session, Depends(Needs("review"))],
+        number: Number,
+        given: Decided,
+    ) -> dict[str, Any]:
+        access: Access = request.app.state.access
+        made = fleet.dispose(number, session.name, given, access.trail)
+        return {"id": made.id, "reviewer": made.reviewer, "decision": made.decision, "reason": made.comment}
 
     return router
 
 
-def _count(history: str | Path | None) -> int:
-    """Number of inspections in the history; 0 where it is not there yet."""
-    from anisoscope.history.address import parse_address  # noqa: PLC0415 - loads SQLAlchemy
-    from anisoscope.history.store import open_history  # noqa: PLC0415
+@dataclass(frozen=True, eq=False)
+class _Fleet:
+    """What the pages show of a history."""
 
-    if history is None:
-        return 0
-    path = parse_address(history).path
-    if path is not None and not path.exists():
-        return 0
-    with open_history(history, create=False) as found:
-        return found.count()
+    place: str | Path | None
+    now: Callable[[], datetime]
+    overview: Overview
+
+    @contextmanager
+    def history(self) -> Iterator[History | None]:
+        """The history; None where there is none yet."""
+        path = None if self.place is None else parse_address(self.place).path
+        if self.place is None or (path is not None and not path.exists()):
+            yield None
+            return
+        with open_history(self.place, create=False) as found:
+            yield found
+
+    def selected(self, history: History | None, asked: Asked) -> tuple[Facts, IntArray]:
+        """All facts, and the places of what is wanted, the oldest first."""
+        facts, filters = self.overview.facts(history), asked.filters(self.now())
+        chosen = facts.matching(filters, asked.cause)
+        if filters.serial is not None and history is not None:
+            known = [row.id for row in history.rows(Filters(serial=filters.serial, limit=MOST_IDS))]
+            chosen &= np.isin(facts.ids, known)
+        return facts, facts.ordered(chosen)
+
+    def page(self, asked: Asked) -> dict[str, Any]:
+        """Stations, causes and a page of the list."""
+        with self.history() as history:
+            facts, places = self.selected(history, asked)
+            ids = _ids(facts, places[::-1][(asked.page - 1) * A_PAGE : asked.page * A_PAGE])
+            rows = [] if history is None else history.rows(Filters(ids=ids))[::-1]
+            decided = {} if history is None else history.dispositions_of(ids)
+        chosen = np.zeros(len(facts), dtype=np.bool_)
+        chosen[places] = True
+        return {
+            "total": len(facts),
+            "count": len(places),
+            "stations": _stations(facts, places, self.now()),
+            "rate": _yield(facts, places),
+            "verdicts": facts.counts("verdict", chosen),
+            "causes": _pareto(facts.counts("cause", chosen)),
+            "rows": [(row, decided.get(row.id, [])) for row in rows],
+            "last_page": max(1, -(-len(places) // A_PAGE)),
+            "choices": _choices(facts),
+            "time": _time,
+            "letters": LETTERS,
+        }
+
+    def charts(self, asked: Asked) -> dict[str, Any]:
+        """Control charts of the latest ones."""
+        with self.history() as history:
+            facts, places = self.selected(history, asked)
+            ids = _ids(facts, places[-CHARTED:])
+            columns = None if history is None else history.columns(Filters(ids=ids))
+        content = {"choices": _choices(facts), "count": len(places), "shown": len(ids)}
+        if columns is None or not columns.numbers:
+            return content | {"names": {}, "charts": [], "left_out": []}
+        found = readings_of(columns, "the selection")
+        readings = Readings(found.source, {**found.texts, "id": tuple(map(str, ids))}, found.numbers, UTC)
+        names = {name: true_minus(number_name(name)) for name in charted(readings)}
+        charts, left_out = _charts(readings, asked, next(iter(names))) if names else ([], [])
+        return content | {"names": names, "charts": charts, "left_out": left_out}
+
+    def export(self, form: Literal["csv", "json"], asked: Asked) -> Iterator[str]:
+        """An export, in pieces.
+
+        Raises:
+            HTTPException: there is no history.
+        """
+        with self.history() as history:
+            if history is None:
+                raise HTTPException(404, "there is no history yet")
+            facts, places = self.selected(history, asked)
+            labels = dict.fromkeys(
+                label
+                for ids in _portions(facts, places, MOST_IDS)
+                for label in history.labels(Filters(ids=ids))
+            )
+        entries = self.entries(_portions(facts, places, A_PORTION))
+        return _together(csv_lines(entries, tuple(labels)) if form == "csv" else json_lines(entries))
+
+    def entries(self, portions: Sequence[tuple[int, ...]]) -> Iterator[tuple[Row, list[Disposition]]]:
+        """Inspections with what was decided, read a portion at a time."""
+        for ids in portions:
+            with self.history() as history:
+                if history is None:
+                    raise RecordError("the history went away during the export")
+                with history.selection(Filters(ids=ids)) as chosen:
+                    found = list(chosen.decided())
+            yield from found
+
+    def inspection(self, number: int) -> tuple[Row, list[Disposition]]:
+        """An inspection and what was decided about it.
+
+        Raises:
+            HTTPException: there is none.
+        """
+        with self.history() as history:
+            row = None if history is None else history.row(number)
+            if history is None or row is None:
+                raise HTTPException(404, f"the history has no inspection {number}")
+            return row, history.dispositions(number)
+
+    def dispose(self, number: int, who: str, given: Decided, trail: Trail) -> Disposition:
+        """Record a decision, first in the audit trail.
+
+        Raises:
+            HTTPException: there is no such inspection.
+            RecordError, HistoryError: it cannot be recorded.
+        """
+        row, _ = self.inspection(number)
+        who, what, why = checked_disposition(who, given.decision, given.reason.strip())
+        with self.history() as history:
+            assert history is not None
+            trail.add(who, "disposition", why, inspection=number, serial=row.serial, decision=what)
+            return history.dispose(number, reviewer=who, decision=what, comment=why)
+
+
+def _ids(facts: Facts, places: IntArray) -> tuple[int, ...]:
+    return tuple(facts.ids[places].tolist())
+
+
+def _portions(facts: Facts, places: IntArray, size: int) -> list[tuple[int, ...]]:
+    return [_ids(facts, places[start : start + size]) for start in range(0, len(places), size)]
+
+
+def _choices(facts: Facts) -> dict[str, list[str]]:
+    """Words to choose from, the most frequent ones; of lots the latest."""
+    every = np.ones(len(facts), dtype=np.bool_)
+    found = {
+        name: sorted(word for word in list(facts.counts(name, every))[:CHOICES] if word)
+        for name in ("product", "station", "cavity", "cause")
+    }
+    return found | {
+        "lot": [word for word in facts.words["lot"][::-1] if word][:CHOICES],
+        "verdict": list(LETTERS),
+    }
+
+
+# Stations, yield and causes.
+
+
+@dataclass(frozen=True)
+class Station:
+    """A station as far as the history knows it.
+
+    Attributes:
+        name: "" where none was stated.
+        count: inspections.
+        last: when the last one was made.
+        age: since then, in words.
+        verdicts: of the last ones, the oldest first.
+        rate: share of PASS in all that could be judged.
+    """
+
+    name: str
+    count: int
+    last: datetime
+    age: str
+    verdicts: tuple[str, ...]
+    rate: Rate
+
+
+def _stations(facts: Facts, places: IntArray, now: datetime) -> list[Station]:
+    """The stations of some inspections, that with the last inspection first."""
+    if not len(places):
+        return []
+    codes = facts.codes["station"][places]
+    order = np.argsort(codes, kind="stable")
+    found = []
+    for some in np.split(places[order], np.flatnonzero(np.diff(codes[order])) + 1):
+        last = us_to_datetime(int(facts.times[some[-1]]))
+        words, verdicts = facts.words["station"], facts.words["verdict"]
+        latest = tuple(verdicts[code] for code in facts.codes["verdict"][some[-LAST:]])
+        name = words[facts.codes["station"][some[0]]]
+        found.append(Station(name, len(some), last, _age(now - last), latest, _yield(facts, some)))
+    return sorted(found, key=lambda one: one.last, reverse=True)[:STATIONS]
+
+
+def _yield(facts: Facts, places: IntArray) -> Rate:
+    """Share of PASS in all that could be judged: INVALID says nothing about the part."""
+    words = np.array(facts.words["verdict"])[facts.codes["verdict"][places]]
+    return rate(words[words != "INVALID"] == "PASS")
+
+
+def _pareto(counts: Mapping[str, int]) -> list[tuple[str, int, float, float]]:
+    """Causes with number, share and cumulated share, the most frequent first; "" is the rest of them."""
+    counts = {cause: number for cause, number in counts.items() if cause}
+    total, so_far, found = sum(counts.values()), 0, []
+    listed = [*itertools.islice(counts.items(), CAUSES)]
+    listed += [("", rest)] if (rest := total - sum(n for _, n in listed)) else []
+    for cause, number in listed:
+        so_far += number
+        found.append((cause, number, number / total, so_far / total))
+    return found
+
+
+def _age(since: timedelta) -> str:
+    seconds = since.total_seconds()
+    if seconds < 0.0:
+        return "in the future: the clocks differ"
+    if seconds < 120.0:
+        return "less than 2 min ago"
+    units = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
+    size, unit = next((size, unit) for size, unit in units if seconds >= 2.0 * size)
+    return f"{seconds / size:.0f} {unit} ago"
+
+
+def _time(moment: datetime) -> str:
+    return moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+
+
+# Control charts.
+
+WIDTH, HEIGHT, LEFT, RIGHT, EDGE = 960.0, 270.0, 12.0, 130.0, 24.0
+DOTS, PATTERNS, LINE = 300, 15, 13.0
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A control chart to draw.
+
+    Attributes:
+        title: its number and group.
+        study: what it shows.
+        lines: points of polylines, interrupted where values are missing.
+        dots: x, y, text, and whether the value belongs to a pattern.
+        levels: y, y of the text, text and kind of horizontal lines.
+        patterns: what was found, what it may mean, id and serial number of the inspection that completed it.
+        more: patterns that are not listed.
+        note: why there is no capability, or "".
+    """
+
+    title: str
+    study: ControlStudy
+    lines: list[str]
+    dots: list[tuple[float, float, str, bool]]
+    levels: list[tuple[float, float, str, str]]
+    patterns: list[tuple[str, str, str, str]]
+    more: int
+    note: str
+
+
+def _charts(readings: Readings, asked: Asked, first: str) -> tuple[list[Chart], list[str]]:
+    """Charts of the groups with the most values, and why others are left out.
+
+    Raises:
+        UsageError: there is no such number.
+    """
+    name, _ = readings.number(asked.number or first)
+    groups = sorted(readings.grouped(asked.by).items(), key=lambda item: len(item[1]), reverse=True)
+    found, left_out = list[Chart](), list[str]()
+    for group, part in groups[:CHARTS]:
+        title = true_minus(number_name(name))
+        title += "" if asked.by is None else f", {asked.by} {group or 'not stated'}"
+        try:
+            found.append(_chart(title, name, part))
+        except UsageError as error:
+            left_out.append(f"{title}: {error}")
+    if len(groups) > CHARTS:
+        left_out.append(f"{len(groups) - CHARTS} more of {asked.by}: choose one above")
+    return found, left_out
+
+
+def _chart(title: str, name: str, part: Readings) -> Chart:
+    try:
+        limits, note = specification(part, name), ""
+    except UsageError as error:
+        limits, note = None, str(error)
+    values, labels = part.numbers[name], part.labels
+    study = control_study(title, values, labels, Settings(), limits)
+    levels = [(study.limits.center, "centre", "centre")]
+    levels += [(study.limits.lower, "lower limit", "limit"), (study.limits.upper, "upper limit", "limit")]
+    if limits is not None:
+        sides = ((limits.lower, "tolerance"), (limits.upper, "tolerance"))
+        levels += [(side, text, "tolerance") for side, text in sides if side is not None]
+    heights = np.concatenate([values[~np.isnan(values)], [y for y, *_ in levels]])
+    low, high = float(heights.min()), float(heights.max())
+    scale = (HEIGHT - 2.0 * EDGE) / ((high - low) or 1.0)
+    x = LEFT + np.arange(len(values)) * (WIDTH - LEFT - RIGHT) / max(1, len(values) - 1)
+    y = HEIGHT - EDGE - (values - low) * scale
+    marked, known = flagged(study.flags, len(values)), ~np.isnan(values)
+    shown = np.flatnonzero(known & (marked | (len(values) <= DOTS)))
+    patterns = [
+        (
+            f"rule {one.rule}: {one.text}",
+            MEANING[one.rule],
+            part.texts["id"][one.seen_at],
+            labels[one.seen_at],
+        )
+        for one in study.flags
+    ]
+    return Chart(
+        title,
+        study,
+        [
+            " ".join(f"{x[k]:.1f},{y[k]:.1f}" for k in run)
+            for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(known)) + 1)
+            if len(run) and known[run[0]]
+        ],
+        [
+            (
+                round(x[k], 1),
+                round(y[k], 1),
+                f"{labels[k]}: {number_text(name, values[k])}",
+                bool(marked[k]),
+            )
+            for k in shown.tolist()
+        ],
+        _spread([(HEIGHT - EDGE - (y - low) * scale, f"{text} {y:.4g}", kind) for y, text, kind in levels]),
+        patterns[:PATTERNS],
+        max(0, len(patterns) - PATTERNS),
+        note,
+    )
+
+
+def _spread(levels: list[tuple[float, str, str]]) -> list[tuple[float, float, str, str]]:
+    """Levels from the top, their texts moved down as far as they would overlap."""
+    found, free = [], 0.0
+    for y, text, kind in sorted(levels):
+        at = max(y + 4.0, free)
+        free = at + LINE
+        found.append((round(y, 1), round(at, 1), true_minus(text), kind))
+    return found
+
+
+# One inspection: its numbers, and where its report is.
+
+
+def _numbers(row: Row) -> list[tuple[str, str, str, str, str]]:
+    """Name, value, standard uncertainty, deviation and tolerance."""
+
+    def cell(label: str, form: str) -> str:
+        return true_minus(form.format(row.numbers[label])) if label in row.numbers else ""
+
+    return [
+        (
+            true_minus(number_name(label)),
+            true_minus(number_text(label, value)),
+            cell(f"u {label}", "{:.2g}"),
+            cell(f"deviation {label}", "{:+.4g}"),
+            cell(f"tolerance {label}", "±{:g}"),
+        )
+        for label, value in row.numbers.items()
+        if not label.startswith(("u ", "deviation ", "tolerance "))
+    ]
+
+
+def _report(row: Row) -> tuple[Path | None, str]:
+    """The report of an inspection, or None and where it is.
+
+    A report is served if its folder is on this computer, holds the record that the history knows by its seal, and the
+    report is what that record's inspection wrote: no row can name another file of this computer.
+    """
+    folder = Path(row.folder)
+    at = f"station {row.station}" if row.station else "a station that was not stated"
+    try:
+        if not folder.is_dir():
+            return None, f"The report is not on this computer. It was written at {at}, into {row.folder}"
+        record_of(row)
+        state = report_state(folder).state
+        path = folder / REPORT_NAME
+        if state != "written" or path.resolve().parent != folder.resolve():
+            why = (
+                "has no report"
+                if state == "missing"
+                else "has a report that was changed since, which is not shown"
+            )
+            return None, f"{row.folder} {why}; `anisoscope show id:{row.id} --html FILE` makes it again"
+    except (AnisoscopeError, OSError, ValueError) as error:
+        return None, f"The report cannot be shown: {error}"
+    return path, ""
+
+
+def _together(lines: Iterator[str]) -> Iterator[str]:
+    while some := "".join(itertools.islice(lines, A_PORTION)):
+        yield some

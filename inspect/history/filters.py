@@ -6,6 +6,9 @@ from datetime import UTC, date, datetime, time, timedelta
 
 from anisoscope.base.errors import UsageError
 
+MOST_IDS = 5000
+"""More would be too many parameters of a statement."""
+
 
 @dataclass(frozen=True)
 class Filters:
@@ -17,6 +20,7 @@ class Filters:
         lot, cavity, product, station, operator, serial, verdict: equal to this.
         recipe: identity of a recipe as rows bear it, or the first digits of its SHA-256 (four or more).
         limit: at most so many, the latest ones.
+        ids: only those with one of these ids, `MOST_IDS` at most.
     """
 
     since: datetime | None = None
@@ -30,6 +34,7 @@ class Filters:
     serial: str | None = None
     verdict: str | None = None
     limit: int | None = None
+    ids: tuple[int, ...] | None = None
 
 
 _AGO = re.compile(r"(\d{1,6})\s*([mhdw])")

@@ -14,6 +14,8 @@ from anisoscope.record.schema import RECORD_NAME, Record, sha256_of
 
 RECIPE_DIGITS = 12
 MAX_TEXT = 200
+CAUSE = "cause "
+"""Begins the label of the best cause of a diagnosis."""
 MAX_REASONS = 240
 
 
@@ -106,7 +108,8 @@ def numbers_of(record: Record) -> dict[str, float]:
     Those of its kind of part come first, such as ``ln 0-90 @10`` of a contrast or ``print alpha x`` of a quantity, each
     with ``u …`` (standard uncertainty, prediction included), ``deviation …`` (measured - predicted), and
     ``tolerance …`` where the recipe gives one. Then, where they exist: ``d2``, ``p``, ``area share``,
-    ``conformance probability``, ``drift``.
+    ``conformance probability``, ``drift``; and ``cause …`` with the weight of the best cause of a diagnosis, 0 to 1,
+    of a part that did not pass.
     """
     found = {} if record.details is None else record.details.numbers()
     rest = {
@@ -116,6 +119,8 @@ def numbers_of(record: Record) -> dict[str, float]:
         "conformance probability": record.conformance_probability,
         "drift": record.drift,
     }
+    causes = () if record.diagnosis is None or record.verdict == "PASS" else record.diagnosis.causes[:1]
+    rest |= {f"{CAUSE}{storable(one.cause)}": one.weight for one in causes if one.cause != "nothing"}
     return found | {label: value for label, value in rest.items() if value is not None}
 
 

@@ -21,7 +21,7 @@ from anisoscope.history.chain import (
 )
 from anisoscope.history.columns import columns_of, disposition_from, labels_of, parsed_labels, row_from, to_us
 from anisoscope.history.dispositions import Disposition
-from anisoscope.history.filters import Filters
+from anisoscope.history.filters import MOST_IDS, Filters
 from anisoscope.history.rows import RECIPE_DIGITS, NewRow, Row
 from anisoscope.history.schema import dispositions as _dispositions
 from anisoscope.history.schema import inspections, layouts
@@ -46,6 +46,10 @@ def conditions(connection: Connection, filters: Filters) -> list[ColumnElement[b
         found.append(table.created_us >= to_us(filters.since))
     if filters.until is not None:
         found.append(table.created_us < to_us(filters.until))
+    if filters.ids is not None:
+        if len(filters.ids) > MOST_IDS:
+            raise UsageError(f"a selection names {MOST_IDS} ids at most, not {len(filters.ids)}")
+        found.append(table.id.in_(filters.ids))
     if filters.recipe is not None:
         product, _, digits = filters.recipe.rpartition(" ")
         if not _DIGITS.fullmatch(digits):

@@ -13,6 +13,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import json_field
 from anisoscope.history.chain import PRECISION
+from anisoscope.history.rows import CAUSE
 from anisoscope.quality.individuals import Limits, sigma_freedom
 from anisoscope.quality.readings import Readings
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -233,5 +234,5 @@ def _one(readings: Readings, name: str) -> float | None:
 
 
 def charted(readings: Readings) -> tuple[str, ...]:
-    """Names of the numbers that are worth a chart: all but uncertainties and tolerances."""
-    return tuple(name for name in readings.numbers if not name.startswith((TOLERANCE, DOUBT)))
+    """Names of the numbers that are worth a chart: all but uncertainties, tolerances and weights of causes."""
+    return tuple(name for name in readings.numbers if not name.startswith((TOLERANCE, DOUBT, CAUSE)))

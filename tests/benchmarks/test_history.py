@@ -3,15 +3,21 @@
 The alternative of a series is to read whole rows.
 """
 
+import threading
 import time
 import uuid
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
+import httpx
 import numpy as np
 import pytest
-from sqlalchemy import create_engine, make_url, text
+from sqlalchemy import create_engine, func, make_url, select, text
 
+from anisoscope.console.access import Access, Trail
+from anisoscope.console.application import create_app, hosts_of, listen, server_of
+from anisoscope.console.fleet import fleet_router
+from anisoscope.history import schema
 from anisoscope.history.address import parse_address
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow
@@ -107,6 +113,56 @@ def test_a_series_of_everything_against_its_rows(bench, history):
     )
     assert len(found["series"].result) == COUNT
     assert found.ratio("from whole rows", "series") >= 1.0
+
+
+FLEET = {
+    "everything": "/fleet",
+    "a week": "/fleet?since=2024-10-27&until=2024-11-02",
+    "a product": f"/fleet?product={PRODUCT}",
+    "a station": "/fleet?station=line 3",
+    "a lot": "/fleet?lot=LOT-77",
+    "a cavity": "/fleet?cavity=1",
+    "a verdict": "/fleet?verdict=FAIL",
+    "a cause": "/fleet?cause=ln ratio …° / …°, tilt …° deviates by …",
+    "a part": "/fleet?serial=PART-012345",
+    "the last page": f"/fleet?page={COUNT // 50}",
+    "control charts by cavity": "/fleet/charts?by=cavity",
+}
+
+
+@pytest.fixture(scope="module")
+def fleet(history, place):
+    """A client of the fleet page of the history, which has been loaded once."""
+    with listen("127.0.0.1", 0) as listener:
+        port = listener.getsockname()[1]
+        app = create_app(Access(None, Trail(None)), [fleet_router(place)], hosts_of("127.0.0.1", port))
+        server = server_of(app)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=120.0) as client:
+            begun = time.perf_counter()
+            client.get("/fleet")
+            print(f"\nfirst page of {COUNT} inspections: {time.perf_counter() - begun:.1f} s")
+            yield client
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.mark.parametrize("question", FLEET)
+def test_the_fleet_page(bench, fleet, history, question):
+    table = schema.inspections.c
+    grouped = select(table.station, table.verdict, func.count()).group_by(table.station, table.verdict)
+
+    def in_the_database():
+        with history.reading() as connection:
+            return connection.execute(grouped).all()
+
+    found = bench.compare(
+        f"{COUNT} inspections, fleet page: {question}",
+        {"page": lambda: fleet.get(FLEET[question]), "one grouping of all rows": in_the_database},
+    )
+    assert found["page"].result.status_code == 200
+    assert min(found["page"].wall_s) <= 0.3
 
 
 def test_growth_is_linear_and_a_row_weighs_about_a_kilobyte(bench, history, place, tmp_path):
