@@ -6,6 +6,7 @@ begins without a role, and gets one by name and password.
 
 import hmac
 import json
+import os
 import secrets
 import threading
 from collections import OrderedDict, deque
@@ -89,8 +90,14 @@ class Accounts:
         except ValidationError as problem:
             raise ConfigError(f"{self.path}: is no file of accounts of the console") from problem
 
-    def put(self, name: str, role: Role, password: str) -> None:
+    def put(self, name: str, role: Role, password: str, record: Callable[[], None] = lambda: None) -> None:
         """Add an account, or give it another role and password.
+
+        Args:
+            name: of the account.
+            role: what it may do.
+            password: as the user will type it.
+            record: called when all is known to be valid, before anything changes; what it raises stops the change.
 
         Raises:
             UsageError: a name that is empty, long or has control characters; a short password; no such role.
@@ -102,10 +109,17 @@ class Accounts:
             raise UsageError(f"there is no role '{role}'; choose one of {', '.join(ROLES)}")
         if not LEAST_PASSWORD <= len(password) <= 1000:
             raise UsageError(f"a password has at least {LEAST_PASSWORD} characters")
-        self._change(name, Account(name=name, role=role, password=_hasher().hash(password)))
+        account = Account(name=name, role=role, password=_hasher().hash(password))
+        self.read()
+        record()
+        self._change(name, account)
 
-    def remove(self, name: str) -> None:
+    def remove(self, name: str, record: Callable[[], None] = lambda: None) -> None:
         """Remove an account.
+
+        Args:
+            name: of the account.
+            record: called before anything changes; what it raises stops the change.
 
         Raises:
             UsageError: there is none of this name.
@@ -113,6 +127,7 @@ class Accounts:
         """
         if name not in self.read():
             raise UsageError(f"{self.path} has no account '{name}'")
+        record()
         self._change(name, None)
 
     def _change(self, name: str, account: Account | None) -> None:
@@ -203,6 +218,7 @@ class Trail:
                 with self.path.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(entry, ensure_ascii=False) + "\n")
                     file.flush()
+                    os.fsync(file.fileno())
             except OSError as problem:
                 raise RecordError(f"{self.path}: cannot be written: {problem.strerror}") from problem
 

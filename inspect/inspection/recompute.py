@@ -89,6 +89,10 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     ):
         unrecorded.add("optics.stated_error_per_sr, which left out what steps do beyond scalar waves")
         today["stated_error_per_sr"] = then["stated_error_per_sr"]
+    before, after = (document["details"].get("area") or {} for document in (old, new))
+    if before.get("u", 0.0) > after.get("u", 0.0):
+        unrecorded.add("details.area.u, for which all cells near the limit were moved together")
+        after["u"] = before["u"]
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:
         notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)

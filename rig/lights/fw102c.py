@@ -1,8 +1,8 @@
 """Driver for the filter wheels FW102C and FW212C of Thorlabs: six or twelve filters behind a serial port.
 
 Commands of ASCII that end with CR at 115200 baud; the wheel echoes each, answers questions in a line, and ends with the
-prompt ``> ``. Errors are lines ``Command error …``. Source: the maker's operating manual (keywords ``*idn?``, ``pos``,
-``pcount``), Micro-Manager's adapter ThorlabsFilterWheel and python-microscope's ``thorlabs``.
+prompt ``> ``. Errors are lines ``Command error …``. Source: two clients,
+Micro-Manager's adapter ThorlabsFilterWheel and python-microscope's ``thorlabs``; the maker's manual was not read.
 """
 
 import contextlib

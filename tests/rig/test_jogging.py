@@ -109,9 +109,9 @@ def test_limits_and_missing_axes_are_said():
     assert tilt.targets == []
 
 
-# Events as a pad sends them, in the layout of the kernel's struct input_event on 64-bit machines; times are those of a
-# recording's first second. Stick right, back to the middle; hat up, back; shoulder right; button A.
-RECORDED = bytes.fromhex(
+# Events in the layout of the kernel's struct input_event on 64-bit machines, written by hand: no pad was recorded.
+# Stick right, back to the middle; hat up, back; shoulder right; button A.
+EVENTS = bytes.fromhex(
     "a1f05065000000001027000000000000" "03000000ff7f0000"
     "a1f05065000000001027000000000000" "0000000000000000"
     "a1f0506500000000204e000000000000" "0300000000010000"
@@ -135,7 +135,7 @@ def piped():
 
 def test_recorded_events_of_a_pad_become_steps(piped):
     pad, ours = piped
-    os.write(ours, RECORDED)
+    os.write(ours, EVENTS)
     os.close(ours)
     assert jogging.EVENT.size == 24
     found = list(pad.commands(threading.Event()))
@@ -150,14 +150,14 @@ def test_recorded_events_of_a_pad_become_steps(piped):
 
 def test_a_stick_that_is_held_steps_until_it_is_back(piped):
     pad, ours = piped
-    os.write(ours, RECORDED[:24])
+    os.write(ours, EVENTS[:24])
     commands, ended = pad.commands(threading.Event()), []
     assert [next(commands) for _ in range(3)] == [Step("stage", 1)] * 3
-    os.write(ours, RECORDED[48:72])
+    os.write(ours, EVENTS[48:72])
     while next(commands) != "stop":
         ended.append(1)
-    os.write(ours, RECORDED[72:90])  # an event in two parts
-    os.write(ours, RECORDED[90:96])
+    os.write(ours, EVENTS[72:90])  # an event in two parts
+    os.write(ours, EVENTS[90:96])
     assert next(commands) == Step("tilt", 1)
     os.close(ours)
 

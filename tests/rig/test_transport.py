@@ -56,7 +56,7 @@ def test_endless_noise_does_not_fill_the_memory(monkeypatch):
     [
         ("/dev/ttyNOTHERE", "there is no port /dev/ttyNOTHERE; .*port"),
         ("socket://127.0.0.1:9", "check address and port number, and close other programs"),
-        ("sim://laser", "no simulated stage 'laser'"),
+        ("sim://laser", "no simulated device 'laser'"),
         ("sim://elliptec?speed=3", "unknown option 'speed'"),
         ("sim://elliptec?fault=gremlins", "no fault 'gremlins'"),
         ("sim://elliptec?time_scale=fast", "time_scale=fast: give a number"),

@@ -45,8 +45,8 @@ def add(
             raise UsageError("the two passwords differ")
     else:
         password = "" if sys.stdin is None else sys.stdin.readline().rstrip("\r\n")
-    trail_of(users).add(getpass.getuser(), "account set", why, name=name, role=role)
-    accounts.put(name, role, password)
+    trail, who = trail_of(users), getpass.getuser()
+    accounts.put(name, role, password, lambda: trail.add(who, "account set", why, name=name, role=role))
     write_line(message("{name} may log in as {role}", name=name, role=role))
     return 0
 
@@ -61,8 +61,8 @@ def remove(name: Name, /, *, users: File, why: Why = "") -> int:
     from anisoscope.console.access import Accounts, trail_of
 
     accounts = Accounts(users)
-    accounts.remove(name)
-    trail_of(users).add(getpass.getuser(), "account removed", why, name=name)
+    trail, who = trail_of(users), getpass.getuser()
+    accounts.remove(name, lambda: trail.add(who, "account removed", why, name=name))
     return 0
 
 

@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import RigError, UsageError
 from anisoscope.base.language import decimal, message
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import (
@@ -40,6 +41,7 @@ BLOCKS = " ▁▂▃▄▅▆▇█"
 BAR = 30
 
 
+@everyday("rig", "exposure", "gain", "light", "channel", "web", "jog", "pad", "yes", "json_")
 def live(
     *,
     rig: RigPath,

@@ -65,7 +65,6 @@ def scan(
 
     Examples:
         anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan
-        anisoscope rig scan --coupon -g red.toml -g green.toml -g blue.toml -r ink.toml --out scan
         anisoscope rig scan --coupon -g rig.toml --channel red --channel blue -r ink.toml --out scan
         anisoscope rig scan --continue scan
     """

@@ -174,7 +174,7 @@ studies.capability.lower studies.capability.mean studies.capability.outside
 studies.capability.outside_expected studies.capability.pp studies.capability.pp.high
 studies.capability.pp.low studies.capability.pp.value studies.capability.ppk studies.capability.ppk.high
 studies.capability.ppk.low studies.capability.ppk.value studies.capability.sigma_long
-studies.capability.sigma_short studies.capability.upper studies.ewma studies.ewma.lambda
+studies.capability.sigma_short studies.capability.upper studies.fitted studies.ewma studies.ewma.lambda
 studies.ewma.width studies.ewma_outside studies.flags studies.flags.first studies.flags.labels
 studies.flags.last studies.flags.rule studies.flags.seen_at studies.flags.text studies.limits
 studies.limits.baseline studies.limits.center studies.limits.lower studies.limits.range_center
@@ -193,7 +193,7 @@ STABILITY = """
 bias bias.alpha bias.bias bias.count bias.high bias.low bias.mean bias.p bias.reference bias.sigma
 bias.significant bias.t bias.u bias.verdict chart chart.capability chart.ewma chart.ewma.lambda
 chart.ewma.width chart.ewma_outside chart.flags chart.flags.first chart.flags.labels chart.flags.last
-chart.flags.rule chart.flags.seen_at chart.flags.text chart.limits chart.limits.baseline
+chart.fitted chart.flags.rule chart.flags.seen_at chart.flags.text chart.limits chart.limits.baseline
 chart.limits.center chart.limits.lower chart.limits.range_center chart.limits.range_upper
 chart.limits.sigma chart.limits.upper chart.measured chart.missing chart.name chart.normality
 chart.normality.adjusted chart.normality.count chart.normality.hint chart.normality.p

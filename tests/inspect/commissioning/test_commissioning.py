@@ -34,7 +34,7 @@ from anisoscope.recipe.material_file import MaterialFile
 from anisoscope.report.commission_page import write_commission_page
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.rigfile import read_rig
-from anisoscope.sim.bench.bench import _Pose
+from anisoscope.sim.bench.bench import _Pose, _Shine
 from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
 from anisoscope.sim.light.material import Material
@@ -215,7 +215,8 @@ def test_markers_cannot_tell_the_sign_of_a_tilt_and_radiances_can(lay_out):
     """In a parallel view, a plane under +τ and under −τ is the same picture: only light tells them apart."""
     rig = lay_out(bench={})
     bench, fixture = rig.bench, read_rig(rig.rig).fixture
-    views = [bench._render(_Pose(90.0, tilt, (0.0, 0.0), 0.0)) for tilt in (15.0, -15.0)]
+    shine = _Shine(bench.file.geometry.light_angle_deg, None)
+    views = [bench._render(_Pose(90.0, tilt, (0.0, 0.0), 0.0), shine) for tilt in (15.0, -15.0)]
     fixes = [find_fixture(view.astype(np.float32), fixture) for view in views]
     np.testing.assert_allclose(fixes[0].matrix, fixes[1].matrix, atol=1e-3)
     np.testing.assert_allclose(fixes[0].corners_px, fixes[1].corners_px, atol=1e-3)

@@ -413,7 +413,7 @@ def test_a_disposition_enters_history_and_audit_trail_with_who_when_and_why(clie
 def test_what_cannot_enter_the_audit_trail_is_not_decided(client_of, tmp_path, place):
     own = tmp_path / "history.sqlite"
     shutil.copy(place, own)
-    access = Access(Accounts(tmp_path / "users.json"), Trail(tmp_path / "no folder" / "users.audit.jsonl"))
+    access = Access(Accounts(tmp_path / "users.json"), Trail(own / "no folder.jsonl"))
     session = session_of(access, "engineer")
     client = client_of(own, access)
     client.cookies.set(COOKIE, session.id)

@@ -33,9 +33,19 @@ def _then(name, folder):
 
 
 def _without_hash(content):
-    """Without the hashes that chain the history: they cover the folder's path."""
+    """Without the hashes that chain the history, which cover the folder's path, and the causes, which came later."""
     if isinstance(content, dict):
-        return {key: _without_hash(value) for key, value in content.items() if key != "hash"}
+        return {
+            key: _without_hash(value)
+            for key, value in content.items()
+            if key != "hash" and not key.startswith("cause ")
+        }
+    if isinstance(content, list):
+        return [
+            _without_hash(one)
+            for one in content
+            if not (isinstance(one, dict) and str(one.get("label", "")).startswith("cause "))
+        ]
     return content
 
 

@@ -60,7 +60,9 @@ def test_a_colour_camera_reads_it_as_well(tmp_path):
 
 
 def test_the_rest_of_the_picture_is_as_without_it():
-    with_code, without = (bench(code)._radiance_on_sensor() for code in ({"text": "A17"}, None))
+    with_code, without = (
+        made._radiance_on_sensor(made._shining()[0][0]) for made in (bench({"text": "A17"}), bench(None))
+    )
     changed = np.argwhere(np.abs(with_code - without) > 1e-6)
     middle = changed.mean(axis=0)
     assert np.abs(changed - middle).max() < 0.8 * 1000 / 8.0

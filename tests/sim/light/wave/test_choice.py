@@ -6,9 +6,9 @@ import pytest
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.wave.choice import choose_optics, effective_coherence_um, structure_of
 from anisoscope.sim.light.wave.correlation import angular_map
-from anisoscope.sim.light.wave.geometric import slope_density
 from anisoscope.sim.light.wave.surface import MAX_SHARE, WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window
+from anisoscope.study.papers.levin import slope_density
 
 COUNT, PIXEL, WAVELENGTH = 16384, 0.125, 0.55
 X = np.arange(COUNT) * PIXEL
