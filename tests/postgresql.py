@@ -8,9 +8,13 @@ import shutil
 import socket
 import subprocess
 import tempfile
+import uuid
 from pathlib import Path
 
 import pytest
+from sqlalchemy import create_engine, make_url, text
+
+from anisoscope.history.address import parse_address
 
 STATE = "postgresql.json"
 
@@ -92,6 +96,19 @@ def stop(folder: Path, data: Path) -> None:
         run(folder, *control(data), "-m", "immediate", "stop")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def database(server: str):
+    """The URL of a new, empty database on a server, removed at the end."""
+    name = f"anisoscope_{uuid.uuid4().hex}"
+    engine = create_engine(parse_address(server).url, isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        connection.execute(text(f"CREATE DATABASE {name}"))
+    yield make_url(server).set(database=name).render_as_string(hide_password=False)
+    with engine.connect() as connection:
+        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    engine.dispose()
 
 
 def address(run_folder: Path) -> str:

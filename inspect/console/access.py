@@ -86,7 +86,8 @@ class Accounts:
             text = self.path.read_text(encoding="utf-8") if self.path.exists() else "{}"
             return {one.name: one for one in _File.model_validate_json(text).users}
         except (OSError, UnicodeError) as problem:
-            raise ConfigError(f"{self.path}: cannot be read: {problem}") from problem
+            why = problem.strerror if isinstance(problem, OSError) else "it is no UTF-8"
+            raise ConfigError(f"{self.path}: cannot be read: {why}") from problem
         except ValidationError as problem:
             raise ConfigError(f"{self.path}: is no file of accounts of the console") from problem
 

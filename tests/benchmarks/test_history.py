@@ -5,20 +5,18 @@ The alternative of a series is to read whole rows.
 
 import threading
 import time
-import uuid
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
 import httpx
 import numpy as np
 import pytest
-from sqlalchemy import create_engine, func, make_url, select, text
+from sqlalchemy import func, select, text
 
 from anisoscope.console.access import Access, Trail
 from anisoscope.console.application import create_app, hosts_of, listen, server_of
 from anisoscope.console.fleet import fleet_router
 from anisoscope.history import schema
-from anisoscope.history.address import parse_address
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
@@ -186,16 +184,10 @@ def test_verifying(bench, history):
 
 
 @pytest.fixture
-def server(postgresql_server):
+def server(postgresql_programs, postgresql_server):
     """The URL of a database of our own on a server of PostgreSQL."""
-    name = f"anisoscope_{uuid.uuid4().hex}"
-    engine = create_engine(parse_address(postgresql_server).url, isolation_level="AUTOCOMMIT")
-    with engine.connect() as connection:
-        connection.execute(text(f"CREATE DATABASE {name}"))
-    yield make_url(postgresql_server).set(database=name).render_as_string(hide_password=False)
-    with engine.connect() as connection:
-        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
-    engine.dispose()
+    with postgresql_programs.database(postgresql_server) as url:
+        yield url
 
 
 def test_postgresql(bench, server):

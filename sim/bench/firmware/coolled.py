@@ -3,13 +3,12 @@
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import ClassVar
 
 from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
 from anisoscope.sim.bench.firmware.device import Firmware, SimulatedDevice
 from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
-from anisoscope.sim.bench.firmware.light import Dimmable, Led
+from anisoscope.sim.bench.firmware.light import Dimmable, Led, LightFirmware
 
 LAMPS = {"pE-300": "ABC", "pE-4000": "ABCD"}
 GREETING = b"CoolLED precisExcite, Hello, pleased to meet you.\r\n\r\n"
@@ -36,15 +35,7 @@ class CoolLedFirmware(SimulatedDevice):
         UsageError: there is no fault of this name, or a light cannot have it.
     """
 
-    IMPOSSIBLE: ClassVar[frozenset[FaultKind]] = frozenset(
-        {
-            FaultKind.BUSY,
-            FaultKind.LATCHED_ERROR,
-            FaultKind.OVERSHOOT,
-            FaultKind.SLOW,
-            FaultKind.WRONG_ADDRESS,
-        }
-    )
+    IMPOSSIBLE = LightFirmware.IMPOSSIBLE
 
     def __init__(
         self,

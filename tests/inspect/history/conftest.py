@@ -1,11 +1,10 @@
 """Histories in SQLite and in PostgreSQL, made-up rows, and folders with real records."""
 
-import uuid
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
 import pytest
-from sqlalchemy import create_engine, make_url, text
+from sqlalchemy import create_engine, text
 
 from anisoscope.history.address import parse_address
 from anisoscope.history.rows import NewRow
@@ -57,16 +56,10 @@ def sqlite_place(tmp_path):
 
 
 @pytest.fixture(scope="session")
-def postgresql_database(postgresql_server):
+def postgresql_database(postgresql_programs, postgresql_server):
     """The URL of a database of ours on a server of PostgreSQL."""
-    name = f"anisoscope_{uuid.uuid4().hex}"
-    engine = create_engine(parse_address(postgresql_server).url, isolation_level="AUTOCOMMIT")
-    with engine.connect() as connection:
-        connection.execute(text(f"CREATE DATABASE {name}"))
-    yield make_url(postgresql_server).set(database=name).render_as_string(hide_password=False)
-    with engine.connect() as connection:
-        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
-    engine.dispose()
+    with postgresql_programs.database(postgresql_server) as url:
+        yield url
 
 
 @pytest.fixture

@@ -5,17 +5,14 @@ import shutil
 import signal
 import time
 import tomllib
-import uuid
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tomli_w
-from sqlalchemy import create_engine, make_url, text
 
 from anisoscope.cli.history.whatif import write_html
-from anisoscope.history.address import parse_address
 from anisoscope.history.rows import row_of
 from anisoscope.history.store import open_history
 from anisoscope.inspection.archive import (
@@ -68,15 +65,9 @@ def push_in_a_child(url, out, left):
 
 
 @pytest.fixture
-def database(postgresql_server):
-    name = f"month_{uuid.uuid4().hex}"
-    engine = create_engine(parse_address(postgresql_server).url, isolation_level="AUTOCOMMIT")
-    with engine.connect() as connection:
-        connection.execute(text(f"CREATE DATABASE {name}"))
-    yield make_url(postgresql_server).set(database=name).render_as_string(hide_password=False)
-    with engine.connect() as connection:
-        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
-    engine.dispose()
+def database(postgresql_programs, postgresql_server):
+    with postgresql_programs.database(postgresql_server) as url:
+        yield url
 
 
 class Month:
