@@ -82,9 +82,10 @@ def relief(shown, view):
     if view.scene is None:
         pytest.skip(f"no 3-D view can be made here: {view.note}")
     shown.evaluate("document.querySelector('.relief').scrollIntoView({block: 'center'})")
-    shown.evaluate("document.querySelector('#viewer').style.display = 'none'")
+    # it keeps its size: a viewer that starts in a frame without one never draws
+    shown.evaluate("document.querySelector('#viewer').style.visibility = 'hidden'")
     still = shown.screenshot(".relief")
-    shown.evaluate("document.querySelector('#viewer').style.display = ''")
+    shown.evaluate("document.querySelector('#viewer').style.visibility = ''")
     assert poll(lambda: shown.screenshot(".relief") != still and settled(shown)), "nothing was drawn"
     return shown, middle_of(shown)
 
