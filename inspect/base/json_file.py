@@ -2,9 +2,15 @@
 
 import errno
 import json
+import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from pydantic import BaseModel, ValidationError
+
+from anisoscope.base.errors import RecordError
+
+Line = TypeVar("Line", bound=BaseModel)
 MOST_BYTES = 64 << 20
 """Size in bytes; the largest records of inspections take one million."""
 MOST_LEVELS = 64
@@ -50,3 +56,54 @@ def is_deeper(content: Any, levels: int) -> bool:  # noqa: ANN401
             if isinstance(item, dict | list)
         ]
     return bool(level)
+
+
+class JsonLines(Generic[Line]):
+    """A file of JSON lines that is only ever added to; a line counts once it is there as a whole.
+
+    Args:
+        path: the file.
+        model: what a line says.
+    """
+
+    def __init__(self, path: Path, model: type[Line]) -> None:
+        self.path, self._model = path, model
+
+    def read(self) -> list[Line]:
+        """All lines; a torn last one is cut off: its writer died meanwhile, so that nothing had followed from it.
+
+        Raises:
+            RecordError: the file cannot be read or written, or a line in the middle is damaged.
+        """
+        try:
+            data = bounded_bytes(self.path) if self.path.exists() else b""
+            whole, _, torn = data.rpartition(b"\n")
+            if torn:
+                with self.path.open("r+b") as stream:
+                    stream.truncate(len(data) - len(torn))
+        except OSError as error:
+            raise RecordError(f"cannot read {self.path}: {error.strerror}") from error
+        lines = []
+        for number, text in enumerate(whole.splitlines(), start=1):
+            try:
+                lines.append(self._model.model_validate_json(text))
+            except ValidationError as error:
+                raise RecordError(
+                    f"{self.path}, line {number} is damaged: {str(error).splitlines()[0]}"
+                ) from error
+        return lines
+
+    def add(self, line: Line) -> None:
+        """Add a line; it is safe on disk when this returns.
+
+        Raises:
+            RecordError: it cannot be written.
+        """
+        text = json.dumps(line.model_dump(mode="json", exclude_none=True)) + "\n"
+        try:
+            with self.path.open("ab") as stream:
+                stream.write(text.encode())
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise RecordError(f"cannot write {self.path}: {error.strerror}") from error

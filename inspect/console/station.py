@@ -21,12 +21,13 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Streamin
 from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.clock import SYSTEM, Clock
-from anisoscope.base.errors import AnisoscopeError, RigError
+from anisoscope.base.errors import RigError, UsageError
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.language import message, translated
 from anisoscope.console.access import Needs, Session, Trail
 from anisoscope.console.pages import render
-from anisoscope.console.work import Task, Worker, Workplace
+from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path, recipe_paths
+from anisoscope.inspection.work import Task, Worker, Workplace
 from anisoscope.live_view.page import or_none
 from anisoscope.record.schema import RECORD_NAME, Particulars
 from anisoscope.rig.hold import SharedCamera
@@ -226,18 +227,6 @@ def focus_advice(focus: float, before: float | None, relative: float) -> list[st
     if focus < WORSE * before or relative < 0.9:
         return ["less sharp than it was: go back"]
     return []
-
-
-class RecipeEntry(BaseModel):
-    """A recipe that may be inspected here."""
-
-    name: str
-    product: str
-    exposure_s: float
-    gain: float
-    poses: int
-    picture: str | None = None
-    problem: str | None = None
 
 
 class Start(BaseModel):
@@ -470,8 +459,9 @@ class Station:
         mine = self._now
 
         def emit(kind: str, content: dict[str, Any]) -> None:
-            with self._lock:
-                self._take_in(mine, kind, content)
+            if kind != "entered":  # the page has its verdict already
+                with self._lock:
+                    self._take_in(mine, kind, content)
 
         try:
             self.live.pause()  # here, not where a page waits: a camera may hang
@@ -543,18 +533,18 @@ class Station:
         Raises:
             HTTPException: 404, there is none.
         """
-        path = {one.stem: one for one in self.recipes_folder.glob("*.toml")}.get(name)
-        if path is None:
-            raise HTTPException(404, "there is no such recipe")
-        return path
+        try:
+            return recipe_path(self.recipes_folder, name)
+        except UsageError as problem:
+            raise HTTPException(404, "there is no such recipe") from problem
 
     def recipe(self, name: str) -> RecipeEntry:
         """A recipe; errors as for `recipe_path`."""
-        return _entry(self.recipe_path(name))
+        return recipe_entry(self.recipe_path(name))
 
     def all_recipes(self) -> list[RecipeEntry]:
         """All recipes by name; one that cannot be read says why."""
-        return [_entry(path) for path in sorted(self.recipes_folder.glob("*.toml")) if _is_recipe(path)]
+        return [recipe_entry(path) for path in recipe_paths(self.recipes_folder).values()]
 
     def resumable(self) -> list[str]:
         """Folders of inspections that were interrupted and have frames, the latest first."""
@@ -621,29 +611,6 @@ class Station:
         if folder not in known or not path.is_file():
             raise HTTPException(404, "there is no such report here")
         return path
-
-
-def _is_recipe(path: Path) -> bool:
-    return path.name not in {"rig.toml", "bench.toml", "anisoscope.toml"}
-
-
-def _entry(path: Path) -> RecipeEntry:
-    from anisoscope.kinds.registry import read_any_recipe  # noqa: PLC0415 - loads the kinds
-    from anisoscope.recipe.logo import logo_uri  # noqa: PLC0415
-
-    try:
-        found = read_any_recipe(path)
-        return RecipeEntry(
-            name=path.stem,
-            product=found.product,
-            exposure_s=found.acquisition.exposure_s,
-            gain=found.acquisition.gain,
-            poses=len(found.poses.poses()),
-            picture=logo_uri(found),
-        )
-    except AnisoscopeError as problem:
-        text = " ".join(str(problem).split())
-        return RecipeEntry(name=path.stem, product=path.stem, exposure_s=0.0, gain=0.0, poses=0, problem=text)
 
 
 def _words() -> dict[str, str]:

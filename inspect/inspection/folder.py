@@ -38,7 +38,7 @@ def make_folder(out: Path, serial: str) -> Path:
         RecordError: it cannot be made.
     """
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    base = f"{_as_file_name(serial)}-{stamp}"
+    base = f"{file_name_of(serial)}-{stamp}"
     try:
         out.mkdir(parents=True, exist_ok=True)
         for number in range(1000):
@@ -53,7 +53,7 @@ def make_folder(out: Path, serial: str) -> Path:
     raise RecordError(f"{out} already holds a thousand inspections named {base}")
 
 
-def _as_file_name(serial: str) -> str:
+def file_name_of(serial: str) -> str:
     """The serial number in letters that every file system and shell takes, at most 160 bytes of UTF-8."""
     plain = unicodedata.normalize("NFC", serial).replace("#", "")
     safe = "".join(one if one.isalnum() or one in "._+-" else "_" for one in plain)

@@ -36,12 +36,16 @@ class InputFile(_Part):
 
 
 class Particulars(_Part):
-    """Operator, lot, cavity and station, as far as stated; and (x, y) of the part in mm from the axis of the stage."""
+    """Operator, lot, cavity, station and job, as far as stated; (x, y) of the part in mm from the axis of the stage.
+
+    ``job`` is the id under which the controller of a line ordered the inspection.
+    """
 
     operator: str | None = None
     lot: str | None = None
     cavity: str | None = None
     station: str | None = None
+    job: str | None = None
     place_mm: tuple[float, float] | None = None
 
 

@@ -62,6 +62,7 @@ def _inspection(record: Record) -> tuple[tuple[str, str], ...]:
         ("cavity", who.cavity or NOT_STATED),
         ("operator", who.operator or NOT_STATED),
         ("station", who.station or NOT_STATED),
+        *(() if who.job is None else (("job", who.job),)),
         *(
             ()
             if who.place_mm is None

@@ -1,10 +1,8 @@
 """``anisoscope serve``: the console in the browser, at the station and over all stations."""
 
 import contextlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -14,9 +12,6 @@ from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, r
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.rig.options import RigPath, write_line
-
-if TYPE_CHECKING:
-    from anisoscope.console.station import Eyes
 
 PORT = 8040
 
@@ -64,8 +59,8 @@ def serve(
         ) from problem
     from anisoscope.console.access import Access, Accounts, Trail, trail_of
     from anisoscope.console.fleet import fleet_router
-    from anisoscope.console.station import Station, station_router
-    from anisoscope.console.work import WorkerProcess, Workplace
+    from anisoscope.console.station import Eyes, Station, station_router
+    from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
 
     if (certificate is None) != (key is None):
         raise UsageError("--certificate and --key go together")
@@ -82,11 +77,12 @@ def serve(
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(listen(host, port))
         here = int(listener.getsockname()[1])
-        own = stack.enter_context(_opened(rig))
+        own = stack.enter_context(held_rig(rig))
+        eyes = None if own.camera is None else Eyes(own.camera, own.light)
         work = Workplace(rig, out, place, remember, lot_mates, explained)
         worker = WorkerProcess(work)
         stack.callback(worker.close)
-        at = Station(work, recipes.resolve(), worker, own.stop, own.eyes, trail, station)
+        at = Station(work, recipes.resolve(), worker, own.stop, eyes, trail, station)
         app = create_app(
             Access(accounts, trail, secure=tls is not None),
             [station_router(at), fleet_router(place)],
@@ -101,47 +97,3 @@ def serve(
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listener])
     return 0
-
-
-@dataclass(frozen=True)
-class _Open:
-    """Camera and light of the rig for the live picture, and what stops its axes."""
-
-    eyes: "Eyes | None"
-    stop: Callable[[], dict[str, str]]
-
-
-@contextlib.contextmanager
-def _opened(rig: Path) -> Iterator[_Open]:
-    """The rig, held by this process, or by another one that holds it already (`anisoscope rig hold`).
-
-    Raises:
-        UsageError: a device asks the operator in a terminal, which a page has not.
-    """
-    from anisoscope.console.station import Eyes
-    from anisoscope.rig.acquisition.opening import hold_devices, open_devices
-    from anisoscope.rig.hold import ASKING, SharedCamera, is_held
-    from anisoscope.rig.holdline import stop_held
-    from anisoscope.rig.rigfile import read_rig
-
-    file = read_rig(rig)
-    asking = [table for table, part in file.axes.items() if part.driver in ASKING]
-    asking += ["light"] * (file.light.driver in ASKING)
-    if asking:
-        raise UsageError(
-            f"{rig}: {' and '.join(asking)} of this rig are set by hand, which asks in a terminal: use "
-            "`anisoscope inspect` there"
-        )
-    if any(map(is_held, file.axes.values())):
-        with open_devices({}, file.camera, file.light) as devices:
-            assert devices.camera is not None
-
-            def stop() -> dict[str, str]:
-                return {table: why for found in stop_held(rig).values() for table, why in found.items()}
-
-            yield _Open(Eyes(SharedCamera(devices.camera), devices.light), stop)
-        return
-    with hold_devices(file.axes, file, str(rig)) as held:
-        camera = held.owner.camera
-        eyes = None if camera is None else Eyes(camera, held.devices.light)
-        yield _Open(eyes, held.owner.stop_all)

@@ -8,7 +8,6 @@ import contextlib
 import csv
 import hashlib
 import io
-import json
 import os
 import threading
 import time
@@ -17,12 +16,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from anisoscope.base.crash import crash_line
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import AnisoscopeError, ConfigError, RecordError, UsageError
-from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.json_file import JsonLines
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import Part, read_toml_model
 from anisoscope.inspection.batch.codes import Kind
@@ -318,38 +317,13 @@ class WatchJournal:
     """
 
     def __init__(self, out: Path) -> None:
-        self.path = out / WATCH_NAME
+        self._file = JsonLines(out / WATCH_NAME, Line)
         self.marks: dict[str, Mark | None] = {}
         self.by_key: dict[str, Line] = {}
         self.inspections: dict[str, None] = {}
         self.open: Line | None = None
-        for line in self._read():
+        for line in self._file.read():
             self._take(line)
-
-    def _read(self) -> list[Line]:
-        try:
-            data = bounded_bytes(self.path) if self.path.exists() else b""
-        except OSError as error:
-            raise RecordError(f"cannot read {self.path}: {error.strerror}") from error
-        whole, _, torn = data.rpartition(b"\n")
-        if torn:  # the program died while it wrote this line, so that nothing had followed from it
-            self._cut(len(data) - len(torn))
-        lines = []
-        for number, text in enumerate(whole.splitlines(), start=1):
-            try:
-                lines.append(Line.model_validate_json(text))
-            except ValidationError as error:
-                raise RecordError(
-                    f"{self.path}, line {number} is damaged: {str(error).splitlines()[0]}"
-                ) from error
-        return lines
-
-    def _cut(self, size: int) -> None:
-        try:
-            with self.path.open("r+b") as stream:
-                stream.truncate(size)
-        except OSError as error:
-            raise RecordError(f"cannot write {self.path}: {error.strerror}") from error
 
     def _take(self, line: Line) -> None:
         if line.line == "begin":
@@ -368,14 +342,7 @@ class WatchJournal:
         Raises:
             RecordError: it cannot be written.
         """
-        text = json.dumps(line.model_dump(mode="json", exclude_none=True)) + "\n"
-        try:
-            with self.path.open("ab") as stream:
-                stream.write(text.encode())
-                stream.flush()
-                os.fsync(stream.fileno())
-        except OSError as error:
-            raise RecordError(f"cannot write {self.path}: {error.strerror}") from error
+        self._file.add(line)
         self._take(line)
 
     def knows(self, arrival: Arrival) -> bool:

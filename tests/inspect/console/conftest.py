@@ -14,7 +14,7 @@ from anisoscope.console.access import Access, Trail
 from anisoscope.console.application import Page, create_app, hosts_of, listen, server_of
 from anisoscope.console.fleet import fleet_router
 from anisoscope.console.station import Eyes, Station, station_router
-from anisoscope.console.work import WorkerHere, Workplace
+from anisoscope.inspection.work import WorkerHere, Workplace
 from anisoscope.rig.acquisition.opening import open_devices
 from anisoscope.rig.hold import SharedCamera
 from anisoscope.rig.rigfile import read_rig

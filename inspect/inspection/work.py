@@ -1,28 +1,42 @@
-"""What the console has done at a rig: inspections, their resumption and self tests, in a process of their own.
+"""What console and line have done at a rig: inspections, their resumption and self tests, in a process of their own.
 
-The process that serves pages keeps the devices open and does nothing else, so that a stop is never behind a
-computation. The other one computes; it begins when the console begins, has everything imported when the first part
-comes, and ends with the console: what it was at can be resumed from its folder.
+The process that serves pages or a controller keeps the devices open and does nothing else, so that a stop is never
+behind a computation. The other one computes; it begins when the server begins, has everything imported when the first
+part comes, and ends with the server: what it was at can be resumed from its folder.
 """
 
 import contextlib
+import glob
 import multiprocessing
 import signal
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from anisoscope.base.crash import crash_line
-from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.errors import AnisoscopeError, RecordError, RigError, UsageError
 from anisoscope.base.json_fields import as_json
+from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.base.language import language, use
-from anisoscope.record.schema import Particulars
+from anisoscope.inspection.folder import JOB, file_name_of, working_in
+from anisoscope.record.schema import RECORD_NAME, Particulars, read_record
+from anisoscope.rig.acquisition.opening import hold_devices, open_devices
+from anisoscope.rig.hold import ASKING, SharedCamera, is_held
+from anisoscope.rig.holdline import stop_held
+from anisoscope.rig.light import Light
+from anisoscope.rig.rigfile import read_rig
+
+if TYPE_CHECKING:
+    from anisoscope.inspection.run import Inspected
 
 Emit = Callable[[str, dict[str, Any]], None]
 POLL_S = 0.02
+WAIT_S = 0.05
+LINE = "line"
+"""Folder of the journal of jobs, among the inspections; who carries one out has it locked."""
 
 
 def _nothing(*_: object) -> None:
@@ -39,15 +53,21 @@ def _no_lines(_: object) -> list[str]:
 
 @dataclass(frozen=True)
 class Task:
-    """One thing to do: ``inspect`` a part, ``resume`` the inspection of a folder, ``check`` the rig."""
+    """One thing to do: ``inspect`` a part, ``resume`` the inspection of a folder, ``check`` the rig; or a ``job``.
 
-    kind: Literal["inspect", "resume", "check"]
+    A job is an inspection with its id in its particulars. Where it is not ``fresh``, an earlier process may have begun
+    or finished it: it is finished from there, and not done twice. One that was ``stopped`` is not begun or continued.
+    """
+
+    kind: Literal["inspect", "resume", "check", "job"]
     recipe: Path | None = None
     serial: str = ""
     particulars: Particulars = field(default_factory=Particulars)
     folder: Path | None = None
     exposure_s: float = 0.0
     gain: float = 1.0
+    fresh: bool = True
+    stopped: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,7 +101,8 @@ class Worker(Protocol):
 
         Args:
             task: what to do.
-            emit: called with ``progress``, ``folder``, ``verdict``, ``checked``, ``note``, and at last ``failed``.
+            emit: called with ``progress``, ``folder``, ``verdict``, ``entered`` (into the history), ``checked``,
+                ``note``, and at last ``failed``.
             cancel: stops the rig and ends the task.
         """
 
@@ -100,12 +121,12 @@ class WorkerHere:
 def perform(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
     """Do a task in this thread; whatever goes wrong is emitted as ``failed``, in a line, with what to do next."""
     try:
-        (_check if task.kind == "check" else _inspect)(task, place, emit, cancel)
+        {"check": _check, "job": _carry_out}.get(task.kind, _inspect)(task, place, emit, cancel)
     except (AnisoscopeError, KeyboardInterrupt) as error:
         lines = [" ".join(str(error).split()), *getattr(error, "__notes__", ())]
         emit("failed", {"text": "; ".join(filter(None, lines)), "stopped": cancel.is_set()})
     except Exception as error:  # noqa: BLE001 - the console goes on
-        emit("failed", {"text": crash_line(error, f"console: {task.kind} {task.serial}"), "stopped": False})
+        emit("failed", {"text": crash_line(error, f"{task.kind} {task.serial}"), "stopped": False})
 
 
 def _inspect(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
@@ -144,24 +165,86 @@ def _inspect(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) 
                 reports=reports,
                 on_folder=begun,
             )
-        record = inspected.record
-        said = record.conclusion
-        emit(
-            "verdict",
-            {
-                "verdict": record.verdict,
-                "serial": record.serial,
-                "product": record.product,
-                "finding": "" if said is None else said.finding,
-                "action": "" if said is None else said.action,
-                "reasons": list(record.reasons),
-                "lines": place.explain(record),
-                "folder": inspected.folder.name,
-            },
-        )
-        place.remember(inspected, place.history)
-        for note in inspected.notes:
-            emit("note", {"text": note})
+        _concluded(inspected, place, emit)
+
+
+def _concluded(inspected: "Inspected", place: Workplace, emit: Emit) -> None:
+    """Say the verdict and enter it into the history."""
+    record = inspected.record
+    said = record.conclusion
+    emit(
+        "verdict",
+        {
+            "verdict": record.verdict,
+            "serial": record.serial,
+            "product": record.product,
+            "finding": "" if said is None else said.finding,
+            "action": "" if said is None else said.action,
+            "reasons": list(record.reasons),
+            "lines": place.explain(record),
+            "folder": inspected.folder.name,
+        },
+    )
+    place.remember(inspected, place.history)
+    emit("entered", {"folder": inspected.folder.name})
+    for note in inspected.notes:
+        emit("note", {"text": note})
+
+
+def _carry_out(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
+    """Carry out a job once, whatever an earlier process did of it before it was killed.
+
+    The lock of the journal's folder is that of the process which works: a server that was killed leaves its inspecting
+    process for a moment, and the one after it waits for its end before it looks at what there is.
+    """
+    with _alone(place.out / LINE, cancel):
+        found = None if task.fresh else folder_of_job(place.out, task.serial, task.particulars.job)
+        if found is not None and (found / RECORD_NAME).exists():
+            _finish(found, place, emit)
+            return
+        if task.stopped or cancel.is_set():
+            raise RigError("the job was stopped")
+        _inspect(task if found is None else replace(task, folder=found), place, emit, cancel)
+
+
+def _finish(folder: Path, place: Workplace, emit: Emit) -> None:
+    """What may be missing of an inspection that has its record: its row in the history and its report."""
+    from anisoscope.inspection.reports import Reports  # noqa: PLC0415 - as for `_inspect`
+    from anisoscope.inspection.run import Inspected, missing_report  # noqa: PLC0415
+    from anisoscope.report.inspection_page import REPORT_NAME  # noqa: PLC0415
+
+    with Reports(lambda text: emit("note", {"text": text})) as reports:
+        emit("folder", {"folder": folder.name})
+        _concluded(Inspected(read_record(folder), folder, folder / REPORT_NAME), place, emit)
+        report = missing_report(folder)
+        if report is not None:
+            reports.add(report)
+
+
+def folder_of_job(out: Path, serial: str, job: str | None) -> Path | None:
+    """The inspection folder of a job, finished or not; None where none was begun."""
+    for path in sorted(out.glob(f"{glob.escape(file_name_of(serial))}-*/{JOB}")):
+        try:
+            begun = parsed_json(bounded_bytes(path))
+        except (OSError, ValueError):
+            continue  # torn, so that nothing was photographed
+        if job is not None and begun.get("particulars", {}).get("job") == job:
+            return path.parent
+    return None
+
+
+@contextlib.contextmanager
+def _alone(folder: Path, cancel: threading.Event) -> Iterator[None]:
+    """Wait until no other process works for this folder of jobs, and lock it."""
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(working_in(folder))
+                break
+            except RecordError:
+                if cancel.wait(WAIT_S):
+                    raise
+        yield
 
 
 def _check(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
@@ -223,7 +306,11 @@ class WorkerProcess:
         except (EOFError, OSError):
             emit(
                 "failed",
-                {"text": "the process of the inspection has ended; resume the inspection", "stopped": False},
+                {
+                    "text": "the process of the inspection has ended; resume the inspection",
+                    "stopped": False,
+                    "ended": True,
+                },
             )
 
     def close(self) -> None:
@@ -273,3 +360,41 @@ def _work(line: Connection, place: Workplace, lang: str) -> None:
             return
         perform(tasks.pop(0), place, emit, cancel)
         emit("end", {})
+
+
+@dataclass(frozen=True)
+class HeldRig:
+    """A rig that a server holds: camera and light at hand, and what stops its axes, by table what went wrong."""
+
+    camera: SharedCamera | None
+    light: Light | None
+    stop: Callable[[], dict[str, str]]
+
+
+@contextlib.contextmanager
+def held_rig(rig: Path) -> Iterator[HeldRig]:
+    """The rig, held by this process, or by another one that holds it already (`anisoscope rig hold`).
+
+    Raises:
+        UsageError: a device asks the operator in a terminal, which a server has not.
+        RigFileError, RigError: the rig cannot be read or opened.
+    """
+    file = read_rig(rig)
+    asking = [table for table, part in file.axes.items() if part.driver in ASKING]
+    asking += ["light"] * (file.light.driver in ASKING)
+    if asking:
+        raise UsageError(
+            f"{rig}: {' and '.join(asking)} of this rig are set by hand, which asks in a terminal: use "
+            "`anisoscope inspect` there"
+        )
+    if any(map(is_held, file.axes.values())):
+        with open_devices({}, file.camera, file.light) as devices:
+            assert devices.camera is not None
+
+            def stop() -> dict[str, str]:
+                return {table: why for found in stop_held(rig).values() for table, why in found.items()}
+
+            yield HeldRig(SharedCamera(devices.camera), devices.light, stop)
+        return
+    with hold_devices(file.axes, file, str(rig)) as held:
+        yield HeldRig(held.owner.camera, held.devices.light, held.owner.stop_all)

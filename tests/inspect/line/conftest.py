@@ -1,0 +1,41 @@
+"""Jobs at a virtual rig, in this process."""
+
+import contextlib
+import shutil
+
+import pytest
+
+from anisoscope.cli.inspect.history_entry import remember
+from anisoscope.cli.inspect.inspection import explained
+from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.inspection.work import WorkerHere, Workplace
+from anisoscope.line.jobs import Jobs
+
+
+@pytest.fixture(scope="module")
+def place_of(virtual_rigs, undiagnosed):
+    """``place_of(name, **changes)``: where a virtual rig inspects, and the folder of its recipes."""
+
+    def make(name="part", **changes):
+        rig = virtual_rigs(name, **changes)
+        recipes = rig.recipe.parent / "recipes"
+        recipes.mkdir(exist_ok=True)
+        shutil.copy(rig.recipe, recipes / "plate.toml")
+        history = rig.out / "history.sqlite"
+        return Workplace(rig.rig, rig.out, history, remember, lot_mates, explained, undiagnosed), recipes
+
+    return make
+
+
+@pytest.fixture
+def jobs_at():
+    """``jobs_at(place, recipes)``: its jobs, entered; and what was asked to stop."""
+    with contextlib.ExitStack() as stack:
+
+        def enter(place, recipes, worker=None):
+            stops = []
+            stop = lambda: stops.append(1) or {}  # noqa: E731
+            jobs = stack.enter_context(Jobs(place, recipes, worker or WorkerHere(place), stop, "S1"))
+            return jobs, stops
+
+        yield enter

@@ -1,0 +1,224 @@
+"""A job is carried out once: ordered twice, refused, stopped, or killed at every point of its way."""
+
+import json
+import threading
+
+import pytest
+
+from anisoscope.base.errors import CameraError, RecordError
+from anisoscope.history.store import open_history
+from anisoscope.inspection import work
+from anisoscope.inspection.work import WorkerHere
+from anisoscope.line.jobs import Jobs, Order, Refused, order_of
+from anisoscope.sim.bench.camera import SimulatedCamera
+
+
+class Killed(BaseException):
+    """The process is no more: nothing catches this but the tests."""
+
+
+def rows_of(place):
+    with open_history(place.history, create=False) as history:
+        return history.rows()
+
+
+def records_of(place):
+    return sorted(path.parent.name for path in place.out.glob("*/record.json"))
+
+
+@pytest.fixture(scope="module")
+def place(place_of):
+    return place_of("jobs")
+
+
+def test_a_job_is_done_once_and_its_result_is_that_of_the_record(place, jobs_at):
+    jobs, _ = jobs_at(*place)
+    heard = []
+    jobs.listen(lambda kind, job, _: heard.append((kind, job.id)))
+    order = Order(job="J1", recipe="plate", serial="A-1", lot="L7", cavity="2", operator="PLC")
+    jobs.submit(order)
+    assert jobs.wait(120)
+    done = jobs.job("J1")
+    assert (done.state, done.verdict, done.problem) == ("done", "PASS", None)
+    assert jobs.submit(order) == done  # the answer was lost: ordered again
+    record = jobs.record("J1")
+    assert (record.serial, record.verdict) == ("A-1", "PASS")
+    who = record.particulars
+    assert (who.job, who.lot, who.cavity, who.operator, who.station) == ("J1", "L7", "2", "PLC", "S1")
+    assert [row.folder for row in rows_of(place[0])] == [str(done.folder)]
+    assert [kind for kind, _ in heard if kind != "progress"] == ["accepted", "done"]
+    assert ("progress", "J1") in heard
+    with pytest.raises(Refused, match="for another part") as refused:
+        jobs.submit(order.model_copy(update={"serial": "A-2"}))
+    assert refused.value.why == "changed"
+    assert len(records_of(place[0])) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "why", "words"),
+    [
+        ({"recipe": "no such"}, "recipe", "there is no recipe 'no such'"),
+        ({"recipe": "../recipe"}, "recipe", "there is no recipe"),
+        ({"recipe": "broken"}, "recipe", "recipe broken cannot be used"),
+        ({"serial": "=1+1"}, "serial", "cannot be used"),
+        ({"serial": ""}, "serial", "cannot be used"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_and_leaves_nothing(place_of, jobs_at, changes, why, words):
+    place, recipes = place_of("refused")
+    (recipes / "broken.toml").write_text("schema = 1\n")
+    jobs, _ = jobs_at(place, recipes)
+    with pytest.raises(Refused, match=words) as refused:
+        jobs.submit(Order(**({"job": "J", "recipe": "plate", "serial": "A"} | changes)))
+    assert refused.value.why == why
+    assert "\n" not in str(refused.value)
+    assert (jobs.all(), records_of(place)) == ([], [])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        None,
+        [],
+        {"job": "J"},
+        {"job": 7, "recipe": "plate", "serial": "A"},
+        {"job": "J", "recipe": ["plate"], "serial": "A"},
+        {"job": "a\nb", "recipe": "plate", "serial": "A"},
+        {"job": "J", "recipe": "plate", "serial": "A", "more": 1},
+    ],
+)
+def test_what_is_no_order_is_refused_by_name(content):
+    with pytest.raises(Refused) as refused:
+        order_of(content)
+    assert refused.value.why == "order"
+
+
+@pytest.fixture
+def at_the_third(monkeypatch):
+    """Inspections wait at their third frame, until they may go on."""
+    grab, count, reached, go = SimulatedCamera.grab, [], threading.Event(), threading.Event()
+
+    def wait(camera):
+        count.append(1)
+        if len(count) == 3:
+            reached.set()
+            go.wait()
+        return grab(camera)
+
+    monkeypatch.setattr(SimulatedCamera, "grab", wait)
+    yield reached, go
+    go.set()
+
+
+def test_a_second_job_is_refused_and_a_stop_is_for_good(place_of, jobs_at, at_the_third):
+    place = place_of("stopped")
+    reached, go = at_the_third
+    with Jobs(*place, WorkerHere(place[0]), lambda: {"stage": "jammed", "tilt": ""}) as jobs:
+        jobs.submit(Order(job="J1", recipe="plate", serial="A-1"))
+        assert reached.wait(60)
+        assert jobs.running.id == "J1"
+        with pytest.raises(Refused, match="job J1 is at work") as refused:
+            jobs.submit(Order(job="J2", recipe="plate", serial="A-2"))
+        assert refused.value.why == "busy"
+        assert jobs.stop() == {"stage": "jammed"}
+        go.set()
+        assert jobs.wait(60)
+        assert (jobs.job("J1").state, jobs.running) == ("stopped", None)
+        assert jobs.record("J1") is None
+    with pytest.raises(Refused, match="ending"):
+        jobs.submit(Order(job="J3", recipe="plate", serial="A-3"))
+    again, _ = jobs_at(*place)
+    assert again.job("J1").state == "stopped"
+    assert again.running is None
+
+
+def test_a_fault_of_the_rig_fails_the_job_and_the_next_one_is_done(place_of, jobs_at, monkeypatch):
+    place = place_of("fault")
+    jobs, _ = jobs_at(*place)
+    with monkeypatch.context() as patch:
+
+        def fail(_):
+            raise CameraError("the cable came off")
+
+        patch.setattr(SimulatedCamera, "grab", fail)
+        jobs.submit(Order(job="J1", recipe="plate", serial="A-1"))
+        assert jobs.wait(60)
+    assert (jobs.job("J1").state, jobs.job("J1").verdict) == ("failed", None)
+    assert "the cable came off" in jobs.job("J1").problem
+    jobs.submit(Order(job="J2", recipe="plate", serial="A-2"))
+    assert jobs.wait(60)
+    assert jobs.job("J2").verdict == "PASS"
+    assert len(rows_of(place[0])) == 1
+
+
+def test_another_server_is_refused_while_one_works_in_the_folder(place, jobs_at):
+    jobs_at(*place)
+    with pytest.raises(RecordError, match="another process"), Jobs(*place, WorkerHere(place[0]), dict):
+        pass
+
+
+class Dying:
+    """A worker that dies at a point, as by kill -9: nothing after it happens, and nobody hears of it."""
+
+    def __init__(self, place, point, patch):
+        self.place, self.point, self.patch = place, point, patch
+
+    def run(self, task, emit, cancel):
+        def told(kind, content):
+            if kind == self.point:
+                raise Killed
+            emit(kind, content)
+
+        place = self.place
+        if self.point == "frame":
+            grab, count = SimulatedCamera.grab, []
+
+            def die(camera):
+                count.append(1)
+                if len(count) == 4:
+                    raise Killed
+                return grab(camera)
+
+            self.patch.setattr(SimulatedCamera, "grab", die)
+        try:
+            if self.point == "begin":
+                raise Killed
+            work.perform(task, place, told, cancel)
+        except Killed:
+            self.patch.undo()
+
+
+@pytest.mark.parametrize("point", ["begin", "folder", "frame", "verdict", "entered"])
+def test_a_job_that_was_killed_anywhere_is_taken_up_and_done_once(place_of, jobs_at, monkeypatch, point):
+    place = place_of(f"killed at {point}")
+    order = Order(job="J1", recipe="plate", serial="A [1]", lot="L")
+    with pytest.MonkeyPatch.context() as patch:
+        before = Jobs(*place, Dying(place[0], point, patch), dict)
+        monkeypatch.setattr(before, "_end", lambda *_, **__: None)  # the journal ends with the process
+        with before:
+            before.submit(order)
+            assert before.wait(60)
+    with (place[0].out / "line" / "jobs.jsonl").open("ab") as torn:
+        torn.write(b'{"line":"end","at":')
+    jobs, _ = jobs_at(*place)
+    assert jobs.wait(120)
+    done = jobs.submit(order)
+    assert (done.state, done.verdict) == ("done", "PASS")
+    assert records_of(place[0]) == [done.folder.name]
+    assert [(row.serial, row.folder) for row in rows_of(place[0])] == [("A [1]", str(done.folder))]
+    assert (done.folder / "report.html").exists()
+    lines = [json.loads(text) for text in (place[0].out / "line" / "jobs.jsonl").read_text().splitlines()]
+    assert [line["line"] for line in lines] == ["accepted", "end"]
+
+
+def test_a_journal_that_was_changed_is_refused(place_of):
+    place = place_of("damaged")
+    journal = place[0].out / "line" / "jobs.jsonl"
+    journal.parent.mkdir(parents=True)
+    for text, words in [
+        ("{}\n", "line 1 is damaged"),
+        ('{"line":"end","at":"","job":"J","state":"done"}\n', "never"),
+    ]:
+        journal.write_text(text)
+        with pytest.raises(RecordError, match=words), Jobs(*place, WorkerHere(place[0]), dict):
+            pass
