@@ -98,9 +98,14 @@ def _properties(kind: type) -> dict[str, str]:
     return {name: getattr(getter, _MARK) for name, getter in getters.items() if hasattr(getter, _MARK)}
 
 
+_PLAIN = frozenset({str, int, bool, type(None)})
+
+
 def as_json(value: Any) -> Any:  # noqa: ANN401 - results of all commands
     """A result as JSON holds it: models and dataclasses by their fields, arrays as lists, NaN and infinity as null."""
-    plain = _plain(value)
+    if type(value) in _PLAIN:  # most of what a long export writes
+        return value
+    plain = value if type(value) in {dict, float} else _plain(value)
     if isinstance(plain, Mapping):
         return {key: as_json(item) for key, item in plain.items()}
     if isinstance(plain, list | tuple):

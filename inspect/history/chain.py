@@ -17,6 +17,7 @@ from anisoscope.history.problems import Damage, HistoryError
 
 START = bytes(32)
 """What the first row has for the hash of the row before it."""
+_encoded = json.JSONEncoder(separators=(",", ":")).encode
 PRECISION, DIGITS = 1e-6, 7
 """Relative precision of the stored numbers of a row, and the digits of their display."""
 _SINGLE, _DOUBLE = struct.Struct("<f"), struct.Struct("<d")
@@ -54,7 +55,7 @@ def text_of(kind: str, fields: Sequence[str], row: Mapping[str, Any]) -> str:
     text; what two databases return differently (bytes and views of them) is not.
     """
     content = [kind, *(_plain(row[field]) for field in fields)]
-    return json.dumps(content, separators=(",", ":"))
+    return _encoded(content)
 
 
 def _plain(value: object) -> object:

@@ -1,10 +1,11 @@
 """Between rows as the program sees them and columns of the database."""
 
 import json
+import os
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 from anisoscope.history.chain import pack, unpack
@@ -101,14 +102,18 @@ def _stored_folder(folder: str, history: Path | None) -> str:
     if history is None:
         return folder
     base = _base(history)
-    path = PurePath(folder)
-    return path.relative_to(base).as_posix() if path.is_relative_to(base) else folder
+    return folder.removeprefix(base).replace(os.sep, "/") if folder.startswith(base) else folder
 
 
 @lru_cache(maxsize=16)
-def _base(history: Path) -> Path:
-    return history.parent.resolve()
+def _base(history: Path) -> str:
+    return os.path.join(history.parent.resolve(), "")  # noqa: PTH118 - with a separator at its end
 
 
 def _relative_folder(folder: str, history: Path | None) -> str:
-    return folder if history is None else str(history.parent / folder)
+    return folder if history is None else os.path.join(_parent(history), folder)  # noqa: PTH118 - many rows
+
+
+@lru_cache(maxsize=16)
+def _parent(history: Path) -> str:
+    return str(history.parent)

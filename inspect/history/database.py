@@ -139,7 +139,12 @@ class Database:
     def _explained(self, doing: str) -> Iterator[None]:
         try:
             yield
-        except (SQLAlchemyError, OSError, sqlite3.Error, UnicodeDecodeError) as error:
+        except (
+            SQLAlchemyError,
+            self.engine.dialect.loaded_dbapi.Error,  # a line cut while a transaction begins
+            OSError,
+            UnicodeDecodeError,
+        ) as error:
             raise HistoryError(f"cannot {doing} the history {self.address}: {_reason(error)}") from error
 
 

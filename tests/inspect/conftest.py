@@ -22,7 +22,7 @@ from anisoscope.inspection.objects import OBJECTS
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.record.schema import read_record
+from anisoscope.record.schema import read_record, write_record
 from anisoscope.report.inspection_page import REPORT_NAME, Sections
 from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.bench import Bench, shared_bench
@@ -209,6 +209,20 @@ def inspected_part(flat, tmp_path) -> tuple[VirtualRig, Inspected]:
     rig = VirtualRig(folder / "recipe.toml", folder / "rig.toml", folder / "inspections")
     (finished,) = rig.folders
     return rig, Inspected(read_record(finished), finished, finished / REPORT_NAME)
+
+
+def copy_of(base, folder, model, **changes):
+    """A further inspection made of a finished one by hard links, with changes to its record, sealed anew."""
+    shutil.copytree(base, folder, copy_function=os.link)
+    for name in ("record.json", REPORT_NAME, "report.sha256"):
+        (folder / name).unlink(missing_ok=True)
+    write_record(model.model_copy(update=changes), folder)
+    return folder
+
+
+@pytest.fixture(scope="session", name="copy_of")
+def copy_of_fixture():
+    return copy_of
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from pg8000 import InterfaceError
 from sqlalchemy import text
 
 from anisoscope.history.address import parse_address
@@ -131,6 +132,19 @@ def test_a_connection_that_is_cut_is_one_line(postgresql_place, capfd, monkeypat
     cut.close()
     other.close()
     assert capfd.readouterr().err == ""
+
+
+def test_a_line_that_is_cut_while_a_transaction_begins_is_one_line(postgresql_place, monkeypatch):
+    """SQLAlchemy passes the driver's own error on there."""
+    database = Database(parse_address(postgresql_place))
+
+    def cut(*_):
+        raise InterfaceError("network error")
+
+    monkeypatch.setattr(database.engine.dialect, "set_isolation_level", cut)
+    with pytest.raises(HistoryError, match=r"cannot read the history .*: network error"), database.reading():
+        pass
+    database.close()
 
 
 def test_the_server_misses_a_rig_that_lost_its_power(postgresql_place):

@@ -42,3 +42,10 @@ def s3(server, monkeypatch):
         monkeypatch.setenv(name.upper(), value)
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
     return lambda path="line-2", at=address: f"s3://inspections/{path}?endpoint={at}"
+
+
+@pytest.fixture
+def database(postgresql_programs, postgresql_server):
+    """The URL of a database of its own on a server of PostgreSQL."""
+    with postgresql_programs.database(postgresql_server) as url:
+        yield url

@@ -1,7 +1,6 @@
 """A simulated month: two stations, an object store, PostgreSQL, programs killed at random, a day without network."""
 
 import os
-import shutil
 import signal
 import time
 import tomllib
@@ -28,7 +27,7 @@ from anisoscope.inspection.archive import (
     push_all,
 )
 from anisoscope.inspection.archive_store import ArchiveError, S3Store, open_store
-from anisoscope.record.schema import read_record, write_record
+from anisoscope.record.schema import read_record
 from anisoscope.study.sweep import Workers
 from anisoscope.study.whatif import what_if
 
@@ -64,16 +63,11 @@ def push_in_a_child(url, out, left):
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
-@pytest.fixture
-def database(postgresql_programs, postgresql_server):
-    with postgresql_programs.database(postgresql_server) as url:
-        yield url
-
-
 class Month:
     """Two stations that inspect and push for a month; what they did."""
 
-    def __init__(self, base, folder, url):
+    def __init__(self, base, copy_of, folder, url):
+        self.copy_of = copy_of
         self.base, self.model, self.url = base, read_record(base), url
         self.stations = {name: folder / name for name in "AB"}
         for out in self.stations.values():
@@ -87,18 +81,11 @@ class Month:
         for number in range(INSPECTIONS // (2 * DAYS)):
             serial, when = f"{station}-{len(self.serials)}", BEGAN + timedelta(days=day, seconds=60 * number)
             folder = self.stations[station] / f"{serial}-{when:%Y%m%dT%H%M%SZ}"
-            shutil.copytree(self.base, folder, copy_function=os.link)
-            for name in ("record.json", "report.html", "report.sha256"):
-                (folder / name).unlink()
-            change = {
-                "serial": serial,
-                "created_at": when.isoformat(),
-                "verdict": "FAIL" if self.rng.random() < 0.03 else "PASS",
-                "particulars": self.model.particulars.model_copy(update={"station": station}),
-            }
-            write_record(self.model.model_copy(update=change), folder)
+            verdict = "FAIL" if self.rng.random() < 0.03 else "PASS"
+            particulars = self.model.particulars.model_copy(update={"station": station})
+            change = {"serial": serial, "created_at": when.isoformat(), "verdict": verdict}
+            folders.append(self.copy_of(self.base, folder, self.model, particulars=particulars, **change))
             self.serials.append(serial)
-            folders.append(folder)
         return folders
 
     def push(self, station, count):
@@ -145,10 +132,10 @@ def by_rules(store, there):
 
 
 @pytest.mark.soak
-def test_a_month_of_two_stations(inspected_part, database, s3, tmp_path):
+def test_a_month_of_two_stations(inspected_part, copy_of, database, s3, tmp_path):
     """Nothing is lost, nothing doubles, nothing local is gone that is not proven elsewhere; numbers are printed."""
     rig, inspected = inspected_part
-    month = Month(inspected.folder, tmp_path, s3("month"))
+    month = Month(inspected.folder, copy_of, tmp_path, s3("month"))
     store = month.store
     check_format(store, begin=True)
     with open_history(database, create=True) as history:

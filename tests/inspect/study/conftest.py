@@ -13,10 +13,11 @@ import pytest
 
 @dataclass
 class Cluster:
-    """A running cluster: its address, and how to add a worker."""
+    """A running cluster: its address, how to add a worker, and the processes of its workers."""
 
     address: str
     add_worker: object
+    workers: list
 
     def wait_for_workers(self, count):
         wait_for_workers(self.address, count)
@@ -70,13 +71,13 @@ def cluster(tmp_path_factory):
     with ExitStack() as stack:
         options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
         stack.enter_context(process("scheduler", *options))
-        address = scheduler_address(file)
+        address, workers = scheduler_address(file), []
 
         def add_worker():
             options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", folder]
-            return stack.enter_context(process("worker", address, *options))
+            workers.append(stack.enter_context(process("worker", address, *options)))
 
         add_worker()
         add_worker()
         wait_for_workers(address, 2)
-        yield Cluster(address, add_worker)
+        yield Cluster(address, add_worker, workers)

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import time
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -162,3 +163,65 @@ def test_a_killed_process_loses_nothing(tmp_path, monkeypatch):
     assert again_after_a_kill(dies_once, paths, Workers(2)) == [path.name for path in paths]
     with pytest.raises(SweepError, match="killed"):
         again_after_a_kill(dies_always, [Path(), Path()], Workers(2))
+
+
+COUNT = int(os.environ.get("ANISOSCOPE_SOAK_INSPECTIONS", "10000"))
+
+
+@pytest.fixture
+def many(past, copy_of, tmp_path):
+    """``many(count)`` gives the rows of so many inspections that share their files by hard links."""
+    other, one = past
+    base, model = Path(one.folder), read_record(Path(one.folder))
+
+    def make(count):
+        folders = [tmp_path / "many" / f"P-{number}" for number in range(count)]
+        made = [copy_of(base, folder, model, serial=folder.name) for folder in folders]
+        return other, [row(folder, number) for number, folder in enumerate(made, 1)]
+
+    return make
+
+
+def timed(*arguments):
+    began = time.perf_counter()
+    found = what_if(*arguments)
+    return found, time.perf_counter() - began
+
+
+@pytest.mark.soak
+def test_ten_thousand_by_their_decision_alone_take_five_minutes(many):
+    other, rows = many(COUNT)
+    found, seconds = timed(other(decision={"tolerance": 0.0005}), rows, {}, Workers(2))
+    print(f"{COUNT} inspections in {seconds:.0f} s, {1e3 * seconds / COUNT:.1f} ms each")  # noqa: T201
+    assert (found.from_kept, found.unjudged) == (COUNT, ())
+    assert sum(found.flips.values()) == COUNT
+    assert seconds <= 300.0 * COUNT / 10_000
+
+
+@pytest.mark.soak
+def test_from_frames_a_part_takes_half_a_second_of_a_core(many):
+    other, rows = many(100)
+    found, seconds = timed(other(region={"size_mm": [0.8, 0.8]}), rows, {}, Workers(2))
+    print(f"{len(rows)} inspections in {seconds:.0f} s, {2 * seconds / len(rows):.2f} s of a core each")  # noqa: T201
+    assert (found.from_frames, found.unjudged) == (len(rows), ())
+    assert seconds <= 0.5 * len(rows) / 2
+
+
+@pytest.mark.soak
+def test_a_killed_worker_of_a_cluster_loses_no_inspection(many, cluster):
+    other, rows = many(500)
+    recipe = other(decision={"tolerance": 0.0005})
+    here, killed = what_if(recipe, rows, {}, HERE), []
+
+    def advance(_, done, total):
+        if 50 <= done < total and not killed:
+            cluster.workers[-1].kill()
+            killed.append(cluster.workers.pop())
+
+    try:
+        there = what_if(recipe, rows, {}, Workers(scheduler=cluster.address), advance=advance)
+    finally:
+        cluster.add_worker()  # the other tests' second one
+        cluster.wait_for_workers(2)
+    assert killed
+    assert there == here
