@@ -53,8 +53,11 @@ from anisoscope.record.schema import (
 from anisoscope.report.inspection_page import REPORT_NAME
 
 FORMAT = 1
-INSPECTIONS, HOLDS, DELETED = "inspections", "holds", "deleted"
+INSPECTIONS, HOLDS, RELEASED, DELETED = "inspections", "holds", "released", "deleted"
 CLEARING = "clearing.json"
+CLOCK = "clock"
+CLOCK_OFF = timedelta(hours=1)
+"""Clocks of this computer and of the archive differ by less, or nothing is deleted."""
 REMOVED = ".removed-"
 PULLED = ".pulled-"
 GRACE = timedelta(days=1)
@@ -114,6 +117,15 @@ class Hold(_Stored):
     reason: str
     by: str
     since: datetime
+
+
+class Released(_Stored):
+    """A note on a legal hold that was ended: why, by whom and when; it stays."""
+
+    hold: Hold
+    reason: str
+    by: str
+    released_at: datetime
 
 
 class Deleted(_Stored):
@@ -277,7 +289,14 @@ class Pushed:
     removed: bool = False
 
 
-def push(store: Store, folder: Path, *, remove: bool = False, now: datetime | None = None) -> Pushed:
+def push(
+    store: Store,
+    folder: Path,
+    *,
+    remove: bool = False,
+    now: datetime | None = None,
+    proven: set[str] | None = None,
+) -> Pushed:
     """Archive a finished inspection; one that is there is not sent again.
 
     Args:
@@ -285,43 +304,48 @@ def push(store: Store, folder: Path, *, remove: bool = False, now: datetime | No
         folder: the inspection folder.
         remove: remove the local folder, once every file was read back from the archive and its hash is right.
         now: the time.
+        proven: objects that were read back earlier in this run, which inspections have in common; more are added.
 
     Raises:
         RecordError: the folder is not finished, or not as it was: that is not archived.
         ArchiveError: the archive does not answer, or does not hold what it should.
     """
     now, trash = now or datetime.now(UTC), folder.with_name(f"{REMOVED}{folder.name}")
+    proven = set() if proven is None else proven
     with working_in(folder):
         one = _manifest_of(folder, now)
-        new, sent = store.read(one.key) is None, 0
+        new, sent = store.read(one.key) is None, set[ArchivedFile]()
         if new:
             found = verify(folder)
             if not found.intact:
                 wrong = [*found.changed, *found.missing, *found.additional]
                 raise RecordError(f"{folder}: is not as it was ({', '.join(wrong[:3])}): it is not archived")
-            sent = _send(store, folder, one)
+            sent = _send(store, folder, [file for file in one.files if file.object not in proven])
             store.write(one.key, one.model_dump_json(by_alias=True, indent=1).encode())
         elif len(one.files) <= len((there := read_manifest(store, one.key)).files):
             one = there
         else:  # the report was written since
-            sent = _send(store, folder, one)
+            sent = _send(store, folder, one.files)
             store.write(one.key, one.model_dump_json(by_alias=True, indent=1).encode())
         _check_clearing(store, now)
-        sent += _send(store, folder, one)  # what was cleared away meanwhile
+        # what is not of today may have been cleared away meanwhile
+        again = _send(store, folder, [file for file in one.files if file not in sent])
+        proven.difference_update(file.object for file in again)
         if remove:
-            _prove(store, one)
+            _prove(store, one, proven)
             folder.rename(trash)
     if remove:
         shutil.rmtree(trash, ignore_errors=True)
-    return Pushed(str(folder), one.key, new, sent, remove)
+    return Pushed(str(folder), one.key, new, sum(file.size for file in sent | again), remove)
 
 
 def _check_clearing(store: Store, now: datetime) -> None:
     content = store.read(CLEARING)
     if content is None:
         return
+    check_clock(store, now)
     with contextlib.suppress(ValueError):
-        if now - datetime.fromisoformat(content.decode()) > GRACE:
+        if abs(now - datetime.fromisoformat(content.decode())) > GRACE:
             return  # of a program that was killed
     raise ArchiveError(f"{store.url}: `archive retain` is at work there: push again when it has ended")
 
@@ -357,29 +381,32 @@ def _manifest_of(folder: Path, now: datetime) -> Archived:
     )
 
 
-def _send(store: Store, folder: Path, one: Archived) -> int:
-    """Send the files that the archive does not have; bytes sent."""
+def _send(store: Store, folder: Path, files: Sequence[ArchivedFile]) -> set[ArchivedFile]:
+    """Send the files that the archive does not have; those that were sent."""
 
-    def send(file: ArchivedFile) -> int:
+    def send(file: ArchivedFile) -> bool:
         if store.size(file.object) == file.size:
-            return 0
+            return False
         store.put(file.object, folder / file.name)
-        return file.size
+        return True
 
-    return sum(for_each(send, one.files))
+    return {file for file, was in zip(files, for_each(send, files), strict=True) if was}
 
 
-def _prove(store: Store, one: Archived) -> None:
-    """Read every file of an inspection back.
+def _prove(store: Store, one: Archived, proven: set[str]) -> None:
+    """Read every file of an inspection back that is not proven yet.
 
     Raises:
         ArchiveError: one is not what it was.
     """
-    wrong = [file.name for file in one.files if not _is_right(store, file.object, file.sha256)]
+    files = [file for file in one.files if file.object not in proven]
+    right = for_each(lambda file: _is_right(store, file.object, file.sha256), files)
+    wrong = [file.name for file, good in zip(files, right, strict=True) if not good]
     if wrong:
         raise ArchiveError(
             f"{store.url}: of {one.name} the archive holds damaged files ({', '.join(wrong[:3])})"
         )
+    proven.update(file.object for file in files)
 
 
 def _is_right(store: Store, name: str, sha256: str) -> bool:
@@ -570,17 +597,47 @@ class Due:
     held: str | None = None
 
 
+def check_clock(store: Store, now: datetime) -> None:
+    """Compare the clock of this computer with that of the archive, whose files bear its time.
+
+    Raises:
+        ArchiveError: they differ by an hour or more, or the archive does not answer.
+    """
+    store.write(f"{CLOCK}/now", b"")
+    written_at = max((one.written_at for one in store.files(CLOCK)), default=now)
+    off = now - written_at
+    if abs(off) >= CLOCK_OFF:
+        raise ArchiveError(
+            f"{store.url}: the clock of this computer is {abs(off) / timedelta(hours=1):.0f} h "
+            f"{'ahead of' if off > timedelta(0) else 'behind'} that of the archive: set the clock; nothing is deleted"
+        )
+
+
 def hold(store: Store, one: Archived, reason: str, by: str, now: datetime | None = None) -> None:
-    """Put an inspection under legal hold: no rule deletes it."""
+    """Put an inspection under legal hold: no rule deletes it.
+
+    Raises:
+        UsageError: it is already.
+    """
+    if store.size(_hold_name(one)) is not None:
+        there = _read(store, _hold_name(one), Hold)
+        raise UsageError(
+            f"{one.name} is under legal hold already, by {there.by}: {there.reason}; --release it first"
+        )
     note = Hold(name=one.name, seal=one.seal, reason=reason, by=by, since=now or datetime.now(UTC))
     store.write(_hold_name(one), note.model_dump_json(indent=1).encode())
 
 
-def release(store: Store, one: Archived) -> bool:
-    """End a legal hold; whether there was one."""
-    there = store.size(_hold_name(one)) is not None
+def release(store: Store, one: Archived, reason: str, by: str, now: datetime | None = None) -> bool:
+    """End a legal hold, after a note why; whether there was one."""
+    if store.size(_hold_name(one)) is None:
+        return False
+    there = _read(store, _hold_name(one), Hold)
+    note = Released(hold=there, reason=reason, by=by, released_at=now or datetime.now(UTC))
+    name = f"{RELEASED}/{one.name}~{one.seal[:12]}~{note.released_at:%Y%m%dT%H%M%S%f}.json"
+    store.write(name, note.model_dump_json(indent=1).encode())
     store.delete(_hold_name(one))
-    return there
+    return True
 
 
 def _hold_name(one: Archived) -> str:
@@ -658,12 +715,12 @@ def push_all(
     if remove:
         for place in places:
             clear_removed(place)
-    done = failed = 0
+    done, failed, proven = 0, 0, set[str]()
     folders = finished_folders(places)
     for number, folder in enumerate(folders):
         advance("archive", number, len(folders))
         try:
-            tell(push(store, folder, remove=remove))
+            tell(push(store, folder, remove=remove, proven=proven))
             done += 1
         except ArchiveError:
             raise

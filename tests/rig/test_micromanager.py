@@ -146,6 +146,29 @@ def test_a_focus_drive_is_the_axis_z_of_a_rig(tmp_path, capsys):
     assert micromanager.Core._open == {}
 
 
+BEADS = """
+Property,Core,Focus,Z
+Property,Camera,Mode,Fluorescent Beads
+Property,Camera,BeadDensity,500
+Property,Camera,BeadBrightness,8
+Property,Camera,BeadSize,6
+"""
+
+
+def test_the_beads_of_its_demo_camera_are_brought_into_focus(tmp_path, capsys):
+    """They are sharpest where its focus drive reads 0."""
+    path, rig = tmp_path / "beads.cfg", tmp_path / "rig.toml"
+    path.write_text(f"\nDevice,Z,DemoCamera,DStage{CONFIG}{BEADS}")
+    options = f'{{ config = "{path}", home = "here", min_mm = -0.3, max_mm = 0.3 }}'
+    rig.write_text(RIG.format(path) + f'[z]\ndriver = "micromanager"\noptions = {options}\n')
+    sweep = ["--exposure", "0.01", "--from=-0.03", "--to", "0.04", "--steps", "9", "--repeat", "1"]
+    assert run(["rig", "focus", "--rig", str(rig), *sweep, "--yes", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["best_mm"] == pytest.approx(0.0, abs=2e-4)
+    assert found["half_width_mm"] > 0.003
+    assert micromanager.Core._open == {}
+
+
 def test_devices_of_one_file_share_a_core(opened):
     camera, light = opened(open_camera), opened(open_light)
     assert camera._mm is light._mm

@@ -272,11 +272,13 @@ def retain(
     Examples:
         anisoscope archive retain --rule FAIL:3650 --rule PASS:365 --dry-run
     """
-    from anisoscope.inspection.archive import clear, due, let_go, parse_rule
+    from anisoscope.inspection.archive import check_clock, clear, due, let_go, parse_rule
 
     if not rule:
         raise UsageError("no rule: name one or more with --rule WHAT:DAYS, such as --rule PASS:365")
     rules, store, now = [parse_rule(text) for text in rule], _opened(archive), datetime.now(UTC)
+    if not dry_run:
+        check_clock(store, now)
     deleted, objects, size = [], 0, 0
     with progress("archive", quiet=json_) as advance:
         found = due(store, rules, now, advance)
@@ -310,26 +312,27 @@ def hold(
     inspection: Which,
     /,
     *,
-    reason: Annotated[str | None, Parameter(help="Reason; required unless --release.")] = None,
+    reason: Annotated[str | None, Parameter(help="Why; also why the hold ends.")] = None,
     release: Annotated[bool, Parameter(negative="", help="End the hold.")] = False,
     archive: Url = None,
 ) -> int:
-    """Put inspections under legal hold, so that no rule deletes them, or end that.
+    """Put inspections under legal hold, so that no rule deletes them, or end that; a note of either stays.
 
     Examples:
         anisoscope archive hold A-0001 --reason "claim 2026-17"
-        anisoscope archive hold A-0001 --release
+        anisoscope archive hold A-0001 --release --reason "claim 2026-17 is settled"
     """
     from anisoscope.inspection.archive import hold as held
     from anisoscope.inspection.archive import release as released
 
-    if release == bool(reason):
-        raise UsageError("give either --reason TEXT or --release")
+    if not (reason or "").strip():
+        raise UsageError(f"a legal hold {'ends' if release else 'begins'} for a reason: --reason TEXT")
     store = _opened(archive)
     for one in _found(store, inspection):
-        if reason:
-            held(store, one, reason, getpass.getuser())
+        if not release:
+            held(store, one, str(reason), getpass.getuser())
             write_line(f"{one.name}: held")
         else:
-            write_line(f"{one.name}: {'no longer held' if released(store, one) else 'was not held'}")
+            was = released(store, one, str(reason), getpass.getuser())
+            write_line(f"{one.name}: {'no longer held' if was else 'was not held'}")
     return 0

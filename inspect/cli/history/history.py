@@ -346,7 +346,7 @@ def dispose(
     /,
     *,
     reviewer: Annotated[str, Parameter(name="--reviewer", help="Who decides.")],
-    comment: Annotated[str, Parameter(name=["--comment", "-m"], help="Why.")] = "",
+    comment: Annotated[str, Parameter(name=["--comment", "-m"], help="Why; required.")] = "",
     place: Place = None,
     json_: Json = False,
 ) -> int:
@@ -357,6 +357,8 @@ def dispose(
     """
     from anisoscope.history.store import find
 
+    if not comment.strip():
+        raise UsageError("a decision needs a reason: say why, with --comment TEXT")
     with opened(place) as found:
         row = find(found, inspection)
         disposition = found.dispose(row.id, reviewer=reviewer, decision=decision, comment=comment)

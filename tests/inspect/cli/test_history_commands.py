@@ -161,13 +161,15 @@ def test_one_inspection(place, said):
 
 
 def test_a_decision_shows_in_the_list_and_leaves_the_verdict(place, said):
-    said("history", "dispose", "A2", "hold", "--reviewer", "Q")
-    said("history", "dispose", "A2", "rework", "--reviewer", "R")
+    said("history", "dispose", "A2", "hold", "--reviewer", "Q", "-m", "to be measured")
+    said("history", "dispose", "A2", "rework", "--reviewer", "R", "-m", "burrs come off")
     line = next(line for line in said("history")[1].splitlines() if " A2 " in line)
     assert "FAIL" in line
     assert "rework" in line
-    assert said("history", "dispose", "A2", "burn", "--reviewer", "Q")[0] == 64
-    assert said("history", "dispose", "nobody", "accept", "--reviewer", "Q")[0] == 64
+    assert said("history", "dispose", "A2", "burn", "--reviewer", "Q", "-m", "no")[0] == 64
+    assert said("history", "dispose", "nobody", "accept", "--reviewer", "Q", "-m", "no")[0] == 64
+    code, _, err = said("history", "dispose", "A2", "accept", "--reviewer", "Q")
+    assert (code, "a decision needs a reason: say why, with --comment TEXT" in err) == (64, True)
 
 
 def test_two_inspections(place, said):

@@ -6,6 +6,7 @@ The object store is moto's server with its authentication enforced; it is somebo
 import json
 import os
 import signal
+from collections import Counter
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.inspection import archive as module
 from anisoscope.inspection.archive import (
     archived,
+    check_clock,
     check_format,
     clear,
     due,
@@ -68,6 +70,32 @@ def test_what_was_pushed_comes_back_and_is_judged_as_before(finished, folder_sto
     assert read_record(folder) == read_record(finished)
     assert recompute(folder).differences == ()
     assert pull(folder_store, read_manifest(folder_store, name), tmp_path / "restored") == folder
+
+
+class Counting(FolderStore):
+    """A folder that counts how often its objects are read."""
+
+    def __init__(self, folder):
+        super().__init__(folder)
+        self.reads = Counter()
+
+    def read(self, name):
+        self.reads[name] += name.startswith("objects/")
+        return super().read(name)
+
+
+def test_what_inspections_share_is_read_back_once_but_again_where_it_went(finished, copy_of, tmp_path):
+    store, model, proven = Counting(tmp_path / "share"), read_record(finished), set()
+    check_format(store, begin=True)
+    folders = [copy_of(finished, tmp_path / "out" / f"P-{n}", model, serial=f"P-{n}") for n in range(3)]
+    push(store, folders[0], remove=True, proven=proven)
+    push(store, folders[1], remove=True, proven=proven)
+    assert set(store.reads.values()) == {0, 1}
+    gone = next(file.object for file in read_manifest(store, archived(store)[0]).files if "dark" in file.name)
+    store.delete(gone)
+    push(store, folders[2], remove=True, proven=proven)
+    assert store.reads[gone] == 2
+    assert prove(store, 0.0, 0.95, np.random.default_rng(1)).intact
 
 
 def test_an_object_store_does_the_same(finished, s3, tmp_path):
@@ -248,8 +276,13 @@ def test_rules_delete_what_is_due_but_for_holds_and_leave_a_note(finished, folde
     said = json.loads(note.read_text())
     assert (said["by"], said["rule"]) == ("me", "verdict PASS, product ridged test plate: 365 days")
     assert said["inspection"]["serial"] == "P-1"
-    assert release(folder_store, held)
-    assert not release(folder_store, held)
+    with pytest.raises(UsageError, match=r"already, by R\. R\.: claim 17"):
+        hold(folder_store, held, "claim 18", "Q. Q.", NOW)
+    assert release(folder_store, held, "it is settled", "Q. Q.", NOW)
+    assert not release(folder_store, held, "it is settled", "Q. Q.", NOW)
+    (note,) = (folder_store.folder / "released").iterdir()
+    said = json.loads(note.read_text())
+    assert (said["by"], said["reason"], said["hold"]["reason"]) == ("Q. Q.", "it is settled", "claim 17")
 
 
 def test_a_retention_that_is_killed_anywhere_deletes_nothing_else_and_leaves_its_notes(finished, tmp_path):
@@ -291,6 +324,23 @@ def test_a_push_does_not_end_while_objects_are_cleared_away(finished, folder_sto
         push(folder_store, finished, remove=True)
     assert verify(finished).intact
     folder_store.write("clearing.json", (datetime.now(UTC) - timedelta(days=2)).isoformat().encode())
+    assert push(folder_store, finished, remove=True).removed
+
+
+@pytest.mark.parametrize(("hours", "which"), [(26.0, "26 h ahead of"), (-3.0, "3 h behind")])
+def test_a_clock_that_jumped_deletes_nothing(finished, folder_store, hours, which):
+    now = datetime.now(UTC) + timedelta(hours=hours)
+    with pytest.raises(ArchiveError, match=f"clock of this computer is {which} that of the archive: set the"):
+        check_clock(folder_store, now)
+    folder_store.write("clearing.json", datetime.now(UTC).isoformat().encode())
+    with pytest.raises(ArchiveError, match="set the clock"):
+        push(folder_store, finished, remove=True, now=now)
+    assert verify(finished).intact
+    check_clock(folder_store, datetime.now(UTC))
+
+
+def test_a_mark_of_a_clock_that_was_years_ahead_stops_no_push(finished, folder_store):
+    folder_store.write("clearing.json", (datetime.now(UTC) + timedelta(days=900)).isoformat().encode())
     assert push(folder_store, finished, remove=True).removed
 
 
@@ -336,4 +386,6 @@ def test_the_commands(finished, anisoscope, tmp_path):
     assert (missing.code, "holds no inspection of 'X-9'" in missing.err) == (64, True)
     dry = anisoscope("archive", "retain", "--rule", "all:1", "--dry-run", cwd=tmp_path)
     assert "0 deleted" in dry.out
+    unreasoned = anisoscope("archive", "hold", "T-1", "--release", cwd=tmp_path)
+    assert (unreasoned.code, "ends for a reason: --reason TEXT" in unreasoned.err) == (64, True)
     assert Path(share / "archive.json").is_file()
