@@ -18,8 +18,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
+from urllib.parse import quote
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -28,6 +30,7 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.signature import Signed
 from anisoscope.history.rows import seal_of
 from anisoscope.inspection.archive_store import ArchiveError, Store, Stored
 from anisoscope.inspection.folder import INPUTS, sweep, working_in
@@ -47,6 +50,7 @@ from anisoscope.record.schema import (
     SIGNATURE_NAME,
     InputFile,
     read_record,
+    record_signature,
     recorded_files,
     sha256_of,
 )
@@ -54,6 +58,7 @@ from anisoscope.report.inspection_page import REPORT_NAME
 
 FORMAT = 1
 INSPECTIONS, HOLDS, RELEASED, DELETED = "inspections", "holds", "released", "deleted"
+STATIONS = "stations"
 CLEARING = "clearing.json"
 CLOCK = "clock"
 CLOCK_OFF = timedelta(hours=1)
@@ -135,6 +140,13 @@ class Deleted(_Stored):
     rule: str
     by: str
     deleted_at: datetime
+
+
+class StationKeys(_Stored):
+    """Keys by which a station of this name signed what it archived, each with its first and last time."""
+
+    station: str
+    keys: dict[str, tuple[datetime, datetime]]
 
 
 class Rule(_Stored):
@@ -318,7 +330,7 @@ def push(
         if new:
             found = verify(folder)
             if not found.intact:
-                wrong = [*found.changed, *found.missing, *found.additional]
+                wrong = [*found.changed, *found.missing, *found.additional, *found.distrust]
                 raise RecordError(f"{folder}: is not as it was ({', '.join(wrong[:3])}): it is not archived")
             sent = _send(store, folder, [file for file in one.files if file.object not in proven])
             store.write(one.key, one.model_dump_json(by_alias=True, indent=1).encode())
@@ -418,6 +430,41 @@ def clear_removed(place: Path) -> None:
     """Remove what is left of folders that were archived and whose removal was broken off."""
     for trash in place.rglob(f"{REMOVED}*"):
         shutil.rmtree(trash, ignore_errors=True)
+
+
+def note_keys(store: Store, signed: Iterable[tuple[str, Signed]]) -> list[str]:
+    """Note which keys the stations sign by; a line for each name under which two keys sign in turn.
+
+    A key that replaced another one signs after it, and the earlier one no more.
+
+    Args:
+        store: of the archive.
+        signed: stations by name, and signatures of their records.
+
+    Raises:
+        ArchiveError: the archive does not answer, or a note is damaged.
+    """
+    stations: dict[str, list[Signed]] = {}
+    for station, one in signed:
+        stations.setdefault(station, []).append(one)
+    lines = []
+    for station, those in stations.items():
+        name = f"{STATIONS}/{quote(station, safe='')}.json"
+        known = {} if store.size(name) is None else _read(store, name, StationKeys).keys
+        keys = dict(known)
+        for one in those:
+            first, last = keys.get(one.key, (one.signed_at, one.signed_at))
+            keys[one.key] = min(first, one.signed_at), max(last, one.signed_at)
+        if keys != known:
+            store.write(name, StationKeys(station=station, keys=keys).model_dump_json(indent=1).encode())
+        spans = sorted((first, last, key) for key, (first, last) in keys.items())
+        lines += [
+            f"two stations are called {station!r}: the keys {before[2]} and {after[2]} sign in turn; give one of them "
+            "another name"
+            for before, after in pairwise(spans)
+            if after[0] < before[1]
+        ]
+    return lines
 
 
 # ---- pull -----------------------------------------------------------------------------------------------------------
@@ -716,11 +763,15 @@ def push_all(
         for place in places:
             clear_removed(place)
     done, failed, proven = 0, 0, set[str]()
+    signed: list[tuple[str, Signed]] = []
     folders = finished_folders(places)
     for number, folder in enumerate(folders):
         advance("archive", number, len(folders))
         try:
+            station, signature = read_record(folder).particulars.station, record_signature(folder)
             tell(push(store, folder, remove=remove, proven=proven))
+            if station is not None and signature is not None:
+                signed.append((station, signature))
             done += 1
         except ArchiveError:
             raise
@@ -728,6 +779,8 @@ def push_all(
             failed += 1
             tell(" ".join(str(error).split()))
     advance("archive", len(folders), len(folders))
+    for line in note_keys(store, signed):
+        tell(line)
     if remove:
         for objects in {objects_of(folder) for folder in folders}:
             clear_unused(objects, datetime.now(UTC))

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.signature import VARIABLE, make_key
 from anisoscope.inspection import archive as module
 from anisoscope.inspection.archive import (
     archived,
@@ -96,6 +97,33 @@ def test_what_inspections_share_is_read_back_once_but_again_where_it_went(finish
     push(store, folders[2], remove=True, proven=proven)
     assert store.reads[gone] == 2
     assert prove(store, 0.0, 0.95, np.random.default_rng(1)).intact
+
+
+def test_two_stations_of_one_name_are_one_line_and_a_key_that_replaced_another_is_none(
+    finished, copy_of, folder_store, tmp_path, monkeypatch
+):
+    model, lines = read_record(finished), []
+    for name in "AB":
+        make_key(tmp_path / f"{name}.pem")
+
+    def inspect_and_push(key):
+        monkeypatch.setenv(VARIABLE, str(tmp_path / f"{key}.pem"))
+        number = len(list((tmp_path / "out").glob("*")))
+        who = model.particulars.model_copy(update={"station": "line 1/east"})
+        copy_of(finished, tmp_path / "out" / f"P-{number}", model, particulars=who)
+        push_all(folder_store, [tmp_path / "out"], remove=False, tell=lines.append)
+        return [line for line in lines if isinstance(line, str)]
+
+    assert inspect_and_push("A") == []
+    assert inspect_and_push("A") == []
+    assert inspect_and_push("B") == []
+    (line,) = inspect_and_push("A")
+    assert line.startswith("two stations are called 'line 1/east': the keys ed25519:")
+    assert line.endswith("sign in turn; give one of them another name")
+    assert len(archived(folder_store)) == 4
+    other = copy_of(finished, tmp_path / "other", model, serial="other")
+    with pytest.raises(RecordError, match="shows a part of serial number T-1, not other"):
+        push(folder_store, other)
 
 
 def test_an_object_store_does_the_same(finished, s3, tmp_path):
