@@ -9,8 +9,10 @@ from anisoscope.base.errors import RigFileError
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli import run
 from anisoscope.inspection.job import prepare
+from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.reflectance_scan import begin_lamps, planned_lamps
 from anisoscope.rig.frame import read_frame
+from anisoscope.sim.bench.camera import SimulatedCamera
 
 LAMPS = {
     "A": {"light_angle_deg": 10.0},
@@ -113,7 +115,9 @@ def test_wrong_channels(rig, command, monkeypatch, tmp_path, arguments, code, wo
     assert words in err
 
 
-def test_a_recipe_names_its_channel_and_the_flat_is_that_of_the_channel(virtual_rig, rig, tmp_path):
+def test_a_recipe_names_its_channel_and_the_flat_is_that_of_the_channel(
+    virtual_rig, rig, plain, monkeypatch, tmp_path
+):
     code = run(
         ["calibrate", "flat", "-g", str(rig.rig), "--exposure", "0.0015", "--count", "4",
          "--out", str(tmp_path / "far.tif"), "--channel", "far"]
@@ -134,6 +138,18 @@ def test_a_recipe_names_its_channel_and_the_flat_is_that_of_the_channel(virtual_
         630.0,
     )
     assert next(one.path.name for one in job.sources if one.role == "white reference") == "far.tif"
+    lit, grab = [], SimulatedCamera.grab
+    with monkeypatch.context() as patch:
+
+        def grabbed(camera):
+            lit.append(tuple(lamp.level for lamp in files.bench.lamps.values()))
+            return grab(camera)
+
+        patch.setattr(SimulatedCamera, "grab", grabbed)
+        done = files.inspect("P-1", methods=plain)
+    assert {levels for levels in lit if any(levels)} == {(0.0, 1.0)}, "the far lamp alone, and darks without"
+    assert (done.record.verdict, done.record.rig["light"]["channel"]) == ("PASS", "far")
+    assert recompute(done.folder).differences == ()
     job = prepare(files.recipe, files.rig, "P-1", channel="near")
     assert (job.rig.light.channel, job.rig.light.angle_deg) == ("near", 10.0)
     text = files.recipe.read_text(encoding="utf-8").replace('light_channel = "far"', "")

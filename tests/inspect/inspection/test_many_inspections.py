@@ -1,6 +1,7 @@
 """A rig inspects for weeks in one process: memory, open files and threads stay what they were."""
 
 import gc
+import os
 import shutil
 import threading
 
@@ -9,10 +10,11 @@ import psutil
 import pytest
 
 WARM = 200  # inspections after which everything is loaded and cached
+COUNT = int(os.environ.get("ANISOSCOPE_SOAK_INSPECTIONS", "10000"))
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("count", [500, 10_000])
+@pytest.mark.parametrize("count", [500, COUNT])
 def test_inspections_one_after_another_cost_no_memory_files_or_threads(virtual_rig, plain, count):
     rig, process = virtual_rig(), psutil.Process()
     memory, handles, threads, verdicts = [], [], [], set()
