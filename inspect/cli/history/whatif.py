@@ -57,6 +57,8 @@ def whatif(
     which = selection(where or ())
     if (cost_escape is None) != (cost_reject is None):
         raise UsageError("--cost-escape and --cost-reject go together")
+    if html is not None and (html.resolve() == recipe.resolve() or not html.absolute().parent.is_dir()):
+        raise UsageError(f"--html {html}: name a page in a folder that exists, not the recipe")
     costs = None if cost_escape is None or cost_reject is None else Costs(cost_escape, cost_reject)
     with opened(place) as found:
         rows = found.rows(which.filters(limit))

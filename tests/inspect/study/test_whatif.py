@@ -14,6 +14,7 @@ import tomli_w
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import as_json
+from anisoscope.cli import run
 from anisoscope.cli.history.whatif import selection, write_html
 from anisoscope.history.rows import Row, row_of
 from anisoscope.record.schema import read_record
@@ -139,6 +140,16 @@ def test_the_page_shows_the_flips(past, tmp_path):
 def test_conditions_that_are_none(where, message):
     with pytest.raises(UsageError, match=message):
         selection(where)
+
+
+@pytest.mark.parametrize("page", ["recipe.toml", "none/page.html"])
+def test_a_page_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys, page):
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text("schema = 1")
+    command = ["whatif", "--recipe", recipe, "--html", tmp_path / page, "--history", tmp_path / "h.sqlite"]
+    assert run([str(one) for one in command]) == 64
+    assert "name a page in a folder that exists, not the recipe" in capsys.readouterr().err
+    assert recipe.read_text() == "schema = 1"
 
 
 def test_conditions_are_those_of_the_history():
