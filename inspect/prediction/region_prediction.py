@@ -17,7 +17,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.progress import Advance, silent
-from anisoscope.prediction.height_map_uncertainty import pixel_bias
+from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_bias
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import Reflect, Roughness, predict_design, predict_height_map
 from anisoscope.prediction.predicted import Predicted
@@ -26,6 +26,7 @@ from anisoscope.prediction.relief_preparation import Levelling, turned_clockwise
 from anisoscope.prediction.ridge_edges import (
     LARGEST_ANGLE_DEG,
     LEAST_ANGLE_DEG,
+    FieldEdges,
     SeveralDirectionsError,
     field_edges,
 )
@@ -34,6 +35,7 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.level import level
 from anisoscope.profiles.period import Period, find_period
+from anisoscope.sim.light import corrected
 from anisoscope.sim.light.census import Facets
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Convention, Pose, directions
@@ -51,8 +53,6 @@ PREDICTED = 2
 """Regions of a class that are predicted, the largest ones; their mean stands for the class."""
 LEAST_RIDGES = 4.0
 """Ridges of a square region from which on it is predicted alone."""
-ON_GRID_DEG = 1.0
-"""Angle to the grid up to which ridges run along it."""
 SEATING = "seating tilt about x", "seating tilt about y"
 ALIKE = 0.1
 """Relative difference up to which the areas of two classes count as equal."""
@@ -311,9 +311,9 @@ class _Facets:
     """Prediction of regions of few ridges, facet by facet: each with the lobe of its class, shadows of the whole map.
 
     What the points of the map do to walls and crests is made good for by the profile of all regions of the class
-    together (`anisoscope.prediction.ridge_edges.field_edges`), unless walls along the grid are narrower than a pixel.
-    Light that is reflected more than once is that of the groove of this profile, else of the median ridge angle;
-    uncertainties are those of ideal ridges, and of walls narrower than a pixel.
+    together (`anisoscope.prediction.ridge_edges.field_edges`). Light that is reflected more than once is that of the
+    groove of this profile, else of the median ridge angle; uncertainties are those of ideal ridges, of the profile, and
+    of walls that the map does not show.
     """
 
     surface: HeightMap
@@ -345,11 +345,8 @@ class _Facets:
         points = np.isin(self.regions.labels, [one.number for one in self.regions.of_class(number)])
         mask = np.rot90(points, quarters)[:-1, :-1]
         design = self._design(lying, mask, rest)
-        edges = None
-        # along the grid all ridges show their walls at the same few places, none of which may be on a wall
-        if abs(rest) > ON_GRID_DEG or design.wall_width_um >= max(relief.pixels_um):
-            fields = np.rot90(np.where(points, self.regions.labels, 0), quarters)
-            edges = field_edges(relief, np.ascontiguousarray(fields, dtype=np.int32), design)
+        fields = np.rot90(np.where(points, self.regions.labels, 0), quarters)
+        edges = field_edges(relief, np.ascontiguousarray(fields, dtype=np.int32), design)
         lobe = self.material
         if self.roughness == "plastic":
             part = turned_clockwise(self.regions.part(self.regions.of_class(number)[0]), quarters)
@@ -380,10 +377,36 @@ class _Facets:
         own = self.inputs.height_map_share * radiance
         contributions = (
             *(scaled(one, gain) for one in ideal.budget.contributions),
-            pixel_bias(max(relief.pixels_um), design.pitch_um, radiance, indirect),
+            *self._walls(edges, sides, lobe, (radiance, indirect), design, max(relief.pixels_um)),
             Contribution("whatever else is wrong with the map", own, "independent"),
         )
         return replace(found, budget=Budget(radiance, contributions, gain * ideal.budget.per_degree))
+
+    @staticmethod
+    def _walls(
+        edges: FieldEdges | None,
+        sides: tuple[FloatArray, FloatArray],
+        lobe: Material,
+        light: tuple[FloatArray, FloatArray],
+        design: RidgeDesign,
+        pixel_um: float,
+    ) -> Iterator[Contribution]:
+        """What the points of the map leave open of walls: any draft of a wall narrower than a pixel, rectangular.
+
+        Without a profile the facets may have the light of ideal ridges of either wall instead of theirs.
+        """
+        radiance, indirect = light
+        yield pixel_bias(pixel_um, design.pitch_um, radiance, indirect)
+        drafts = [replace(design, wall=one) for one in ("vertical", "perpendicular")]
+        if edges is not None:
+            yield from edge_contributions(edges.edges, sides, lobe, radiance, indirect)
+            if design.wall_width_um >= pixel_um:
+                return
+            drafts.append(design)
+        ideal = [corrected.radiance(*sides, one, lobe) for one in drafts]
+        shown = radiance - indirect if edges is None else ideal.pop()
+        off = np.max([np.abs(one - shown) for one in ideal], axis=0) / np.sqrt(3.0)
+        yield Contribution("walls that the map does not show", off, "independent", rectangular=True)
 
     @staticmethod
     def _design(surface: HeightMap, mask: npt.NDArray[np.bool_], azimuth_deg: float) -> RidgeDesign:

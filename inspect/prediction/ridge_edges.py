@@ -54,10 +54,12 @@ BAND_ROWS = 160
 MARGIN, LEAST_DEEP, CLEAR_PIXELS = 5, 0.4, 2.5
 """Points next to borders of fields that are left out; share of the points that must be left; points about walls whose
 slopes do not count as roughness."""
-REACH, LEAST_LOSS, MOST_LOSS = (0.99, 0.01), 0.02, 0.9
-"""Quantiles of the heights of fields, and height losses from which on a level top is tried, and up to which."""
-PASSES, OTHER_PITCH = 3, 0.3
-"""Passes in which the pitch is found, and by how much it may differ from that by the height of the ridges."""
+REACH, LEAST_LOSS, MOST_LOSS, OF_LOSS = (0.99, 0.01), 0.02, 0.9, (0.8, 0.9, 1.0, 1.15)
+"""Quantiles of the heights of fields, height losses from which on a level top is tried, and up to which, and shares of
+the loss by the quantiles that are tried."""
+PASSES, STARTS, STEPPED, OTHER_PITCH, PLACED = 3, (1.0, 1.15, 1.3), 0.03, 0.5, 3
+"""Passes in which the pitch is found, from the one by the height of the ridges and from greater ones, unless facets are
+steps apart within a share of the height; by how much it may differ from that; passes of places and profile."""
 ALPHA_OF_MAD = 1.4826 * 2.0**0.5
 PLAIN_ROWS = 3
 
@@ -395,27 +397,12 @@ def field_edges(relief: Relief, labels: npt.NDArray[np.int32], plain: RidgeDesig
         return None
     plain = replace(plain, pitch_um=pitch, wall=plain.ridge_angle_deg)
     here = known & np.isfinite(places[deep])
-    height, field, offset = surface.height_um[here], deep[here], across[here] - places[deep[here]]
-    levels = _levels(height - plain.profile(offset), field, len(places))
-    ridge = np.floor(offset / pitch + 0.5)
-    offset = offset - ridge * pitch
-    half = max(WINDOW_PIXELS * pixel, WINDOW_SHARE * pitch)
-    near = np.abs(offset) <= half
-    heights = height - levels[field]
-    points = _binned(offset[near], heights[near], (ridge + 1e3 * field)[near], pixel, half)
-    if points[0].size < FEWEST_PLACES:
+    height, field, at = surface.height_um[here], deep[here], across[here]
+    fit = _fitted_fields(at, height, field, places, plain, pixel)
+    if fit is None:
         return None
-    reach = np.subtract(*np.quantile(heights, REACH)) / (REACH[0] - REACH[1])
-    loss = float(np.clip(1.0 - reach / plain.height_um, 0.0, MOST_LOSS))
-    tops = [replace(plain, height_loss=one) for one in ((0.0,) if loss < LEAST_LOSS else (0.0, loss))]
-    fits = [_fitted(*points, one, pixel) for one in tops]
-    plain, (best, steps, misfit, _) = min(zip(tops, fits, strict=True), key=lambda one: one[1][3])
-    if misfit > MISFIT * plain.height_um:
-        return None
-    design = _design(plain, best[1], best[2])
-    moved = _moved(offset[near] - best[0], heights[near], field[near], design, pixel, len(places))
-    places = places + best[0] + moved
-    levels = _levels(height - design.profile(across[here] - places[field]), field, len(places))
+    design, crest, steps, places = fit
+    levels = _levels(height - design.profile(at - places[field]), field, len(places))
     sampled = surface.height_um.copy()
     known = np.isfinite(places[labels]) & (labels > 0) & np.isfinite(sampled)
     field = labels[known]
@@ -425,14 +412,57 @@ def field_edges(relief: Relief, labels: npt.NDArray[np.int32], plain: RidgeDesig
     left_x, left_y = (a - b for a, b in zip((fall_x, fall_y), _falls(drawn), strict=True))
     with np.errstate(invalid="ignore"):  # beyond the fields
         off = np.abs((middle - places[numbers] + 0.5 * pitch) % pitch - 0.5 * pitch)
-    facets = inside & (off > CLEAR_PIXELS * pixel)
+    smooth = inside & (off > CLEAR_PIXELS * pixel)
     along, along_x = cos * left_y - sin * left_x, cos * left_x + sin * left_y
-    along, along_x = (np.abs(one[facets & np.isfinite(one)]) for one in (along, along_x))
+    along, along_x = (np.abs(one[smooth & np.isfinite(one)]) for one in (along, along_x))
     if not along.size:
         return None
     resolved = float(ALPHA_OF_MAD * np.median(along)), float(ALPHA_OF_MAD * np.median(along_x))
-    edges = RidgeEdges(relief, design, azimuth, float(best[0]), resolved, steps)
+    edges = RidgeEdges(relief, design, azimuth, crest, resolved, steps)
     return FieldEdges(edges, replace(relief, surface=drawn), inside)
+
+
+def _fitted_fields(
+    at: FloatArray,
+    height: FloatArray,
+    field: npt.NDArray[np.int32],
+    places: FloatArray,
+    plain: RidgeDesign,
+    pixel: float,
+) -> tuple[RidgeDesign, float, FloatArray, FloatArray] | None:
+    """One profile of all fields, its place in µm, principal standard deviations, and better places of the fields.
+
+    Args:
+        at: (n,) places of points across the ridges in µm.
+        height: (n,) their heights in µm.
+        field: (n,) their fields.
+        places: (fields + 1,) places of a wall of every field in µm.
+        plain: pitch and ridge angle.
+        pixel: distance of points across the ridges in µm.
+    """
+    half = max(WINDOW_PIXELS * pixel, WINDOW_SHARE * plain.pitch_um)
+    for _ in range(PLACED):  # walls next to borders mislead the places of fields of two ridges
+        offset = at - places[field]
+        levels = _levels(height - plain.profile(offset), field, len(places))
+        ridge = np.floor(offset / plain.pitch_um + 0.5)
+        offset = offset - ridge * plain.pitch_um
+        near = np.abs(offset) <= half
+        heights = height - levels[field]
+        points = _binned(offset[near], heights[near], (ridge + 1e3 * field)[near], pixel, half)
+        if points[0].size < FEWEST_PLACES:
+            return None
+        reach = np.subtract(*np.quantile(heights, REACH)) / (REACH[0] - REACH[1])
+        loss = float(np.clip(1.0 - reach / plain.height_um, 0.0, MOST_LOSS))
+        losses = (0.0,) if loss < LEAST_LOSS else (0.0, *(loss * np.array(OF_LOSS)))
+        tops = [replace(plain, height_loss=float(one)) for one in losses]
+        fits = [_fitted(*points, one, pixel) for one in tops]
+        top, (best, steps, misfit, _) = min(zip(tops, fits, strict=True), key=lambda one: one[1][3])
+        design = _design(top, best[1], best[2])
+        moved = _moved(offset[near] - best[0], heights[near], field[near], design, pixel, len(places))
+        places = places + best[0] + moved
+        if misfit <= MISFIT * top.height_um:
+            return design, float(best[0]), steps, places
+    return None
 
 
 def _deep_labels(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
@@ -466,7 +496,8 @@ def _wall_places(
 ) -> tuple[float, FloatArray]:
     """Pitch in µm, and (fields + 1,) place of a wall of every field; NaN where none is seen.
 
-    The pitch is the fall from one facet to the line of the next, over the slope: crests and walls do not matter.
+    The pitch is the fall from one facet to the line of the next, over the slope: crests and walls do not matter. Ridges
+    that lost height have a greater pitch than their height says: the one whose facets are steps apart is taken.
 
     Args:
         walls: places across the ridges, weights and fields of what rises.
@@ -477,26 +508,37 @@ def _wall_places(
     """
     place, weight, field = walls
     at, height, of = facets
-    slope, pitch = float(np.tan(np.radians(plain.ridge_angle_deg))), plain.pitch_um
-    level, found = height + slope * at, np.full(fields + 1, np.nan)
-    for _ in range(PASSES):
-        turn = 2.0 * np.pi * place / pitch
-        real, imaginary = (np.bincount(field, weight * part(turn), fields + 1) for part in (np.cos, np.sin))
-        found = np.where(
-            np.hypot(real, imaginary) > 0.0, pitch * np.arctan2(imaginary, real) / (2.0 * np.pi), np.nan
-        )
-        with np.errstate(invalid="ignore"):  # fields without walls
-            number, rest = np.divmod((at - found[of]) / pitch, 1.0)
-            clear = np.minimum(rest, 1.0 - rest) * pitch > CLEAR_PIXELS * pixel
-        here = of[clear]
-        count = np.maximum(np.bincount(here, minlength=fields + 1), 1)
-        along, up = (
-            one[clear] - (np.bincount(here, one[clear], fields + 1) / count)[here] for one in (number, level)
-        )
-        if not along.any():  # one facet a field
+    slope = float(np.tan(np.radians(plain.ridge_angle_deg)))
+    level = height + slope * at
+    least, best = np.inf, (plain.pitch_um, np.full(fields + 1, np.nan))
+    for start in STARTS:
+        pitch, left, found = start * plain.pitch_um, np.inf, np.full(fields + 1, np.nan)
+        for _ in range(PASSES):
+            turn = 2.0 * np.pi * place / pitch
+            real, imaginary = (
+                np.bincount(field, weight * part(turn), fields + 1) for part in (np.cos, np.sin)
+            )
+            found = np.where(
+                np.hypot(real, imaginary) > 0.0, pitch * np.arctan2(imaginary, real) / (2.0 * np.pi), np.nan
+            )
+            with np.errstate(invalid="ignore"):  # fields without walls
+                number, rest = np.divmod((at - found[of]) / pitch, 1.0)
+                clear = np.minimum(rest, 1.0 - rest) * pitch > CLEAR_PIXELS * pixel
+            here = of[clear]
+            count = np.maximum(np.bincount(here, minlength=fields + 1), 1)
+            along, up = (
+                one[clear] - (np.bincount(here, one[clear], fields + 1) / count)[here]
+                for one in (number, level)
+            )
+            if not along.any():  # one facet a field
+                break
+            pitch = float(along @ up / (along @ along)) / slope
+            left = float(np.std(up - pitch * slope * along))
+        if left < least or start == STARTS[0]:
+            least, best = left, (pitch, found)
+        if least < STEPPED * plain.height_um:
             break
-        pitch = float(along @ up / (along @ along)) / slope
-    return pitch, found
+    return best
 
 
 def _moved(

@@ -76,6 +76,34 @@ def test_small_fields_are_predicted_within_a_percent_however_the_map_is_turned(t
         np.testing.assert_allclose(one["radiance"], truth, rtol=off)
 
 
+@pytest.mark.parametrize(
+    ("design", "points", "field_um", "off"),
+    [
+        (RidgeDesign(100.0, 5.0), 50.0, 200.0, 0.006),
+        (RidgeDesign(100.0, 10.0), 25.0, 200.0, 0.015),
+        (RidgeDesign(100.0, 15.0, "vertical"), 40.0, 250.0, 0.05),
+        (RidgeDesign(100.0, 10.0, height_loss=0.1), 51.5, 250.0, 0.005),
+        (RidgeDesign(100.0, 15.0, height_loss=0.2), 30.3, 250.0, 0.005),
+    ],
+)
+def test_small_fields_along_the_grid_are_predicted_within_their_budget(design, points, field_um, off):
+    """Narrow walls, two ridges a field, cut crests (facet by facet 7 to 22 % off), against ideal ridges."""
+    pixel_um = 100.0 / points
+    surface, _ = turned_board(0.0, int(1000.0 / pixel_um), pixel_um, field_um, design)
+    found = predict_map(surface, PLASTIC, POSES, Convention(), inputs=InputUncertainty())
+    bright, dark = sorted(found.notes["regions"], key=lambda one: -one["facet_azimuth_deg"])
+    assert bright["predicted_regions"] == dark["predicted_regions"] == 0
+    truth, turned = (
+        predict_design(design, PLASTIC, POSES, Convention(facet_azimuth_deg=turn)).radiance
+        for turn in (0.0, -90.0)
+    )
+    np.testing.assert_allclose(bright["radiance"], truth, rtol=off)
+    mean = (bright["share"] * truth + dark["share"] * turned) / (bright["share"] + dark["share"])
+    assert found.budget is not None
+    walls = [one.absolute for one in found.budget.contributions if "walls" in one.source]
+    assert (np.abs(found.radiance - mean) <= 2.0 * np.sqrt(np.sum(np.square(walls), axis=0))).all()
+
+
 def test_one_direction_is_predicted_as_before_and_has_no_regions():
     surface = ridges(DESIGN, (40, 801), (1.0, 1.0))
     found = predict_map(surface, PLASTIC, POSES, Convention())
