@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from anisoscope.profiles.textures.texture import texture
     from anisoscope.quality.capability import Specification
     from anisoscope.quality.control import ControlStudy
+    from anisoscope.quality.drift import drift_study
     from anisoscope.recipe.base import RecipeBase
     from anisoscope.record.schema import Record
     from anisoscope.rig.acquisition.nexus import write_nexus
@@ -63,6 +64,8 @@ if TYPE_CHECKING:
     from anisoscope.sim.light.optics import Optics
     from anisoscope.sim.materials.inks import find_ink
     from anisoscope.sim.materials.spectra import find_illuminant
+    from anisoscope.sim.press import Change as MachineChange
+    from anisoscope.sim.press import mould
     from anisoscope.study.part_yield import PartYield
 
 DriverGroup = Literal["stages", "cameras", "lights"]
@@ -92,6 +95,7 @@ _HOME = {
     "texture": "anisoscope.profiles.textures.texture",
     "Specification": "anisoscope.quality.capability",
     "ControlStudy": "anisoscope.quality.control",
+    "drift_study": "anisoscope.quality.drift",
     "Record": "anisoscope.record.schema",
     "write_nexus": "anisoscope.rig.acquisition.nexus",
     "open_rig": "anisoscope.rig.acquisition.opening",
@@ -115,6 +119,8 @@ _HOME = {
     "Optics": "anisoscope.sim.light.optics",
     "find_ink": "anisoscope.sim.materials.inks",
     "find_illuminant": "anisoscope.sim.materials.spectra",
+    "MachineChange": "anisoscope.sim.press:Change",
+    "mould": "anisoscope.sim.press",
 }
 
 __all__ = [
@@ -132,6 +138,7 @@ __all__ = [
     "InputUncertainty",
     "Inspected",
     "LobeTask",
+    "MachineChange",
     "Material",
     "Optics",
     "Pose",
@@ -148,6 +155,7 @@ __all__ = [
     "contrasts",
     "control_chart",
     "design_lobe",
+    "drift_study",
     "drivers",
     "edit_map",
     "find_illuminant",
@@ -160,6 +168,7 @@ __all__ = [
     "inspect",
     "line_parameters",
     "measure_ridges",
+    "mould",
     "open_camera",
     "open_history",
     "open_light",

@@ -109,7 +109,10 @@ COMMANDS = {
             "history.whatif:whatif",
             "Judge past inspections by another recipe: which verdicts change, what that means for escapes and cost.",
         ),
-        "spc": ("statistics.spc:spc", "Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk."),
+        "spc": (
+            "statistics.spc:spc",
+            "Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk; drift, and what it came with.",
+        ),
         "msa": (
             "statistics.msa:app",
             "Measurement system analysis: gauge R&R, bias, linearity, stability, attributes, type 1, VDA 5.",

@@ -40,6 +40,7 @@ INSPECTION_FIELDS = (
     "numbers",
     "previous",
 )
+COVARIATE_FIELDS = ("id", "measured_us", "serial", "source", "labels", "numbers", "previous")
 DISPOSITION_FIELDS = ("id", "inspection", "created_us", "reviewer", "decision", "comment", "previous")
 
 
@@ -149,11 +150,17 @@ def verify_chain(database: Database) -> list[Damage]:
             for name in schema.unguarded(connection)
         ]
         labels = _labels(connection, found)
+        version = schema.version_of(connection)
     tables: tuple[tuple[str, Table, Callable[[Values], bytes]], ...] = (
-        ("inspection", schema.inspections, lambda row: _inspection_hash(row, labels)),
+        (
+            "inspection",
+            schema.inspections,
+            lambda row: _labelled("inspection", INSPECTION_FIELDS, row, labels),
+        ),
         ("disposition", schema.dispositions, lambda row: hash_of("disposition", DISPOSITION_FIELDS, row)),
+        ("covariates", schema.covariates, lambda row: _labelled("covariates", COVARIATE_FIELDS, row, labels)),
     )
-    for kind, table, own_hash in tables:
+    for kind, table, own_hash in tables if version >= schema.WITH_COVARIATES else tables[:2]:
         found += _verify_table(database, kind, table, own_hash)
     if database.is_sqlite:
         found += _verify_file(database)
@@ -170,8 +177,8 @@ def _labels(connection: Connection, found: list[Damage]) -> dict[int, str]:
     return labels
 
 
-def _inspection_hash(row: Values, labels: Mapping[int, str]) -> bytes:
-    return hash_of("inspection", INSPECTION_FIELDS, {**row, "labels": labels.get(row["layout"])})
+def _labelled(kind: str, fields: Sequence[str], row: Values, labels: Mapping[int, str]) -> bytes:
+    return hash_of(kind, fields, {**row, "labels": labels.get(row["layout"])})
 
 
 def _verify_table(

@@ -1,4 +1,4 @@
-"""Signed heads: a station signs the ends of both chains now and then, and an authority may stamp the time on them.
+"""Signed heads: a station signs the ends of all chains now and then, and an authority may stamp the time on them.
 
 Whoever writes the chains anew cannot sign for the station, and a head names how many rows there were. Time stamps are
 those of RFC 3161; they are read and checked by the package rfc3161-client, an extra.
@@ -69,14 +69,19 @@ def sign_head(history: History, signer: Signer, *, always: bool = False, now: da
     """
     with history.writing() as connection:
         last = connection.execute(select(_HEADS).order_by(_HEADS.c.id.desc()).limit(1)).mappings().first()
-        (rows, row_hash), (decisions, decision_hash) = (
-            head(connection, table) for table in (schema.inspections, schema.dispositions)
+        (rows, row_hash), (decisions, decision_hash), (cycles, cycle_hash) = (
+            head(connection, table) for table in (schema.inspections, schema.dispositions, schema.covariates)
         )
         number, previous = (0, "") if last is None else (last["id"], last["envelope"])
-        if last is not None and (rows, decisions) == (last["inspections"], last["dispositions"]):
+        signed_at, signed_cycles = (None, 0) if last is None else _said(last["envelope"])
+        if last is not None and (rows, decisions, cycles) == (
+            last["inspections"],
+            last["dispositions"],
+            signed_cycles,
+        ):
             return False
-        if last is not None and not always and rows - last["inspections"] < EVERY:
-            age = (now or datetime.now(UTC)) - _signed_at(last["envelope"])
+        if last is not None and signed_at is not None and not always and rows - last["inspections"] < EVERY:
+            age = (now or datetime.now(UTC)) - signed_at
             if age < AFTER and decisions == last["dispositions"]:
                 return False
         statement = {
@@ -85,6 +90,8 @@ def sign_head(history: History, signer: Signer, *, always: bool = False, now: da
             "head": row_hash.hex(),
             "dispositions": decisions,
             "disposition_head": decision_hash.hex(),
+            "covariates": cycles,
+            "covariate_head": cycle_hash.hex(),
             "previous": hashlib.sha256(previous.encode()).hexdigest() if previous else START.hex(),
         }
         values = {"id": number + 1, "inspections": rows, "dispositions": decisions}
@@ -92,11 +99,14 @@ def sign_head(history: History, signer: Signer, *, always: bool = False, now: da
     return True
 
 
-def _signed_at(envelope: str) -> datetime:
+def _said(envelope: str) -> tuple[datetime, int]:
+    """When a head was signed, and how many cycle data it covers."""
     try:
-        return read_signed("head", envelope).signed_at
+        found = read_signed("head", envelope)
     except ValueError:
-        return datetime.min.replace(tzinfo=UTC)  # `verify_heads` says what is wrong with it
+        return datetime.min.replace(tzinfo=UTC), 0  # `verify_heads` says what is wrong with it
+    cycles = found.content.get("covariates", 0)
+    return found.signed_at, cycles if isinstance(cycles, int) else 0
 
 
 def verify_heads(
@@ -153,12 +163,15 @@ def _unlike(connection: Connection, row: Any, said: Signed, previous: str) -> li
     before = hashlib.sha256(previous.encode()).hexdigest() if previous else START.hex()
     if content.get("previous") != before or content.get("number") != row["id"]:
         found.append("does not follow the one before it")
-    for table, count, name in (
+    chains = [
         (schema.inspections, "inspections", "head"),
         (schema.dispositions, "dispositions", "disposition_head"),
-    ):
+    ]
+    if "covariates" in content:  # version 5 of the tables
+        chains.append((schema.covariates, "covariates", "covariate_head"))
+    for table, count, name in chains:
         number = content.get(count)
-        if number != row[count]:
+        if number != row.get(count, number):
             found.append(f"its number of {count} was changed")
         hash_ = connection.scalar(select(table.c.hash).where(table.c.id == number)) if number else START
         if hash_ is None:

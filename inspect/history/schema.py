@@ -96,7 +96,21 @@ time_stamps = Table(
     Column("signed_head", _id, ForeignKey("signed_heads.id"), nullable=False),
     Column("response", LargeBinary, nullable=False),
 )
-GUARDED = (versions, layouts, inspections, dispositions, signed_heads, time_stamps)
+# Cycle data of machines: numbers of a moment, or of the part with a serial number.
+covariates = Table(
+    "covariates",
+    metadata,
+    Column("id", _id, primary_key=True, autoincrement=False),
+    Column("measured_us", BigInteger),
+    Column("serial", Text),
+    Column("source", Text, nullable=False),
+    Column("layout", _id, ForeignKey("layouts.id"), nullable=False),
+    Column("numbers", LargeBinary, nullable=False),
+    Column("digest", LargeBinary, nullable=False, unique=True),
+    Column("previous", LargeBinary, nullable=False),
+    Column("hash", LargeBinary, nullable=False),
+)
+GUARDED = (versions, layouts, inspections, dispositions, signed_heads, time_stamps, covariates)
 _REFUSAL = "the history is append-only"
 
 
@@ -130,12 +144,20 @@ def _fourth(connection: Connection) -> None:
     for table in (signed_heads, time_stamps):
         _guard(connection, table)
     if connection.dialect.name == "postgresql":  # rigs that may add inspections may add their signatures
-        connection.execute(text(_POSTGRESQL_GRANTS))
+        connection.execute(text(_POSTGRESQL_GRANTS.format(tables="signed_heads, time_stamps")))
 
 
-MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third, _fourth)
+def _fifth(connection: Connection) -> None:
+    """Version 5: cycle data of machines."""
+    metadata.create_all(connection, [covariates])
+    _guard(connection, covariates)
+    if connection.dialect.name == "postgresql":
+        connection.execute(text(_POSTGRESQL_GRANTS.format(tables="covariates")))
+
+
+MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third, _fourth, _fifth)
 VERSION = len(MIGRATIONS)
-WITH_DISPOSITIONS, WITH_SIGNED_HEADS = 2, 4
+WITH_DISPOSITIONS, WITH_SIGNED_HEADS, WITH_COVARIATES = 2, 4, 5
 """Versions that brought tables; those before the first cannot be read without being brought up to date."""
 
 
@@ -184,7 +206,8 @@ def unguarded(connection: Connection) -> list[str]:
         statement = "SELECT sql FROM sqlite_master WHERE type = 'trigger'"
         present = {_plain(definition) for definition in connection.scalars(text(statement))}
         suffix = ""
-    guarded = GUARDED if version_of(connection) >= WITH_SIGNED_HEADS else GUARDED[:4]
+    version = version_of(connection)
+    guarded = GUARDED[: 4 if version < WITH_SIGNED_HEADS else 6 if version < WITH_COVARIATES else None]
     return [
         table.name
         for table in guarded
@@ -237,7 +260,7 @@ DO $body$ DECLARE rig text; BEGIN
 FOR rig IN SELECT DISTINCT grantee FROM information_schema.role_table_grants
 WHERE table_schema = current_schema() AND table_name = 'inspections' AND privilege_type = 'INSERT'
 AND grantee NOT IN (current_user, 'PUBLIC')
-LOOP EXECUTE format('GRANT SELECT, INSERT ON signed_heads, time_stamps TO %I', rig); END LOOP;
+LOOP EXECUTE format('GRANT SELECT, INSERT ON {tables} TO %I', rig); END LOOP;
 END $body$
 """
 _POSTGRESQL_TRIGGERS = """

@@ -218,7 +218,7 @@ def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | 
         last += 1
         labels = labels_of(new)
         if labels not in layouts:
-            layouts[labels] = _layout(connection, labels)
+            layouts[labels] = layout_of(connection, labels)
         values = columns_of(new, history) | {"id": last, "previous": previous, "layout": layouts[labels]}
         previous = hash_of("inspection", INSPECTION_FIELDS, values | {"labels": labels})
         values["hash"] = previous
@@ -235,7 +235,7 @@ def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | 
     return [rows[new.seal] for new in news]
 
 
-def _layout(connection: Connection, labels: str) -> int:
+def layout_of(connection: Connection, labels: str) -> int:
     """Number of a list of labels; a new list is stored."""
     digest = digest_of(labels)
     table = schema.layouts

@@ -18,6 +18,7 @@ from anisoscope.history import chain, schema, statements
 from anisoscope.history.address import Address, parse_address
 from anisoscope.history.column_wise import Columns, read_columns
 from anisoscope.history.columns import disposition_from, row_from
+from anisoscope.history.covariates import Covariates, CycleData, append_covariates, read_covariates
 from anisoscope.history.database import Database
 from anisoscope.history.dispositions import Disposition, checked_disposition
 from anisoscope.history.filters import Filters
@@ -279,6 +280,27 @@ class History:
         with self._database.reading() as connection:
             return _dispositions(connection, row_ids)
 
+    def add_covariates(self, news: Sequence[CycleData]) -> int:
+        """Add cycle data of machines in one transaction; those that are there already are passed over.
+
+        Returns:
+            How many are new.
+
+        Raises:
+            HistoryError: the database cannot be reached or written.
+        """
+        with self.writing() as connection:
+            return append_covariates(connection, news)
+
+    def covariates(self) -> Covariates:
+        """All cycle data of machines.
+
+        Raises:
+            HistoryError: the database cannot be read.
+        """
+        with self._database.reading() as connection:
+            return read_covariates(connection)
+
     def verify_chain(self) -> list[Damage]:
         """Recompute every hash; list the damage, each entry naming its row.
 
@@ -297,18 +319,24 @@ class History:
         with self._database.reading() as connection:
             return statements.head(connection, schema.dispositions)[1].hex()
 
-    def holds(self, head: str) -> bool:
-        """Whether an inspection or a disposition has this hash: a history that is only added to holds every head.
+    def covariate_head(self) -> str:
+        """The same of the last cycle data."""
+        with self._database.reading() as connection:
+            there = schema.version_of(connection) >= schema.WITH_COVARIATES
+            return (statements.head(connection, schema.covariates)[1] if there else chain.START).hex()
 
-        The zeros of no disposition yet are held too.
+    def holds(self, head: str) -> bool:
+        """Whether a row of any chain has this hash: a history that is only added to holds every head.
+
+        The zeros of a chain without rows are held too.
         """
         if bytes.fromhex(head) == chain.START:
             return True
         with self._database.reading() as connection:
-            return any(
-                statements.holds(connection, table, bytes.fromhex(head))
-                for table in (schema.inspections, schema.dispositions)
-            )
+            chains = [schema.inspections, schema.dispositions]
+            if schema.version_of(connection) >= schema.WITH_COVARIATES:
+                chains.append(schema.covariates)
+            return any(statements.holds(connection, table, bytes.fromhex(head)) for table in chains)
 
 
 def open_history(place: str | Path, *, create: bool = True) -> History:

@@ -3,7 +3,7 @@
 import csv
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 
@@ -36,6 +36,7 @@ class Readings:
         zone: of the times; None for that of this computer.
         base: folder that relative folders of inspections are in.
         limits: lower and upper limit of numbers that come with such.
+        machine: cycle data of the machine, by name, NaN where there is none: see `with_machine`.
     """
 
     source: str
@@ -44,6 +45,7 @@ class Readings:
     zone: tzinfo | None = None
     base: Path = Path()
     limits: Mapping[str, tuple[float | None, float | None]] = field(default_factory=dict)
+    machine: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.numbers.values()), ()))
@@ -134,7 +136,24 @@ class Readings:
             self.zone,
             self.base,
             self.limits,
+            {name: column[places] for name, column in self.machine.items()},
         )
+
+    def against(self, names: tuple[str, ...] | None, number: str) -> dict[str, FloatArray]:
+        """Columns that a number is compared with: cycle data, or other numbers, by name; all cycle data for None.
+
+        Raises:
+            UsageError: there is no such column.
+        """
+        if names is None:
+            return dict(self.machine)
+        known = {**{name: one for name, one in self.numbers.items() if name != number}, **self.machine}
+        for name in names:
+            if name not in known:
+                raise UsageError(
+                    f"{self.source}: there is nothing named {name!r}; there are: {', '.join(known)}"
+                )
+        return {name: known[name] for name in names}
 
 
 def read_readings(path: Path) -> Readings:
@@ -239,6 +258,23 @@ def history_readings(place: str | Path, filters: Filters) -> Readings:
     if not readings.numbers:
         raise UsageError(f"no inspection of this kind in the {where} has a number")
     return readings
+
+
+def with_machine(readings: Readings, place: str | Path) -> Readings:
+    """Readings of a history with the cycle data of machines that it holds.
+
+    Args:
+        readings: from `history_readings`.
+        place: the same history.
+
+    Raises:
+        HistoryError: the history cannot be read.
+    """
+    with open_history(place, create=False) as history:
+        found = history.covariates()
+    # times of readings are whole seconds
+    times = np.array(readings.column("time"), dtype="datetime64[s]").astype(np.int64) * 1_000_000 + 999_999
+    return replace(readings, machine=found.of_parts(readings.column("serial"), times))
 
 
 def readings_of(found: Columns, source: str) -> Readings:

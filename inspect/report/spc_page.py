@@ -21,8 +21,10 @@ from typing import Any
 
 from anisoscope.quality.capability import Capability, Index
 from anisoscope.quality.distributions import FittedCapability
+from anisoscope.quality.drift import Drift
 from anisoscope.quality.nelson import MEANING
 from anisoscope.quality.readings import Readings
+from anisoscope.report.drift_sections import drift_picture, parameter_table
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.page import write_page
 from anisoscope.report.past_pages import report_link
@@ -274,7 +276,7 @@ def write_spc_page(
     title: str,
     source: str,
     studies: Sequence[ControlStudy],
-    detailed: Sequence[tuple[ControlStudy, Points | None]],
+    detailed: Sequence[tuple[ControlStudy, Points | None, Drift | None]],
     notes: Sequence[str] = (),
 ) -> None:
     """Write the page, atomically.
@@ -284,7 +286,7 @@ def write_spc_page(
         title: heading.
         source: where the values come from.
         studies: all, for the overview.
-        detailed: those that get charts, with their values; the first 12 do.
+        detailed: those that get charts, with their values and tests for drift; the first 12 do.
         notes: what else the reader should know.
 
     Raises:
@@ -320,7 +322,9 @@ def overview(studies: Sequence[ControlStudy]) -> Grid:
     return Grid("Overview", "All series at a glance", columns, rows, "overview")
 
 
-def study_content(study: ControlStudy, points: Points | None = None) -> dict[str, Any]:
+def study_content(
+    study: ControlStudy, points: Points | None = None, drift: Drift | None = None
+) -> dict[str, Any]:
     """Content of the template for one series."""
     normality = study.normality
     words = (
@@ -335,6 +339,17 @@ def study_content(study: ControlStudy, points: Points | None = None) -> dict[str
         "pictures": [_chart(study, points), _spread(study)],
         "tables": tables(study),
         "notes": [*words, *study.notes],
+        "drift": None if drift is None else _drift(drift),
+    }
+
+
+def _drift(drift: Drift) -> dict[str, Any]:
+    return {
+        "verdict": drift.verdict,
+        "good": not drift.seen,
+        "picture": drift_picture(drift),
+        "table": parameter_table(drift) if drift.parameters else None,
+        "notes": drift.notes,
     }
 
 

@@ -34,7 +34,7 @@ def test_a_page_over_a_hundred_thousand_inspections(bench, tmp_path, shift):
 
     def page():
         study = control_study("ln 0-90", values, labels, settings, Specification(-9.0, 9.0))
-        write_spc_page(tmp_path / "page.html", "x", "y", [study], [(study, None)])
+        write_spc_page(tmp_path / "page.html", "x", "y", [study], [(study, None, None)])
         return study
 
     found = bench.compare(

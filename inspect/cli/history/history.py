@@ -1,5 +1,6 @@
 """``anisoscope history``, ``show``, ``compare``, ``export``: inspections of the past and their dispositions."""
 
+import math
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
     from anisoscope.history.adding import Added
     from anisoscope.history.comparing import Compared, Comparison
+    from anisoscope.history.covariates import CycleData
     from anisoscope.history.dispositions import Disposition
     from anisoscope.history.heads import HeadsVerified
     from anisoscope.history.rows import Row
@@ -138,13 +140,14 @@ def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> No
 
 
 def print_verified(
-    damage: Sequence[str], count: int, heads: tuple[str, str], signed: "HeadsVerified", *, json_: bool
+    damage: Sequence[str], count: int, heads: tuple[str, str, str], signed: "HeadsVerified", *, json_: bool
 ) -> None:
-    """Print the damage found in a history, and its heads: of the inspections, of the dispositions, and signed ones."""
+    """Print the damage found in a history, and its heads: of inspections, dispositions, cycle data, and signed ones."""
     if json_:
         found = {"intact": not damage, "inspections": count, "damage": list(damage)}
         words = {name: value for name, value in asdict(signed).items() if name != "problems"}
-        print_json(found | {"head": heads[0], "disposition_head": heads[1], "signed": words})
+        named = dict(zip(("head", "disposition_head", "covariate_head"), heads, strict=True))
+        print_json(found | named | {"signed": words})
         return
     for line in damage:
         write_line(line)
@@ -159,6 +162,8 @@ def print_verified(
         write_line(f"time stamp: {signed.stamped_at:%Y-%m-%d %H:%M:%S} UTC")
     write_line(f"head: {heads[0]}")
     write_line(f"head of the dispositions: {heads[1]}")
+    if heads[2].strip("0"):
+        write_line(f"head of the cycle data: {heads[2]}")
 
 
 def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
@@ -367,6 +372,86 @@ def dispose(
 
 
 @app.command
+def covariates(
+    *files: Annotated[
+        Path, Parameter(help="CSV files with a column time or serial; all other columns are numbers.")
+    ],
+    machine: Annotated[
+        str,
+        Parameter(help="Name that is put before the names of the numbers, where there are several machines."),
+    ] = "",
+    place: Place = None,
+    json_: Json = False,
+) -> int:
+    """Add cycle data of machines to the history, by serial number or time; without files, list the numbers there are.
+
+    A part takes the data with its serial number, else the last ones before its inspection, a day old at most.
+
+    Examples:
+        anisoscope history covariates cycles.csv
+        anisoscope history covariates
+    """
+    if not files:
+        with opened(place) as found:
+            numbers = found.covariates().numbers
+        known = {
+            name: sum(not math.isnan(one) for one in column.tolist()) for name, column in numbers.items()
+        }
+        if json_:
+            print_json({"numbers": known})
+        else:
+            write_line("no cycle data" if not known else f"{len(known)} numbers of machines")
+            for name, count in known.items():
+                write_line(f"  {name}: {count}")
+        return 0
+    news = [one for path in files for one in _cycles(path, machine.strip())]
+    with opened(place, create=True) as found:
+        added = found.add_covariates(news)
+        where = str(found.address)
+    if json_:
+        print_json({"added": added, "known": len(news) - added, "history": where})
+    else:
+        write_line(f"{added} added, {len(news) - added} there already: {where}")
+    return 0
+
+
+def _cycles(path: Path, machine: str) -> "list[CycleData]":
+    """Cycle data of a file.
+
+    Raises:
+        UsageError: the file cannot be read, or a line of it says neither a time nor a serial number.
+    """
+    from anisoscope.history.covariates import CycleData
+    from anisoscope.quality.readings import read_readings
+
+    readings = read_readings(path)
+    others = sorted(set(readings.texts) - {"time", "serial"})
+    if others or not readings.numbers:
+        what = f"the column {others[0]} holds words" if others else "there is no column of numbers"
+        raise UsageError(f"{path}: {what}: cycle data are time or serial, and numbers")
+    news = []
+    for place in range(len(readings)):
+        said = readings.texts["time"][place] if "time" in readings.texts else ""
+        serial = readings.texts["serial"][place] if "serial" in readings.texts else ""
+        at = readings.moment(place)
+        if (said and at is None) or not (said or serial):
+            wrong = (
+                f"the time {said[:40]!r} is none, write 2026-11-01T14:30"
+                if said
+                else "neither time nor serial"
+            )
+            raise UsageError(f"{path}, entry {place + 1}: {wrong}")
+        numbers = {
+            f"{machine} {name}".strip(): float(column[place])
+            for name, column in readings.numbers.items()
+            if not math.isnan(column[place])
+        }
+        if numbers:
+            news.append(CycleData(at=at, serial=serial or None, source=path.name, numbers=numbers))
+    return news
+
+
+@app.command
 def verify(
     *,
     head: Annotated[
@@ -411,7 +496,8 @@ def verify(
         count = found.count()
         if count == 0:
             damage.append("the history holds no inspection: there is nothing to verify")
-        print_verified(damage, count, (found.head(), found.disposition_head()), heads, json_=json_)
+        ends = found.head(), found.disposition_head(), found.covariate_head()
+        print_verified(damage, count, ends, heads, json_=json_)
     return 1 if damage else 0
 
 

@@ -1,5 +1,6 @@
 """``anisoscope rig sim``: simulated devices, and a whole virtual rig, for other programs."""
 
+import math
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -67,6 +68,56 @@ def _serve(name: str, server: "PtyServer | TcpServer") -> int:
         return 0
     finally:
         server.close()
+    return 0
+
+
+@app.command
+def press(
+    *,
+    out: Annotated[Path, Parameter(help="Folder for parts.csv and cycles.csv.")],
+    parts: Annotated[int, Parameter(help="Parts that are inspected, one shot in 20.")] = 300,
+    setting: Annotated[
+        str | None, Parameter(help="Setting that changes, such as 'mould temperature'.")
+    ] = None,
+    change: Annotated[float, Parameter(help="By how much, in °C, bar, s or shots.")] = 0.0,
+    onset: Annotated[int, Parameter(help="First part with the change, counted from 1.")] = 200,
+    ramp: Annotated[int, Parameter(help="Parts over which it grows; 0 for a step.")] = 0,
+    seed: Annotated[int, Parameter(help="Seed of the noise.")] = 1,
+) -> int:
+    """Simulate an injection moulding machine: its cycle data, and what was measured on the parts.
+
+    `spc --csv parts.csv` reads the one, `history covariates cycles.csv` the other.
+
+    Examples:
+        anisoscope rig sim press --out press --setting "mould temperature" --change -2
+    """
+    from datetime import UTC, datetime, timedelta
+
+    import numpy as np
+
+    from anisoscope.base.atomic_write import write_text
+    from anisoscope.base.csv_style import csv_text, number_text
+    from anisoscope.sim.press import Change, mould
+
+    if min(parts, onset) < 1 or ramp < 0 or not math.isfinite(change):
+        raise UsageError(
+            "rig sim press: --parts and --onset are at least 1, --ramp at least 0, --change is finite"
+        )
+    if (setting is None) != (change == 0.0):
+        raise UsageError("rig sim press: --setting and --change go together")
+    changes = () if setting is None else (Change(setting, change, onset - 1, ramp),)
+    made = mould(parts, changes, np.random.default_rng(seed))
+    start = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
+    times = [(start + timedelta(seconds=one)).isoformat(timespec="seconds") for one in made.seconds.tolist()]
+    serials = [f"P-{number:04d}" for number in range(1, parts + 1)]
+    out.mkdir(parents=True, exist_ok=True)
+    for name, columns in (("parts.csv", made.measured | made.cycles), ("cycles.csv", made.cycles)):
+        rows = [
+            [time, serial, *(number_text(f"{column[k]:.7g}") for column in columns.values())]
+            for k, (time, serial) in enumerate(zip(times, serials, strict=True))
+        ]
+        write_text(out / name, csv_text([["time", "serial", *columns], *rows]))
+    print(f"{out / 'parts.csv'} and {out / 'cycles.csv'}: {parts} parts")  # noqa: T201
     return 0
 
 

@@ -33,7 +33,9 @@ Selection = Annotated[Which, Parameter(name="*")]
 EVERYTHING = ALL
 
 
-def readings_from(csv: Path | None, place: str | None, which: Which, limit: int = 0) -> "Readings":
+def readings_from(
+    csv: Path | None, place: str | None, which: Which, limit: int = 0, *, machine: bool = False
+) -> "Readings":
     """The readings that are meant.
 
     Args:
@@ -41,6 +43,7 @@ def readings_from(csv: Path | None, place: str | None, which: Which, limit: int 
         place: the history.
         which: which of them; times only with the history.
         limit: at most so many, the latest ones; 0 for all.
+        machine: with the cycle data of machines that the history holds.
 
     Raises:
         UsageError: options that do not go together, a wrong line, or nothing left.
@@ -48,12 +51,13 @@ def readings_from(csv: Path | None, place: str | None, which: Which, limit: int 
     """
     if csv is None:
         from anisoscope.history.address import chosen
-        from anisoscope.quality.readings import history_readings
+        from anisoscope.quality.readings import history_readings, with_machine
 
         found = chosen(place, DEFAULT_OUT)
         if found is None:
             raise UsageError("name the readings: --csv FILE or --history PLACE")
-        return history_readings(found, which.filters(limit))
+        readings = history_readings(found, which.filters(limit))
+        return with_machine(readings, found) if machine else readings
     from anisoscope.quality.readings import read_readings
 
     if place is not None:

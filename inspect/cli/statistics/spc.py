@@ -30,6 +30,7 @@ from anisoscope.cli.statistics.source import (
 if TYPE_CHECKING:
     from anisoscope.quality.capability import Specification
     from anisoscope.quality.control import ControlStudy, Settings
+    from anisoscope.quality.drift import Drift
     from anisoscope.quality.individuals import Period
     from anisoscope.quality.readings import Readings
 
@@ -37,7 +38,7 @@ LISTED = 20  # patterns in the terminal
 
 
 @dataclass(frozen=True)
-@everyday("by", "baseline", "period", "lower", "upper")
+@everyday("by", "baseline", "period", "lower", "upper", "drift")
 class Charting:
     """Chart type and rules for a series."""
 
@@ -80,6 +81,33 @@ class Charting:
             "folded-normal, logistic or normal.",
         ),
     ] = None
+
+    drift: Annotated[
+        bool,
+        Parameter(
+            name="--drift",
+            help="Test for a drift, with false alarms of 1 % in total, and name the cycle data that it came with.",
+        ),
+    ] = False
+    against: Annotated[
+        str | None,
+        Parameter(
+            name="--against",
+            help="With --drift: the cycle data, or other numbers, to compare with, separated by commas.",
+        ),
+    ] = None
+
+    def compared(self) -> tuple[str, ...] | None:
+        """What numbers are compared with; None for all cycle data.
+
+        Raises:
+            UsageError: no drift is asked for.
+        """
+        if self.against is None:
+            return None
+        if not self.drift:
+            raise UsageError("--against goes with --drift")
+        return tuple(name.strip() for name in self.against.split(",") if name.strip())
 
     def settings(self, readings: "Readings") -> "Settings":
         """Options as settings of the chart of some readings.
@@ -133,24 +161,25 @@ def spc(
     html: Html = None,
     json_: Json = False,
 ) -> int:
-    """Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk.
+    """Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk; drift, and what it came with.
 
     Without --number it prints an overview of all numbers, and the page of --html shows the charts of the first one.
     --recipe also takes a recipe file: its tolerances are then the limits of good parts, and no inspection is left out.
     Without it, and without --lower and --upper, the tolerances in the history are used.
 
-    Exit codes: 0 stable, 1 not stable, 64 and above no chart is possible.
+    Exit codes: 0 stable, 1 not stable or drifting, 64 and above no chart is possible.
 
     Examples:
         anisoscope spc --number "ln 0-90" --recipe plate.toml --html spc.html
-        anisoscope spc -n "ln 0-90" --by cavity --period 2026-11-01..2026-11-07 --html spc.html
+        anisoscope spc -n "ln 0-90" --drift --html drift.html
         anisoscope spc --csv heights.csv --lower 9.8 --upper 10.2
     """
     from anisoscope.quality.capability import charted
 
+    compared = charting.compared()
     tolerances = _tolerances(which.recipe)
     chosen = which if tolerances is None else replace(which, recipe=None)
-    readings = readings_from(csv, place, chosen, limit)
+    readings = readings_from(csv, place, chosen, limit, machine=charting.drift)
     names = charted(readings) if number is None else (readings.number(number)[0],)
     if not names:
         raise UsageError(f"{readings.source}: there is no number to chart")
@@ -158,7 +187,7 @@ def spc(
         raise UsageError("limits and known means belong to one number: name it with --number")
     charts, skipped = [], []
     with progress("control charts", quiet=json_) as advance:
-        for one in _all(readings, names, charting, tolerances, advance):
+        for one in _all(readings, names, charting, compared, tolerances, advance):
             if isinstance(one, str):
                 skipped.append(one)
             else:
@@ -166,7 +195,7 @@ def spc(
     if not charts:
         raise UsageError(skipped[0])
     _deliver(readings, charts, charting.by, skipped, html, json_=json_)
-    return 0 if all(one.study.stable for one in charts) else 1
+    return 0 if all(one.study.stable and (one.drift is None or not one.drift.seen) for one in charts) else 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +205,7 @@ class _Chart:
     number: str
     readings: "Readings"
     study: "ControlStudy"
+    drift: "Drift | None" = None
 
 
 def _deliver(
@@ -193,7 +223,7 @@ def _deliver(
     if html is not None:
         from anisoscope.report.spc_page import Points, write_spc_page
 
-        first = [(one.study, Points(one.readings, html)) for one in charts if one.number == number]
+        first = [(one.study, Points(one.readings, html), one.drift) for one in charts if one.number == number]
         write_spc_page(html, f"Control charts: {title}", _source(readings), found, first, skipped)
     if json_:
         content = {
@@ -201,9 +231,11 @@ def _deliver(
             "studies": found,
             "skipped": skipped,
         }
-        print_json(content)
+        drifts = [one.drift for one in charts if one.drift is not None]
+        print_json(content | ({"drifts": drifts} if drifts else {}))
         return
     _show(readings, found, skipped, alone=len(found) == 1 and not skipped)
+    _show_drifts([one.drift for one in charts if one.drift is not None])
     if html is not None:
         write_lines(f"{html}: charts of {title}")
 
@@ -224,11 +256,13 @@ def _all(
     readings: "Readings",
     names: tuple[str, ...],
     charting: Charting,
+    compared: tuple[str, ...] | None,
     tolerances: dict[str, float] | None,
     advance: Advance,
 ) -> list[_Chart | str]:
     """Chart of every number in every group, or the reason for its absence."""
     from anisoscope.quality.control import control_study
+    from anisoscope.quality.drift import drift_study
     from anisoscope.quality.readings import GROUPS
 
     if charting.by is not None and charting.by not in GROUPS:
@@ -243,7 +277,10 @@ def _all(
             try:
                 limits = _specification(part, name, charting, tolerances)
                 study = control_study(title, values, part.labels, charting.settings(part), limits)
-                found.append(_Chart(name, part, study))
+                drift = None
+                if charting.drift:
+                    drift = drift_study(title, values, part.labels, part.against(compared, name))
+                found.append(_Chart(name, part, study, drift))
             except UsageError as error:
                 if len(names) * len(groups) == 1:
                     raise
@@ -289,3 +326,12 @@ def _show(readings: "Readings", studies: "list[ControlStudy]", skipped: list[str
     write_lines(*(f"left out: {line}" for line in skipped))
     for study in studies if len(studies) <= LISTED else studies[:1]:
         write_lines(f"{study.name}: {study.verdict}")
+
+
+def _show_drifts(drifts: "list[Drift]") -> None:
+    from anisoscope.report.drift_sections import parameter_table
+
+    for drift in drifts:
+        if drift.parameters:
+            print_grid(parameter_table(drift))
+        write_lines(f"{drift.name}: {drift.verdict}", *drift.notes)

@@ -13,6 +13,7 @@ from anisoscope.calibration.record import dated, write_calibration
 from anisoscope.cli import run
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
+from anisoscope.quality.readings import read_readings
 
 RECIPE = {
     "schema": 1,
@@ -302,3 +303,104 @@ def test_camera_of_a_record(done, tmp_path):
     assert "Camera SIM" in (tmp_path / "camera.html").read_text(encoding="utf-8")
     assert json.loads(done("camera", path, "--json")[1])["in_limits"] is True
     assert done("camera", tmp_path / "none.json")[0] == 3
+
+
+MACHINE = "mould temperature,melt temperature,packing pressure,cycle time,tool shots"
+
+
+@pytest.fixture
+def moulded(done, tmp_path):
+    """Parts and cycle data of the simulated press, whose mould gets colder from part 100 on."""
+    folder = tmp_path / "press"
+    drift = ("--setting", "mould temperature", "--change", -3, "--onset", 100, "--parts", 140)
+    assert done("rig", "sim", "press", "--out", folder, *drift)[0] == 0
+    return folder
+
+
+def test_a_drift_is_seen_and_named_from_a_file(done, moulded, tmp_path):
+    page = tmp_path / "drift.html"
+    said = done(
+        "spc",
+        "--csv",
+        moulded / "parts.csv",
+        "-n",
+        "ln 0-90",
+        "--drift",
+        "--against",
+        MACHINE,
+        "--html",
+        page,
+    )
+    assert said[0] == 1
+    assert "most likely mould temperature" in said[1]
+    assert "none of them" in said[1]
+    assert "ln 0-90 against parameters of the machine" in page.read_text(encoding="utf-8")
+    wrong = done("spc", "--csv", moulded / "parts.csv", "-n", "ln 0-90", "--drift", "--against", "barrel")
+    assert wrong[0] == 64
+    assert "there is nothing named 'barrel'; there are: ridge height" in wrong[2]
+    assert done("spc", "--csv", moulded / "parts.csv", "--against", "x")[0] == 64
+
+
+def test_cycle_data_enter_the_history_and_spc_compares_with_them(done, moulded, tmp_path):
+    readings = read_readings(moulded / "parts.csv")
+    rows = [
+        NewRow(
+            created_at=readings.moment(k) + timedelta(minutes=20),
+            serial=serial,
+            product="plate",
+            recipe="plate 0123456789ab",
+            verdict="PASS",
+            reasons=(),
+            folder=f"/parts/{k}",
+            seal=hashlib.sha256(serial.encode()).hexdigest(),
+            software="anisoscope 0",
+            numbers={"ln 0-90": readings.numbers["ln 0-90"][k]},
+        )
+        for k, serial in enumerate(readings.texts["serial"])
+    ]
+    place = tmp_path / "history.sqlite"
+    with open_history(place) as history:
+        history.append_all(rows)
+    assert "no cycle data" in done("history", "covariates", "--history", place)[1]
+    for expected in ("140 added, 0 there already", "0 added, 140 there already"):
+        assert expected in done("history", "covariates", moulded / "cycles.csv", "--history", place)[1]
+    listed = json.loads(done("history", "covariates", "--history", place, "--json")[1])
+    assert listed["numbers"]["mould temperature"] == 140
+    code, out, _ = done("spc", "--history", place, "-n", "ln 0-90", "--drift", "--json")
+    (drift,) = json.loads(out)["drifts"]
+    assert (code, drift["drift"], drift["driver"]) == (1, True, "mould temperature")
+    assert len(drift["parameters"]) == 5
+    code, out, _ = done("history", "verify", "--history", place)
+    assert code == 0
+    assert "head of the cycle data: " in out
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time,melt\nnoon,1\n", "entry 1: the time 'noon' is none"),
+        ("time,serial,melt\n,,1\n", "entry 1: neither time nor serial"),
+        ("time,lot,melt\n2026-11-01,L1,1\n", "the column lot holds words"),
+        ("time\n2026-11-01\n", "there is no column of numbers"),
+        ("time,melt\n2026-11-01,hot\n", "line 2: melt is not a number"),
+    ],
+)
+def test_cycle_data_that_cannot_be_used_are_refused_by_name(done, tmp_path, text, says):
+    path = tmp_path / "cycles.csv"
+    path.write_text(text)
+    code, _, err = done("history", "covariates", path, "--history", tmp_path / "h.sqlite")
+    assert (code, says in err) == (64, True), err
+    assert not (tmp_path / "h.sqlite").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--setting", "barrel", "--change", 1), "no 'barrel'"),
+        (("--change", 1), "--setting and --change go together"),
+        (("--parts", 0), "--parts and --onset are at least 1"),
+    ],
+)
+def test_the_simulated_press_refuses_what_it_has_not(done, tmp_path, options, says):
+    code, _, err = done("rig", "sim", "press", "--out", tmp_path / "press", *options)
+    assert (code, says in err) == (64, True)

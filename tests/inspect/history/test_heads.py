@@ -11,6 +11,7 @@ from sqlalchemy import text
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.signature import Trust, TrustedKey, make_key
+from anisoscope.history.covariates import CycleData
 from anisoscope.history.heads import (
     EVERY,
     add_time_stamp,
@@ -290,3 +291,18 @@ def test_an_earlier_history_has_no_signed_heads(place, new_row, key, trust):
         history.append(new_row(0))
         assert sign_head(history, key)
         assert verify_heads(history, trust).problems == ()
+
+
+def test_cycle_data_are_under_the_signed_heads(sqlite_history, new_row, key, trust):
+    sqlite_history.append(new_row(0))
+    assert sign_head(sqlite_history, key)
+    cycles = [
+        CycleData(at=None, serial=f"A{k}", source="cycles.csv", numbers={"melt": 1.0 * k}) for k in range(3)
+    ]
+    sqlite_history.add_covariates(cycles)
+    assert sign_head(sqlite_history, key, always=True)
+    assert not sign_head(sqlite_history, key, always=True)
+    assert verify_heads(sqlite_history, trust).problems == ()
+    bare(sqlite_history, "DELETE FROM covariates WHERE id = 3")
+    (line,) = verify_heads(sqlite_history, trust).problems
+    assert "signed head 2: the history held 3 covariates then, and was cut" in line

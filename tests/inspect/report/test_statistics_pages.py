@@ -130,7 +130,7 @@ def pages(studies, tmp_path_factory):
             "Control charts",
             "history",
             studies[name],
-            [(one, None) for one in studies[name]],
+            [(one, None, None) for one in studies[name]],
             [NASTY],
         )
     write_gauge_page(folder / "gauge.html", "Gauge R&R", NASTY, studies["gauge"])
