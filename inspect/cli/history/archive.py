@@ -312,7 +312,7 @@ def hold(
     inspection: Which,
     /,
     *,
-    reason: Annotated[str | None, Parameter(help="Why; also why the hold ends.")] = None,
+    reason: Annotated[str | None, Parameter(help="Reason of the hold, or of its end.")] = None,
     release: Annotated[bool, Parameter(negative="", help="End the hold.")] = False,
     archive: Url = None,
 ) -> int:
