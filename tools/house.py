@@ -32,8 +32,9 @@ OF_LIBRARIES = {"print_svg"}  # matplotlib's
 FRAGMENT_LINES = 120
 TABLES = {
     "anisoscope.bsdf.formats",
+    "anisoscope.cli.line.line",
     "anisoscope.profiles.files.formats",
-}  # modules that list plug-ins, each in a module of its own
+}  # modules that list plug-ins, each in a module of its own: file formats, protocols of a line with their libraries
 KERNELS = re.compile(r"kernels$")
 _LAYOUT = {
     tokenize.COMMENT,

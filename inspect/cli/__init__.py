@@ -76,6 +76,10 @@ COMMANDS = {
             "console.serve:serve",
             "Serve the console: a page at the station and a page over all stations, until Ctrl-C.",
         ),
+        "line": (
+            "line.line:app",
+            "Serve a rig to the controller of a line: jobs by OPC UA or Modbus/TCP.",
+        ),
         "resume": (
             "inspect.inspection:resume",
             "Continue an interrupted inspection: photograph what is missing, judge, write record and report.",

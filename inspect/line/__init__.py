@@ -1,1 +1,1 @@
-"""The line: jobs that a controller orders at a rig, by OPC UA, MQTT or Modbus/TCP."""
+"""The line: jobs that a controller orders at a rig, and the protocols by which it does."""

@@ -17,13 +17,15 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.json_file import JsonLines
+from anisoscope.history.rows import numbers_of
 from anisoscope.inspection.folder import working_in
-from anisoscope.inspection.job import check_serial
+from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path, recipe_paths
 from anisoscope.inspection.work import LINE, Task, Worker, Workplace
-from anisoscope.record.schema import Particulars, Record, read_record
+from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record
+from anisoscope.report.inspection_page import REPORT_NAME
 
 JOURNAL = "jobs.jsonl"
 MOST_TRIES = 3
@@ -181,6 +183,19 @@ class Jobs:
         if entry.problem is not None:
             raise Refused("recipe", f"recipe {name} cannot be used: {entry.problem}")
         return entry
+
+    def check(self, name: str) -> None:
+        """Read all that inspections by a recipe need: what it names, the rig file, calibrations; nothing moves.
+
+        Raises:
+            Refused: something is missing or wrong.
+        """
+        self.recipe(name)
+        try:
+            prepare(recipe_path(self._recipes, name), self.place.rig, "0")
+        except AnisoscopeError as problem:
+            text = " ".join(str(problem).split())
+            raise Refused("recipe", f"recipe {name} cannot be used: {text}") from None
 
     # Jobs.
 
@@ -424,3 +439,45 @@ def _closed_on_error(stack: contextlib.ExitStack) -> Iterator[None]:
     except BaseException:
         stack.close()
         raise
+
+
+def result_of(job: Job, record: Record | None) -> dict[str, Any]:
+    """A result as JSON: job and part, verdict and why, every number of the history by its label, causes, and links.
+
+    Numbers are those of `anisoscope.history.rows.numbers_of`: ``ln 0-90`` is a contrast, ``u ln 0-90`` its standard
+    uncertainty with that of the prediction, ``deviation …`` and ``tolerance …`` what they were compared by.
+
+    Args:
+        job: the job.
+        record: its record, or None where it has none.
+    """
+    found: dict[str, Any] = {
+        "job": job.id,
+        "state": job.state,
+        "serial": job.order.serial,
+        "recipe": job.order.recipe,
+        "lot": job.order.lot,
+        "cavity": job.order.cavity,
+        "accepted_at": job.accepted_at,
+        "ended_at": job.ended_at,
+        "problem": job.problem,
+        "verdict": job.verdict,
+    }
+    if record is None or job.folder is None:
+        return found
+    said, diagnosis = record.conclusion, record.diagnosis
+    return found | {
+        "product": record.product,
+        "finding": None if said is None else said.finding,
+        "action": None if said is None else said.action,
+        "reasons": list(record.reasons),
+        "numbers": numbers_of(record),
+        "causes": []
+        if diagnosis is None
+        else [{"cause": one.cause, "weight": one.weight} for one in diagnosis.causes],
+        "links": {
+            "folder": job.folder.as_uri(),
+            "record": (job.folder / RECORD_NAME).as_uri(),
+            "report": (job.folder / REPORT_NAME).as_uri(),
+        },
+    }

@@ -101,3 +101,14 @@ def test_help_is_cheap():
 def test_light_models_import_without_numba_and_scipy():
     modules = "sys, anisoscope.sim.light.relief, anisoscope.sim.light.corrected"
     assert python("-c", f"import {modules}\nprint({{'numba', 'scipy'}} & set(sys.modules))") == "set()"
+
+
+def test_asyncua_which_is_lgpl_is_imported_by_its_server_alone():
+    root = ROOT
+    found = [
+        path.relative_to(root).as_posix()
+        for folder in ("inspect", "rig", "profiles", "sim")
+        for path in (root / folder).rglob("*.py")
+        if re.search(r"^\s*(from|import) asyncua\b", path.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+    assert found == ["inspect/line/opcua.py"]

@@ -1,0 +1,141 @@
+"""``anisoscope line``: serve a rig to the controller of a line."""
+
+import asyncio
+import contextlib
+import ipaddress
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.base.language import message
+from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
+from anisoscope.cli.inspect.inspection import explained
+from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.cli.rig.options import RigPath, write_line
+
+if TYPE_CHECKING:
+    from anisoscope.line.jobs import Jobs
+
+app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA or Modbus/TCP.")
+Recipes = Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")]
+Out = Annotated[Path, Parameter(help="Folder that receives the inspection folders.")]
+Station = Annotated[str | None, Parameter(help="Station where the rig stands.")]
+INSPECTIONS = Path("inspections")
+
+
+@app.command
+def opcua(
+    *,
+    rig: RigPath,
+    recipes: Recipes,
+    out: Out = INSPECTIONS,
+    history: HistoryOption = None,
+    station: Station = None,
+    host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, Parameter(help="TCP port.")] = 4840,
+    open_: Annotated[
+        bool,
+        Parameter(
+            name="--open",
+            negative="",
+            help="Let every computer that reaches the address order jobs: there is no encryption and no password.",
+        ),
+    ] = False,
+) -> int:
+    """Serve the rig by OPC UA for Machine Vision (OPC 40100-1), until Ctrl-C.
+
+    Examples:
+        anisoscope line opcua --rig rig.toml --recipes recipes
+    """
+    with _needs("OPC UA"):
+        from anisoscope.line.opcua import VisionServer
+    check_open(host, open_=open_)
+    with jobs_at(rig, recipes, out, history, station) as jobs:
+
+        async def serve() -> None:
+            async with VisionServer(jobs, recipes.resolve(), host, port) as server:
+                _say_address(server.address)
+                await _until_signalled()
+
+        asyncio.run(serve())
+    return 0
+
+
+@contextlib.contextmanager
+def _needs(what: str) -> Iterator[None]:
+    """The packages of the line.
+
+    Raises:
+        UsageError: they are not installed.
+    """
+    try:
+        yield
+    except ImportError as problem:
+        raise UsageError(
+            f"{what} needs more packages ({problem.name}): pip install 'anisoscope[line]'"
+        ) from problem
+
+
+def check_open(host: str, *, open_: bool) -> None:
+    """Refuse to listen beyond this computer without a word that everybody there may order jobs.
+
+    Raises:
+        UsageError: it was not said.
+    """
+    with contextlib.suppress(ValueError):
+        if ipaddress.ip_address(host).is_loopback:
+            return
+    if host != "localhost" and not open_:
+        raise UsageError(
+            f"--host {host} can be reached from other computers, each of which may then move the rig: put it into a "
+            "network of its own and add --open"
+        )
+
+
+@contextlib.contextmanager
+def jobs_at(
+    rig: Path, recipes: Path, out: Path, history: str | None, station: str | None
+) -> Iterator["Jobs"]:
+    """The jobs of a rig, which this process holds; not entered.
+
+    Raises:
+        UsageError: there is no folder of recipes, or the rig is set by hand.
+        RigFileError, RigError: the rig cannot be read or opened.
+    """
+    from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
+    from anisoscope.line.jobs import Jobs
+
+    if not recipes.is_dir():
+        raise UsageError(f"--recipes {recipes}: there is no such folder")
+    place = history_place(history, out)
+    rig, out = rig.resolve(), out.resolve()
+    with contextlib.ExitStack() as stack:
+        own = stack.enter_context(held_rig(rig))
+        workplace = Workplace(rig, out, place, remember, lot_mates, explained)
+        worker = WorkerProcess(workplace)
+        stack.callback(worker.close)
+        yield Jobs(workplace, recipes.resolve(), worker, own.stop, station)
+
+
+def _say_address(address: str) -> None:
+    print(message("line at {path}", path=address), flush=True)  # noqa: T201
+    write_line(message("Ctrl-C ends it"))
+
+
+async def _until_signalled() -> None:
+    """Wait for the first Ctrl-C or SIGTERM."""
+    stop, loop = asyncio.Event(), asyncio.get_running_loop()
+
+    def end(*_: object) -> None:
+        loop.call_soon_threadsafe(stop.set)
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        await stop.wait()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
