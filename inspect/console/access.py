@@ -5,14 +5,11 @@ begins without a role, and gets one by name and password.
 """
 
 import hmac
-import json
-import os
 import secrets
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -23,6 +20,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import ConfigError, RecordError, UsageError
+from anisoscope.base.lock import locked
+from anisoscope.console.trail import Trail
 
 Role = Literal["operator", "engineer", "auditor", "administrator"]
 Permission = Literal["look", "stop", "operate", "review", "audit", "administer"]
@@ -77,7 +76,6 @@ class Accounts:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._lock = threading.Lock()
         self.read()
 
     def read(self) -> dict[str, Account]:
@@ -132,13 +130,16 @@ class Accounts:
         self._change(name, None)
 
     def _change(self, name: str, account: Account | None) -> None:
-        with self._lock:
-            found = self.read()
-            found.pop(name, None)
-            users = (*found.values(), *(() if account is None else (account,)))
-            self.path.touch(mode=0o600)
-            write_text(self.path, _File(users=users).model_dump_json(indent=2))
-            self.path.chmod(0o600)
+        try:
+            with locked(self.path.resolve().parent, waits=True):  # the file itself is replaced
+                found = self.read()
+                found.pop(name, None)
+                users = (*found.values(), *(() if account is None else (account,)))
+                self.path.touch(mode=0o600)
+                write_text(self.path, _File(users=users).model_dump_json(indent=2))
+                self.path.chmod(0o600)
+        except OSError as problem:
+            raise RecordError(f"{self.path}: cannot be written: {problem.strerror}") from problem
 
     def check(self, name: str, password: str) -> Account | None:
         """The account, if the password is right; an unknown name takes as long as a wrong password."""
@@ -185,75 +186,6 @@ class Session:
     def may(self, permission: Permission) -> bool:
         """Whether one of its roles has a permission."""
         return not self.roles.isdisjoint(PERMISSIONS[permission])
-
-
-@dataclass
-class Trail:
-    """Audit trail: a line of JSON for every change, chained by hashes so that a line that was changed is found.
-
-    Attributes:
-        path: the file, which grows only; None keeps no trail.
-        now: the time.
-    """
-
-    path: Path | None
-    now: Callable[[], datetime] = lambda: datetime.now(UTC)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def add(self, who: str, what: str, why: str = "", **more: object) -> None:
-        """Add a line; it is on disk when this returns.
-
-        Raises:
-            RecordError: it cannot be written; what it was to record must not be done then.
-        """
-        if self.path is None:
-            return
-        with self._lock:
-            lines = self.lines()
-            previous = lines[-1]["hash"] if lines else ""
-            entry: dict[str, Any] = {"at": self.now().isoformat(timespec="milliseconds"), "who": who}
-            entry |= {"what": what, "why": why, "more": more, "previous": previous}
-            entry["hash"] = _digest(entry)
-            try:
-                self.path.parent.mkdir(parents=True, exist_ok=True)
-                with self.path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(entry, ensure_ascii=False) + "\n")
-                    file.flush()
-                    os.fsync(file.fileno())
-            except OSError as problem:
-                raise RecordError(f"{self.path}: cannot be written: {problem.strerror}") from problem
-
-    def lines(self) -> list[dict[str, Any]]:
-        """All lines, the oldest first.
-
-        Raises:
-            RecordError: the file cannot be read, or is no trail.
-        """
-        if self.path is None or not self.path.exists():
-            return []
-        try:
-            return [json.loads(line) for line in self.path.read_text(encoding="utf-8").splitlines()]
-        except (OSError, ValueError) as problem:
-            raise RecordError(f"{self.path}: is no audit trail of the console, or damaged") from problem
-
-    def damaged(self) -> list[int]:
-        """Numbers of the lines, from 1, that are not as they were written or do not follow the one before."""
-        found, previous = [], ""
-        for number, entry in enumerate(self.lines(), 1):
-            if entry.get("previous") != previous or entry.get("hash") != _digest(entry):
-                found.append(number)
-            previous = str(entry.get("hash"))
-        return found
-
-
-def trail_of(users: Path) -> Trail:
-    """The audit trail of a file of accounts, next to it."""
-    return Trail(users.with_name(f"{users.stem}.audit.jsonl"))
-
-
-def _digest(entry: Mapping[str, object]) -> str:
-    plain = {key: value for key, value in entry.items() if key != "hash"}
-    return sha256(json.dumps(plain, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
 
 
 class Access:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 import ipaddress
 import logging
 import socket
@@ -30,6 +31,7 @@ from anisoscope.console.pages import render, static_router
 MOST_BODY = 64 * 1024
 BODY_S = 10.0
 REQUEST_S = 10.0
+WRITE_S = 30.0
 KEPT_S = 15
 MOST_CONNECTIONS = 256
 UNGUARDED = frozenset({"/static/{name}"})
@@ -64,11 +66,12 @@ class Guard:
         app: what is guarded.
         hosts: ``name:port`` by which browsers may call the console.
         scheme: http or https.
-        body_s: within how many seconds a body has to arrive.
     """
 
-    def __init__(self, app: ASGIApp, hosts: frozenset[str], scheme: str, body_s: float = BODY_S) -> None:
-        self.app, self.hosts, self.body_s = app, hosts, body_s
+    body_s = BODY_S
+
+    def __init__(self, app: ASGIApp, hosts: frozenset[str], scheme: str) -> None:
+        self.app, self.hosts = app, hosts
         self.origins = frozenset(f"{scheme}://{host}" for host in hosts)
         self.extra = {"strict-transport-security": "max-age=31536000"} if scheme == "https" else {}
 
@@ -310,15 +313,16 @@ def _login_router(access: Access, pages: Sequence[Page]) -> APIRouter:
 
 
 class Connection(H11Protocol):
-    """A connection that ends where its request does not arrive in time, or where others need its place."""
+    """A connection that ends where its request comes or its answer is read too slowly, or others need its place."""
 
     most = MOST_CONNECTIONS
-    request_s = REQUEST_S
+    request_s, write_s = REQUEST_S, WRITE_S
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin; where there are too many, those that wait for nothing make room, the oldest first."""
         super().connection_made(transport)  # type: ignore[arg-type]
         self._late: asyncio.TimerHandle | None = None
+        self._unread: asyncio.TimerHandle | None = None
         self._expect()
         others: dict[Connection, None] = self.server_state.__dict__.setdefault("in_order", {})
         others[self] = None
@@ -351,10 +355,22 @@ class Connection(H11Protocol):
         if not self.is_at_work:
             self.transport.close()
 
+    def pause_writing(self) -> None:
+        """Wait for who reads slowly; who reads nothing for long is cut off."""
+        super().pause_writing()
+        self._unread = self.loop.call_later(self.write_s, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Go on."""
+        super().resume_writing()
+        if self._unread is not None:
+            self._unread.cancel()
+
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
-        if self._late is not None:
-            self._late.cancel()
+        for timer in (self._late, self._unread):
+            if timer is not None:
+                timer.cancel()
         self.server_state.__dict__.get("in_order", {}).pop(self, None)
         super().connection_lost(exc)
 
@@ -446,4 +462,16 @@ def server_of(app: ASGIApp, tls: tuple[Path, Path] | None = None) -> uvicorn.Ser
     except (OSError, ssl.SSLError) as problem:
         raise UsageError(f"--certificate and --key cannot be used: {problem}") from problem
     logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
-    return uvicorn.Server(config)
+    return _Server(config)
+
+
+class _Server(uvicorn.Server):
+    """A server that does not wait long for those who connect and do not say how they encrypt."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        loop = asyncio.get_running_loop()
+        begin = loop.create_server
+        if self.config.ssl is not None:
+            begin = functools.partial(begin, ssl_handshake_timeout=REQUEST_S)
+        loop.create_server = begin  # type: ignore[method-assign]
+        await super().startup(sockets)

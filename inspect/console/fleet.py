@@ -21,8 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.notation import number_name, number_text, true_minus
-from anisoscope.console.access import Access, Needs, Session, Trail
+from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.pages import render
+from anisoscope.console.trail import Trail
 from anisoscope.history.address import parse_address
 from anisoscope.history.columns import us_to_datetime
 from anisoscope.history.comparing import record_of

@@ -1,17 +1,13 @@
 """The folder of an inspection: its name, who works in it, and what is left when nothing came of it."""
 
 import contextlib
-import errno
-import hashlib
-import os
-import tempfile
 import unicodedata
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, cast
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.lock import locked
 from anisoscope.record.schema import RECORD_NAME
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
@@ -97,34 +93,14 @@ def working_in(folder: Path) -> Iterator[None]:
     Raises:
         RecordError: somebody else works in it, or there is no such folder.
     """
-    try:
-        descriptor, lock = _open_lock(folder)
-    except OSError as error:
-        raise RecordError(f"{folder}: cannot be opened: {error.strerror}") from error
-    try:
+    with contextlib.ExitStack() as stack:
         try:
-            lock(descriptor)
-        except (BlockingIOError, PermissionError):  # what POSIX says, and what Windows says
+            stack.enter_context(locked(folder))
+        except BlockingIOError:
             raise RecordError(f"{folder}: another process is at work on this inspection") from None
+        except OSError as error:
+            raise RecordError(f"{folder}: cannot be opened: {error.strerror}") from error
         yield
-    finally:
-        os.close(descriptor)
-
-
-def _open_lock(folder: Path) -> tuple[int, Callable[[int], None]]:
-    """A descriptor and what locks it: of the folder itself; on Windows, which locks files only, of one elsewhere."""
-    try:
-        import fcntl  # noqa: PLC0415 - POSIX only
-    except ImportError:
-        import msvcrt  # noqa: PLC0415 - Windows only
-
-        if not folder.is_dir():
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from None
-        name = hashlib.sha256(os.path.normcase(folder.resolve()).encode()).hexdigest()[:24]
-        place = Path(tempfile.gettempdir()) / f"anisoscope-{name}.lock"
-        take = cast("Any", msvcrt)  # whose types exist on Windows only
-        return os.open(place, os.O_RDWR | os.O_CREAT), lambda one: take.locking(one, take.LK_NBLCK, 1)
-    return os.open(folder, os.O_RDONLY), lambda one: fcntl.flock(one, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _has_frames(folder: Path) -> bool:

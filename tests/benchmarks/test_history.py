@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select, text
 
-from anisoscope.console.access import Access, Trail
+from anisoscope.console.access import Access
 from anisoscope.console.application import create_app, hosts_of, listen, server_of
 from anisoscope.console.fleet import fleet_router
+from anisoscope.console.trail import Trail
 from anisoscope.history import schema
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow

@@ -53,7 +53,7 @@ GUARDED = {
     ("sim/bench/serve.py", "pty"): "imported when a pseudo terminal is asked for; its absence is a RigError",
     ("sim/bench/serve.py", "tty"): "likewise",
     ("sim/bench/serve.py", "os.ttyname"): "likewise",
-    ("inspect/inspection/folder.py", "fcntl"): "where it is missing, Windows' msvcrt locks",
+    ("inspect/base/lock.py", "fcntl"): "where it is missing, Windows' msvcrt locks",
     (
         "inspect/cli/rig/live.py",
         "termios",

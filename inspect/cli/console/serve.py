@@ -57,9 +57,12 @@ def serve(
         raise UsageError(
             f"the console needs more packages ({problem.name}): pip install 'anisoscope[console]'"
         ) from problem
-    from anisoscope.console.access import Access, Accounts, Trail, trail_of
+    from anisoscope.console.access import Access, Accounts
     from anisoscope.console.fleet import fleet_router
-    from anisoscope.console.station import Eyes, Station, station_router
+    from anisoscope.console.live import Eyes
+    from anisoscope.console.routes import station_router
+    from anisoscope.console.station import Station
+    from anisoscope.console.trail import Trail, trail_of
     from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
 
     if (certificate is None) != (key is None):

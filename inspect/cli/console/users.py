@@ -36,7 +36,8 @@ def add(
     Examples:
         anisoscope user add anna --users users.json --as operator
     """
-    from anisoscope.console.access import Accounts, trail_of
+    from anisoscope.console.access import Accounts
+    from anisoscope.console.trail import trail_of
 
     accounts = Accounts(users)
     if sys.stdin is not None and sys.stdin.isatty():
@@ -58,7 +59,8 @@ def remove(name: Name, /, *, users: File, why: Why = "") -> int:
     Examples:
         anisoscope user remove anna --users users.json --why left
     """
-    from anisoscope.console.access import Accounts, trail_of
+    from anisoscope.console.access import Accounts
+    from anisoscope.console.trail import trail_of
 
     accounts = Accounts(users)
     trail, who = trail_of(users), getpass.getuser()
@@ -73,7 +75,8 @@ def list_(*, users: File, json_: Json = False) -> int:
     Examples:
         anisoscope user list --users users.json
     """
-    from anisoscope.console.access import Accounts, trail_of
+    from anisoscope.console.access import Accounts
+    from anisoscope.console.trail import trail_of
 
     found = {one.name: one.role for one in Accounts(users).read().values()}
     damaged = trail_of(users).damaged()

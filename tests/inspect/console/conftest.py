@@ -4,16 +4,26 @@ import contextlib
 import shutil
 import threading
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import NameOID
 
 from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
-from anisoscope.console.access import Access, Trail
+from anisoscope.console.access import Access
 from anisoscope.console.application import Page, create_app, hosts_of, listen, server_of
 from anisoscope.console.fleet import fleet_router
-from anisoscope.console.station import Eyes, Station, station_router
+from anisoscope.console.live import Eyes
+from anisoscope.console.routes import station_router
+from anisoscope.console.station import Station
+from anisoscope.console.trail import Trail
 from anisoscope.inspection.work import WorkerHere, Workplace
 from anisoscope.rig.acquisition.opening import open_devices
 from anisoscope.rig.hold import SharedCamera
@@ -25,19 +35,38 @@ def served():
     """``served(app_of)``: serves ``app_of(hosts)`` at a free port of this computer for a while; gives the address."""
 
     @contextmanager
-    def serve(app_of):
+    def serve(app_of, tls=None):
         with listen("127.0.0.1", 0) as listener:
             port = listener.getsockname()[1]
-            server = server_of(app_of(hosts_of("127.0.0.1", port)))
+            server = server_of(app_of(hosts_of("127.0.0.1", port)), tls)
             thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
             thread.start()
             try:
-                yield f"http://127.0.0.1:{port}"
+                yield f"http{'s' * (tls is not None)}://127.0.0.1:{port}"
             finally:
                 server.should_exit = True
                 thread.join()
 
     return serve
+
+
+@pytest.fixture(scope="session")
+def tls(tmp_path_factory):
+    """A certificate of this computer that it has signed itself, and its key."""
+    folder, key = tmp_path_factory.mktemp("tls"), ec.generate_private_key(ec.SECP256R1())
+    name, now = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "station")]), datetime.now(UTC)
+    made = (
+        x509.CertificateBuilder(
+            name, name, key.public_key(), x509.random_serial_number(), now, now + timedelta(1)
+        )
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .sign(key, SHA256())
+    )
+    folder.joinpath("cert.pem").write_bytes(made.public_bytes(Encoding.PEM))
+    form = (Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    folder.joinpath("key.pem").write_bytes(key.private_bytes(*form))
+    return folder / "cert.pem", folder / "key.pem"
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,9 @@ import pytest
 from fastapi import APIRouter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.console.access import Access, Trail
+from anisoscope.console.access import Access
 from anisoscope.console.application import check_exposure, create_app, permissions_of
+from anisoscope.console.trail import Trail
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,10 @@ import httpx
 import numpy as np
 import pytest
 
-from anisoscope.console.access import COOKIE, PERMISSIONS, ROLES, Access, Accounts, Trail
+from anisoscope.console.access import COOKIE, PERMISSIONS, ROLES, Access, Accounts
 from anisoscope.console.application import create_app, permissions_of
 from anisoscope.console.fleet import fleet_router
+from anisoscope.console.trail import Trail
 from anisoscope.history.export import csv_lines, json_lines
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow, row_of

@@ -8,10 +8,12 @@ import threading
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 
 from anisoscope.console.access import Session
-from anisoscope.console.station import EventLog, Start, exposure_advice, focus_advice
+from anisoscope.console.live import EventLog, exposure_advice, focus_advice
+from anisoscope.console.station import Start
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.sim.bench.camera import SimulatedCamera
 
@@ -116,6 +118,31 @@ def test_every_event_arrives_once_though_the_connection_is_cut_after_each(browse
         sum(" frame at " in content["doing"] for _, kind, content in seen if kind == "progress")
         == seen[-1][2]["frames"]
     )
+
+
+@pytest.mark.soak
+def test_no_event_of_a_thousand_inspections_is_lost_though_connections_are_cut(browser, at):
+    rng, cuts, seen = np.random.default_rng(24), 0, []
+    at._busy.join()
+    last = start = browser.first()[0]
+    for part in range(1000):
+        begin(browser, f"N-{part}")
+        ended = False
+        while not ended:
+            with contextlib.closing(browser.events(last)) as events:
+                for last, kind, content in events:
+                    seen.append(last)
+                    ended = kind == "state" and (content["state"], content["task"].get("serial")) == (
+                        "done",
+                        f"N-{part}",
+                    )
+                    if ended or rng.random() < 0.1:
+                        cuts += not ended
+                        break
+    first, *_, newest = (int(id_.partition("-")[2]) for id_ in (start, *seen))
+    print(f"{len(seen)} events, {cuts} connections cut, {newest - first - len(seen)} lost")  # noqa: T201 - the number
+    assert [int(id_.partition("-")[2]) for id_ in seen] == list(range(first + 1, newest + 1))
+    assert {id_.partition("-")[0] for id_ in seen} == {start.partition("-")[0]}
 
 
 def test_who_comes_back_after_a_restart_gets_the_state(browser):

@@ -1,0 +1,190 @@
+"""The page of a station, and the interface of programs below ``/api/v1``, which the page uses too."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, Response
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, StreamingResponse
+from pydantic import Field
+
+from anisoscope.base.json_fields import as_json
+from anisoscope.base.language import message
+from anisoscope.console.access import Needs, Session
+from anisoscope.console.pages import render
+from anisoscope.console.station import Named, Start, Station
+from anisoscope.inspection.recipe_store import RecipeEntry
+
+
+def _words() -> dict[str, str]:
+    """What the script of the page says."""
+    return {
+        "frame": message("frame"),
+        "next": message("What to do next"),
+        "stopped": message("stopped"),
+        "away": message("The console does not answer. The inspection goes on; Stop at the rig itself."),
+        "good": message("exposure and focus are good"),
+        "mine": message("You hold the rig."),
+        "free": message("The rig is free."),
+        "held": message("{name} holds the rig.", name="{name}"),
+        "asks": message("{name} asks for it.", name="{name}"),
+        "you": message("you"),
+        "PASS": message("good"),
+        "WARN": message("look at it"),
+        "FAIL": message("not good"),
+        "SKIPPED": message("not done"),
+    }
+
+
+Looking = Annotated[Session, Depends(Needs("look"))]
+Operating = Annotated[Session, Depends(Needs("operate"))]
+
+
+def station_router(station: Station) -> APIRouter:
+    """Routes of a station: its page, and the interface of programs below ``/api/v1``, which the page uses too."""
+    router = APIRouter()
+    for add in (_add_pages, _add_readings, _add_pictures, _add_changes):
+        add(router, station)
+    return router
+
+
+def _add_pages(router: APIRouter, station: Station) -> None:
+    @router.get("/station", include_in_schema=False)
+    def page(request: Request, session: Looking) -> HTMLResponse:
+        return render(
+            request,
+            "station.html",
+            me=session.short,
+            recipes=station.all_recipes(),
+            calibrations=station.calibrations(),
+            resumable=station.resumable(),
+            name=station.name or "",
+            words=_words(),
+        )
+
+    @router.get("/inspections/{folder}/report.html", include_in_schema=False)
+    def report(folder: str, _: Looking) -> FileResponse:
+        # its scripts run, in an origin of its own: they reach nothing of the console
+        policy = "sandbox allow-scripts allow-popups allow-downloads; frame-ancestors 'none'"
+        return FileResponse(station.report(folder), headers={"Content-Security-Policy": policy})
+
+    @router.get("/api/v1/openapi.json", include_in_schema=False)
+    def schema(request: Request, _: Looking) -> JSONResponse:
+        app: FastAPI = request.app
+        return JSONResponse(app.openapi())
+
+
+def _add_readings(router: APIRouter, station: Station) -> None:
+    @router.get("/api/v1/session", summary="Who asks, and the token that every change takes in X-CSRF-Token")
+    def session_(session: Looking) -> dict[str, Any]:
+        return {
+            "name": session.name,
+            "roles": sorted(session.roles),
+            "token": session.token,
+            "id": session.short,
+        }
+
+    @router.get("/api/v1/recipes", summary="Recipes that may be inspected here")
+    def recipes(_: Looking) -> list[RecipeEntry]:
+        return station.all_recipes()
+
+    @router.get("/api/v1/status", summary="What the station does now")
+    def status(_: Looking) -> dict[str, Any]:
+        return station.state()[1]
+
+    @router.get("/api/v1/calibrations", summary="Calibrations of the rig and how long they hold")
+    def calibrations(_: Looking) -> list[dict[str, Any]]:
+        return station.calibrations()
+
+    @router.get("/api/v1/resumable", summary="Interrupted inspections")
+    def resumable(_: Looking) -> list[str]:
+        return station.resumable()
+
+    @router.get(
+        "/api/v1/events", summary="Server-sent events: state, progress; Last-Event-ID goes on from there"
+    )
+    async def events(request: Request, session: Looking, after: str = "") -> StreamingResponse:
+        station.check_room()
+        last = request.headers.get("last-event-id", after)
+
+        async def stream() -> AsyncIterator[str]:
+            with station.watched_by(session):
+                async for text in station.log.stream(last, station.state):
+                    yield text
+
+        return StreamingResponse(stream(), media_type="text/event-stream")
+
+    @router.get("/api/v1/results", summary="Past inspections of the history, the latest last")
+    def results(
+        _: Looking, serial: str | None = None, limit: Annotated[int, Field(ge=1, le=1000)] = 50
+    ) -> Any:  # noqa: ANN401
+        return past(station.place.history, serial, limit)
+
+
+def _add_pictures(router: APIRouter, station: Station) -> None:
+    @router.get(
+        "/api/v1/live.jpg", summary="Live picture with the exposure of a recipe; its numbers in X-Numbers"
+    )
+    def live(recipe: str, _: Looking) -> Response:
+        entry = station.recipe(recipe)
+        if entry.problem is not None:
+            raise HTTPException(409, entry.problem)
+        jpeg, numbers = station.live.look(entry.exposure_s, entry.gain)
+        said = numbers | {"advice": [message(one) for one in numbers["advice"]]}
+        return Response(jpeg, media_type="image/jpeg", headers={"X-Numbers": json.dumps(said)})
+
+    @router.get("/api/v1/frames/{number}.jpg", summary="A frame of the present inspection, small")
+    def frame(number: int, _: Looking) -> Response:
+        return Response(station.frame(number), media_type="image/jpeg")
+
+
+def _add_changes(router: APIRouter, station: Station) -> None:
+    @router.post("/api/v1/take", summary="Hold the rig, or ask its holder for it")
+    def take(session: Operating) -> dict[str, Any]:
+        station.take(session)
+        return station.state()[1]
+
+    @router.post("/api/v1/release", summary="Hand the rig over")
+    def release(session: Operating) -> dict[str, Any]:
+        station.release(session)
+        return station.state()[1]
+
+    @router.post("/api/v1/start", summary="Inspect a part")
+    def start(asked: Start, session: Operating) -> dict[str, Any]:
+        station.start(session, asked)
+        return station.state()[1]
+
+    @router.post("/api/v1/resume", summary="Go on with an interrupted inspection")
+    def resume(asked: Named, session: Operating) -> dict[str, Any]:
+        station.resume(session, asked.name)
+        return station.state()[1]
+
+    @router.post("/api/v1/check", summary="Test the rig with the exposure of a recipe")
+    def check(asked: Named, session: Operating) -> dict[str, Any]:
+        station.check(session, asked.name)
+        return station.state()[1]
+
+    @router.post("/api/v1/stop", summary="Stop the rig; everybody may")
+    async def stop(session: Annotated[Session, Depends(Needs("stop"))]) -> dict[str, str]:
+        # not in the threads of the other routes, all of which may wait for a camera
+        return await asyncio.to_thread(station.stop, session)
+
+
+def past(history: str | Path | None, serial: str | None, limit: int) -> Any:  # noqa: ANN401 - rows as JSON
+    """Past inspections with what was decided about them, the oldest first; none without a history."""
+    from anisoscope.history.address import parse_address  # noqa: PLC0415 - loads SQLAlchemy
+    from anisoscope.history.export import with_dispositions  # noqa: PLC0415
+    from anisoscope.history.filters import Filters  # noqa: PLC0415
+    from anisoscope.history.store import open_history  # noqa: PLC0415
+
+    if history is None:
+        return []
+    path = parse_address(history).path
+    if path is not None and not path.exists():
+        return []
+    with open_history(history, create=False) as found:
+        rows = found.rows(Filters(serial=serial, limit=limit))
+        decided = found.dispositions_of([row.id for row in rows])
+        return as_json([with_dispositions(row, decided.get(row.id, [])) for row in rows])
