@@ -5,6 +5,8 @@ dispositions, whose token a script sends.
 """
 
 import itertools
+from base64 import b64encode
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ from fastapi import Path as InPath
 from fastapi.responses import HTMLResponse, StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.notation import number_name, number_text, true_minus
 from anisoscope.console.access import Access, Needs, Session
@@ -33,7 +36,10 @@ from anisoscope.history.filters import MOST_IDS, Filters, parse_moment
 from anisoscope.history.overview import Facts, IntArray, Overview
 from anisoscope.history.rows import MAX_TEXT, Row
 from anisoscope.history.store import History, open_history
+from anisoscope.imaging.deviation_map import CellMap
+from anisoscope.inspection.kept_measurement import read_kept
 from anisoscope.inspection.report_seal import report_state
+from anisoscope.kinds.registry import kind_named
 from anisoscope.quality.capability import charted, specification
 from anisoscope.quality.control import ControlStudy, Settings, control_study
 from anisoscope.quality.nelson import MEANING, flagged
@@ -136,6 +142,10 @@ def fleet_router(
     @router.get("/fleet/charts")
     def charts(request: Request, _: Looks, asked: Wants) -> HTMLResponse:
         return render(request, "fleet_charts.html", asked=asked, **fleet.charts(asked))
+
+    @router.get("/fleet/maps")
+    def maps(request: Request, _: Looks, asked: Wants) -> HTMLResponse:
+        return render(request, "fleet_maps.html", asked=asked, **fleet.maps(asked))
 
     @router.get("/fleet/export/{form}")
     def export(form: Literal["csv", "json"], _: Looks, asked: Wants) -> Response:
@@ -243,6 +253,16 @@ class _Fleet:
         names = {name: true_minus(number_name(name)) for name in charted(readings)}
         charts, left_out = _charts(readings, asked, next(iter(names))) if names else ([], [])
         return content | {"names": names, "charts": charts, "left_out": left_out}
+
+    def maps(self, asked: Asked) -> dict[str, Any]:
+        """Where the latest ones deviate, by product and cavity."""
+        with self.history() as history:
+            facts, places = self.selected(history, asked)
+            ids = _ids(facts, places[-MAPPED:])
+            rows = [] if history is None else history.rows(Filters(ids=ids))
+        found, missing = _maps(rows)
+        content = {"choices": _choices(facts), "count": len(places), "shown": len(rows)}
+        return content | {"maps": found, "missing": missing}
 
     def export(self, form: Literal["csv", "json"], asked: Asked) -> Iterator[str]:
         """An export, in pieces.
@@ -505,6 +525,122 @@ def _spread(levels: list[tuple[float, str, str]]) -> list[tuple[float, float, st
         free = at + LINE
         found.append((round(y, 1), round(at, 1), true_minus(text), kind))
     return found
+
+
+# Where parts deviate.
+
+MAPPED, BROAD, HIGH = 100, 420.0, 420.0
+
+
+@dataclass(frozen=True)
+class HeatMap:
+    """The deviating cells of the parts of a cavity, laid over each other.
+
+    Attributes:
+        title: product and cavity.
+        count: parts.
+        width, height: of the pictures, in units of the drawing.
+        bar: length of the scale bar in mm, and in these units.
+        share: picture of the share of parts in which a cell deviates, and its largest value.
+        mean: picture of the mean ln ratio less that of the flank, of the pair of poses where it is largest, and that.
+    """
+
+    title: str
+    count: int
+    width: float
+    height: float
+    bar: tuple[float, float]
+    share: tuple[str, float]
+    mean: tuple[str, float]
+
+
+@dataclass(eq=False)
+class _Sums:
+    count: int
+    deviating: FloatArray
+    off: FloatArray
+
+
+def _maps(rows: Sequence[Row]) -> tuple[list[HeatMap], list[str]]:
+    """Maps of inspections, and where those are whose cells are not here."""
+    sums, missing = dict[tuple[str, str, float, tuple[int, ...]], _Sums](), Counter[str]()
+    for row in rows:
+        try:
+            found = _deviations(row)
+        except (AnisoscopeError, OSError, ValueError, KeyError) as error:
+            missing[f"cannot be read: {' '.join(str(error).split())}"] += 1
+            continue
+        if isinstance(found, str):
+            missing[found] += 1
+            continue
+        cells, side_mm = found
+        key = (row.product, row.cavity or "not stated", side_mm, cells.off.shape)
+        one = sums.setdefault(key, _Sums(0, np.zeros(cells.off.shape[1:]), np.zeros(cells.off.shape)))
+        one.count += 1
+        one.deviating += cells.deviating()
+        one.off += cells.off
+    drawn = [
+        _heat_map(f"{product}, cavity {cavity}", one, side)
+        for (product, cavity, side, _), one in sums.items()
+    ]
+    return drawn, [f"{number} {text}" for text, number in missing.most_common()]
+
+
+def _deviations(row: Row) -> "tuple[CellMap, float] | str":
+    """Map of the cells of an inspection and their side in mm, or where it is."""
+    folder = Path(row.folder)
+    if not folder.is_dir():
+        at = row.station or "a station that was not stated"
+        return (
+            f"not on this computer: made at {at} in {folder.parent}, or in the archive "
+            "(`anisoscope archive list`)"
+        )
+    record = record_of(row)
+    kept = read_kept(folder, record)
+    found = None if kept is None else kind_named(record.kind).deviations(kept, record.recipe)
+    return (
+        "without a map: INVALID, of a kind without one, or of an earlier version" if found is None else found
+    )
+
+
+def _heat_map(title: str, sums: _Sums, side_mm: float) -> HeatMap:
+    share, mean = sums.deviating / sums.count, sums.off / sums.count
+    strongest = np.take_along_axis(mean, np.abs(mean).argmax(axis=0)[None], axis=0)[0]
+    most, limit = float(share.max()), float(np.abs(strongest).max())
+    rows, cols = share.shape
+    unit = min(BROAD / cols, HIGH / rows)
+    bar_mm = max(
+        (
+            step * 10.0**power
+            for power in range(-3, 4)
+            for step in (1, 2, 5)
+            if step * 10.0**power <= cols * side_mm / 3
+        ),
+        default=side_mm,
+    )
+    return HeatMap(
+        title,
+        sums.count,
+        cols * unit,
+        rows * unit,
+        (bar_mm, bar_mm / side_mm * unit),
+        (_picture(share / (most or 1.0)), most),
+        (_picture(strongest / (limit or 1.0)), limit),
+    )
+
+
+RED, BLUE = np.array([0xA0, 0x10, 0x20]), np.array([0x10, 0x40, 0xA0])
+
+
+def _picture(values: FloatArray) -> str:
+    """A picture of values from -1, blue, by 0, white, to 1, red, a pixel each."""
+    import cv2  # noqa: PLC0415 - start-up time
+
+    dark = np.where(values[..., None] < 0.0, BLUE, RED)
+    rgb = 255.0 + np.abs(values)[..., None] * (dark - 255.0)
+    done, content = cv2.imencode(".png", rgb[..., ::-1].round().astype(np.uint8))
+    assert done
+    return f"data:image/png;base64,{b64encode(content.tobytes()).decode()}"
 
 
 # One inspection: its numbers, and where its report is.

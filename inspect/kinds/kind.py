@@ -24,6 +24,7 @@ from anisoscope.calibration.corrections import Calibrations
 from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet, ReferenceSet, golden_path
 from anisoscope.diagnosis.cause_words import CauseWords
+from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import drift_error
 from anisoscope.imaging.views import Guide, Views
@@ -325,6 +326,18 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         None, the default, where that takes the frames.
         """
         del recipe, measured
+        return None
+
+    def deviations(
+        self, kept: Mapping[str, Any], recorded: Mapping[str, Any]
+    ) -> tuple[CellMap, float] | None:
+        """The map of the cells of a part and the side of a cell in mm; None, the default, where none is kept.
+
+        Args:
+            kept: from `kept`.
+            recorded: the recipe in the record.
+        """
+        del kept, recorded
         return None
 
     def needs_frames(self, recorded: Mapping[str, Any], recipe: RecipeT) -> str | None:

@@ -26,8 +26,15 @@ from anisoscope.diagnosis.cause_words import PLASTIC_WORDS, CauseWords
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
-from anisoscope.imaging.deviation_map import cell_log_ratios
-from anisoscope.imaging.pose_radiance import STAGE_ANGLE, Measured, mean_of, measure, region_grid
+from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map
+from anisoscope.imaging.pose_radiance import (
+    CELLS_PER_PITCH,
+    STAGE_ANGLE,
+    Measured,
+    mean_of,
+    measure,
+    region_grid,
+)
 from anisoscope.imaging.predicted_cells import even_cells, pitch_means
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import Grid, View, resample
@@ -54,7 +61,7 @@ from anisoscope.prediction.part_scatter import (
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.base import LimitsPart
-from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, check_material, read_surface_recipe
+from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, check_lamp, check_material, read_surface_recipe
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
     DirectionRecord,
@@ -233,30 +240,18 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
                 return f"{key} is {after}, the inspection was by {before}"
         return None
 
+    def deviations(self, kept: Mapping[str, Any], recorded: Mapping[str, Any]) -> tuple[CellMap, float]:
+        """The contrast map by the recipe's own rule, or by the default one where it has none."""
+        recipe = self.recipe.model_validate(recorded, extra="ignore")
+        measured = _measured(kept)
+        side_mm = recipe.surface.pitch_um / 1000.0 / CELLS_PER_PITCH
+        return cell_map(measured, recipe.poses.poses(), recipe.area or AreaPart()), side_mm
+
     def decide_again(
         self, kept: Mapping[str, Any], recipe: RecipeT, expected: Expectation, reference: Reference | None
     ) -> tuple[Measured, Decision]:
         """Measurement and verdict by another recipe; the stage angle weighs by the slope of the new prediction."""
-        slopes = float(kept["stage_deg"]) * expected.per_degree
-        parts = zip(kept["sources"], kept["relative"], kept["shared"], strict=True)
-        drift = float(kept["drift"])
-        measured = Measured(
-            radiance=kept["radiance"],
-            components=tuple(
-                Component(str(name), "measurement", slopes if name == STAGE_ANGLE else relative, bool(shared))
-                for name, relative, shared in parts
-            ),
-            aligned=(),
-            cells=kept["cells"],
-            cell_noise=kept["cell_noise"],
-            grid=Grid(
-                (float(kept["grid_center_mm"][0]), float(kept["grid_center_mm"][1])),
-                float(kept["grid_pixel_mm"]),
-                (int(kept["grid_shape"][0]), int(kept["grid_shape"][1])),
-                float(kept["grid_turn_deg"]),
-            ),
-            drift=None if np.isnan(drift) else drift,
-        )
+        measured = _measured(kept, float(kept["stage_deg"]) * expected.per_degree)
         return measured, self.decide(cast("Sitting", None), recipe, expected, measured, reference)
 
     def part_scatter(self, recipe: SurfaceRecipe, light_angle_deg: float) -> PartScatter | None:
@@ -744,4 +739,32 @@ def _tilt_table(record: Record) -> Table:
         [[row.kind, row.stage, row.tilts, *row.numbers, row.chance] for row in map(tilt_row, listed)],
         f"{U_LEGEND}; for information"
         + (f"; {len(folded)} more, all likelier, in record.json" if folded else ""),
+    )
+
+
+def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Measured:
+    """The measurement that was kept; ``slopes``: (P,) weight of the stage angle by another prediction."""
+    parts = zip(kept["sources"], kept["relative"], kept["shared"], strict=True)
+    drift = float(kept["drift"])
+    return Measured(
+        radiance=kept["radiance"],
+        components=tuple(
+            Component(
+                str(name),
+                "measurement",
+                slopes if name == STAGE_ANGLE and slopes is not None else relative,
+                bool(shared),
+            )
+            for name, relative, shared in parts
+        ),
+        aligned=(),
+        cells=kept["cells"],
+        cell_noise=kept["cell_noise"],
+        grid=Grid(
+            (float(kept["grid_center_mm"][0]), float(kept["grid_center_mm"][1])),
+            float(kept["grid_pixel_mm"]),
+            (int(kept["grid_shape"][0]), int(kept["grid_shape"][1])),
+            float(kept["grid_turn_deg"]),
+        ),
+        drift=None if np.isnan(drift) else drift,
     )

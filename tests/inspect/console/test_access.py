@@ -28,6 +28,7 @@ TABLE = {
     ("GET", "/static/{name}"): EVERYBODY,
     ("GET", "/fleet"): LOGGED_IN,
     ("GET", "/fleet/charts"): LOGGED_IN,
+    ("GET", "/fleet/maps"): LOGGED_IN,
     ("GET", "/fleet/export/{form}"): LOGGED_IN,
     ("GET", "/fleet/inspections/{number}"): LOGGED_IN,
     ("GET", "/fleet/inspections/{number}/report"): LOGGED_IN,

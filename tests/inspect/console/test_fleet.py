@@ -5,6 +5,7 @@ import io
 import json
 import re
 import shutil
+from base64 import b64decode
 from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
@@ -14,6 +15,7 @@ from xml.etree import ElementTree as ET
 import httpx
 import numpy as np
 import pytest
+from PIL import Image
 
 from anisoscope.console.access import COOKIE, PERMISSIONS, ROLES, Access, Accounts
 from anisoscope.console.application import create_app, permissions_of
@@ -261,7 +263,7 @@ def test_script_in_every_text_of_a_record_stays_text(tmp_path, client_of):
         history.append_all([*rows, new_row(30, **changes, verdict="FAIL")])
         history.dispose(21, reviewer=f"who {NASTY}", decision="hold", comment=f"why {NASTY}")
     client = client_of(place)
-    pages = ["/fleet", "/fleet/charts", "/fleet/inspections/21", "/fleet/inspections/1"]
+    pages = ["/fleet", "/fleet/charts", "/fleet/maps", "/fleet/inspections/21", "/fleet/inspections/1"]
     pages += [f"/fleet?station={quote(NASTY)}&cause={quote(NASTY)}&lot={quote(NASTY)}&serial={quote(NASTY)}"]
     pages += [f"/fleet/charts?by={by}" for by in ("station", "cavity", "lot", "product")]
     for path in pages:
@@ -295,6 +297,57 @@ def test_a_report_on_this_computer_is_shown_without_any_right(client_of, tmp_pat
     assert policy.startswith("sandbox allow-scripts allow-popups; default-src 'none'")
     assert "allow-same-origin" not in policy
     assert "connect-src" not in policy
+
+
+def picture_of(uri):
+    """Values of a picture, from -1, blue, by 0, white, to 1, red."""
+    with Image.open(io.BytesIO(b64decode(uri.removeprefix("data:image/png;base64,")))) as found:
+        rgb = np.asarray(found.convert("RGB"), dtype=float)
+    return (
+        np.where(rgb[..., 0] < rgb[..., 2], -1, 1)
+        * (255.0 - rgb[..., 1])
+        / np.where(rgb[..., 0] < rgb[..., 2], 191, 239)
+    )
+
+
+@pytest.fixture(scope="module")
+def with_burrs(virtual_rigs):
+    """A part with burrs, and one without."""
+    rig = virtual_rigs("good")
+    bad = virtual_rigs("burrs", bench={"sample": {"burr_coverage": 0.02}})
+    return [rig.inspect(serial="good"), bad.inspect(serial="bad")]
+
+
+def test_where_parts_deviate_is_laid_over_each_other(client_of, tmp_path, with_burrs):
+    place = tmp_path / "history.sqlite"
+    with open_history(place) as history:
+        for one in with_burrs:
+            new = row_of(one.record, one.folder)
+            fields = {name: getattr(new, name) for name in new.__dataclass_fields__}
+            history.append(NewRow(**fields | {"cavity": "3"}))
+        history.append(new_row(1, folder="/data/inspections/A1", station="east"))
+    page = client_of(place).get("/fleet/maps")
+    words = text_of(page.text)
+    assert "cavity 3: 2 parts" in words
+    assert "1 not on this computer: made at east in /data/inspections" in words
+    share, mean = map(picture_of, re.findall(r'<image href="([^"]+)"', page.text))
+    # from the cells that were kept, by another way: ln ratios of poses that follow each other, less those of the flank
+    number, offs = 0.0, []
+    for one in with_burrs:
+        with np.load(one.folder / "measured.npz") as kept:
+            cells = np.log(kept["cells"].astype(float))
+        stages = [pose.stage_deg for pose in one.record.poses]
+        order = np.argsort(stages)
+        assert np.all(np.diff(order) == 1)
+        ratios = cells[:-1] - cells[1:]
+        offs.append(ratios - np.median(ratios, axis=1, keepdims=True))
+        limit = one.record.recipe["area"]["cell_deviation"]
+        number = number + np.any(np.abs(offs[-1]) > limit, axis=0)
+    assert number.max() >= 1
+    np.testing.assert_allclose(share, number / number.max(), atol=0.01)
+    both = np.mean(offs, axis=0)
+    strongest = np.take_along_axis(both, np.abs(both).argmax(axis=0)[None], axis=0)[0]
+    np.testing.assert_allclose(mean, strongest / np.abs(strongest).max(), atol=0.02)
 
 
 def test_a_report_elsewhere_has_a_placeholder_that_says_where(client):
@@ -352,7 +405,7 @@ def test_every_route_by_every_role(client_of, tmp_path, place):
     routes = permissions_of(create_app(access, [fleet_router(own)], frozenset()))
     routes = {one: needs for one, needs in routes.items() if one[1].startswith("/fleet")}
     client = client_of(own, access)
-    assert len(routes) == 6
+    assert len(routes) == 7
     for (method, path), needs in routes.items():
         target = path.format(form="csv", number=7)
         for role in (None, *ROLES):
