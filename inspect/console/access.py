@@ -8,25 +8,19 @@ import hmac
 import secrets
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal
 
 from fastapi import HTTPException, Request
-from pydantic import BaseModel, ConfigDict, ValidationError
 
-from anisoscope.base.atomic_write import write_text
 from anisoscope.base.clock import SYSTEM, Clock
-from anisoscope.base.errors import ConfigError, RecordError, UsageError
-from anisoscope.base.lock import locked
+from anisoscope.console.accounts import ROLES, Account, Accounts, Role
 from anisoscope.console.trail import Trail
 
-Role = Literal["operator", "engineer", "auditor", "administrator"]
 Permission = Literal["look", "stop", "operate", "review", "audit", "administer"]
 
-ROLES: tuple[Role, ...] = get_args(Role)
 PERMISSIONS: Mapping[Permission, frozenset[Role]] = {
     "look": frozenset(ROLES),
     "stop": frozenset(ROLES),  # whoever sees that a hand is in the rig
@@ -42,130 +36,8 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 SESSION_S = 12 * 3600.0
 """A shift, and what comes before and after it."""
 MOST_SESSIONS = 2000
-LEAST_PASSWORD = 10
 TRIES, TRIES_S = 5, 300.0
 SINGLE_USER = "this computer"
-
-
-class Account(BaseModel):
-    """One account; the password as an argon2id hash."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    role: Role
-    password: str
-
-
-class _File(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    kind: Literal["anisoscope users"] = "anisoscope users"
-    users: tuple[Account, ...] = ()
-
-
-class Accounts:
-    """Local accounts in a file that only its owner can read.
-
-    Args:
-        path: the file; it need not be there yet.
-
-    Raises:
-        ConfigError: it cannot be read, or is no file of accounts.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.read()
-
-    def read(self) -> dict[str, Account]:
-        """All accounts by name, as the file has them now; errors as for the class."""
-        try:
-            text = self.path.read_text(encoding="utf-8") if self.path.exists() else "{}"
-            return {one.name: one for one in _File.model_validate_json(text).users}
-        except (OSError, UnicodeError) as problem:
-            why = problem.strerror if isinstance(problem, OSError) else "it is no UTF-8"
-            raise ConfigError(f"{self.path}: cannot be read: {why}") from problem
-        except ValidationError as problem:
-            raise ConfigError(f"{self.path}: is no file of accounts of the console") from problem
-
-    def put(self, name: str, role: Role, password: str, record: Callable[[], None] = lambda: None) -> None:
-        """Add an account, or give it another role and password.
-
-        Args:
-            name: of the account.
-            role: what it may do.
-            password: as the user will type it.
-            record: called when all is known to be valid, before anything changes; what it raises stops the change.
-
-        Raises:
-            UsageError: a name that is empty, long or has control characters; a short password; no such role.
-            RecordError: the file cannot be written.
-        """
-        if not name.strip() or len(name) > 80 or not name.isprintable():
-            raise UsageError("a name has 1 to 80 printable characters")
-        if role not in ROLES:
-            raise UsageError(f"there is no role '{role}'; choose one of {', '.join(ROLES)}")
-        if not LEAST_PASSWORD <= len(password) <= 1000:
-            raise UsageError(f"a password has at least {LEAST_PASSWORD} characters")
-        account = Account(name=name, role=role, password=_hasher().hash(password))
-        self.read()
-        record()
-        self._change(name, account)
-
-    def remove(self, name: str, record: Callable[[], None] = lambda: None) -> None:
-        """Remove an account.
-
-        Args:
-            name: of the account.
-            record: called before anything changes; what it raises stops the change.
-
-        Raises:
-            UsageError: there is none of this name.
-            RecordError: the file cannot be written.
-        """
-        if name not in self.read():
-            raise UsageError(f"{self.path} has no account '{name}'")
-        record()
-        self._change(name, None)
-
-    def _change(self, name: str, account: Account | None) -> None:
-        try:
-            with locked(self.path.resolve().parent, waits=True):  # the file itself is replaced
-                found = self.read()
-                found.pop(name, None)
-                users = (*found.values(), *(() if account is None else (account,)))
-                self.path.touch(mode=0o600)
-                write_text(self.path, _File(users=users).model_dump_json(indent=2))
-                self.path.chmod(0o600)
-        except OSError as problem:
-            raise RecordError(f"{self.path}: cannot be written: {problem.strerror}") from problem
-
-    def check(self, name: str, password: str) -> Account | None:
-        """The account, if the password is right; an unknown name takes as long as a wrong password."""
-        from argon2.exceptions import InvalidHashError, VerificationError  # noqa: PLC0415 - of the extra
-
-        found = self.read().get(name)
-        try:
-            _hasher().verify(_nobody() if found is None else found.password, password)
-        except (VerificationError, InvalidHashError):
-            return None
-        return found
-
-
-def _hasher() -> Any:  # noqa: ANN401 - of the extra
-    from argon2 import PasswordHasher  # noqa: PLC0415 - of the extra
-
-    return PasswordHasher()
-
-
-_hash_of_none: list[str] = []
-
-
-def _nobody() -> str:
-    if not _hash_of_none:
-        _hash_of_none.append(_hasher().hash(secrets.token_urlsafe()))
-    return _hash_of_none[0]
 
 
 @dataclass
@@ -177,6 +49,7 @@ class Session:
     name: str = ""
     roles: frozenset[Role] = frozenset()
     seen_s: float = 0.0
+    account: Account | None = None
 
     @property
     def short(self) -> str:
@@ -214,12 +87,23 @@ class Access:
             found = self._sessions.get(cookie or "")
             if found is None:
                 return None
-            if self._clock() - found.seen_s > SESSION_S:
+            if self._clock() - found.seen_s > SESSION_S or self._changed(found.account):
                 del self._sessions[found.id]
                 return None
             found.seen_s = self._clock()
             self._sessions.move_to_end(found.id)
             return found
+
+    def _changed(self, account: Account | None) -> bool:
+        """Whether the account of a session is gone, locked, or has another role or password since."""
+        return (
+            self.accounts is not None and account is not None and self.accounts.now(account.name) != account
+        )
+
+    def holds(self, session: Session) -> bool:
+        """Whether a session is still one, for what it began and has not ended."""
+        with self._lock:
+            return self._sessions.get(session.id) is session and not self._changed(session.account)
 
     def begin(self) -> Session:
         """A new session; the one unused for longest makes room for it."""
@@ -261,7 +145,7 @@ class Access:
             return None
         self.trail.add(account.name, "login", address=address)
         session = self.begin()
-        session.name, session.roles = account.name, frozenset({account.role})
+        session.name, session.roles, session.account = account.name, frozenset({account.role}), account
         return session
 
     def _recent(self, key: str) -> list[float]:

@@ -18,14 +18,15 @@ from fastapi.dependencies.models import Dependant
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from fastapi.routing import APIRoute
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException as AnyHTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
-from anisoscope.console.access import COOKIE, SAFE_METHODS, SESSION_S, Access, Needs, Session
+from anisoscope.console.access import COOKIE, SAFE_METHODS, SESSION_S, Access, Needs, Permission, Session
+from anisoscope.console.accounts import ROLES, Accounts, Role
 from anisoscope.console.pages import render, static_router
 
 MOST_BODY = 64 * 1024
@@ -33,6 +34,7 @@ BODY_S = 10.0
 REQUEST_S = 10.0
 WRITE_S = 30.0
 KEPT_S = 15
+MOST_LINES = 500
 MOST_CONNECTIONS = 256
 UNGUARDED = frozenset({"/static/{name}"})
 """Routes of which everybody may read the answer."""
@@ -156,12 +158,35 @@ class Credentials(BaseModel):
     password: str = Field(max_length=1000)
 
 
+class _Reasoned(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    name: str = Field(max_length=80)
+    why: str = Field(min_length=1, max_length=500, pattern=r"\S")
+
+
+class NewAccount(_Reasoned):
+    """An account to add, and why."""
+
+    role: Role
+    password: str = Field(max_length=1000)
+
+
+class ChangedAccount(_Reasoned):
+    """What is to change about an account, and why."""
+
+    role: Role | None = None
+    password: str | None = Field(None, max_length=1000)
+    locked: bool | None = None
+
+
 @dataclass(frozen=True)
 class Page:
-    """A page of the navigation: its path, and its name in English."""
+    """A page of the navigation: its path, its name in English, and what one has to be allowed to open it."""
 
     path: str
     name: str
+    needs: Permission = "look"
 
 
 def create_app(
@@ -199,7 +224,9 @@ def create_app(
         openapi_url=None,
         lifespan=lifespan,
     )
-    every = (static_router(), _login_router(access, pages), *routers)
+    every = (static_router(), _login_router(access, pages), _accounts_router(access), *routers)
+    pages = (*pages, *([] if access.accounts is None else [Page("/accounts", "Accounts", "administer")]))
+    pages = (*pages, Page("/audit", "Audit trail", "audit"))
     app.state.access, app.state.pages, app.state.routers = access, tuple(pages), every
     for router in every:
         app.include_router(router)
@@ -305,6 +332,71 @@ def _login_router(access: Access, pages: Sequence[Page]) -> APIRouter:
     def log_out(session: Anyone) -> dict[str, str]:
         access.end(session)
         return {}
+
+    return router
+
+
+def _accounts(access: Access) -> Accounts:
+    if access.accounts is None:
+        raise HTTPException(409, "there are no accounts: `anisoscope user add` makes the first")
+    return access.accounts
+
+
+def _check_other(session: Session, name: str) -> None:
+    if name == session.name:  # so that one administrator is left
+        raise HTTPException(
+            409, "another administrator has to change this account: you are logged in with it"
+        )
+
+
+def _accounts_router(access: Access) -> APIRouter:
+    """Accounts, for administrators, and the audit trail; who changes an account says why."""
+    router, trail = APIRouter(include_in_schema=False), access.trail
+    Administrator = Annotated[Session, Depends(Needs("administer"))]
+
+    @router.get("/accounts")
+    def page(request: Request, session: Administrator) -> HTMLResponse:
+        found = [] if access.accounts is None else list(access.accounts.read().values())
+        return render(request, "accounts.html", accounts=found, roles=ROLES, me=session.name)
+
+    @router.post("/accounts/add")
+    def add(given: NewAccount, session: Administrator) -> dict[str, str]:
+        known = _accounts(access)
+        if given.name in known.read():
+            raise HTTPException(409, f"there is an account '{given.name}' already")
+        more = {"name": given.name, "role": given.role}
+        known.put(
+            given.name,
+            given.role,
+            given.password,
+            lambda: trail.add(session.name, "account set", given.why, **more),
+        )
+        return more
+
+    @router.post("/accounts/change")
+    def change(given: ChangedAccount, session: Administrator) -> dict[str, str]:
+        changes = given.model_dump(exclude_none=True, exclude={"why"})
+        if set(changes) - {"name", "password"}:
+            _check_other(session, given.name)
+        said = changes | ({"password": "new"} if "password" in changes else {})
+        _accounts(access).change(
+            record=lambda: trail.add(session.name, "account changed", given.why, **said), **changes
+        )
+        return {"name": given.name}
+
+    @router.post("/accounts/remove")
+    def remove(given: _Reasoned, session: Administrator) -> dict[str, str]:
+        _check_other(session, given.name)
+        _accounts(access).remove(
+            given.name, lambda: trail.add(session.name, "account removed", given.why, name=given.name)
+        )
+        return {"name": given.name}
+
+    @router.get("/audit")
+    def audit(request: Request, _: Annotated[Session, Depends(Needs("audit"))]) -> HTMLResponse:
+        lines = trail.lines()
+        shown = lines[: -MOST_LINES - 1 : -1]
+        return render(request, "audit.html", lines=shown, count=len(lines), damaged=trail.damaged())
 
     return router
 

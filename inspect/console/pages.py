@@ -2,7 +2,7 @@
 
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse
@@ -26,9 +26,7 @@ def render(request: Request, template: str, **content: object) -> HTMLResponse:
         content: what it shows; a name that it misses is an error.
     """
     session = request.state.session
-    may: dict[Permission, bool] = {
-        name: session.may(name) for name in ("look", "operate", "review", "audit", "administer")
-    }
+    may: dict[Permission, bool] = {name: session.may(name) for name in get_args(Permission)}
     common = {
         "lang": language(),
         "session": session,

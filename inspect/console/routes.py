@@ -12,7 +12,7 @@ from pydantic import Field
 
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.language import message
-from anisoscope.console.access import Needs, Session
+from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.pages import render
 from anisoscope.console.station import Named, Start, Station
 from anisoscope.inspection.recipe_store import RecipeEntry
@@ -107,20 +107,26 @@ def _add_readings(router: APIRouter, station: Station) -> None:
     )
     async def events(request: Request, session: Looking, after: str = "") -> StreamingResponse:
         station.check_room()
-        last = request.headers.get("last-event-id", after)
-
-        async def stream() -> AsyncIterator[str]:
-            with station.watched_by(session):
-                async for text in station.log.stream(last, station.state):
-                    yield text
-
-        return StreamingResponse(stream(), media_type="text/event-stream")
+        stream = station.log.stream(request.headers.get("last-event-id", after), station.state)
+        watched = _watched(station, session, stream, request.app.state.access)
+        return StreamingResponse(watched, media_type="text/event-stream")
 
     @router.get("/api/v1/results", summary="Past inspections of the history, the latest last")
     def results(
         _: Looking, serial: str | None = None, limit: Annotated[int, Field(ge=1, le=1000)] = 50
     ) -> Any:  # noqa: ANN401
         return past(station.place.history, serial, limit)
+
+
+async def _watched(
+    station: Station, session: Session, stream: AsyncIterator[str], access: Access
+) -> AsyncIterator[str]:
+    """Events while the session holds: not after its end, or a change of its account."""
+    with station.watched_by(session):
+        async for text in stream:
+            if not access.holds(session):
+                return
+            yield text
 
 
 def _add_pictures(router: APIRouter, station: Station) -> None:

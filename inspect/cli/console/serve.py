@@ -57,7 +57,8 @@ def serve(
         raise UsageError(
             f"the console needs more packages ({problem.name}): pip install 'anisoscope[console]'"
         ) from problem
-    from anisoscope.console.access import Access, Accounts
+    from anisoscope.console.access import Access
+    from anisoscope.console.accounts import Accounts
     from anisoscope.console.fleet import fleet_router
     from anisoscope.console.live import Eyes
     from anisoscope.console.routes import station_router

@@ -36,7 +36,7 @@ def add(
     Examples:
         anisoscope user add anna --users users.json --as operator
     """
-    from anisoscope.console.access import Accounts
+    from anisoscope.console.accounts import Accounts
     from anisoscope.console.trail import trail_of
 
     accounts = Accounts(users)
@@ -59,12 +59,42 @@ def remove(name: Name, /, *, users: File, why: Why = "") -> int:
     Examples:
         anisoscope user remove anna --users users.json --why left
     """
-    from anisoscope.console.access import Accounts
+    from anisoscope.console.accounts import Accounts
     from anisoscope.console.trail import trail_of
 
     accounts = Accounts(users)
     trail, who = trail_of(users), getpass.getuser()
     accounts.remove(name, lambda: trail.add(who, "account removed", why, name=name))
+    return 0
+
+
+@app.command
+def lock(name: Name, /, *, users: File, why: Why = "") -> int:
+    """Lock an account: nobody logs in with it, and its sessions end.
+
+    Examples:
+        anisoscope user lock anna --users users.json --why "on leave"
+    """
+    return _set_lock(name, users, why, locked=True)
+
+
+@app.command
+def unlock(name: Name, /, *, users: File, why: Why = "") -> int:
+    """Unlock an account.
+
+    Examples:
+        anisoscope user unlock anna --users users.json
+    """
+    return _set_lock(name, users, why, locked=False)
+
+
+def _set_lock(name: str, users: Path, why: str, *, locked: bool) -> int:
+    from anisoscope.console.accounts import Accounts
+    from anisoscope.console.trail import trail_of
+
+    trail, who = trail_of(users), getpass.getuser()
+    record = lambda: trail.add(who, "account changed", why, name=name, locked=locked)  # noqa: E731
+    Accounts(users).change(name, record, locked=locked)
     return 0
 
 
@@ -75,16 +105,18 @@ def list_(*, users: File, json_: Json = False) -> int:
     Examples:
         anisoscope user list --users users.json
     """
-    from anisoscope.console.access import Accounts
+    from anisoscope.console.accounts import Accounts
     from anisoscope.console.trail import trail_of
 
-    found = {one.name: one.role for one in Accounts(users).read().values()}
+    accounts = Accounts(users).read().values()
+    found = {one.name: one.role for one in accounts}
+    shut = [one.name for one in accounts if one.locked]
     damaged = trail_of(users).damaged()
     if json_:
-        print_json({"users": found, "damaged_lines_of_the_trail": damaged})
+        print_json({"users": found, "locked": shut, "damaged_lines_of_the_trail": damaged})
     else:
         for name, role in found.items():
-            print(f"{name:<24} {role}")  # noqa: T201
+            print(f"{name:<24} {role}{', locked' * (name in shut)}")  # noqa: T201
     if damaged:
         write_line(f"the audit trail was changed: line {damaged[0]} is not as it was written")
     return 1 if damaged else 0

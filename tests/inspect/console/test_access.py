@@ -11,8 +11,10 @@ from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import ConfigError, UsageError
 from anisoscope.cli import run
 from anisoscope.console import access as module
-from anisoscope.console.access import TRIES, TRIES_S, Access, Accounts
-from anisoscope.console.application import permissions_of
+from anisoscope.console import accounts as module_of_accounts
+from anisoscope.console.access import TRIES, TRIES_S, Access
+from anisoscope.console.accounts import Accounts
+from anisoscope.console.application import create_app, permissions_of
 from anisoscope.console.trail import Trail, trail_of
 
 ROLES = ("operator", "engineer", "auditor", "administrator")
@@ -33,6 +35,11 @@ TABLE = {
     ("GET", "/fleet/inspections/{number}"): LOGGED_IN,
     ("GET", "/fleet/inspections/{number}/report"): LOGGED_IN,
     ("POST", "/fleet/inspections/{number}/dispositions"): {"engineer", "auditor"},
+    ("GET", "/accounts"): {"administrator"},
+    ("POST", "/accounts/add"): {"administrator"},
+    ("POST", "/accounts/change"): {"administrator"},
+    ("POST", "/accounts/remove"): {"administrator"},
+    ("GET", "/audit"): {"auditor", "administrator"},
     ("GET", "/station"): LOGGED_IN,
     ("GET", "/inspections/{folder}/report.html"): LOGGED_IN,
     ("GET", "/api/v1/openapi.json"): LOGGED_IN,
@@ -61,7 +68,9 @@ def quick():
     from argon2 import PasswordHasher
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_hasher", lambda: PasswordHasher(time_cost=1, memory_cost=64, parallelism=1))
+        patch.setattr(
+            module_of_accounts, "_hasher", lambda: PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
+        )
         yield
 
 
@@ -198,6 +207,72 @@ def test_a_file_that_is_none_of_accounts(tmp_path):
         Accounts(tmp_path / "users.json")
 
 
+@pytest.fixture
+def administered(quick, served, tmp_path):
+    """Accounts of an own file, their trail, and the address of a console with them."""
+    known, trail = Accounts(tmp_path / "users.json"), trail_of(tmp_path / "users.json")
+    for role in ROLES:
+        known.put(f"the {role}", role, PASSWORD)
+    with served(lambda hosts: create_app(Access(known, trail), [], hosts)) as address:
+        yield known, trail, address
+
+
+def test_accounts_are_changed_on_their_page_with_a_reason(administered):
+    known, trail, address = administered
+    boss, worker = client_of(address, "administrator"), client_of(address, "operator")
+    with contextlib.closing(boss), contextlib.closing(worker):
+        add = {"name": "<b>eve</b>", "role": "auditor", "password": "quite long enough"}
+        for why in ({}, {"why": ""}, {"why": "  "}):
+            assert boss.post("/accounts/add", json=add | why).status_code == 422
+        assert boss.post("/accounts/add", json=add | {"why": "audits"}).status_code == 200
+        assert boss.post("/accounts/add", json=add | {"why": "again"}).status_code == 409
+        assert (
+            boss.post("/accounts/add", json=add | {"name": "f", "password": "short", "why": "x"}).status_code
+            == 409
+        )
+        assert "<b>eve" not in boss.get("/accounts").text
+        assert "&lt;b&gt;eve" in boss.get("/accounts").text
+        change = {"name": "the operator", "why": "left"}
+        assert boss.post("/accounts/change", json=change | {"role": "engineer"}).status_code == 200
+        assert worker.get("/audit").status_code == 401, "the session of the changed account has ended"
+        assert boss.post("/accounts/change", json=change | {"locked": True}).status_code == 200
+        assert known.check("the operator", PASSWORD) is None
+        assert boss.post("/accounts/change", json=change | {"locked": False}).status_code == 200
+        assert known.check("the operator", PASSWORD).role == "engineer"
+        assert (
+            boss.post("/accounts/change", json=change | {"password": "another password"}).status_code == 200
+        )
+        assert known.check("the operator", "another password") is not None
+        assert boss.post("/accounts/remove", json=change).status_code == 200
+        assert boss.post("/accounts/remove", json=change).status_code == 409
+        me = {"name": "the administrator", "why": "mistake"}
+        for path, more in (("remove", {}), ("change", {"locked": True}), ("change", {"role": "auditor"})):
+            assert boss.post(f"/accounts/{path}", json=me | more).status_code == 409
+        page = boss.get("/audit").text
+    said = [(line["who"], line["what"], line["why"], line["more"]) for line in trail.lines() if line["why"]]
+    assert said == [
+        ("the administrator", "account set", "audits", {"name": "<b>eve</b>", "role": "auditor"}),
+        ("the administrator", "account changed", "left", {"name": "the operator", "role": "engineer"}),
+        ("the administrator", "account changed", "left", {"name": "the operator", "locked": True}),
+        ("the administrator", "account changed", "left", {"name": "the operator", "locked": False}),
+        ("the administrator", "account changed", "left", {"name": "the operator", "password": "new"}),
+        ("the administrator", "account removed", "left", {"name": "the operator"}),
+    ]
+    assert "another password" not in trail.path.read_text()
+    assert "No line was changed." in page
+    assert page.count("account changed") == 4
+
+
+def test_a_session_ends_with_what_it_was_given_for(administered):
+    known, _, address = administered
+    with contextlib.closing(client_of(address, "auditor")) as client:
+        assert client.get("/audit").status_code == 200
+        known.change("the engineer", locked=True)
+        assert client.get("/audit").status_code == 200
+        known.remove("the auditor")
+        assert client.get("/audit").status_code == 401
+
+
 def test_accounts_by_the_command_line(quick, tmp_path, capsys, monkeypatch):
     users = tmp_path / "users.json"
     monkeypatch.setattr("sys.stdin", io.StringIO(f"{PASSWORD}\n"))
@@ -206,12 +281,20 @@ def test_accounts_by_the_command_line(quick, tmp_path, capsys, monkeypatch):
     assert run(["user", "list", "--users", str(users), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
         "users": {"anna": "operator"},
+        "locked": [],
         "damaged_lines_of_the_trail": [],
     }
     assert Accounts(users).check("anna", PASSWORD).role == "operator"
+    assert run(["user", "lock", "anna", "--users", str(users), "--why", "leave"]) == 0
+    assert Accounts(users).check("anna", PASSWORD) is None
+    assert run(["user", "unlock", "anna", "--users", str(users)]) == 0
+    assert Accounts(users).check("anna", PASSWORD) is not None
+    assert run(["user", "lock", "bo", "--users", str(users)]) == 64
     assert run(["user", "remove", "anna", "--users", str(users)]) == 0
     assert run(["user", "remove", "anna", "--users", str(users)]) == 64
     assert [(line["what"], line["why"]) for line in trail_of(users).lines()] == [
         ("account set", "new"),
+        ("account changed", "leave"),
+        ("account changed", ""),
         ("account removed", ""),
     ]

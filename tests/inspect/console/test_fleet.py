@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from anisoscope.console.access import COOKIE, PERMISSIONS, ROLES, Access, Accounts
+from anisoscope.console.access import COOKIE, PERMISSIONS, Access
+from anisoscope.console.accounts import ROLES, Accounts
 from anisoscope.console.application import create_app, permissions_of
 from anisoscope.console.fleet import fleet_router
 from anisoscope.console.trail import Trail
