@@ -19,12 +19,13 @@ from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.console.accounts import ROLES, Account, Accounts, Role
 from anisoscope.console.trail import Trail
 
-Permission = Literal["look", "stop", "operate", "review", "audit", "administer"]
+Permission = Literal["look", "stop", "operate", "set up", "review", "audit", "administer"]
 
 PERMISSIONS: Mapping[Permission, frozenset[Role]] = {
     "look": frozenset(ROLES),
     "stop": frozenset(ROLES),  # whoever sees that a hand is in the rig
     "operate": frozenset({"operator", "engineer"}),
+    "set up": frozenset({"engineer"}),
     "review": frozenset({"engineer", "auditor"}),
     "audit": frozenset({"auditor", "administrator"}),
     "administer": frozenset({"administrator"}),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import jinja2
 
 KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-STATIC = ("console.css", "console.js", "fleet.css", "icon.svg", "station.js")
+STATIC = ("console.css", "console.js", "fleet.css", "guide.js", "icon.svg", "station.js")
 
 
 def render(request: Request, template: str, **content: object) -> HTMLResponse:

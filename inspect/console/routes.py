@@ -13,6 +13,7 @@ from pydantic import Field
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.language import message
 from anisoscope.console.access import Access, Needs, Session
+from anisoscope.console.guided import Begin, described
 from anisoscope.console.pages import render
 from anisoscope.console.station import Named, Start, Station
 from anisoscope.inspection.recipe_store import RecipeEntry
@@ -45,7 +46,7 @@ Operating = Annotated[Session, Depends(Needs("operate"))]
 def station_router(station: Station) -> APIRouter:
     """Routes of a station: its page, and the interface of programs below ``/api/v1``, which the page uses too."""
     router = APIRouter()
-    for add in (_add_pages, _add_readings, _add_pictures, _add_changes):
+    for add in (_add_pages, _add_readings, _add_pictures, _add_changes, _add_guides):
         add(router, station)
     return router
 
@@ -60,6 +61,7 @@ def _add_pages(router: APIRouter, station: Station) -> None:
             recipes=station.all_recipes(),
             calibrations=station.calibrations(),
             resumable=station.resumable(),
+            guides=[one for one in described() if session.may(one["needs"])],
             name=station.name or "",
             words=_words(),
         )
@@ -176,6 +178,27 @@ def _add_changes(router: APIRouter, station: Station) -> None:
     async def stop(session: Annotated[Session, Depends(Needs("stop"))]) -> dict[str, str]:
         # not in the threads of the other routes, all of which may wait for a camera
         return await asyncio.to_thread(station.stop, session)
+
+
+def _add_guides(router: APIRouter, station: Station) -> None:
+    @router.get("/api/v1/guides", summary="Guided work: commissioning, calibrations, golden parts, gauge R&R")
+    def guides(_: Looking) -> list[dict[str, Any]]:
+        return described()
+
+    @router.post("/api/v1/guides/begin", summary="Begin guided work, with a reason")
+    def begin(given: Begin, session: Operating) -> dict[str, Any]:
+        station.begin_guide(session, given)
+        return station.state()[1]
+
+    @router.post("/api/v1/guides/step", summary="Do the next step")
+    def step(session: Operating) -> dict[str, Any]:
+        station.do_step(session)
+        return station.state()[1]
+
+    @router.post("/api/v1/guides/end", summary="End guided work, finished or not")
+    def end(session: Operating) -> dict[str, Any]:
+        station.end_guide(session)
+        return station.state()[1]
 
 
 def past(history: str | Path | None, serial: str | None, limit: int) -> Any:  # noqa: ANN401 - rows as JSON

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 from anisoscope.console.access import Session
+from anisoscope.console.guided import Begin, Guided, Outcome, guides
 from anisoscope.console.live import EventLog, Eyes, Live
 from anisoscope.console.trail import Trail
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path, recipe_paths
@@ -95,6 +96,7 @@ class Station:
         self._holder: tuple[str, str] | None = None
         self._asking: tuple[str, str] | None = None
         self._streams: dict[str, int] = {}
+        self._guided = Guided(place.out, recipes)
         self._busy: threading.Thread | None = None
 
     # Who holds the rig.
@@ -116,6 +118,7 @@ class Station:
                 "checked": now.checked,
                 "failure": now.failure,
                 "notes": now.notes,
+                "guide": self._guided.shown(),
                 "holder": None if self._holder is None else {"id": self._holder[0], "name": self._holder[1]},
                 "asking": None if self._asking is None else {"id": self._asking[0], "name": self._asking[1]},
             }
@@ -224,6 +227,73 @@ class Station:
         entry = self.recipe(recipe)
         self._begin(session, Task("check", exposure_s=entry.exposure_s, gain=entry.gain), {"recipe": recipe})
 
+    def begin_guide(self, session: Session, given: Begin) -> None:
+        """Begin guided work; its first step waits for `do_step`.
+
+        Raises:
+            HTTPException: 403 without the permission, 409 as for `start`, and where other guided work has not ended.
+            UsageError: what was entered cannot be used.
+        """
+        if not session.may(guides()[given.key].needs):
+            raise HTTPException(
+                403, f"this needs the permission '{guides()[given.key].needs}', which your role has not"
+            )
+        with self._lock:
+            if self._runs:
+                raise HTTPException(409, message("the rig is at work"))
+            if self._guided.state is not None:
+                raise HTTPException(409, message("end the guided work at hand first"))
+            self._check_holder(session)
+            self._guided.begin(given, session.name)
+            self._trail.add(
+                session.name, "guided work", given.why, key=given.key, recipe=given.recipe, **given.values
+            )
+            self._publish()
+
+    def do_step(self, session: Session) -> None:
+        """Do the next step of the guided work; errors as for `begin_guide`."""
+        with self._lock:
+            step, state, guide = self._guided.step(), self._guided.state, self._guided.guide
+            assert state is not None
+            assert guide is not None
+            if not session.may(guide.needs):
+                raise HTTPException(
+                    403, f"this needs the permission '{guide.needs}', which your role has not"
+                )
+            words = {"guide": state.key, "step": str(state.at + 1)}
+            if step.work is not None:
+                self._begin(session, Task("step", do=step.work), words)
+                return
+            lot = f"{state.key}-{state.seed:08x}"  # by which `msa gauge --lot` finds them
+            who = Particulars(operator=step.operator or session.name, lot=lot, station=self.name)
+            self._begin(session, Task("inspect", self._guided.recipe(), step.serial, who), words)
+
+    def end_guide(self, session: Session) -> None:
+        """End the guided work, finished or not; errors as for `start`."""
+        with self._lock:
+            if self._runs:
+                raise HTTPException(409, message("the rig is at work"))
+            self._check_holder(session)
+            if self._guided.state is not None:
+                self._trail.add(session.name, "guided work ended", key=self._guided.state.key)
+            self._guided.end()
+            self._publish()
+
+    def _take_step(self, mine: _Present, kind: str, content: dict[str, Any]) -> None:
+        """Take in what a step of guided work found."""
+        guide = self._guided.guide
+        if guide is None:
+            return
+        if kind == "stepped":
+            self._guided.has_done(Outcome(content["good"], content["rows"], content["notes"]))
+        else:
+            word = message("measured") if guide.blind else message(content["verdict"])
+            rows = ((content["serial"], word),)
+            good = content["verdict"] != "INVALID"
+            self._guided.has_done(Outcome(good, rows, () if good else content["reasons"]), content["folder"])
+            mine.verdict = None
+        mine.state = "done"
+
     def _begin(self, session: Session, task: Task, words: dict[str, str]) -> None:
         with self._lock:
             if self._runs:
@@ -271,24 +341,24 @@ class Station:
                     self.live.go_on()
                 self._publish()
 
+    def _take_progress(self, mine: _Present, content: dict[str, Any]) -> None:
+        mine.doing, mine.done, mine.total = content["doing"], content["done"], content["total"]
+        mine.frames += bool(mine.folder) and " frame at " in mine.doing  # of calibrations none is kept
+        shown = {**content, "doing": translated(content["doing"]), "frames": mine.frames}
+        self.log.add("progress", shown)
+
     def _take_in(self, mine: _Present, kind: str, content: dict[str, Any]) -> None:
         if kind == "progress":
-            mine.doing, mine.done, mine.total = content["doing"], content["done"], content["total"]
-            if " frame at " in mine.doing:
-                mine.frames += 1
-            self.log.add(
-                "progress", {**content, "doing": translated(content["doing"]), "frames": mine.frames}
-            )
+            self._take_progress(mine, content)
             return
-        if kind == "folder":
+        if kind == "stepped" or (kind == "verdict" and "guide" in mine.task):
+            self._take_step(mine, kind, content)
+        elif kind == "folder":
             mine.folder = content["folder"]
         elif kind == "note":
             mine.notes.append(content["text"])
         elif kind == "verdict":
-            words = {name: translated(content[name]) for name in ("finding", "action")}
-            words["word"] = message(content["verdict"])
-            mine.verdict = content | words | {"reasons": [translated(one) for one in content["reasons"]]}
-            mine.state = "done"
+            mine.verdict, mine.state = _in_words(content), "done"
         elif kind == "checked":
             mine.checked = content
             for one in content["checks"]:
@@ -409,3 +479,9 @@ class Station:
         if folder not in known or not path.is_file():
             raise HTTPException(404, "there is no such report here")
         return path
+
+
+def _in_words(verdict: dict[str, Any]) -> dict[str, Any]:
+    words = {name: translated(verdict[name]) for name in ("finding", "action")}
+    words["word"] = message(verdict["verdict"])
+    return verdict | words | {"reasons": [translated(one) for one in verdict["reasons"]]}

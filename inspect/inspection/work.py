@@ -21,6 +21,7 @@ from anisoscope.base.errors import AnisoscopeError, RecordError, RigError, Usage
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.base.language import language, use
+from anisoscope.base.progress import Advance
 from anisoscope.inspection.folder import JOB, file_name_of, working_in
 from anisoscope.record.schema import RECORD_NAME, Particulars, read_record
 from anisoscope.rig.acquisition.opening import hold_devices, open_devices
@@ -55,11 +56,12 @@ def _no_lines(_: object) -> list[str]:
 class Task:
     """One thing to do: ``inspect`` a part, ``resume`` the inspection of a folder, ``check`` the rig; or a ``job``.
 
+    A ``step`` calls ``do`` with the place and progress; what it returns is emitted as ``stepped``.
     A job is an inspection with its id in its particulars. Where it is not ``fresh``, an earlier process may have begun
     or finished it: it is finished from there, and not done twice. One that was ``stopped`` is not begun or continued.
     """
 
-    kind: Literal["inspect", "resume", "check", "job"]
+    kind: Literal["inspect", "resume", "check", "job", "step"]
     recipe: Path | None = None
     serial: str = ""
     particulars: Particulars = field(default_factory=Particulars)
@@ -68,6 +70,7 @@ class Task:
     gain: float = 1.0
     fresh: bool = True
     stopped: bool = False
+    do: "Callable[[Workplace, Advance], Any] | None" = None
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ class Worker(Protocol):
         Args:
             task: what to do.
             emit: called with ``progress``, ``folder``, ``verdict``, ``entered`` (into the history), ``checked``,
-                ``note``, and at last ``failed``.
+                ``stepped``, ``note``, and at last ``failed``.
             cancel: stops the rig and ends the task.
         """
 
@@ -121,7 +124,9 @@ class WorkerHere:
 def perform(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
     """Do a task in this thread; whatever goes wrong is emitted as ``failed``, in a line, with what to do next."""
     try:
-        {"check": _check, "job": _carry_out}.get(task.kind, _inspect)(task, place, emit, cancel)
+        {"check": _check, "job": _carry_out, "step": _step}.get(task.kind, _inspect)(
+            task, place, emit, cancel
+        )
     except (AnisoscopeError, KeyboardInterrupt) as error:
         lines = [" ".join(str(error).split()), *getattr(error, "__notes__", ())]
         emit("failed", {"text": "; ".join(filter(None, lines)), "stopped": cancel.is_set()})
@@ -259,6 +264,16 @@ def _check(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) ->
     result = self_test(place.rig, Settings(exposure_s=task.exposure_s, gain=task.gain), on_progress=advance)
     write_self_test(result, place.out / "selftests")
     emit("checked", as_json({"fit": result.fit, "checks": [one.model_dump() for one in result.checks]}))
+
+
+def _step(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) -> None:
+    def advance(doing: str, done: int, total: int) -> None:
+        if cancel.is_set():
+            raise KeyboardInterrupt("the step was stopped: begin it again")
+        emit("progress", {"doing": doing, "done": done, "total": total})
+
+    assert task.do is not None
+    emit("stepped", as_json(task.do(place, advance)))
 
 
 class WorkerProcess:

@@ -1,16 +1,19 @@
 """Kinds of parts by name. Entry points name them, so that a third party's kind registers like a built-in one."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from anisoscope.base.errors import ConfigError, RecipeError, RecordError, UsageError
+from anisoscope.base.errors import CalibrationError, ConfigError, RecipeError, RecordError, UsageError
 from anisoscope.base.plugins import installed
 from anisoscope.base.toml_table import read_toml
+from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.kinds.kind import AnyKind, Kind
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.details import GROUP, kind_of_recipe, recorded_kind
+from anisoscope.record.schema import read_record
 
 
 def kind_names() -> tuple[str, ...]:
@@ -94,6 +97,34 @@ def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
     if not chosen:
         raise RecipeError("; ".join(["no kind of part is installed that writes this recipe", *problems]))
     return chosen[0]
+
+
+def add_golden(recipe: Path, folders: Sequence[Path]) -> tuple[Any, list[str]]:
+    """Add inspected parts to the golden parts of a recipe, all of them or none.
+
+    Returns:
+        The golden parts, and the serial numbers of added parts whose verdict was FAIL.
+
+    Raises:
+        CalibrationError: a part of another kind, or one that does not fit the others.
+        RecordError: a folder holds no finished inspection.
+    """
+    kind, path = kind_of(recipe), golden_path(recipe)
+    rules, failed = kind.read_recipe(recipe), []
+    known: Any = kind.read_reference(path, rules)
+    for folder in folders:
+        record = read_record(folder)
+        if record.verdict == "FAIL":
+            failed.append(record.serial)
+        if record.kind != kind.name:
+            raise CalibrationError(
+                f"{record.serial} was inspected as a part of the kind '{record.kind}', and {recipe} is a recipe of the "
+                f"kind '{kind.name}': add it with the recipe by which it was inspected"
+            )
+        known = kind.add_reference(known, rules, record)
+    assert known is not None
+    write_golden(path, known)
+    return known, failed
 
 
 def _table(path: Path) -> dict[str, Any]:

@@ -41,29 +41,14 @@ def add(
     Examples:
         anisoscope golden add --recipe recipe.toml inspections/GOOD-1-20260115T101500Z
     """
-    from anisoscope.decision.reference_parts import golden_path, write_golden
-    from anisoscope.kinds.registry import kind_of
-    from anisoscope.record.schema import read_record
+    from anisoscope.decision.reference_parts import golden_path
+    from anisoscope.kinds.registry import add_golden
 
     if not folders:
         raise UsageError("name the folders of one or more finished inspections")
-    kind, path = kind_of(recipe), golden_path(recipe)
-    rules = kind.read_recipe(recipe)
-    failed = []
+    path = golden_path(recipe)
     with _as_usage():
-        known: Any = kind.read_reference(path, rules)
-        for folder in folders:
-            record = read_record(folder)
-            if record.verdict == "FAIL":
-                failed.append(record.serial)
-            if record.kind != kind.name:
-                raise CalibrationError(
-                    f"{record.serial} was inspected as a part of the kind '{record.kind}', and {recipe} is a recipe of "
-                    f"the kind '{kind.name}': add it with the recipe by which it was inspected"
-                )
-            known = kind.add_reference(known, rules, record)
-    assert known is not None
-    write_golden(path, known)
+        known, failed = add_golden(recipe, folders)
     if failed:
         console(stderr=True).print(
             f"note: the verdict of {', '.join(failed)} was FAIL: make sure that these parts are good, or take them out "

@@ -84,6 +84,7 @@ function show(state) {
     $("take").hidden = !others; $("release").hidden = !mine;
     for (const button of [$("go"), $("check"), ...document.querySelectorAll("[data-resume]")]) button.disabled = running || Boolean(others);
   }
+  showGuide(state);
   if (!running) look();
 }
 
@@ -146,4 +147,3 @@ $("next").addEventListener("click", () => {
   sessionStorage.setItem("dismissed", dismissed = now.folder);
   $("verdict").close(); $("start").elements.serial.focus();
 });
-follow();

@@ -58,6 +58,10 @@ TABLE = {
     ("POST", "/api/v1/resume"): WORKERS,
     ("POST", "/api/v1/check"): WORKERS,
     ("POST", "/api/v1/stop"): LOGGED_IN,
+    ("GET", "/api/v1/guides"): LOGGED_IN,
+    ("POST", "/api/v1/guides/begin"): WORKERS,
+    ("POST", "/api/v1/guides/step"): WORKERS,
+    ("POST", "/api/v1/guides/end"): WORKERS,
 }
 PASSWORD = "correct horse battery"
 

@@ -113,6 +113,23 @@ def test_two_browsers_see_the_same_and_one_holds_the_rig(page, chromium, address
     other.close()
 
 
+def test_guided_work_goes_by_steps(page, station):
+    page.get_by_text("Rotation", exact=True).click()
+    form = page.locator("form[data-guide=rotation]")
+    form.get_by_label("Reason").fill("lens changed")
+    form.get_by_role("button").click()
+    page.locator("#guide-ask").get_by_text("Seat the fixture").wait_for()
+    page.get_by_role("button", name="Start this step").click()
+    page.locator("#guide-results .good table td").nth(3).wait_for()
+    assert not page.locator("#guide-step").is_visible()
+    assert page.locator("#guide-title").inner_text() == "Rotation – 1/1"
+    page.screenshot(path=station[0].place.out / "guided.png", full_page=True)
+    page.locator("#guide-end").click()
+    page.locator("#guide").wait_for(state="hidden")
+    (line,) = [line for line in station[0]._trail.lines() if line["what"] == "guided work"]
+    assert line["why"] == "lens changed"
+
+
 def test_the_page_is_small_and_stop_is_in_sight_at_every_size(page):
     sizes = []
     page.on(

@@ -1,0 +1,172 @@
+"""Guided work by the interface of programs: what every guide asks, does and finds, and what it leaves."""
+
+import json
+
+import httpx
+import numpy as np
+import pytest
+
+from anisoscope.calibration.corrections import list_calibrations
+from anisoscope.cli import run
+from anisoscope.console.access import Session
+from anisoscope.console.guided import STATE, Guided, guides
+from anisoscope.kinds.registry import kind_of
+from anisoscope.record.schema import read_record
+
+
+class Guiding:
+    """A client that does guided work."""
+
+    def __init__(self, address, station):
+        self.client = httpx.Client(base_url=f"{address}/api/v1", timeout=60)
+        self.client.headers["X-CSRF-Token"] = self.client.get("/session").json()["token"]
+        self.station = station
+
+    def begin(self, key, why="shift start", recipe="plate", **values):
+        return self.client.post(
+            "/guides/begin", json={"key": key, "recipe": recipe, "why": why, "values": values}
+        )
+
+    def step(self):
+        """Do a step; the state after it."""
+        answer = self.client.post("/guides/step")
+        assert answer.status_code == 200, answer.text
+        self.station._busy.join()
+        return self.client.get("/status").json()
+
+    def all_steps(self):
+        """Do all steps; what was asked before each, and the state at the end."""
+        asked, state = [], self.client.get("/status").json()
+        while state["guide"]["at"] < state["guide"]["of"]:
+            asked.append(state["guide"]["ask"])
+            at, state = state["guide"]["at"], self.step()
+            assert state["failure"] is None, state["failure"]
+            assert state["guide"]["at"] == at + 1, state["guide"]["results"]
+        return asked, state
+
+    def end(self):
+        assert self.client.post("/guides/end").status_code == 200
+        assert self.client.post("/release").status_code == 200
+        self.client.close()
+
+
+@pytest.fixture(scope="module")
+def at(station_at):
+    return station_at("guided")[0]
+
+
+@pytest.fixture
+def guiding(served, app_of, at):
+    with served(app_of(at)) as address:
+        found = Guiding(address, at)
+        yield found
+        found.end()
+
+
+def test_flat_and_dark_by_steps(served, app_of, station_at):
+    at = station_at("tile", bench={"sample": {"kind": "white-tile"}})[0]
+    with served(app_of(at)) as address:
+        guiding = Guiding(address, at)
+        check_flat_and_dark(guiding, at)
+        guiding.end()
+
+
+def check_flat_and_dark(guiding, at):
+    assert guiding.begin("flat", reflectance="0.98").status_code == 200
+    assert guiding.begin("rotation").status_code == 409, "one at a time"
+    asked, state = guiding.all_steps()
+    assert asked[0].startswith("Place the white tile")
+    assert [one["good"] for one in state["guide"]["results"]] == [True, True]
+    assert "Name dark.json in the rig file" in state["guide"]["results"][1]["notes"][0]
+    flat = next(one for one in list_calibrations(at.place.rig) if one.kind == "flat")
+    assert flat.state == "valid"
+    dark = json.loads((at.place.rig.parent / "dark.json").read_text())
+    assert dark["operator"] == "this computer"
+    begun = [line for line in at._trail.lines() if line["what"] == "guided work"]
+    assert (begun[-1]["why"], begun[-1]["more"]["reflectance"]) == ("shift start", "0.98")
+
+
+def test_the_rotation_by_steps(guiding, at):
+    guiding.begin("rotation")
+    _, state = guiding.all_steps()
+    assert state["guide"]["results"][-1]["rows"]
+    assert (at.place.rig.parent / "rotation.json").is_file()
+
+
+def test_golden_parts_are_inspected_and_added(guiding, at):
+    guiding.begin("golden", parts="G-1, G-2")
+    asked, _ = guiding.all_steps()
+    assert asked[:2] == [f"Place the good part G-{n} on the stage." for n in (1, 2)]
+    recipe = at.recipe_path("plate")
+    kind = kind_of(recipe)
+    known = kind.read_reference(recipe.with_suffix(".golden.json"), kind.read_recipe(recipe))
+    assert [one.serial for one in known.parts] == ["G-1", "G-2"]
+    recipe.with_suffix(".golden.json").unlink()
+
+
+def test_a_gauge_study_is_blind_in_random_order_and_ends_as_the_command_does(guiding, at, capsys):
+    guiding.begin("gauge", parts="P-1, P-2", appraisers="Anna, Bo", trials="2", number="", tolerance="0.5")
+    state = guiding.client.get("/status").json()
+    asked = []
+    while state["guide"]["at"] < 8:
+        asked.append(state["guide"]["ask"])
+        state = guiding.step()
+        assert state["verdict"] is None
+        assert state["guide"]["results"][-1]["rows"][0][1] == "measured"
+    every = sorted(
+        f"{who} measures: place part {part} on the stage."
+        for who in ("Anna", "Bo")
+        for part in ("P-1", "P-2")
+    )
+    assert sorted(asked) == sorted(2 * every)
+    assert sorted(asked[:4]) == every, "a trial is complete before the next"
+    again = Guided(at.place.out, at.recipes_folder)
+    assert again.shown() == at._guided.shown(), "the end of the server does not end it"
+    state = guiding.step()
+    table = state["guide"]["results"][-1]["rows"]
+    (lot,) = {read_record(at.place.out / folder).particulars.lot for folder in at._guided.state.folders}
+    code = run(
+        ["msa", "gauge", "--lot", lot, "--tolerance", "0.5", "--history", str(at.place.history), "--json"]
+    )
+    said = json.loads(capsys.readouterr().out)
+    assert state["guide"]["results"][-1]["good"] == (code == 0)
+    shown, computed = float(table[1][1]), said["components"]["gauge R&R"]["sigma"]
+    assert table[1][0] == "gauge R&R"
+    np.testing.assert_allclose(shown, computed, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "text"),
+    [
+        ("flat", {"reflectance": "white"}, "takes a number above 0"),
+        ("flat", {"reflectance": ""}, "nothing was entered"),
+        ("golden", {"parts": "A"}, "at least 2 names"),
+        ("golden", {"parts": "A, A"}, "each once"),
+        ("golden", {"parts": "A, <b>"}, "<b>"),
+        ("gauge", {"parts": "A,B", "appraisers": "C", "trials": "1"}, "2 to 20 trials"),
+        ("gauge", {"parts": "A,B", "appraisers": "C", "trials": "1e9"}, "2 to 20 trials"),
+        ("material", {"name": "../../etc/passwd"}, "the name of a material"),
+        ("nothing", {}, "key"),
+    ],
+)
+def test_what_cannot_be_entered_is_one_line(guiding, key, values, text):
+    answer = guiding.begin(key, **values)
+    assert answer.status_code in {409, 422}
+    assert text in answer.json()["error"]
+    assert guiding.client.get("/status").json()["guide"] is None
+
+
+def test_reasons_recipes_and_roles_are_asked_for(guiding, at):
+    assert guiding.begin("rotation", why="").status_code == 422
+    assert guiding.begin("rotation", recipe="../rig").status_code == 409
+    assert guiding.client.post("/guides/step").status_code == 409
+    operator = Session("o", "t", "an operator", frozenset({"operator"}))
+    for key, guide in guides().items():
+        assert operator.may(guide.needs) == (key in {"flat", "rotation", "gauge"})
+
+
+def test_a_damaged_file_of_a_guide_is_left_alone(at):
+    for text in ("{", '{"key": "gauge"}', "\x00"):
+        (at.place.out / STATE).write_text(text)
+        assert Guided(at.place.out, at.recipes_folder).state is None
+    (at.place.out / STATE).unlink()
