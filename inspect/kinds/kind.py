@@ -331,7 +331,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
     def deviations(
         self, kept: Mapping[str, Any], recorded: Mapping[str, Any]
     ) -> tuple[CellMap, float] | None:
-        """The map of the cells of a part and the side of a cell in mm; None, the default, where none is kept.
+        """The map of the cells of a part and the side of a cell in mm; None, the default, where there is none.
 
         Args:
             kept: from `kept`.

@@ -70,7 +70,7 @@ def remove(name: Name, /, *, users: File, why: Why = "") -> int:
 
 @app.command
 def lock(name: Name, /, *, users: File, why: Why = "") -> int:
-    """Lock an account: nobody logs in with it, and its sessions end.
+    """Lock an account: logins with it are refused, and its sessions end.
 
     Examples:
         anisoscope user lock anna --users users.json --why "on leave"
