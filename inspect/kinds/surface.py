@@ -743,7 +743,7 @@ def _tilt_table(record: Record) -> Table:
 
 
 def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Measured:
-    """The measurement that was kept; ``slopes``: (P,) weight of the stage angle by another prediction."""
+    """Measurement from its arrays; ``slopes``: (P,) weight of the stage angle by another prediction."""
     parts = zip(kept["sources"], kept["relative"], kept["shared"], strict=True)
     drift = float(kept["drift"])
     return Measured(
