@@ -523,12 +523,15 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def server_of(app: ASGIApp, tls: tuple[Path, Path] | None = None) -> uvicorn.Server:
+def server_of(
+    app: ASGIApp, tls: tuple[Path, Path] | None = None, ending: Callable[[], None] = lambda: None
+) -> uvicorn.Server:
     """The server of an application; ``server.run(sockets=[…])`` serves until ``should_exit`` is set or a signal comes.
 
     Args:
         app: from `create_app`.
         tls: certificate and key, PEM.
+        ending: called before it waits for the end of its answers; ends those that have none.
 
     Raises:
         UsageError: certificate and key cannot be used.
@@ -554,11 +557,19 @@ def server_of(app: ASGIApp, tls: tuple[Path, Path] | None = None) -> uvicorn.Ser
     except (OSError, ssl.SSLError) as problem:
         raise UsageError(f"--certificate and --key cannot be used: {problem}") from problem
     logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
-    return _Server(config)
+    return _Server(config, ending)
 
 
 class _Server(uvicorn.Server):
     """A server that does not wait long for those who connect and do not say how they encrypt."""
+
+    def __init__(self, config: uvicorn.Config, ending: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._ending = ending
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._ending()
+        await super().shutdown(sockets)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         loop = asyncio.get_running_loop()

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlencode
 
 import numpy as np
@@ -25,7 +25,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.notation import number_name, number_text, true_minus
 from anisoscope.console.access import Access, Needs, Session
-from anisoscope.console.pages import render
+from anisoscope.console.pages import render, report_at
 from anisoscope.console.trail import Trail
 from anisoscope.history.address import parse_address
 from anisoscope.history.columns import us_to_datetime
@@ -36,10 +36,7 @@ from anisoscope.history.filters import MOST_IDS, Filters, parse_moment
 from anisoscope.history.overview import Facts, IntArray, Overview
 from anisoscope.history.rows import MAX_TEXT, Row
 from anisoscope.history.store import History, open_history
-from anisoscope.imaging.deviation_map import CellMap
-from anisoscope.inspection.kept_measurement import read_kept
 from anisoscope.inspection.report_seal import report_state
-from anisoscope.kinds.registry import kind_named
 from anisoscope.quality.capability import charted, specification
 from anisoscope.quality.control import ControlStudy, Settings, control_study
 from anisoscope.quality.nelson import MEANING, flagged
@@ -48,15 +45,13 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.study.statistics import Rate, rate
 
+if TYPE_CHECKING:
+    from anisoscope.imaging.deviation_map import CellMap
+
 A_PAGE, A_PORTION = 50, 500
 CHARTED, CHARTS = 2000, 12
 CAUSES, STATIONS, CHOICES, LAST = 12, 100, 200, 20
 LETTERS = {"PASS": "P", "FAIL": "F", "INCONCLUSIVE": "?", "INVALID": "!"}
-REPORT_POLICY = (
-    "sandbox allow-scripts allow-popups; default-src 'none'; script-src 'unsafe-inline' data: blob:; "
-    "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; media-src data:; worker-src blob: data:"
-)
-"""Of a report, which runs its scripts with an origin of its own: it reaches neither the session nor the network."""
 
 Looks = Annotated[Session, Depends(Needs("look"))]
 Number = Annotated[int, InPath(ge=1, lt=2**62)]
@@ -169,11 +164,7 @@ def fleet_router(
         path, where = _report(fleet.inspection(number)[0])
         if path is None:
             raise HTTPException(404, where)
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise RecordError(f"{path}: cannot be read: {error.strerror}") from error
-        return Response(content, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+        return report_at(path)
 
     @router.post("/fleet/inspections/{number}/dispositions")
     def dispose(
@@ -588,6 +579,9 @@ def _maps(rows: Sequence[Row]) -> tuple[list[HeatMap], list[str]]:
 
 def _deviations(row: Row) -> "tuple[CellMap, float] | str":
     """Map of the cells of an inspection and their side in mm, or where it is."""
+    from anisoscope.inspection.kept_measurement import read_kept  # noqa: PLC0415 - start-up time, as below
+    from anisoscope.kinds.registry import kind_named  # noqa: PLC0415
+
     folder = Path(row.folder)
     if not folder.is_dir():
         at = row.station or "a station that was not stated"

@@ -23,7 +23,6 @@ from anisoscope.base.json_fields import as_json
 from anisoscope.base.language import message, translated
 from anisoscope.base.progress import Advance
 from anisoscope.console.access import Permission
-from anisoscope.inspection.job import check_serial
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path
 from anisoscope.inspection.work import Workplace
 
@@ -497,6 +496,8 @@ def _commissioning(asked: Entered, _: GuideState) -> list[Step]:
 
 
 def _golden(asked: Entered, state: GuideState) -> list[Step]:
+    from anisoscope.inspection.job import check_serial  # noqa: PLC0415 - start-up time, as below
+
     parts = [
         Step(message("Place the good part {serial} on the stage.", serial=one), serial=check_serial(one))
         for one in asked.names("parts", 2)
@@ -506,6 +507,8 @@ def _golden(asked: Entered, state: GuideState) -> list[Step]:
 
 
 def _gauge(asked: Entered, state: GuideState) -> list[Step]:
+    from anisoscope.inspection.job import check_serial  # noqa: PLC0415
+
     parts, appraisers = asked.names("parts", 2), asked.names("appraisers", 1)
     trials, order = round(asked.number("trials")), random.Random(state.seed)  # noqa: S311 - an order, no secret
     if not 2 <= trials <= 20 or trials * len(parts) * len(appraisers) > MOST_STEPS:

@@ -38,15 +38,25 @@ class EventLog:
         self._events: deque[tuple[int, str, dict[str, Any]]] = deque(maxlen=MOST_EVENTS)
         self._waiting: set[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = set()
         self.number = 0
+        self._closed = False
+
+    def close(self) -> None:
+        """End all streams, and those to come."""
+        with self._lock:
+            self._closed = True
+            self._wake()
+
+    def _wake(self) -> None:
+        for loop, event in self._waiting:
+            with contextlib.suppress(RuntimeError):  # its loop has ended
+                loop.call_soon_threadsafe(event.set)
 
     def add(self, kind: str, content: dict[str, Any]) -> None:
         """Add an event and wake who waits."""
         with self._lock:
             self.number += 1
             self._events.append((self.number, kind, content))
-            for loop, event in self._waiting:
-                with contextlib.suppress(RuntimeError):  # its loop has ended
-                    loop.call_soon_threadsafe(event.set)
+            self._wake()
 
     def after(self, number: int) -> list[tuple[int, str, dict[str, Any]]] | None:
         """Events after a number; None where some of them are gone, or the number is not of this log."""
@@ -64,14 +74,14 @@ class EventLog:
     async def stream(
         self, last_id: str, state: Callable[[], tuple[int, dict[str, Any]]]
     ) -> AsyncIterator[str]:
-        """Server-sent events: those after an id, or the state and what follows it; never ends."""
+        """Server-sent events: those after an id, or the state and what follows it, until the log is closed."""
         woken = asyncio.Event()
         me = (asyncio.get_running_loop(), woken)
         with self._lock:
             self._waiting.add(me)
         number = self.last_seen(last_id)
         try:
-            while True:
+            while not self._closed:
                 woken.clear()
                 events = None if number is None else self.after(number)
                 if events is None:

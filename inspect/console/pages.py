@@ -2,11 +2,13 @@
 
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse
 
+from anisoscope.base.errors import RecordError
 from anisoscope.base.language import decimal, language, message, translated
 from anisoscope.console.access import Permission
 
@@ -15,6 +17,12 @@ if TYPE_CHECKING:
 
 KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 STATIC = ("console.css", "console.js", "fleet.css", "guide.js", "icon.svg", "station.js")
+
+REPORT_POLICY = (
+    "sandbox allow-scripts allow-popups; default-src 'none'; script-src 'unsafe-inline' data: blob:; "
+    "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; media-src data:; worker-src blob: data:"
+)
+"""Of a report, which runs its scripts with an origin of its own: it reaches neither the session nor the network."""
 
 
 def render(request: Request, template: str, **content: object) -> HTMLResponse:
@@ -53,6 +61,19 @@ def _environment() -> "jinja2.Environment":
 @cache
 def _static(name: str) -> bytes:
     return (files("anisoscope.console") / "templates" / name).read_bytes()
+
+
+def report_at(path: Path) -> Response:
+    """A report, with a policy that shuts it off.
+
+    Raises:
+        RecordError: it cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {error.strerror}") from error
+    return Response(content, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 
 def static_router() -> APIRouter:

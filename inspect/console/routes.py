@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, Response
-from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, StreamingResponse
+from fastapi.responses import HTMLResponse, JSONResponse, StreamingResponse
 from pydantic import Field
 
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.language import message
 from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.guided import Begin, described
-from anisoscope.console.pages import render
+from anisoscope.console.pages import render, report_at
 from anisoscope.console.station import Named, Start, Station
 from anisoscope.inspection.recipe_store import RecipeEntry
 
@@ -67,10 +67,8 @@ def _add_pages(router: APIRouter, station: Station) -> None:
         )
 
     @router.get("/inspections/{folder}/report.html", include_in_schema=False)
-    def report(folder: str, _: Looking) -> FileResponse:
-        # its scripts run, in an origin of its own: they reach nothing of the console
-        policy = "sandbox allow-scripts allow-popups allow-downloads; frame-ancestors 'none'"
-        return FileResponse(station.report(folder), headers={"Content-Security-Policy": policy})
+    def report(folder: str, _: Looking) -> Response:
+        return report_at(station.report(folder))
 
     @router.get("/api/v1/openapi.json", include_in_schema=False)
     def schema(request: Request, _: Looking) -> JSONResponse:

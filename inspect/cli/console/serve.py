@@ -94,7 +94,7 @@ def serve(
             pages=[Page("/station", "Station"), Page("/fleet", "Fleet")],
             closing=at.end,
         )
-        server = server_of(app, tls)
+        server = server_of(app, tls, at.log.close)
         address = f"http{'s' * (tls is not None)}://{host}:{here}/"
         print(message("console at {path}", path=address), flush=True)  # noqa: T201
         write_line(message("Ctrl-C ends it"))

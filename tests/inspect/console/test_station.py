@@ -317,6 +317,19 @@ def test_a_stream_wakes_when_a_thread_adds():
     assert log._waiting == set()
 
 
+def test_streams_end_with_the_server():
+    log = EventLog()
+
+    async def follow():
+        stream = log.stream("", lambda: (log.number, {}))
+        await anext(stream)
+        threading.Timer(0.0, log.close).start()
+        return [text async for text in stream]
+
+    assert asyncio.run(follow()) == []
+    assert log._waiting == set()
+
+
 def test_the_holder_who_closed_the_page_makes_room(at):
     first, second = Session("a", "t", "anna"), Session("b", "t", "bo")
     at.take(first)
