@@ -78,7 +78,7 @@ COMMANDS = {
         ),
         "line": (
             "line.line:app",
-            "Serve a rig to the controller of a line: jobs by OPC UA or Modbus/TCP.",
+            "Serve a rig to the controller of a line: jobs by OPC UA or MQTT.",
         ),
         "resume": (
             "inspect.inspection:resume",

@@ -175,6 +175,12 @@ def _readers(connection: Connection, number: str) -> dict[int, Callable[[bytes],
     return found
 
 
+def after(connection: Connection, row_id: int, most: int) -> list[Values]:
+    """Inspections with a larger id, by id, with their labels."""
+    statement = _WHOLE.where(inspections.c.id > row_id).order_by(inspections.c.id).limit(most)
+    return list(map(_values, connection.execute(statement).mappings()))
+
+
 def dispositions(connection: Connection, row_ids: Sequence[int]) -> Iterator[Values]:
     """Dispositions of some inspections, the oldest first."""
     table = _dispositions

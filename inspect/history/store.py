@@ -200,6 +200,21 @@ class History:
         with self._database.reading() as connection:
             return statements.count(connection, filters)
 
+    def last_id(self) -> int:
+        """Id of the last inspection that was added; 0 before the first."""
+        with self._database.reading() as connection:
+            return statements.head(connection, schema.inspections)[0]
+
+    def after(self, row_id: int, most: int) -> list[Row]:
+        """The inspections that were added after one, in the order in which they were added.
+
+        Args:
+            row_id: its id; 0 for all.
+            most: so many at most.
+        """
+        with self._database.reading() as connection:
+            return [self._row(found) for found in statements.after(connection, row_id, most)]
+
     def row(self, row_id: int) -> Row | None:
         """The inspection with an id, or None."""
         return self._one(schema.inspections.c.id == row_id)

@@ -19,8 +19,9 @@ from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
     from anisoscope.line.jobs import Jobs
+    from anisoscope.line.mqtt import Broker
 
-app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA or Modbus/TCP.")
+app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA or MQTT.")
 Recipes = Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")]
 Out = Annotated[Path, Parameter(help="Folder that receives the inspection folders.")]
 Station = Annotated[str | None, Parameter(help="Station where the rig stands.")]
@@ -63,6 +64,78 @@ def opcua(
 
         asyncio.run(serve())
     return 0
+
+
+@app.command
+def mqtt(
+    *,
+    broker: Annotated[str, Parameter(help="Address: mqtt://[user:password@]host[:1883] or mqtts://…")],
+    rig: Annotated[
+        Path | None, Parameter(name=["--rig", "-g"], help="Rig file; without it only results are published.")
+    ] = None,
+    recipes: Annotated[Path | None, Parameter(help="Folder of the recipes that may be ordered.")] = None,
+    out: Out = INSPECTIONS,
+    history: HistoryOption = None,
+    station: Station = None,
+    group: Annotated[str, Parameter(help="Sparkplug group.")] = "anisoscope",
+    node: Annotated[
+        str, Parameter(help="Sparkplug edge node; another one for every rig at the broker.")
+    ] = "rig",
+    device: Annotated[str, Parameter(help="Sparkplug device.")] = "inspection",
+    open_: Annotated[
+        bool,
+        Parameter(
+            name="--open",
+            negative="",
+            help="With --rig: take orders over a broker elsewhere without encryption.",
+        ),
+    ] = False,
+) -> int:
+    """Publish results by MQTT as Sparkplug B and JSON, until Ctrl-C; with --rig and --recipes take orders of jobs.
+
+    Examples:
+        anisoscope line mqtt --broker mqtt://127.0.0.1 --rig rig.toml --recipes recipes
+        anisoscope line mqtt --broker mqtts://broker.example --history inspections/history.sqlite
+    """
+    with _needs("MQTT"):
+        from anisoscope.line.mqtt import EdgeNode, broker_of
+        from anisoscope.line.sparkplug import Names
+
+    if (rig is None) != (recipes is None):
+        raise UsageError("--rig and --recipes go together: the rig that inspects, and what may be ordered")
+    where, names = broker_of(broker), Names(group, node, device)
+    place = history_place(history, out)
+    if place is None:
+        raise UsageError("MQTT publishes what the history gains: name one with --history")
+    with contextlib.ExitStack() as stack:
+        jobs: Jobs | None = None
+        if rig is not None and recipes is not None:
+            _check_reach(where, open_=open_)
+            jobs = stack.enter_context(jobs_at(rig, recipes, out, history, station))
+        served = EdgeNode(where, names, place, out / "line" / "mqtt.json", write_line, jobs)
+        if jobs is not None:
+            stack.enter_context(jobs)  # a job that a killed process left goes on, and is heard of
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before = signal.signal(number, lambda *_: served.end())
+            stack.callback(signal.signal, number, before)
+        write_line(message("Ctrl-C ends it"))
+        served.run()
+    return 0
+
+
+def _check_reach(broker: "Broker", *, open_: bool) -> None:
+    """Refuse to take orders unencrypted from elsewhere without a word that everybody there may order jobs.
+
+    Raises:
+        UsageError: it was not said.
+    """
+    with contextlib.suppress(ValueError):
+        if ipaddress.ip_address(broker.host).is_loopback:
+            return
+    if broker.host != "localhost" and not broker.tls and not open_:
+        raise UsageError(
+            f"orders over {broker} are not encrypted, and each client there may move the rig: mqtts://, or --open"
+        )
 
 
 @contextlib.contextmanager

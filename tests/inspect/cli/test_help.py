@@ -175,6 +175,7 @@ SAME_QUANTITY = {
     "--light-angle": "angle (of the light|between light)",
     "--method": "how the dots are placed",
     "--model": "model",  # of the reflected light
+    "--open": "encryption",  # of orders from other computers
     "--out": "file|folder|page|record|write|png",  # the command's own product
     "--overwrite": "replace",
     "--picture-size": "side of the picture",

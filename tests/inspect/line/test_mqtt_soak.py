@@ -1,0 +1,104 @@
+"""Jobs over MQTT while server and broker are killed: none is lost, none done twice."""
+
+import contextlib
+import importlib.util
+import json
+import os
+import queue
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from anisoscope.history.store import open_history
+
+COUNT = int(os.environ.get("ANISOSCOPE_SOAK_JOBS", "10000"))
+NODE = ("--group", "hall 1", "--node", "rig 1", "--device", "plates")
+
+
+def beside():
+    """The broker and the client of the other tests."""
+    spec = importlib.util.spec_from_file_location("mqtt_tests", Path(__file__).with_name("test_mqtt.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def server(broker, place, recipes):
+    command = [sys.executable, "-Im", "anisoscope", "line", "mqtt", "--broker", broker.address, *NODE]
+    paths = ["--rig", place.rig, "--recipes", recipes, "--out", place.out, "--history", place.history]
+    return subprocess.Popen([*command, *paths], stdout=subprocess.DEVNULL)
+
+
+class Shop:
+    """A controller that orders jobs one after the other; server and broker are killed now and then."""
+
+    def __init__(self, tests, place, recipes, folder):
+        self.tests, self.place, self.recipes, self.chance = tests, place, recipes, random.Random(5)
+        self.broker = tests.Broker(folder)
+        self.host, self.server = tests.Host(self.broker), server(self.broker, place, recipes)
+        self.seen, self.kills, self.done = set(), 0, 0
+
+    @property
+    def order(self):
+        return {"job": f"J{self.done}", "recipe": "plate", "serial": f"S-{self.done}"}
+
+    def say(self):
+        self.host.publish(self.tests.NAMES.plain("order"), json.dumps(self.order).encode())
+
+    def hear(self, message):
+        """What a message says; a birth means that orders may have been lost, so that the same is ordered again."""
+        if "/NBIRTH/" in message.topic:
+            self.say()
+        elif message.topic.endswith("/result"):
+            self.seen.add(json.loads(message.payload)["serial"])
+        elif message.topic.endswith("/answer"):
+            answer = json.loads(message.payload)
+            if answer.get("job") == self.order["job"] and answer["state"] == "done":
+                self.done += 1
+                self.say()
+
+    def kill(self):
+        self.kills += 1
+        if self.chance.random() < 0.5:
+            self.server.kill()
+            self.server.wait()
+            self.server = server(self.broker, self.place, self.recipes)
+            return
+        self.broker.kill()
+        self.host.close()
+        self.broker.start()
+        self.host = self.tests.Host(self.broker)
+        self.host.publish(*self.tests.command("NCMD", ("Node Control/Rebirth", True)))
+
+    def close(self):
+        self.server.send_signal(signal.SIGTERM)
+        self.server.wait()
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self.hear(self.host.heard.get(timeout=5))
+        self.host.close()
+        self.broker.kill()
+
+
+@pytest.mark.soak
+def test_jobs_over_mqtt_are_done_once_whatever_is_killed(place_of, tmp_path):
+    place, recipes = place_of("mqtt soak")
+    shop = Shop(beside(), place, recipes, tmp_path)
+    try:
+        while shop.done < COUNT:
+            shop.hear(shop.host.heard.get(timeout=300))
+            if shop.chance.random() < 0.02:
+                shop.kill()
+    finally:
+        shop.close()
+    with open_history(place.history, create=False) as history:
+        serials = [row.serial for row in history.rows()]
+    ordered = {f"S-{number}" for number in range(COUNT)}
+    assert len(serials) == len(set(serials))
+    assert ordered <= set(serials)
+    assert ordered <= shop.seen  # at least once over MQTT
+    assert shop.kills > 0
