@@ -2,7 +2,8 @@
 
 An order sweep comes first: of both polarisations, at the narrowest and at the widest steps. Then every cell of the
 table is solved, and with ANISOSCOPE_WRITE_DOCS=1 written to tests/sim/light/wave/rigorous.csv, with which
-`test_rigorous.py` there compares the engine.
+`test_rigorous.py` there compares the engine. So are gratings and a random tile that no bound was fitted to
+(unseen.csv, `test_edges.py`).
 """
 
 import csv
@@ -14,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = ROOT / "tests" / "sim" / "light" / "wave" / "rigorous.csv"
+UNSEEN = REFERENCE.with_name("unseen.csv")
 UM = 0.55
 ALUMINIUM = (0.96 + 6.69j) ** 2
 WIDTHS_UM = (2.0, 4.0, 8.0, 16.0)
@@ -23,6 +25,13 @@ FACTORS = {2.0: 3.0, 4.0: 2.0, 8.0: 1.5, 16.0: 1.15}
 DEPTHS_UM = (0.06, 0.1375, 0.25, 0.4)
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0)
 KEPT = 1e-3
+UNSEEN_GRATINGS = ("6/12", "11/22", "5/14")
+UNSEEN_DEPTHS_UM, UNSEEN_ANGLES_DEG = (0.08, 0.1375, 0.2), (0.0, 6.0)
+SEED = 20261127
+
+pytestmark = pytest.mark.filterwarnings(  # fmmax 1.7 with jax 0.10
+    "ignore:Implicit conversion of an array to a dtype:DeprecationWarning"
+)
 
 
 def propagating(width_um):
@@ -36,6 +45,11 @@ def terms(width_um, factor):
 
 
 def solved(width_um, depths_um, angle_deg, half):
+    """As `solved_ridges`, for ridges as wide as the grooves between them."""
+    return solved_ridges(2.0 * width_um, [(0.0, width_um)], depths_um, angle_deg, half)
+
+
+def solved_ridges(pitch_um, ridges, depths_um, angle_deg, half):
     """{depth: (2, 2·half + 1)} power of every order over that of the flat metal; first TE, field along the grooves."""
     import fmmax
     import jax
@@ -45,9 +59,11 @@ def solved(width_um, depths_um, angle_deg, half):
     number = np.zeros((2 * half + 1, 2), dtype=int)
     number[1::2, 0], number[2::2, 0] = np.arange(1, half + 1), -np.arange(1, half + 1)
     expansion = fmmax.Expansion(number)
-    lattice = fmmax.LatticeVectors(u=jnp.array([2.0 * width_um, 0.0]), v=jnp.array([0.0, 1.0]))
-    points = 16 * half
-    pattern = np.where((np.arange(points) + 0.5) / points < 0.5, ALUMINIUM, 1.0 + 0.0j)[:, None]
+    lattice = fmmax.LatticeVectors(u=jnp.array([pitch_um, 0.0]), v=jnp.array([0.0, 1.0]))
+    points = round(pitch_um / 0.05) * max(1, round(16 * half * 0.05 / pitch_um))  # whole points a ridge
+    place = (np.arange(points) + 0.5) / points * pitch_um
+    on_ridge = np.any([(start < place) & (place < end) for start, end in ridges], axis=0)
+    pattern = np.where(on_ridge, ALUMINIUM, 1.0 + 0.0j)[:, None]
 
     def walls(permittivity, _expansion, _lattice):  # tangent to the walls: along y
         return jnp.zeros_like(permittivity), jnp.ones_like(permittivity)
@@ -125,4 +141,56 @@ def test_every_cell_is_solved(bench):
             )
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(("width_um", "depth_nm", "angle_deg", "polarisation", "order", "power"))
+            writer.writerows(rows)
+
+
+def random_tile():
+    """Pitch and ridges (from, to) in µm of a tile with ridges and grooves of random width."""
+    widths = np.random.default_rng(SEED).integers(30, 101, 14) * 0.05
+    edges = np.concatenate([[0.0], np.cumsum(widths)])
+    return float(edges[-1]), [(float(a), float(b)) for a, b in zip(edges[:-1:2], edges[1::2], strict=True)]
+
+
+@pytest.mark.benchmark
+def test_patterns_that_no_bound_was_fitted_to_are_solved(bench):
+    """Gratings of other widths, and a random tile: each order above a thousandth of the brightest one."""
+    pitch, ridges = random_tile()
+    patterns = {"tile1": (pitch, ridges)}
+    for name in UNSEEN_GRATINGS:
+        width, period = (float(one) for one in name.split("/"))
+        patterns[name] = (period, [(0.0, width)])
+    rows = []
+    for name, (period, of_pattern) in patterns.items():
+        kept = propagating(0.5 * period)
+        half = int(kept * (1.15 if period > 16.0 else 1.5)) + 20
+        for angle in UNSEEN_ANGLES_DEG:
+            found = solved_ridges(period, of_pattern, UNSEEN_DEPTHS_UM, angle, half)
+            for depth, both in found.items():
+                for polarisation, powers in zip(("TE", "TM"), both, strict=True):
+                    assert 0.5 < powers.sum() < 1.02
+                    for order in range(-kept, kept + 1):
+                        value = float(powers[half + order])
+                        if value > KEPT * float(powers.max()):
+                            rows.append(
+                                (
+                                    name,
+                                    550,
+                                    f"{1e3 * depth:g}",
+                                    f"{angle:g}",
+                                    polarisation,
+                                    order,
+                                    f"{value:.5f}",
+                                )
+                            )
+        bench.note(f"{name}: {period:g} µm, ±{half} orders, {sum(row[0] == name for row in rows)} rows")
+    if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
+        with UNSEEN.open("w", newline="", encoding="utf-8") as stream:
+            stream.write(
+                "# fmmax 1.7.1, aluminium (n = 0.96 + 6.69i), TE: field along the grooves; w/p: ridge and pitch in µm\n"
+            )
+            stream.write(f"# tile1 {pitch:g}: {' '.join(f'{a:g}-{b:g}' for a, b in ridges)}\n")
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(
+                ("pattern", "wavelength_nm", "depth_nm", "angle_deg", "polarisation", "order", "power")
+            )
             writer.writerows(rows)
