@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from anisoscope.calibration.corrections import list_calibrations
+from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli import run
+from anisoscope.commissioning.record import default_record_path, read_commissioning
 from anisoscope.console.access import Session
 from anisoscope.console.guided import STATE, Guided, guides
 from anisoscope.kinds.registry import kind_of
+from anisoscope.recipe.material_file import read_material_file
 from anisoscope.record.schema import read_record
 
 
@@ -170,3 +173,47 @@ def test_a_damaged_file_of_a_guide_is_left_alone(at):
         (at.place.out / STATE).write_text(text)
         assert Guided(at.place.out, at.recipes_folder).state is None
     (at.place.out / STATE).unlink()
+
+
+@pytest.mark.soak
+def test_commissioning_by_steps(served, app_of, station_at):
+    at = station_at("commissioned")[0]
+    with served(app_of(at)) as address:
+        guiding = Guiding(address, at)
+        guiding.begin("commissioning", why="new lens")
+        _, state = guiding.all_steps()
+        guiding.end()
+    found = state["guide"]["results"]
+    assert "angle between light and camera" in {row[0] for row in found[0]["rows"]}
+    record = read_commissioning(default_record_path(at.place.rig))
+    (pixel,) = [one.value for one in record.findings if one.key.endswith("pixel_um")]
+    assert pixel == pytest.approx(8.0, rel=0.01)  # of the bench
+
+
+@pytest.mark.soak
+def test_a_material_by_steps(served, app_of, station_at, virtual_rigs):
+    small = {"sensor": {"rows": 288, "cols": 320}, "tilt": {"address": "1", "zero_deg": 30.0}}
+    small["optics"] = {"pixel_um": 14.0, "blur_um": 8.0, "electrons": 2.4e7, "lamp_noise": 0.0}
+    options = {"address": "1", "move_gap_s": 0.0, "timeout_s": 0.2}
+    tilt = {
+        "driver": "elliptec",
+        "port": "sim://elliptec?bench=${here}/bench.toml",
+        "zero_deg": 30.0,
+        "options": options,
+    }
+    rig = {"camera": {"pixel_um": 14.0}, "tilt": tilt}
+    tile = virtual_rigs("white tile", rig=rig, bench={**small, "sample": {"kind": "white-tile"}})
+    flat = tile.rig.with_name("flat.tif")
+    take_flat(tile.rig, flat, exposure_s=0.0015, frames=4)
+    rig["calibration"] = {"flat": str(flat)}
+    recipe = {"region": {"size_mm": [0.8, 0.8]}, "material": {"alpha_along": 0.08, "alpha_across": 0.08}}
+    at = station_at("material", rig=rig, bench={**small, "sample": {"ridge_angle_deg": 0.0}}, recipe=recipe)[
+        0
+    ]
+    with served(app_of(at)) as address:
+        guiding = Guiding(address, at)
+        guiding.begin("material", name="abs")
+        _, state = guiding.all_steps()
+        guiding.end()
+    assert read_material_file(at.place.out / "materials" / "abs.toml").name == "abs"
+    assert state["guide"]["results"][0]["rows"][0][0] == "albedo"
