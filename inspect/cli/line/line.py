@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import ipaddress
 import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -136,6 +137,60 @@ def _check_reach(broker: "Broker", *, open_: bool) -> None:
         raise UsageError(
             f"orders over {broker} are not encrypted, and each client there may move the rig: mqtts://, or --open"
         )
+
+
+@app.command
+def modbus(
+    plc: Annotated[str, Parameter(help="Address of the controller or coupler, HOST or HOST:PORT.")],
+    /,
+    *,
+    rig: RigPath,
+    recipes: Recipes,
+    recipe: Annotated[
+        str, Parameter(name=["--recipe", "-r"], help="Name of the recipe: its file without .toml.")
+    ],
+    out: Out = INSPECTIONS,
+    history: HistoryOption = None,
+    station: Station = None,
+    trigger: Annotated[int, Parameter(help="Discrete input of the trigger, counted from 0.")] = 0,
+    number: Annotated[
+        int, Parameter(help="First of two holding registers with the number of the job, high word first.")
+    ] = 0,
+    outputs: Annotated[int, Parameter(help="First of five coils: ready, busy, pass, fail, invalid.")] = 0,
+    device: Annotated[int, Parameter(help="Unit identifier of the controller.")] = 1,
+    prefix: Annotated[str, Parameter(help="Begins the serial number; the number of the job follows.")] = "",
+    poll: Annotated[float, Parameter(help="Seconds between looks at the trigger.")] = 0.02,
+) -> int:
+    """Inspect a part at every trigger of a controller and set its result lines, by Modbus/TCP, until Ctrl-C.
+
+    Examples:
+        anisoscope line modbus 192.168.1.10 --rig rig.toml --recipes recipes --recipe plate
+    """
+    with _needs("Modbus/TCP"):
+        from anisoscope.line.modbus import Addresses, Handshake, Lines, ModbusIo
+    from anisoscope.base.errors import NotConnected
+
+    host, _, port = plc.partition(":")
+    if not host or not (port or "502").isdigit():
+        raise UsageError(f"{plc}: give the controller as HOST or HOST:PORT")
+    if not poll > 0.0:
+        raise UsageError(f"--poll must be above 0 s, not {poll:g}")
+    io = ModbusIo(host, int(port or 502), Addresses(trigger, number, outputs, device))
+    stop = threading.Event()
+    before = {one: signal.signal(one, lambda *_: stop.set()) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with contextlib.closing(io), jobs_at(rig, recipes, out, history, station) as jobs, jobs:
+            jobs.check(recipe)
+            handshake = Handshake(io, jobs, recipe, prefix, write_line)
+            _say_address(f"modbus://{plc}")
+            while not stop.wait(poll):
+                handshake.step()
+            with contextlib.suppress(NotConnected):
+                io.write(Lines())
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+    return 0
 
 
 @contextlib.contextmanager

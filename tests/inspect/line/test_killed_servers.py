@@ -1,0 +1,138 @@
+"""Jobs ordered over OPC UA while connections are cut and the server is killed: each is done once.
+
+ANISOSCOPE_LINE_JOBS is the number of jobs, 1000 by default; one takes a second, a kill five.
+"""
+
+import asyncio
+import contextlib
+import importlib.util
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from asyncua.ua.uaerrors import UaError
+
+from anisoscope.history.store import open_history
+
+SPEC = importlib.util.spec_from_file_location("controller", Path(__file__).with_name("controller.py"))
+CONTROLLER = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(CONTROLLER)
+RESULT_READY = 1024
+KILLS, CUTS = 0.04, 0.15  # of the jobs
+
+
+class Server:
+    """The command in a process of its own, with its inspecting process, started again whenever it is killed."""
+
+    def __init__(self, folder):
+        with socket.socket() as found:
+            found.bind(("127.0.0.1", 0))
+            self.port = found.getsockname()[1]
+        self.folder, self.process, self.kills = folder, None, 0
+
+    def start(self):
+        command = ["line", "opcua", "--rig", "rig.toml", "--recipes", "recipes", "--port", str(self.port)]
+        self.process = subprocess.Popen(
+            [sys.executable, "-Im", "anisoscope", *command],
+            cwd=self.folder,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self.address = self.process.stdout.readline().split()[-1]
+
+    def kill(self, *, alone):
+        """Kill the server as by kill -9; not alone, its inspecting process with it."""
+        self.kills += 1
+        with contextlib.suppress(ProcessLookupError):
+            (os.kill if alone else os.killpg)(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        self.process.stdout.close()
+
+    def end(self):
+        self.process.send_signal(signal.SIGTERM)
+        assert self.process.wait(60) == 0
+        self.process.stdout.close()
+
+
+async def disturb(server, controller, rng, counts):
+    """After a moment, a cut or a kill; or nothing."""
+    kind = rng.random()
+    await asyncio.sleep(rng.uniform(0.0, 1.2))
+    if kind < KILLS:
+        await asyncio.to_thread(server.kill, alone=rng.random() < 0.5)
+    elif kind < KILLS + CUTS:
+        transport = controller.client.uaclient.protocol.transport
+        if transport is not None:
+            counts["cuts"] += 1
+            transport.abort()
+
+
+async def do(server, controller, number):
+    """Order a job, again if it was ordered, and wait for its result."""
+    meas = f"M-{number}"
+    state = (await controller.states())[1]
+    if state is None:
+        await controller.call("SelectModeAutomatic")
+    if state in {None, "Initialized"}:
+        await controller.prepare("plate")
+    job, error = await controller.start(f"S-{number}", meas)
+    assert (job.Id, error) == (meas, 0)
+    while True:
+        *_, (result,), error = await controller.results(meas)
+        assert error == 0
+        if result.ResultState != 2:
+            return result.ResultState
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.5):
+                while (await controller.heard.get()).EventType.Identifier != RESULT_READY:
+                    pass
+
+
+async def order_all(server, jobs, rng, counts):
+    number = 0
+    while number < jobs:
+        if server.process.poll() is not None:
+            await asyncio.to_thread(server.start)
+        try:
+            async with asyncio.timeout(240), CONTROLLER.Controller(server.address, 10) as controller:
+                while number < jobs:
+                    disturbing = asyncio.create_task(disturb(server, controller, rng, counts))
+                    try:
+                        assert await do(server, controller, number) == 1
+                    finally:
+                        await disturbing
+                    number += 1
+        except (OSError, UaError, TimeoutError, asyncio.CancelledError) as problem:
+            counts["problems"] += 1
+            counts[type(problem).__name__] = counts.get(type(problem).__name__, 0) + 1
+            assert counts["problems"] < 20 * jobs
+
+
+@pytest.mark.soak
+def test_no_job_is_lost_or_doubled_by_kills_and_cuts(virtual_rig):
+    jobs = int(os.environ.get("ANISOSCOPE_LINE_JOBS", "1000"))
+    rig = virtual_rig("soak")
+    folder = rig.rig.parent
+    (folder / "recipes").mkdir()
+    shutil.copy(rig.recipe, folder / "recipes" / "plate.toml")
+    server, counts = Server(folder), {"cuts": 0, "problems": 0}
+    server.start()
+    asyncio.run(order_all(server, jobs, random.Random(7), counts))
+    server.end()
+    names = [f"M-{number}" for number in range(jobs)]
+    found = sorted((folder / "inspections").glob("*/record.json"))
+    records = [json.loads(path.read_text()) for path in found]
+    assert sorted(one["particulars"]["job"] for one in records) == sorted(names)
+    with open_history(folder / "inspections" / "history.sqlite", create=False) as history:
+        rows = history.rows()
+        assert history.verify_chain() == []
+    assert sorted(row.folder for row in rows) == [str(path.parent) for path in found]
+    print(f"{jobs} jobs, {server.kills} kills, {counts}, verdicts {sorted({row.verdict for row in rows})}")  # noqa: T201
