@@ -12,9 +12,12 @@ from typing import Protocol
 
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
+from pymodbus.pdu import ModbusPDU
 
 from anisoscope.base.errors import AnisoscopeError, NotConnected
 from anisoscope.line.jobs import Jobs, Order
+
+POLL_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -95,13 +98,13 @@ class ModbusIo:
         device = self._at.device
         self._do(lambda: self._client.write_coils(self._at.outputs, lines.bits(), device_id=device))
 
-    def _do(self, ask: Callable[[], "_Answer"]) -> "_Answer":
+    def _do(self, ask: Callable[[], ModbusPDU]) -> ModbusPDU:
         try:
-            if not self._client.connected and not self._client.connect():
+            if not self._client.connected and not self._client.connect():  # type: ignore[no-untyped-call]
                 raise NotConnected(f"no controller answers at {self._where}: check address, port and cable")
             answer = ask()
         except (ModbusException, OSError) as problem:
-            self._client.close()
+            self._client.close()  # type: ignore[no-untyped-call]
             text = " ".join(str(problem).split())
             raise NotConnected(f"the controller at {self._where} does not answer: {text}") from None
         if answer.isError():
@@ -113,14 +116,7 @@ class ModbusIo:
 
     def close(self) -> None:
         """Let go of the connection."""
-        self._client.close()
-
-
-class _Answer(Protocol):
-    bits: list[bool]
-    registers: list[int]
-
-    def isError(self) -> bool: ...  # noqa: N802 - as pymodbus has it
+        self._client.close()  # type: ignore[no-untyped-call]
 
 
 class Handshake:
@@ -140,7 +136,7 @@ class Handshake:
         self._said = ""
 
     def step(self) -> Lines | None:
-        """Look at the inputs, order a job where one is asked for, and set the outputs.
+        """Read the inputs, order the job of a new number, and set the outputs.
 
         Returns:
             The outputs; None where the controller does not answer: a job goes on, and the next step tries again.

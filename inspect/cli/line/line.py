@@ -159,7 +159,6 @@ def modbus(
     outputs: Annotated[int, Parameter(help="First of five coils: ready, busy, pass, fail, invalid.")] = 0,
     device: Annotated[int, Parameter(help="Unit identifier of the controller.")] = 1,
     prefix: Annotated[str, Parameter(help="Begins the serial number; the number of the job follows.")] = "",
-    poll: Annotated[float, Parameter(help="Seconds between looks at the trigger.")] = 0.02,
 ) -> int:
     """Inspect a part at every trigger of a controller and set its result lines, by Modbus/TCP, until Ctrl-C.
 
@@ -167,14 +166,12 @@ def modbus(
         anisoscope line modbus 192.168.1.10 --rig rig.toml --recipes recipes --recipe plate
     """
     with _needs("Modbus/TCP"):
-        from anisoscope.line.modbus import Addresses, Handshake, Lines, ModbusIo
+        from anisoscope.line.modbus import POLL_S, Addresses, Handshake, Lines, ModbusIo
     from anisoscope.base.errors import NotConnected
 
     host, _, port = plc.partition(":")
     if not host or not (port or "502").isdigit():
         raise UsageError(f"{plc}: give the controller as HOST or HOST:PORT")
-    if not poll > 0.0:
-        raise UsageError(f"--poll must be above 0 s, not {poll:g}")
     io = ModbusIo(host, int(port or 502), Addresses(trigger, number, outputs, device))
     stop = threading.Event()
     before = {one: signal.signal(one, lambda *_: stop.set()) for one in (signal.SIGINT, signal.SIGTERM)}
@@ -183,7 +180,7 @@ def modbus(
             jobs.check(recipe)
             handshake = Handshake(io, jobs, recipe, prefix, write_line)
             _say_address(f"modbus://{plc}")
-            while not stop.wait(poll):
+            while not stop.wait(POLL_S):
                 handshake.step()
             with contextlib.suppress(NotConnected):
                 io.write(Lines())
