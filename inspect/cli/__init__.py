@@ -78,7 +78,7 @@ COMMANDS = {
         ),
         "line": (
             "line.line:app",
-            "Serve a rig to the controller of a line: jobs by OPC UA or MQTT.",
+            "Serve a rig to the controller of a line: jobs by OPC UA, MQTT or Modbus/TCP.",
         ),
         "resume": (
             "inspect.inspection:resume",

@@ -110,7 +110,7 @@ class ModbusIo:
         if answer.isError():
             raise NotConnected(
                 f"the controller at {self._where} refuses the request ({answer}): check --trigger, --number, "
-                "--outputs and --device"
+                "--outputs and --unit"
             )
         return answer
 

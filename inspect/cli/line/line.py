@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from anisoscope.line.jobs import Jobs
     from anisoscope.line.mqtt import Broker
 
-app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA or MQTT.")
+app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA, MQTT or Modbus/TCP.")
 Recipes = Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")]
 Out = Annotated[Path, Parameter(help="Folder that receives the inspection folders.")]
 Station = Annotated[str | None, Parameter(help="Station where the rig stands.")]
@@ -157,7 +157,7 @@ def modbus(
         int, Parameter(help="First of two holding registers with the number of the job, high word first.")
     ] = 0,
     outputs: Annotated[int, Parameter(help="First of five coils: ready, busy, pass, fail, invalid.")] = 0,
-    device: Annotated[int, Parameter(help="Unit identifier of the controller.")] = 1,
+    unit: Annotated[int, Parameter(help="Unit identifier of the controller.")] = 1,
     prefix: Annotated[str, Parameter(help="Begins the serial number; the number of the job follows.")] = "",
 ) -> int:
     """Inspect a part at every trigger of a controller and set its result lines, by Modbus/TCP, until Ctrl-C.
@@ -172,7 +172,7 @@ def modbus(
     host, _, port = plc.partition(":")
     if not host or not (port or "502").isdigit():
         raise UsageError(f"{plc}: give the controller as HOST or HOST:PORT")
-    io = ModbusIo(host, int(port or 502), Addresses(trigger, number, outputs, device))
+    io = ModbusIo(host, int(port or 502), Addresses(trigger, number, outputs, unit))
     stop = threading.Event()
     before = {one: signal.signal(one, lambda *_: stop.set()) for one in (signal.SIGINT, signal.SIGTERM)}
     try:
