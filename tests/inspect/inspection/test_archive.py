@@ -136,6 +136,9 @@ def test_an_object_store_does_the_same(finished, s3, tmp_path):
     assert not finished.exists()
     proven = prove(store, 0.0, 0.95, np.random.default_rng(1))
     assert (proven.intact, proven.share, proven.hashed) == (True, 0.0, proven.objects)
+    check_clock(store, datetime.now(UTC))
+    with pytest.raises(ArchiveError, match="48 h ahead of that of the archive"):
+        check_clock(store, datetime.now(UTC) + timedelta(days=2))
     (name,) = archived(store)
     folder = pull(store, read_manifest(store, name), tmp_path / "restored")
     assert verify(folder).intact
