@@ -10,6 +10,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
 from anisoscope.decision.reference_parts import RadianceSet, ReferenceRow, ReferenceSet
 from anisoscope.diagnosis.cause_words import CauseWords
+from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
 from anisoscope.imaging.registration.placement import Grid, View, resample
 from anisoscope.imaging.views import Views, most_changed
@@ -48,6 +49,7 @@ __all__ = [
     "CalibrationError",
     "CauseRecord",
     "CauseWords",
+    "CellMap",
     "CommandOutput",
     "ConclusionRecord",
     "Convention",

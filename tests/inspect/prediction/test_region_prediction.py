@@ -29,16 +29,17 @@ POSES = tuple(Pose(angle) for angle in (0.0, 90.0, 180.0))
 DESIGN = RidgeDesign(100.0, 10.0)
 
 
-def test_a_board_of_two_directions_is_as_bright_after_a_quarter_turn():
-    """Small fields, facet by facet: one direction at 0° is the other at 90°, within .5 %."""
-    surface = checkerboard(DESIGN, (501, 501), 1.0, 250.0)
+@pytest.mark.parametrize("step_um", [2.0, 2.5])
+def test_a_board_of_two_directions_is_as_bright_after_a_quarter_turn(step_um):
+    """Small fields, at 2 µm and 2.5 µm: one direction at 0° is the other at 90°, within .2 %."""
+    surface = checkerboard(DESIGN, (round(500 / step_um), round(500 / step_um)), step_um, 250.0)
     found = predict_map(surface, PLASTIC, POSES, Convention())
     first, second = found.notes["regions"]
     assert first["predicted_regions"] == second["predicted_regions"] == 0
-    assert first["radiance"][0] == pytest.approx(second["radiance"][1], rel=0.005)
-    assert first["radiance"][1] == pytest.approx(second["radiance"][0], rel=0.005)
+    assert first["radiance"][0] == pytest.approx(second["radiance"][1], rel=0.002)
+    assert first["radiance"][1] == pytest.approx(second["radiance"][0], rel=0.002)
     ideal = predict_design(DESIGN, PLASTIC, POSES, Convention()).radiance
-    np.testing.assert_allclose(first["radiance"], ideal, rtol=0.01)
+    np.testing.assert_allclose(first["radiance"], ideal, rtol=0.02)
     shares = [one["share"] for one in (first, second)]
     mean = np.average([first["radiance"], second["radiance"]], axis=0, weights=shares)
     np.testing.assert_allclose(found.radiance, mean, rtol=1e-12)
@@ -88,6 +89,51 @@ def test_small_fields_are_predicted_within_a_percent_however_the_map_is_turned(t
 )
 def test_small_fields_along_the_grid_are_predicted_within_their_budget(design, points, field_um, off):
     """Narrow walls, two ridges a field, cut crests (facet by facet 7 to 22 % off), against ideal ridges."""
+    fields, board, within = board_along_the_grid(design, points, field_um)
+    assert np.abs(fields).max() < off
+    assert (np.abs(board) <= 2.0 * within).all()
+
+
+SHAPES = [
+    RidgeDesign(100.0, 5.0),
+    RidgeDesign(100.0, 5.0, "vertical"),
+    RidgeDesign(100.0, 10.0),
+    RidgeDesign(100.0, 10.0, "vertical"),
+    RidgeDesign(100.0, 10.0, 5.0),
+    RidgeDesign(100.0, 10.0, edge_radius_um=3.0),
+    RidgeDesign(100.0, 10.0, height_loss=0.1),
+    RidgeDesign(100.0, 10.0, "vertical", 0.1),
+    RidgeDesign(100.0, 15.0, "vertical"),
+    RidgeDesign(100.0, 15.0, edge_radius_um=5.0),
+    RidgeDesign(100.0, 15.0, height_loss=0.2),
+]
+SAMPLINGS = [
+    (20.0, 250.0),
+    (25.0, 200.0),
+    (30.3, 250.0),
+    (40.0, 250.0),
+    (50.0, 250.0),
+    (50.0, 200.0),
+    (51.5, 250.0),
+]
+
+
+@pytest.mark.statistics
+def test_errors_of_small_fields_along_the_grid_are_as_their_budget_says():
+    """77 boards, points a pitch and field in µm; errors over u of what the points leave open of walls."""
+    over_u = []
+    for design in SHAPES:
+        for points, field_um in SAMPLINGS:
+            _, off, within = board_along_the_grid(design, points, field_um)
+            over_u.append(np.abs(off) / within)
+    share = [np.mean(np.array(over_u) < bound) for bound in (1.0, 2.0)]
+    assert share[0] > 0.85
+    assert share[1] > 0.95
+    assert np.max(over_u) < 6.0  # crests rounded by more than a point, 20 points a pitch; all others below 3
+
+
+def board_along_the_grid(design, points, field_um):
+    """Relative errors of the bright fields and of the board at 0°, 90°, 180°, against ideal ridges; u by walls."""
     pixel_um = 100.0 / points
     surface, _ = turned_board(0.0, int(1000.0 / pixel_um), pixel_um, field_um, design)
     found = predict_map(surface, PLASTIC, POSES, Convention(), inputs=InputUncertainty())
@@ -97,11 +143,11 @@ def test_small_fields_along_the_grid_are_predicted_within_their_budget(design, p
         predict_design(design, PLASTIC, POSES, Convention(facet_azimuth_deg=turn)).radiance
         for turn in (0.0, -90.0)
     )
-    np.testing.assert_allclose(bright["radiance"], truth, rtol=off)
     mean = (bright["share"] * truth + dark["share"] * turned) / (bright["share"] + dark["share"])
     assert found.budget is not None
     walls = [one.absolute for one in found.budget.contributions if "walls" in one.source]
-    assert (np.abs(found.radiance - mean) <= 2.0 * np.sqrt(np.sum(np.square(walls), axis=0))).all()
+    within = np.sqrt(np.sum(np.square(walls), axis=0)) / mean
+    return bright["radiance"] / truth - 1.0, found.radiance / mean - 1.0, within
 
 
 def test_one_direction_is_predicted_as_before_and_has_no_regions():
