@@ -1,6 +1,8 @@
 """Guided work by the interface of programs: what every guide asks, does and finds, and what it leaves."""
 
 import json
+import shutil
+import tomllib
 
 import httpx
 import numpy as np
@@ -68,10 +70,21 @@ def guiding(served, app_of, at):
 
 def test_flat_and_dark_by_steps(served, app_of, station_at):
     at = station_at("tile", bench={"sample": {"kind": "white-tile"}})[0]
+    with_own_flat(at.place.rig)
     with served(app_of(at)) as address:
         guiding = Guiding(address, at)
         check_flat_and_dark(guiding, at)
         guiding.end()
+
+
+def with_own_flat(rig):
+    """The flat of a virtual rig is shared by all tests: this one, which takes it anew, gets a copy."""
+    text = rig.read_text(encoding="utf-8")
+    named = tomllib.loads(text)["calibration"]["flat"]
+    shared = (rig.parent / named).resolve()
+    own = shutil.copytree(shared.parent, rig.parent / "own flat")
+    assert named in text
+    rig.write_text(text.replace(named, str(own / shared.name)), encoding="utf-8")
 
 
 def check_flat_and_dark(guiding, at):
