@@ -3,7 +3,7 @@
 The address space is that of the OPC Foundation's NodeSet, which lies in ``data/``. Of what the specification leaves
 open there are: configuration management (one configuration, the rig file), recipe management (the folder of recipes),
 result management, and automatic mode with single jobs. asyncua checks no arguments; every call is checked here against
-the signature in the NodeSet before anything else.
+the signature in the NodeSet before anything else (`anisoscope.line.opcua_types`).
 """
 
 import asyncio
@@ -15,33 +15,41 @@ import logging
 import re
 import socket
 import uuid
-import xml.etree.ElementTree as ET
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self
 
 from asyncua import Node, Server, ua
 from asyncua.common.events import Event, get_event_obj_from_type_node
 from asyncua.common.instantiate_util import instantiate
-from asyncua.ua.uaerrors import UaError
 
 from anisoscope.base.crash import crash_line
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.line.jobs import Job, Jobs, Kind, Refused, order_of, result_of
+from anisoscope.line.opcua_types import (
+    NODESET,
+    WRONG,
+    BadCall,
+    check_nodeset,
+    define_ids,
+    empty_value,
+    import_nodeset,
+    input_value,
+    named_children,
+    output_variant,
+    paired,
+    signature_of,
+    subtypes,
+)
 from anisoscope.record.verdict import Verdict
 
-NAMESPACE = "http://opcfoundation.org/UA/MachineVision"
-VERSION = "1.0.0"
-NODESET = Path(__file__).parent / "data" / "Opc.Ua.MachineVision.NodeSet2.xml"
 NAME = "VisionSystem"
 PATH = "/anisoscope"
 MOST_RESULTS = 1000
 """Results or recipes in one answer; a client asks for more with StartIndex."""
-IDS = ("RecipeIdExternalDataType", "RecipeIdInternalDataType", "ConfigurationIdDataType")
-"""Types without fields of their own: without a definition asyncua takes their base for them."""
 PARTS = {
     "ConfigurationManagement": 1006,
     "RecipeManagement": 1004,
@@ -129,14 +137,6 @@ SAYS = {
 """What the values of Error mean."""
 
 
-class _Bad(Exception):
-    """A call that is answered with a status: for its state, or for arguments by their numbers."""
-
-    def __init__(self, status: int, arguments: Sequence[int] = ()) -> None:
-        super().__init__(status)
-        self.status, self.arguments = status, arguments
-
-
 class _No(Exception):
     """A call that is answered with an error of its own, and an event that says it in words."""
 
@@ -200,7 +200,7 @@ class VisionServer:
 
     async def __aenter__(self) -> Self:
         _check_port(self._host, self._port)
-        _check_nodeset(self._nodeset)
+        check_nodeset(self._nodeset)
         await self._lay_out()
         loop = asyncio.get_running_loop()
 
@@ -237,11 +237,12 @@ class VisionServer:
         await server.set_build_info(
             "anisoscope", "anisoscope", "anisoscope", version("anisoscope"), "", datetime.now(UTC)
         )
-        self._ns = await _import_nodeset(server, self._nodeset)
-        await _define_ids(server, self._ns)
+        self._ns = await import_nodeset(server, self._nodeset)
+        await define_ids(server, self._ns)
         await server.load_data_type_definitions()
         self._types = {
-            (await node.read_browse_name()).Name: node for node in await _tree(server.nodes.base_event_type)
+            (await node.read_browse_name()).Name: node
+            for node in await subtypes(server.nodes.base_event_type)
         }
         system_type = server.get_node(ua.NodeId(1003, self._ns))
         own = await server.register_namespace("urn:anisoscope:line")
@@ -269,8 +270,8 @@ class VisionServer:
         select = ua.QualifiedName("SelectModeAutomatic", self._ns)
         await self._machine.add_method(ua.NodeId(0, own), select, _no_call, [], [error])
         self._objects = {
-            **await _named_children(server.get_node(ua.NodeId(1017, self._ns))),
-            **await _named_children(server.get_node(ua.NodeId(1021, self._ns))),
+            **await named_children(server.get_node(ua.NodeId(1017, self._ns))),
+            **await named_children(server.get_node(ua.NodeId(1021, self._ns))),
         }
         for node in (server.nodes.server, self._system, self._machine, self._automatic):
             await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents])
@@ -302,7 +303,7 @@ class VisionServer:
         for folder, names in management.items():
             for name in names:
                 method = await self._at(f"{folder}/{name}")
-                inputs, self._outputs[name] = await _signature(method)
+                inputs, self._outputs[name] = await signature_of(method)
                 call = getattr(self, re.sub("(?=[A-Z])", "_", name).lower())
                 self._server.link_method(method, self._checked(name, inputs, call))
 
@@ -310,13 +311,13 @@ class VisionServer:
         async def answer(_parent: ua.NodeId, *given: ua.Variant) -> ua.CallMethodResult:
             result = ua.CallMethodResult()
             try:
-                values = [await self._value(one, wanted) for one, wanted in _paired(given, inputs)]
-                wrong = [number for number, value in enumerate(values) if value is _WRONG]
+                values = [input_value(one, wanted, self._ns) for one, wanted in paired(given, inputs)]
+                wrong = [number for number, value in enumerate(values) if value is WRONG]
                 if wrong:
-                    raise _Bad(ua.StatusCodes.BadInvalidArgument, wrong)
+                    raise BadCall(ua.StatusCodes.BadInvalidArgument, wrong)
                 async with self._lock:
                     found = (*await call(*values), 0)
-            except _Bad as refused:
+            except BadCall as refused:
                 result.StatusCode = ua.StatusCode(refused.status)
                 result.InputArgumentResults = [
                     ua.StatusCode(ua.StatusCodes.BadTypeMismatch if one in refused.arguments else 0)
@@ -325,40 +326,18 @@ class VisionServer:
                 return result
             except _No as refused:
                 await self._say(f"{name}: {refused}")
-                found = (*map(_empty, self._outputs[name][:-1]), refused.code)
+                found = (*map(empty_value, self._outputs[name][:-1]), refused.code)
             except Exception as error:  # noqa: BLE001 - the server goes on
                 await self._say(crash_line(error, f"line opcua: {name}"))
                 result.StatusCode = ua.StatusCode(ua.StatusCodes.BadInternalError)
                 return result
             result.OutputArguments = [
-                _variant(value, wanted) for value, wanted in zip(found, self._outputs[name], strict=True)
+                output_variant(value, wanted)
+                for value, wanted in zip(found, self._outputs[name], strict=True)
             ]
             return result
 
         return answer
-
-    async def _value(self, given: ua.Variant, wanted: ua.Argument) -> Any:  # noqa: ANN401 - of any type
-        """The value of an argument, or `_WRONG`."""
-        value = given.Value
-        if wanted.ValueRank == 1:
-            return (
-                []
-                if value is None
-                else _elements(given)
-                if given.is_array and isinstance(value, list)
-                else _WRONG
-            )
-        if given.is_array:
-            return _WRONG
-        expected = wanted.DataType
-        structure = getattr(ua, _STRUCTURES.get(expected.Identifier, ""), None)
-        if expected.NamespaceIndex == self._ns and structure is not None:
-            if value is None:
-                return structure()
-            return value if getattr(type(value), "data_type", None) == expected else _WRONG
-        base = _BUILTIN.get(expected.Identifier if expected.NamespaceIndex else 0)
-        base = base or ua.VariantType(expected.Identifier)
-        return value if given.VariantType == base and value is not None else _WRONG
 
     # States.
 
@@ -410,7 +389,7 @@ class VisionServer:
 
     def _may(self, method: str) -> None:
         if (self.state, method) not in STEPS:
-            raise _Bad(ua.StatusCodes.BadInvalidState)
+            raise BadCall(ua.StatusCodes.BadInvalidState)
 
     # Events.
 
@@ -517,7 +496,7 @@ class VisionServer:
             self._check_prepared(name, product)
         more = _parameters(parameters)
         content = {"job": meas.Id or str(uuid.uuid4()), "recipe": name, "serial": part.Id or ""} | more
-        with _told():
+        with _refusals():
             job = await asyncio.to_thread(self._jobs.submit, order_of(content))
         if known is None:
             self._stop_asked = False
@@ -536,13 +515,13 @@ class VisionServer:
 
     async def _start_continuous(self, *_: object) -> tuple[Any, ...]:
         if self.state != READY:
-            raise _Bad(ua.StatusCodes.BadInvalidState)
+            raise BadCall(ua.StatusCodes.BadInvalidState)
         raise _No(UNSUPPORTED, "continuous execution is not supported: a part is put in for every job")
 
     # Recipes.
 
     def _find(self, name: str) -> _Prepared:
-        with _told():
+        with _refusals():
             entry = self._jobs.recipe(name)
         content = (self._recipes / f"{name}.toml").read_bytes()
         return _Prepared(name, hashlib.sha256(content).digest(), entry.product)
@@ -562,7 +541,7 @@ class VisionServer:
     async def _prepare_recipe(self, external: Structure, internal: Structure) -> tuple[Any, ...]:
         self._may("PrepareRecipe")
         found = await asyncio.to_thread(self._asked_recipe, external, internal)
-        with _told():
+        with _refusals():
             await asyncio.to_thread(self._jobs.check, found.name)
         self._prepared = found
         await self._fire(
@@ -716,74 +695,7 @@ class VisionServer:
         return self._handle
 
 
-_WRONG = object()
 _RESULT_STATES = {"done": 1, "running": 2, "stopped": 3, "failed": 4}
-_STRUCTURES = {
-    3002: "RecipeIdExternalDataType",
-    3003: "ProductIdDataType",
-    3004: "PartIdDataType",
-    3008: "ConfigurationIdDataType",
-    3013: "RecipeIdInternalDataType",
-    3015: "MeasIdDataType",
-    3016: "JobIdDataType",
-    3021: "ResultIdDataType",
-    3005: "ProcessingTimesDataType",
-    3006: "ResultDataType",
-    3007: "ConfigurationDataType",
-}
-"""Structures of the NodeSet by the numbers of their data types."""
-_BUILTIN = {
-    3009: ua.VariantType.Int32,
-    3014: ua.VariantType.Int32,
-    3017: ua.VariantType.String,
-    3018: ua.VariantType.UInt32,
-}
-"""Of the NodeSet's other data types, what goes over the wire."""
-
-
-def _paired(
-    given: Sequence[ua.Variant], wanted: list[ua.Argument]
-) -> Iterable[tuple[ua.Variant, ua.Argument]]:
-    if len(given) < len(wanted):
-        raise _Bad(ua.StatusCodes.BadArgumentsMissing)
-    if len(given) > len(wanted):
-        raise _Bad(ua.StatusCodes.BadTooManyArguments)
-    return zip(given, wanted, strict=True)
-
-
-def _elements(given: ua.Variant) -> list[Any]:
-    """Elements of an array; those of an array of Variants are taken out of them."""
-    return [one.Value if isinstance(one, ua.Variant) else one for one in given.Value]
-
-
-def _empty(argument: ua.Argument) -> Any:  # noqa: ANN401 - of any type
-    if argument.ValueRank == 1:
-        return []
-    structure = getattr(ua, _STRUCTURES.get(argument.DataType.Identifier, ""), None)
-    if argument.DataType.NamespaceIndex and structure is not None:
-        return structure()
-    kind = _BUILTIN.get(argument.DataType.Identifier, ua.VariantType.Null)
-    return False if argument.DataType.Identifier == ua.ObjectIds.Boolean else 0 if kind else _NOTHING
-
-
-_NOTHING = ua.Variant(None)
-
-
-def _variant(value: Any, argument: ua.Argument) -> ua.Variant:  # noqa: ANN401
-    """An output argument as its signature says."""
-    if isinstance(value, ua.Variant):
-        return value
-    number, own = argument.DataType.Identifier, argument.DataType.NamespaceIndex
-    is_array = argument.ValueRank == 1
-    if own and number in _STRUCTURES:
-        kind = ua.VariantType.ExtensionObject
-    elif own:
-        kind = _BUILTIN[number]
-    elif number == ua.ObjectIds.UtcTime:
-        kind = ua.VariantType.DateTime
-    else:
-        kind = ua.VariantType.Variant if number == ua.ObjectIds.BaseDataType else ua.VariantType(number)
-    return ua.Variant(value, kind, is_array=is_array)
 
 
 def _page(found: Sequence[Any], most: int, start: int) -> tuple[Sequence[Any], bool]:
@@ -825,7 +737,7 @@ def _parameters(given: list[Any]) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _told() -> Any:  # noqa: ANN401
+def _refusals() -> Any:  # noqa: ANN401
     """What the jobs refuse, as an error of the call."""
     try:
         yield
@@ -833,25 +745,6 @@ def _told() -> Any:  # noqa: ANN401
         raise _No(CODES[refused.why], str(refused)) from None
     except (AnisoscopeError, OSError) as problem:
         raise _No(BROKEN, " ".join(str(problem).split())) from None
-
-
-def _check_nodeset(path: Path) -> None:
-    """Refuse another NodeSet.
-
-    Raises:
-        UsageError: it is not that of OPC 40100-1, version 1.0.0, or cannot be read.
-    """
-    try:
-        text = path.read_bytes()
-    except OSError as problem:
-        raise UsageError(f"{path}: the NodeSet cannot be read: {problem.strerror}") from None
-    head = text[:8192].decode("utf-8", "replace")
-    if f'ModelUri="{NAMESPACE}" Version="{VERSION}"' not in head:
-        raise UsageError(f"{path}: this is not the NodeSet of {NAMESPACE}, version {VERSION}")
-    try:
-        ET.fromstring(text)  # noqa: S314 - a file of this package
-    except ET.ParseError as problem:
-        raise UsageError(f"{path}: the NodeSet is damaged: {problem}") from None
 
 
 def _check_port(host: str, port: int) -> None:
@@ -869,51 +762,6 @@ def _check_port(host: str, port: int) -> None:
         raise UsageError(f"cannot serve at {host}:{port}: {reason}; choose another --port") from None
 
 
-async def _import_nodeset(server: Server, path: Path) -> int:
-    """Read the NodeSet into a server; index of its namespace."""
-    await server.import_xml(path)
-    return cast("int", await server.get_namespace_index(NAMESPACE))
-
-
-async def _define_ids(server: Server, namespace: int) -> None:
-    """Give the types without fields of their own the definition of their base, with their own encodings."""
-    for name in IDS:
-        number = next(key for key, one in _STRUCTURES.items() if one == name)
-        node = server.get_node(ua.NodeId(number, namespace))
-        base = await server.get_node(ua.NodeId(3019, namespace)).read_data_type_definition()
-        definition = copy.deepcopy(base)
-        definition.BaseDataType = ua.NodeId(3019, namespace)
-        for encoding in await node.get_referenced_nodes(ua.ObjectIds.HasEncoding):
-            if (await encoding.read_browse_name()).Name == "Default Binary":
-                definition.DefaultEncodingId = encoding.nodeid
-        if getattr(getattr(ua, name, None), "data_type", None) != node.nodeid:
-            with contextlib.suppress(AttributeError):
-                delattr(ua, name)  # that of the base, under this name
-        value = ua.DataValue(ua.Variant(definition, ua.VariantType.ExtensionObject))
-        await server.write_attribute_value(node.nodeid, value, ua.AttributeIds.DataTypeDefinition)
-
-
 async def _no_call(*_: object) -> ua.StatusCode:
     """Stands for a method until it is linked."""
     return ua.StatusCode(ua.StatusCodes.BadNotImplemented)
-
-
-async def _tree(node: Node) -> list[Node]:
-    found = [node]
-    for child in await node.get_referenced_nodes(ua.ObjectIds.HasSubtype, ua.BrowseDirection.Forward):
-        found += await _tree(child)
-    return found
-
-
-async def _named_children(node: Node) -> dict[str, Node]:
-    return {(await child.read_browse_name()).Name: child for child in await node.get_children()}
-
-
-async def _signature(method: Node) -> tuple[list[ua.Argument], list[ua.Argument]]:
-    found: list[list[ua.Argument]] = []
-    for name in ("InputArguments", "OutputArguments"):
-        try:
-            found.append(await (await method.get_child(ua.QualifiedName(name))).read_value() or [])
-        except UaError:
-            found.append([])
-    return found[0], found[1]

@@ -22,7 +22,7 @@ from asyncua.ua.uaerrors import UaError
 from anisoscope.base.errors import CameraError, RigError, UsageError
 from anisoscope.history.store import open_history
 from anisoscope.inspection.work import WorkerHere
-from anisoscope.line import opcua
+from anisoscope.line import opcua, opcua_types
 from anisoscope.line.jobs import Jobs
 from anisoscope.line.opcua import METHODS, STATES, STEPS, VisionServer
 from anisoscope.sim.bench.camera import SimulatedCamera, SimulatedLight
@@ -177,7 +177,7 @@ def at(server, controller, loop, gate, stopping):
 def nodes_of_nodeset():
     return {
         node.get("NodeId"): node
-        for node in ET.parse(opcua.NODESET).getroot()
+        for node in ET.parse(opcua_types.NODESET).getroot()
         if node.get("NodeId") is not None
     }
 
@@ -390,9 +390,12 @@ def test_a_job_that_a_killed_server_left_is_at_work_again(place, server, at):
 
 
 def test_other_nodesets_are_refused(place, loop, tmp_path):
-    text = opcua.NODESET.read_text()
+    text = opcua_types.NODESET.read_text()
     files = {
-        "other.xml": (text.replace(opcua.NAMESPACE, "http://opcfoundation.org/UA/DI/"), "not the NodeSet of"),
+        "other.xml": (
+            text.replace(opcua_types.NAMESPACE, "http://opcfoundation.org/UA/DI/"),
+            "not the NodeSet of",
+        ),
         "torn.xml": (text[:20000], "damaged"),
         "missing.xml": (None, "cannot be read"),
     }
@@ -409,7 +412,7 @@ def test_other_nodesets_are_refused(place, loop, tmp_path):
 
 
 def test_the_licence_of_the_nodeset_goes_with_it():
-    head = opcua.NODESET.read_text()[:2000]
+    head = opcua_types.NODESET.read_text()[:2000]
     assert "OPC Foundation MIT License 1.00" in head
     assert "The above copyright notice and this permission notice shall be" in head
 
