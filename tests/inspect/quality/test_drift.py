@@ -96,6 +96,33 @@ def test_false_alarms_in_total_are_at_most_one_percent(name):
     assert alarms(name, 2000, 1000) <= 20
 
 
+def wandering(share, count, length, rng):
+    """Normal values with a share of the variance in a wander, whose correlation from part to part is 0.8."""
+    made = np.empty((count, length))
+    made[:, 0] = rng.standard_normal(count)
+    for n in range(1, length):
+        made[:, n] = 0.8 * made[:, n - 1] + 0.6 * rng.standard_normal(count)
+    return np.sqrt(1.0 - share) * rng.standard_normal((count, length)) + np.sqrt(share) * made
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize(("share", "low", "high"), [(0.05, 0.0, 0.03), (0.1, 0.03, 0.12), (0.2, 0.25, 0.42)])
+def test_series_that_wander_by_themselves_raise_alarms(share, low, high):
+    """The limit of the test: 1, 7, 33 % of series of 1,000 parts (docs/statistics.md)."""
+    ranks = ranks_of(wandering(share, 400, 1000, np.random.default_rng(13)))
+    rate = float((log_evidence(ranks).max(axis=1) >= LIMIT).mean())
+    assert low <= rate <= high, rate
+
+
+@pytest.mark.statistics
+def test_a_step_of_two_standard_deviations_is_seen_after_nine_parts():
+    series = np.random.default_rng(14).standard_normal((300, 250))
+    series[:, 150:] += 2.0
+    above = log_evidence(ranks_of(series)) >= LIMIT
+    seen = np.where(above.any(axis=1), above.argmax(axis=1) - 150 + 1, 100)
+    assert np.median(seen) == pytest.approx(9, abs=1)
+
+
 def test_an_onset_is_found():
     rng = np.random.default_rng(5)
     values = rng.standard_normal(160)
