@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import functools
-import ipaddress
 import logging
 import socket
 import ssl
@@ -24,6 +23,7 @@ from starlette.exceptions import HTTPException as AnyHTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.console.access import COOKIE, SAFE_METHODS, SESSION_S, Access, Needs, Permission, Session
 from anisoscope.console.accounts import ROLES, Accounts, Role
@@ -473,16 +473,6 @@ def hosts_of(host: str, port: int, names: Sequence[str] = ()) -> frozenset[str]:
     if is_loopback(host):
         known |= {"127.0.0.1", "localhost", "[::1]"}
     return frozenset(f"{name.lower()}:{port}" for name in known)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address can be reached from this computer only."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def check_exposure(host: str, *, users: bool, tls: bool) -> None:

@@ -142,7 +142,7 @@ class EdgeNode:
         """Connect, publish, and connect again after cuts, until `end`.
 
         Raises:
-            HistoryError: the history cannot be read at the start.
+            HistoryError: the history cannot be read at the start, or there is none and no jobs can be ordered.
             RecordError: the memory cannot be written.
         """
         self._begin()
@@ -182,10 +182,10 @@ class EdgeNode:
 
     def _begin(self) -> None:
         """What the births say: the latest inspections. Without a memory, what is in the history counts as published."""
-        self._memory.parent.mkdir(parents=True, exist_ok=True)
-        with open_history(self._history) as history:
+        with open_history(self._history, create=self._jobs is not None) as history:
             last = history.last_id()
             before = history.after(max(last - LATEST, 0), LATEST)
+        self._memory.parent.mkdir(parents=True, exist_ok=True)
         if self._remembered.published is None:
             self._remember(published=last)
         self._sent = min(self._remembered.published or 0, last)

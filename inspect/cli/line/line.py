@@ -2,15 +2,15 @@
 
 import asyncio
 import contextlib
-import ipaddress
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
@@ -116,9 +116,7 @@ def mqtt(
         served = EdgeNode(where, names, place, out / "line" / "mqtt.json", write_line, jobs)
         if jobs is not None:
             stack.enter_context(jobs)  # a job that a killed process left goes on, and is heard of
-        for number in (signal.SIGINT, signal.SIGTERM):
-            before = signal.signal(number, lambda *_: served.end())
-            stack.callback(signal.signal, number, before)
+        stack.enter_context(_at_signals(served.end))
         write_line(message("Ctrl-C ends it"))
         served.run()
     return 0
@@ -130,10 +128,7 @@ def _check_reach(broker: "Broker", *, open_: bool) -> None:
     Raises:
         UsageError: it was not said.
     """
-    with contextlib.suppress(ValueError):
-        if ipaddress.ip_address(broker.host).is_loopback:
-            return
-    if broker.host != "localhost" and not broker.tls and not open_:
+    if not (is_loopback(broker.host) or broker.tls or open_):
         raise UsageError(
             f"orders over {broker} are not encrypted, and each client there may move the rig: mqtts://, or --open"
         )
@@ -174,19 +169,15 @@ def modbus(
         raise UsageError(f"{plc}: give the controller as HOST or HOST:PORT")
     io = ModbusIo(host, int(port or 502), Addresses(trigger, number, outputs, unit))
     stop = threading.Event()
-    before = {one: signal.signal(one, lambda *_: stop.set()) for one in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with contextlib.closing(io), jobs_at(rig, recipes, out, history, station) as jobs, jobs:
-            jobs.check(recipe)
-            handshake = Handshake(io, jobs, recipe, prefix, write_line)
-            _say_address(f"modbus://{plc}")
-            while not stop.wait(POLL_S):
-                handshake.step()
-            with contextlib.suppress(NotConnected):
-                io.write(Lines())
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
+    held = jobs_at(rig, recipes, out, history, station)
+    with _at_signals(stop.set), contextlib.closing(io), held as jobs, jobs:
+        jobs.check(recipe)
+        handshake = Handshake(io, jobs, recipe, prefix, write_line)
+        _say_address(f"modbus://{plc}")
+        while not stop.wait(POLL_S):
+            handshake.step()
+        with contextlib.suppress(NotConnected):
+            io.write(Lines())
     return 0
 
 
@@ -211,10 +202,7 @@ def check_open(host: str, *, open_: bool) -> None:
     Raises:
         UsageError: it was not said.
     """
-    with contextlib.suppress(ValueError):
-        if ipaddress.ip_address(host).is_loopback:
-            return
-    if host != "localhost" and not open_:
+    if not (is_loopback(host) or open_):
         raise UsageError(
             f"--host {host} can be reached from other computers, each of which may then move the rig: put it into a "
             "network of its own and add --open"
@@ -251,16 +239,19 @@ def _say_address(address: str) -> None:
     write_line(message("Ctrl-C ends it"))
 
 
+@contextlib.contextmanager
+def _at_signals(do: Callable[[], object]) -> Iterator[None]:
+    """What Ctrl-C and SIGTERM do meanwhile."""
+    before = {one: signal.signal(one, lambda *_: do()) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
 async def _until_signalled() -> None:
     """Wait for the first Ctrl-C or SIGTERM."""
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
-
-    def end(*_: object) -> None:
-        loop.call_soon_threadsafe(stop.set)
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with _at_signals(lambda: loop.call_soon_threadsafe(stop.set)):
         await stop.wait()
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

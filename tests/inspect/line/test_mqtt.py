@@ -18,6 +18,7 @@ import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
 from anisoscope.inspection.work import WorkerHere
@@ -540,6 +541,15 @@ def test_retained_commands_are_not_carried_out(broker, place, host):
 def test_an_address_that_is_none_is_refused(address):
     with pytest.raises(UsageError, match="a broker has an address"):
         broker_of(address)
+
+
+def test_no_history_is_made_where_nothing_can_be_ordered(tmp_path):
+    node = EdgeNode(
+        broker_of("mqtt://127.0.0.1"), NAMES, tmp_path / "none.sqlite", tmp_path / "a" / "mqtt.json", print
+    )
+    with pytest.raises(HistoryError, match="there is no history"):
+        node.run()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_names_memory_and_passwords(tmp_path, place):
