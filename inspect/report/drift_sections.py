@@ -88,10 +88,12 @@ def drift_picture(drift: Drift) -> Picture:
     alt = (
         f"Values of {drift.name}, the evidence for a drift{', and ' + names if shown else ''} over the parts"
     )
-    caption = (
-        "Orange line: most likely onset; red line: alarm; red dashes: evidence of 100. On the right the values over "
-        "each parameter, orange from the onset on."
-    )
+    caption = "Red dashes: evidence of 100."
+    if drift.onset_at is not None:
+        caption = "Orange line: most likely onset; red line: alarm; red dashes: evidence of 100."
+    if shown:
+        from_onset = "" if drift.onset_at is None else ", orange from the onset on"
+        caption += f" On the right the values over each parameter{from_onset}."
     return Picture(uri, alt, caption)
 
 

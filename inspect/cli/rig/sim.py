@@ -105,6 +105,9 @@ def press(
         )
     if (setting is None) != (change == 0.0):
         raise UsageError("rig sim press: --setting and --change go together")
+    taken = next((out / one for one in ("parts.csv", "cycles.csv") if (out / one).exists()), None)
+    if taken is not None:
+        raise UsageError(f"rig sim press: {taken} exists: give another --out")
     changes = () if setting is None else (Change(setting, change, onset - 1, ramp),)
     made = mould(parts, changes, np.random.default_rng(seed))
     start = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)

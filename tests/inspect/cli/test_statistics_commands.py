@@ -317,6 +317,13 @@ def moulded(done, tmp_path):
     return folder
 
 
+def test_the_simulated_press_replaces_no_files(done, moulded):
+    before = (moulded / "parts.csv").read_text()
+    code, _, err = done("rig", "sim", "press", "--out", moulded)
+    assert (code, "parts.csv exists: give another --out" in err) == (64, True), err
+    assert (moulded / "parts.csv").read_text() == before
+
+
 def test_a_drift_is_seen_and_named_from_a_file(done, moulded, tmp_path):
     page = tmp_path / "drift.html"
     said = done(
