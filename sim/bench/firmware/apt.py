@@ -251,7 +251,7 @@ class AptFirmware(SimulatedDevice):
         if packet is None:
             return False
         if packet.destination == self.address:
-            self.commands.append(struct.pack("<HBB", packet.id, *packet.parameters) + packet.data)
+            self._take(struct.pack("<HBB", packet.id, *packet.parameters) + packet.data)
             self._attend()
             self._obey(packet)
         return True

@@ -73,7 +73,7 @@ class CoolLedFirmware(SimulatedDevice):
         line = bytes(self._inbox[: end.start()])
         del self._inbox[: end.end()]
         if line:
-            self.commands.append(line)
+            self._take(line)
             self._obey(line.decode("ascii", errors="replace"))
         return True
 

@@ -2,11 +2,14 @@
 
 import threading
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import ClassVar, Protocol, runtime_checkable
 
 from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
+
+RECENT_COMMANDS = 1000
 
 
 @runtime_checkable
@@ -42,8 +45,9 @@ class SimulatedDevice(ABC):
 
     Attributes:
         faults: the parameter of every fault that it has.
-        commands: every whole command that it took, in order.
-        stops: how many of them were stop commands.
+        commands: the last thousand whole commands that it took, in order.
+        taken: how many commands it took.
+        stops: how many commands were stop commands.
 
     Raises:
         UsageError: there is no fault of this name, or a device of this kind cannot have it.
@@ -59,7 +63,8 @@ class SimulatedDevice(ABC):
             if fault.kind in self.IMPOSSIBLE:
                 raise UsageError(f"a device of this protocol cannot have the fault '{fault.kind}'")
         self.faults = {fault.kind: fault.value for fault in parsed}
-        self.commands: list[bytes] = []
+        self.commands: deque[bytes] = deque(maxlen=RECENT_COMMANDS)
+        self.taken = 0
         self.stops = 0
         self._clock = clock
         self._lock = threading.RLock()
@@ -134,6 +139,10 @@ class SimulatedDevice(ABC):
             del self._outbox[:count]
             return ready
 
+    def _take(self, command: bytes) -> None:
+        self.commands.append(command)
+        self.taken += 1
+
     def _check_line(self) -> None:
         if self._dead:
             raise ConnectionError("the simulated line is dead")
@@ -141,7 +150,7 @@ class SimulatedDevice(ABC):
     def _send(self, frame: bytes) -> None:
         """Queue a whole message for the host, through whatever is wrong with the line."""
         faults = self.faults
-        if FaultKind.SILENT in faults and len(self.commands) > faults[FaultKind.SILENT]:
+        if FaultKind.SILENT in faults and self.taken > faults[FaultKind.SILENT]:
             return
         if FaultKind.BABBLE in faults:
             self._outbox += self.BABBLE

@@ -129,7 +129,7 @@ class ElliptecFirmware(SimulatedDevice):
         arguments = bytes(inbox[3:length])
         del inbox[:length]
         if address == self.address:
-            self.commands.append(letters + arguments)
+            self._take(letters + arguments)
             self._obey(letters, arguments)
         return True
 

@@ -77,7 +77,7 @@ class WheelFirmware(SimulatedDevice):
             return False
         line = bytes(self._inbox[:end]).strip(b"\n")
         del self._inbox[: end + 1]
-        self.commands.append(line)
+        self._take(line)
         self._obey(line.decode("ascii", errors="replace"))
         return True
 

@@ -154,7 +154,7 @@ class GrblLine(SimulatedDevice):
         del self._inbox[:1]
         if byte[0] in _REAL_TIME or byte[0] >= 0x80:
             self._attend()
-            self.commands.append(byte)
+            self._take(byte)
             self._real_time(byte)
         elif self.rx_free > 0:
             self._rx += byte
@@ -171,7 +171,7 @@ class GrblLine(SimulatedDevice):
             del self._rx[: min(ends) + 1]
             line = clean(raw.decode("latin-1"))
             if line:
-                self.commands.append(line.encode("latin-1"))
+                self._take(line.encode("latin-1"))
             if len(line) > LINE_LENGTH:
                 self._answer(OVERFLOW)
             else:

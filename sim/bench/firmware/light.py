@@ -113,7 +113,7 @@ class LightFirmware(SimulatedDevice):
         line = bytes(self._inbox[:end]).rstrip(b"\r")
         del self._inbox[: end + 1]
         self._heard = self._clock()
-        self.commands.append(line)
+        self._take(line)
         if self._overlong or len(line) > MAX_LINE:
             self._overlong = False
             self._complain(TOO_LONG)

@@ -350,7 +350,7 @@ class Smc100Firmware(Smc100States):
         elif not address:
             self._fail(BAD_ADDRESS)
         elif int(address) == self.address:
-            self.commands.append(letters.encode("ascii") + value.encode("latin-1"))
+            self._take(letters.encode("ascii") + value.encode("latin-1"))
             self._obey(letters, value)
         return True
 

@@ -345,7 +345,7 @@ class ZaberController(SimulatedDevice):
         del self._inbox[: min(ends) + 1]
         command = Command.parse(line)
         if command is not None and command.device in {0, self.address}:
-            self.commands.append(line)
+            self._take(line)
             self._obey(command)
         return True
 

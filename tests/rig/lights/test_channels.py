@@ -71,7 +71,7 @@ def test_several_lamps_shine_at_their_levels_and_no_other(served):
     light.select({"B": 40, "D": 5})
     light.on()
     assert levels() == [0.0, 0.4, 0.0, 0.05]
-    assert firmware.commands[-2:] == [b"CSSASF000BSN040CSF000DSN005", b"CSS?"]
+    assert list(firmware.commands)[-2:] == [b"CSSASF000BSN040CSF000DSN005", b"CSS?"]
     light.off()
     assert levels() == [0.0] * 4
     for wrong, words in (

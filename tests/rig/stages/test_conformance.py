@@ -85,11 +85,11 @@ def test_limits_are_checked_before_anything_moves(in_process, case, beyond, cloc
     firmware = case.firmware(clock=clock)
     with case.open(in_process(firmware)) as stage:
         stage.home()
-        sent = len(firmware.commands)
+        sent = firmware.taken
         low, high = stage.limits_deg
         with pytest.raises(LimitExceeded):
             stage.move_to(low + beyond if beyond < 0.0 else high + beyond)
-        assert len(firmware.commands) == sent
+        assert firmware.taken == sent
 
 
 def test_own_limits(in_process, case, clock):
