@@ -42,7 +42,10 @@ TEMPLATES = (
     "inspect/report/templates/history.html",
     "inspect/report/templates/compared.html",
     "inspect/kinds/prints/templates/inspection_print_colours.html",
-    *(f"inspect/console/templates/{name}.html" for name in ("accounts", "audit", "base", "login", "station")),
+    *(
+        f"inspect/console/templates/{name}.html"
+        for name in ("accounts", "audit", "base", "live", "login", "picture", "station")
+    ),
 )
 CALLS = (
     *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig", "inspect/cli/demo"),

@@ -1,5 +1,7 @@
 """Options that the commands share."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +14,21 @@ TrustFile = Annotated[
     Parameter(name="--trust", help="Trust file: one of its keys has to have signed (`anisoscope key`)."),
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+
+
+@contextmanager
+def extra_packages(what: str, extra: str) -> Iterator[None]:
+    """Say which extra is missing where imports fail.
+
+    Raises:
+        UsageError: they do.
+    """
+    try:
+        yield
+    except ImportError as problem:
+        raise UsageError(
+            f"{what} needs more packages ({problem.name}): pip install 'anisoscope[{extra}]'"
+        ) from problem
 
 
 def parse_numbers(text: str, option: str, example: str = "0,90,180") -> tuple[float, ...]:

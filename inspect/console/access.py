@@ -154,6 +154,11 @@ class Access:
             return [at for at in self._failures.get(key, ()) if self._clock() - at < TRIES_S]
 
 
+def cookie_name(request: Request) -> str:
+    """Name of the cookie of a session: of this port, for browsers keep cookies by the name of the computer alone."""
+    return f"{COOKIE}_{request.url.port or 443}"
+
+
 class Needs:
     """Dependency of a route: the session, which has a permission; for what changes anything, with its token.
 
@@ -171,7 +176,7 @@ class Needs:
             HTTPException: 401 without a session of somebody, 403 without permission or with a wrong token.
         """
         access: Access = request.app.state.access
-        session = access.find(request.cookies.get(COOKIE))
+        session = access.find(request.cookies.get(cookie_name(request)))
         if session is None and request.method in SAFE_METHODS and self.permission in {None, "look"}:
             session = access.begin()
             request.state.new_session = session

@@ -6,6 +6,7 @@ import functools
 import logging
 import socket
 import ssl
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,11 +26,12 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import AnisoscopeError, UsageError
-from anisoscope.console.access import COOKIE, SAFE_METHODS, SESSION_S, Access, Needs, Permission, Session
+from anisoscope.console.access import SAFE_METHODS, SESSION_S, Access, Needs, Permission, Session, cookie_name
 from anisoscope.console.accounts import ROLES, Accounts, Role
 from anisoscope.console.pages import render, static_router
 
 MOST_BODY = 64 * 1024
+HERE = "127.0.0.1"
 BODY_S = 10.0
 REQUEST_S = 10.0
 WRITE_S = 30.0
@@ -226,7 +228,7 @@ def create_app(
     )
     every = (static_router(), _login_router(access, pages), _accounts_router(access), *routers)
     pages = (*pages, *([] if access.accounts is None else [Page("/accounts", "Accounts", "administer")]))
-    pages = (*pages, Page("/audit", "Audit trail", "audit"))
+    pages = (*pages, *([] if access.trail.path is None else [Page("/audit", "Audit trail", "audit")]))
     app.state.access, app.state.pages, app.state.routers = access, tuple(pages), every
     for router in every:
         app.include_router(router)
@@ -275,7 +277,9 @@ class _NewCookies:
             session = scope["state"].get("new_session")
             if message["type"] == "http.response.start" and session is not None:
                 secure = "; Secure" if scope["app"].state.access.secure else ""
-                cookie = f"{COOKIE}={session.id}; HttpOnly; SameSite=Strict; Path=/; Max-Age={SESSION_S:.0f}{secure}"
+                name = cookie_name(Request(scope))
+                what = f"{name}={session.id}; Max-Age={SESSION_S:.0f}"
+                cookie = f"{what}; HttpOnly; SameSite=Strict; Path=/{secure}"
                 message["headers"] = [*message["headers"], (b"set-cookie", cookie.encode())]
             await send(message)
 
@@ -494,8 +498,8 @@ def check_exposure(host: str, *, users: bool, tls: bool) -> None:
         )
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens.
+def listen(host: str, port: int, option: str = "--port") -> socket.socket:
+    """A socket that listens; ``option`` chooses the port.
 
     Raises:
         UsageError: the port is taken, or there is no such address here.
@@ -509,7 +513,7 @@ def listen(host: str, port: int) -> socket.socket:
     except (OSError, OverflowError) as problem:
         listener.close()
         reason = getattr(problem, "strerror", None) or problem
-        raise UsageError(f"cannot serve at {host}:{port}: {reason}; choose another --port") from problem
+        raise UsageError(f"cannot serve at {host}:{port}: {reason}; choose another {option}") from problem
     return listener
 
 
@@ -548,6 +552,19 @@ def server_of(
         raise UsageError(f"--certificate and --key cannot be used: {problem}") from problem
     logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
     return _Server(config, ending)
+
+
+def run_server(server: uvicorn.Server, listener: socket.socket, ended: threading.Event | None = None) -> None:
+    """Serve until Ctrl-C, or until an event is set."""
+    if ended is not None:
+
+        def watch() -> None:
+            ended.wait()
+            server.should_exit = True
+
+        threading.Thread(target=watch, name="end of the server", daemon=True).start()
+    with contextlib.suppress(KeyboardInterrupt):
+        server.run(sockets=[listener])
 
 
 class _Server(uvicorn.Server):

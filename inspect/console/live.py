@@ -9,13 +9,16 @@ import threading
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import RigError
-from anisoscope.live_view.page import or_none
+from anisoscope.base.json_fields import as_json
 from anisoscope.rig.hold import SharedCamera
 from anisoscope.rig.light import Light
+
+if TYPE_CHECKING:
+    from anisoscope.live_view.view import FocusMeasure
 
 MOST_EVENTS = 5000
 ALIVE_S = 10.0
@@ -115,12 +118,21 @@ class Live:
     Args:
         eyes: camera and light; None where the rig has none at hand.
         clock: a monotonic clock in seconds.
+        gap_s: time between two pictures at least, in seconds; who asks earlier gets the one before.
+        measure: measure of sharpness.
     """
 
-    def __init__(self, eyes: Eyes | None, clock: Clock = SYSTEM) -> None:
+    def __init__(
+        self,
+        eyes: Eyes | None,
+        clock: Clock = SYSTEM,
+        gap_s: float = LEAST_GAP_S,
+        measure: "FocusMeasure" = "tenengrad",
+    ) -> None:
         from anisoscope.live_view.view import Meter  # noqa: PLC0415 - loads OpenCV
 
-        self._eyes, self._clock = eyes, clock
+        self._eyes, self._clock, self._gap_s = eyes, clock, gap_s
+        self._measure: FocusMeasure = measure
         self._lock = threading.Lock()
         self._new_meter: Callable[[], Meter] = Meter
         self._meter = Meter()
@@ -146,22 +158,15 @@ class Live:
             asked = (exposure_s, gain)
             if self._newest is not None and self._newest[1] != asked:
                 self._meter, self._newest = self._new_meter(), None
-            if self._newest is not None and self._clock() - self._newest[0] < LEAST_GAP_S:
+            if self._newest is not None and self._clock() - self._newest[0] < self._gap_s:
                 return self._newest[2:]
             if not self._lit and self._eyes.light is not None:
                 self._eyes.light.on()
                 self._lit = True
             counts, info = self._eyes.camera.grab(exposure_s, gain), self._eyes.camera.info
-            reading = self._meter.read(look_at(counts, info), self._clock())
+            reading = self._meter.read(look_at(counts, info, focus=self._measure), self._clock())
             view, before = reading.view, None if self._newest is None else self._newest[3]["focus"]
-            numbers = {
-                "frame": reading.frame,
-                "frames_per_s": or_none(reading.frames_per_s),
-                "mean": view.mean,
-                "saturated_share": view.saturated_share,
-                "focus": or_none(view.focus),
-                "relative_focus": or_none(reading.relative_focus),
-                "ridge_deg": view.ridge_deg,
+            numbers = as_json(reading) | {
                 "advice": [
                     *exposure_advice(view.mean, view.saturated_share),
                     *focus_advice(view.focus, before, reading.relative_focus),

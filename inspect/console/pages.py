@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import jinja2
 
 KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-STATIC = ("console.css", "console.js", "fleet.css", "guide.js", "icon.svg", "station.js")
+STATIC = ("console.css", "console.js", "fleet.css", "guide.js", "icon.svg", "picture.js", "station.js")
 
 REPORT_POLICY = (
     "sandbox allow-scripts allow-popups; default-src 'none'; script-src 'unsafe-inline' data: blob:; "

@@ -1,32 +1,43 @@
-"""The page of a station, and the interface of programs below ``/api/v1``, which the page uses too."""
+"""The pages of a station and of a live picture, and the interface of programs below ``/api/v1``, which they use too."""
 
 import asyncio
 import json
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, StreamingResponse
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.language import message
 from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.guided import Begin, described
+from anisoscope.console.live import Live
 from anisoscope.console.pages import render, report_at
 from anisoscope.console.station import Named, Start, Station
 from anisoscope.inspection.recipe_store import RecipeEntry
+from anisoscope.rig.jogging import Jogger, Step
+
+
+def _picture_words(away: str) -> dict[str, str]:
+    """What the script of the live picture says; ``away``: when nothing answers."""
+    return {
+        "away": away,
+        "good": message("exposure and focus are good"),
+        "undefined": message("undefined"),
+        "angle": message("{angle}° counter-clockwise from upright", angle="{angle}"),
+    }
 
 
 def _words() -> dict[str, str]:
-    """What the script of the page says."""
-    return {
+    """What the scripts of the station page say."""
+    away = message("The console does not answer. The inspection goes on; Stop at the rig itself.")
+    return _picture_words(away) | {
         "frame": message("frame"),
         "next": message("What to do next"),
         "stopped": message("stopped"),
-        "away": message("The console does not answer. The inspection goes on; Stop at the rig itself."),
-        "good": message("exposure and focus are good"),
         "mine": message("You hold the rig."),
         "free": message("The rig is free."),
         "held": message("{name} holds the rig.", name="{name}"),
@@ -137,13 +148,17 @@ def _add_pictures(router: APIRouter, station: Station) -> None:
         entry = station.recipe(recipe)
         if entry.problem is not None:
             raise HTTPException(409, entry.problem)
-        jpeg, numbers = station.live.look(entry.exposure_s, entry.gain)
-        said = numbers | {"advice": [message(one) for one in numbers["advice"]]}
-        return Response(jpeg, media_type="image/jpeg", headers={"X-Numbers": json.dumps(said)})
+        return _picture(station.live, entry.exposure_s, entry.gain)
 
     @router.get("/api/v1/frames/{number}.jpg", summary="A frame of the present inspection, small")
     def frame(number: int, _: Looking) -> Response:
         return Response(station.frame(number), media_type="image/jpeg")
+
+
+def _picture(live: Live, exposure_s: float, gain: float, **more: str) -> Response:
+    jpeg, numbers = live.look(exposure_s, gain)
+    said = numbers | {"advice": [message(one) for one in numbers["advice"]], **more}
+    return Response(jpeg, media_type="image/jpeg", headers={"X-Numbers": json.dumps(said)})
 
 
 def _add_changes(router: APIRouter, station: Station) -> None:
@@ -197,6 +212,54 @@ def _add_guides(router: APIRouter, station: Station) -> None:
     def end(session: Operating) -> dict[str, Any]:
         station.end_guide(session)
         return station.state()[1]
+
+
+class Jog(BaseModel):
+    """A step of an axis, or finer or coarser steps."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    axis: str = Field("", max_length=40)
+    sign: Literal[-1, 1] = 1
+    size: Literal["finer", "coarser"] | None = None
+
+
+def live_router(live: Live, exposure_s: float, gain: float, jogger: Jogger | None, name: str) -> APIRouter:
+    """Routes of a live picture alone, without inspections: that of the station page.
+
+    Args:
+        live: takes the pictures.
+        exposure_s: exposure.
+        gain: gain of the camera.
+        jogger: moves axes from the page; None shows the picture only.
+        name: of the rig, for the heading.
+    """
+    router = APIRouter()
+
+    @router.get("/station", include_in_schema=False)
+    def page(request: Request, _: Looking) -> HTMLResponse:
+        words = _picture_words(message("The live picture has ended."))
+        axes = [] if jogger is None else list(jogger.axes)
+        return render(request, "live.html", name=name, axes=axes, words=words)
+
+    @router.get("/api/v1/live.jpg", summary="Live picture; its numbers in X-Numbers")
+    def picture(_: Looking) -> Response:
+        return _picture(live, exposure_s, gain, **({} if jogger is None else {"axes": jogger.state()}))
+
+    if jogger is None:
+        return router
+
+    @router.post("/api/v1/jog", summary="A step of an axis, or finer or coarser steps")
+    def jog(asked: Jog, _: Operating) -> dict[str, str]:
+        jogger.do(asked.size or Step(asked.axis, asked.sign))
+        return {"axes": jogger.state()}
+
+    @router.post("/api/v1/stop", summary="Stop all axes; everybody may")
+    async def stop(_: Annotated[Session, Depends(Needs("stop"))]) -> dict[str, str]:
+        await asyncio.to_thread(jogger.stop)
+        return {"axes": jogger.state()}
+
+    return router
 
 
 def past(history: str | Path | None, serial: str | None, limit: int) -> Any:  # noqa: ANN401 - rows as JSON

@@ -5,13 +5,14 @@ Pure functions of a frame's counts, (rows, cols). What cannot be told from a fra
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.json_fields import json_field
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.frame import SATURATION
@@ -58,7 +59,7 @@ class Reading:
     """A view in its sequence: focus over the best focus so far (NaN if too dark), and frames per second."""
 
     frame: int
-    view: View
+    view: View = field(metadata=json_field(merged=True))
     relative_focus: float
     frames_per_s: float
 

@@ -11,6 +11,7 @@ from anisoscope.base.language import message
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.cli.options import extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
 PORT = 8040
@@ -44,19 +45,16 @@ def serve(
     Examples:
         anisoscope serve --rig rig.toml --recipes recipes
     """
-    try:
+    with extra_packages("the console", "console"):
         from anisoscope.console.application import (
             Page,
             check_exposure,
             create_app,
             hosts_of,
             listen,
+            run_server,
             server_of,
         )
-    except ImportError as problem:
-        raise UsageError(
-            f"the console needs more packages ({problem.name}): pip install 'anisoscope[console]'"
-        ) from problem
     from anisoscope.console.access import Access
     from anisoscope.console.accounts import Accounts
     from anisoscope.console.fleet import fleet_router
@@ -94,10 +92,8 @@ def serve(
             pages=[Page("/station", "Station"), Page("/fleet", "Fleet")],
             closing=at.end,
         )
-        server = server_of(app, tls, at.log.close)
         address = f"http{'s' * (tls is not None)}://{host}:{here}/"
         print(message("console at {path}", path=address), flush=True)  # noqa: T201
         write_line(message("Ctrl-C ends it"))
-        with contextlib.suppress(KeyboardInterrupt):
-            server.run(sockets=[listener])
+        run_server(server_of(app, tls, at.log.close), listener)
     return 0

@@ -16,7 +16,7 @@ from anisoscope.base.errors import RigError, UsageError
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json_line
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, extra_packages
 from anisoscope.cli.rig.options import (
     Channel,
     Exposure,
@@ -29,7 +29,6 @@ from anisoscope.cli.rig.options import (
 )
 
 if TYPE_CHECKING:
-    from anisoscope.live_view.page import LivePage
     from anisoscope.live_view.view import Counts, FocusMeasure, Reading
     from anisoscope.rig.camera import Camera, CameraInfo
     from anisoscope.rig.jogging import Gamepad, Jogger
@@ -52,7 +51,9 @@ def live(
     focus: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
     frames: Annotated[int | None, Parameter(name="--count", help="End after so many frames.")] = None,
     fps: Annotated[float, Parameter(help="Frames per second at most.")] = 10.0,
-    web: Annotated[bool, Parameter(negative="", help="Show the picture on a page for the browser.")] = False,
+    web: Annotated[
+        bool, Parameter(negative="", help="Show the picture on a page of the console, in the browser.")
+    ] = False,
     jog: Annotated[
         bool, Parameter(negative="", help="Move the axes by keys, here or on the page, and by --pad.")
     ] = False,
@@ -71,7 +72,7 @@ def live(
     The port of the stage stays free: move it from another terminal; or with --jog by keys: arrows for stage and tilt,
     page up and down for z, a d w s for x and y, + and - for the size of the step, space stops all axes. A stick of a
     game pad steps its axis while it is held; shoulder buttons change the step, all others stop. The light goes off at
-    the end. With --web the first line is the address to open; it works on this machine only and holds a secret key.
+    the end. With --web the first line is the address to open, for browsers of this computer (extra [console]).
 
     Examples:
         anisoscope rig live --rig rig.toml --exposure 0.003
@@ -87,6 +88,8 @@ def live(
         raise UsageError(f"--fps must lie above 0 and up to 1000, not {fps:g}")
     if pad is not None and not jog:
         raise UsageError("--pad moves axes: it goes with --jog")
+    if web and (json_ or frames is not None):
+        raise UsageError("--count and --json are of the lines in the terminal: not with --web")
     file = read_rig(rig, channel=channel)
     axes = {name: part for name, part in file.axes.items() if jog and part.driver != BY_HAND}
     lit = None if light == "as-is" else file.light
@@ -102,8 +105,11 @@ def live(
             with ExitStack() as stack:
                 jogger, ended = _jogging(devices.axes, pad, stack) if jog else (None, None)
                 ended = ended or end_request(listen=not by_hand)
-                sinks = stack.enter_context(_sinks(web, port, file.name, jogger, json_=json_))
-                _watch(camera, sinks, focus, frames, 1.0 / fps, ended)
+                if web:
+                    _serve(camera, (exposure, gain), focus, 1.0 / fps, port, file.name, jogger, ended)
+                else:
+                    sink = stack.enter_context(_sink(jogger, json_=json_))
+                    _watch(camera, sink, focus, frames, 1.0 / fps, ended)
         except KeyboardInterrupt:
             return 0
     return 0
@@ -165,7 +171,7 @@ def _listen_to_keys(jogger: "Jogger", ended: threading.Event, stack: ExitStack) 
 
 def _watch(
     camera: "Camera",
-    sinks: "list[Sink]",
+    sink: "Sink",
     focus: "FocusMeasure",
     frames: int | None,
     pause_s: float,
@@ -178,8 +184,7 @@ def _watch(
         started = time.monotonic()
         counts = camera.grab()
         reading = meter.read(look_at(counts, info, focus=focus), time.monotonic())
-        for sink in sinks:
-            sink(counts, info, reading)
+        sink(counts, info, reading)
         if frames is not None and reading.frame >= frames:
             return
         ended.wait(max(0.0, pause_s - (time.monotonic() - started)))
@@ -203,40 +208,61 @@ def end_request(*, listen: bool) -> threading.Event:
     return ended
 
 
+def _serve(
+    camera: "Camera",
+    exposed: tuple[float, float],
+    focus: "FocusMeasure",
+    gap_s: float,
+    port: int,
+    name: str,
+    jogger: "Jogger | None",
+    ended: threading.Event,
+) -> None:
+    """The picture on a page of the console, until the event is set."""
+    with extra_packages("the page", "console"):
+        from anisoscope.console.application import (
+            HERE,
+            Page,
+            create_app,
+            hosts_of,
+            listen,
+            run_server,
+            server_of,
+        )
+    from anisoscope.console.access import Access
+    from anisoscope.console.live import Eyes, Live
+    from anisoscope.console.routes import live_router
+    from anisoscope.console.trail import Trail
+    from anisoscope.rig.hold import SharedCamera
+
+    with listen(HERE, port, "--web-port") as listener:
+        hosts = hosts_of(HERE, int(listener.getsockname()[1]))
+        live = Live(Eyes(SharedCamera(camera), None), gap_s=gap_s, measure=focus)  # the light is on, or not
+        app = create_app(
+            Access(None, Trail(None)),
+            [live_router(live, *exposed, jogger, name)],
+            hosts,
+            pages=[Page("/station", "Picture")],
+            closing=live.pause,
+        )
+        print(  # noqa: T201
+            message("live picture at {path}", path=f"http://{HERE}:{listener.getsockname()[1]}/"), flush=True
+        )
+        write_line(message("Ctrl-C ends it"))
+        run_server(server_of(app), listener, ended)
+
+
 @contextmanager
-def _sinks(
-    web: bool, port: int, title: str, jogger: "Jogger | None", *, json_: bool
-) -> "Iterator[list[Sink]]":
-    with ExitStack() as stack:
-        if web:
-            from anisoscope.live_view.page import LivePage
+def _sink(jogger: "Jogger | None", *, json_: bool) -> "Iterator[Sink]":
+    if json_:
+        yield lambda _counts, _info, reading: print_json_line(reading)
+    elif sys.stdout.isatty():
+        from rich.live import Live
 
-            page = stack.enter_context(LivePage(port, f"{title} – live", jogger))
-            print(message("live picture at {path}", path=page.address), flush=True)  # noqa: T201
-            write_line(message("Ctrl-C ends it"))
-            yield [_to_page(page)]
-        elif json_:
-            yield [_json_line]
-        elif sys.stdout.isatty():
-            from rich.live import Live
-
-            screen = stack.enter_context(Live(auto_refresh=False, transient=False))
-            yield [_to_screen(screen, jogger)]
-        else:
-            yield [lambda _counts, _info, reading: print(plain(reading), flush=True)]  # noqa: T201
-
-
-def _to_page(page: "LivePage") -> "Sink":
-    from anisoscope.live_view.picture import as_jpeg, draw
-
-    def show(counts: "Counts", info: "CameraInfo", reading: "Reading") -> None:
-        page.publish(as_jpeg(draw(counts, info, reading.view, reading.relative_focus)), numbers(reading))
-
-    return show
-
-
-def _json_line(_counts: "Counts", _info: "CameraInfo", reading: "Reading") -> None:
-    print_json_line(numbers(reading))
+        with Live(auto_refresh=False, transient=False) as screen:
+            yield _to_screen(screen, jogger)
+    else:
+        yield lambda _counts, _info, reading: print(plain(reading), flush=True)  # noqa: T201
 
 
 def _to_screen(screen: Any, jogger: "Jogger | None") -> "Sink":  # noqa: ANN401 - rich's Live
@@ -247,22 +273,6 @@ def _to_screen(screen: Any, jogger: "Jogger | None") -> "Sink":  # noqa: ANN401 
         screen.update(Text(panel(reading) + moved), refresh=True)
 
     return show
-
-
-def numbers(reading: "Reading") -> dict[str, Any]:
-    """A reading as plain values."""
-    view = reading.view
-    return {
-        "frame": reading.frame,
-        "frames_per_s": reading.frames_per_s,
-        "mean": view.mean,
-        "saturated_share": view.saturated_share,
-        "focus": view.focus,
-        "relative_focus": reading.relative_focus,
-        "ridge_deg": view.ridge_deg,
-        "prominence": view.prominence,
-        "histogram": list(view.histogram),
-    }
 
 
 def plain(reading: "Reading") -> str:

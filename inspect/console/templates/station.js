@@ -1,12 +1,9 @@
 "use strict";
 // The station page: it shows what the events say, and asks for changes. Nothing is kept here that the server does not know.
-const $ = id => document.getElementById(id);
-const root = $("station"), words = JSON.parse(root.dataset.words), me = root.dataset.me;
-let now = {}, events = null, last = "", looking = false, shown = 0, sounded = "", dismissed = sessionStorage.getItem("dismissed");
+const me = root.dataset.me;
+let now = {}, events = null, last = "", shown = 0, sounded = "", dismissed = sessionStorage.getItem("dismissed");
 
-// Stop: the button, and the space bar wherever nothing is typed or pressed by it.
-const stop = () => post("/api/v1/stop");
-$("stop").addEventListener("click", stop);
+// The space bar stops wherever nothing is typed or pressed by it.
 document.addEventListener("keydown", event => {
   if (event.code !== "Space" || event.repeat) return;
   const typed = event.target.matches("input[name=serial], input[name=lot]");
@@ -105,32 +102,14 @@ function follow() {
 }
 document.addEventListener("visibilitychange", () => {
   if (document.hidden && events) { events.close(); events = null; }
-  follow(); look();
+  follow();
 });
 
-async function look() {
-  if (looking) return;
-  looking = true;
-  while (!document.hidden && now.state !== "running" && now.state !== "stopping") {
-    const recipe = new FormData($("start")).get("recipe");
-    if (!recipe) break;
-    try {
-      const answer = await fetch(`/api/v1/live.jpg?recipe=${encodeURIComponent(recipe)}`);
-      if (!answer.ok) { $("advice").textContent = (await answer.json()).error; await pause(2000); continue; }
-      const found = JSON.parse(answer.headers.get("X-Numbers")), old = $("live").src;
-      $("live").src = URL.createObjectURL(await answer.blob());
-      if (old) URL.revokeObjectURL(old);
-      $("advice").textContent = found.advice.join(" · ") || words.good;
-      $("focus").value = found.relative_focus || 0;
-      $("focus-text").textContent = found.relative_focus === null ? "–" : `${Math.round(100 * found.relative_focus)} %`;
-      $("mean").textContent = `${Math.round(100 * found.mean)} %`;
-      $("saturated").textContent = `${(100 * found.saturated_share).toFixed(2)} %`;
-    } catch { await pause(2000); }
-    await pause(50);
-  }
-  looking = false;
-}
-const pause = ms => new Promise(done => setTimeout(done, ms));
+// The live picture: with the exposure of the recipe, while the rig is at rest.
+wanted = () => {
+  const recipe = new FormData($("start")).get("recipe");
+  return now.state && now.state !== "running" && now.state !== "stopping" && recipe ? `/api/v1/live.jpg?recipe=${encodeURIComponent(recipe)}` : null;
+};
 
 $("start").addEventListener("submit", async event => {
   event.preventDefault();

@@ -161,9 +161,10 @@ def test_wrong_passwords_and_unknown_names_are_one_answer_and_soon_wait(address,
 
 def test_a_login_begins_a_session_of_its_own(address):
     with contextlib.closing(client_of(address, None)) as client:
-        before = client.cookies["anisoscope_session"]
+        cookie = f"anisoscope_session_{client.base_url.port}"
+        before = client.cookies[cookie]
         client.post("/login", json={"name": "the operator", "password": PASSWORD})
-        after = client.cookies["anisoscope_session"]
+        after = client.cookies[cookie]
         assert before != after
         client.headers["X-CSRF-Token"] = client.get("/api/v1/session").json()["token"]
         assert client.post("/logout").status_code == 200

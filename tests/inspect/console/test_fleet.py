@@ -413,7 +413,11 @@ def test_every_route_by_every_role(client_of, tmp_path, place):
             session = session_of(access, role)
             given = {"json": {"decision": "hold", "reason": "to be looked at"}} if method == "POST" else {}
             for token in (session.token, "guessed"):
-                headers = {"X-CSRF-Token": token, "Cookie": f"{COOKIE}={session.id}", "Accept": "*/*"}
+                headers = {
+                    "X-CSRF-Token": token,
+                    "Cookie": f"{COOKIE}_{client.base_url.port}={session.id}",
+                    "Accept": "*/*",
+                }
                 answer = client.request(method, target, headers=headers, **given)
                 if role is None:
                     assert answer.status_code == 401
@@ -432,7 +436,7 @@ def test_a_disposition_enters_history_and_audit_trail_with_who_when_and_why(clie
     access = Access(Accounts(tmp_path / "users.json"), Trail(tmp_path / "users.audit.jsonl", lambda: NOW))
     session = session_of(access, "engineer")
     client = client_of(own, access)
-    client.cookies.set(COOKIE, session.id)
+    client.cookies.set(f"{COOKIE}_{client.base_url.port}", session.id)
     client.headers["X-CSRF-Token"] = session.token
     path = "/fleet/inspections/9/dispositions"
     for wrong in (
@@ -471,7 +475,7 @@ def test_what_cannot_enter_the_audit_trail_is_not_decided(client_of, tmp_path, p
     access = Access(Accounts(tmp_path / "users.json"), Trail(own / "no folder.jsonl"))
     session = session_of(access, "engineer")
     client = client_of(own, access)
-    client.cookies.set(COOKIE, session.id)
+    client.cookies.set(f"{COOKIE}_{client.base_url.port}", session.id)
     answer = client.post(
         "/fleet/inspections/9/dispositions",
         json={"decision": "hold", "reason": "x"},
