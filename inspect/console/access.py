@@ -16,7 +16,9 @@ from typing import Literal
 from fastapi import HTTPException, Request
 
 from anisoscope.base.clock import SYSTEM, Clock
+from anisoscope.base.language import message
 from anisoscope.console.accounts import ROLES, Account, Accounts, Role
+from anisoscope.console.openid import Begun, OpenId, Person
 from anisoscope.console.trail import Trail
 
 Permission = Literal["look", "stop", "operate", "set up", "review", "audit", "administer"]
@@ -51,6 +53,7 @@ class Session:
     roles: frozenset[Role] = frozenset()
     seen_s: float = 0.0
     account: Account | None = None
+    begun: Begun | None = None
 
     @property
     def short(self) -> str:
@@ -70,12 +73,19 @@ class Access:
         trail: where logins are recorded.
         clock: a monotonic clock in seconds.
         secure: whether cookies travel by TLS only.
+        openid: logs people in by an OpenID provider, besides the accounts.
     """
 
     def __init__(
-        self, accounts: Accounts | None, trail: Trail, clock: Clock = SYSTEM, *, secure: bool = False
+        self,
+        accounts: Accounts | None,
+        trail: Trail,
+        clock: Clock = SYSTEM,
+        *,
+        secure: bool = False,
+        openid: OpenId | None = None,
     ) -> None:
-        self.accounts, self.trail, self.secure = accounts, trail, secure
+        self.accounts, self.trail, self.secure, self.openid = accounts, trail, secure, openid
         self._clock = clock
         self._lock = threading.Lock()
         self._sessions: OrderedDict[str, Session] = OrderedDict()
@@ -147,6 +157,23 @@ class Access:
         self.trail.add(account.name, "login", address=address)
         session = self.begin()
         session.name, session.roles, session.account = account.name, frozenset({account.role}), account
+        return session
+
+    def admit(self, person: Person, address: str) -> Session:
+        """A new session of a person whom the OpenID provider knows.
+
+        Raises:
+            HTTPException: 403, an account has this name, and the audit trail could not tell them apart.
+        """
+        assert self.accounts is not None
+        assert self.openid is not None
+        if person.name in self.accounts.read():
+            text = message("There is an account {name} here: log in with its password.", name=person.name)
+            raise HTTPException(403, text)
+        issuer = self.openid.provider.issuer
+        self.trail.add(person.name, "login", address=address, issuer=issuer, subject=person.subject)
+        session = self.begin()
+        session.name, session.roles = person.name, person.roles
         return session
 
     def _recent(self, key: str) -> list[float]:

@@ -28,6 +28,7 @@ from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.console.access import SAFE_METHODS, SESSION_S, Access, Needs, Permission, Session, cookie_name
 from anisoscope.console.accounts import ROLES, Accounts, Role
+from anisoscope.console.openid import OpenId
 from anisoscope.console.pages import render, static_router
 
 MOST_BODY = 64 * 1024
@@ -227,6 +228,7 @@ def create_app(
         lifespan=lifespan,
     )
     every = (static_router(), _login_router(access, pages), _accounts_router(access), *routers)
+    every = (*every, *([] if access.openid is None else [_openid_router(access, access.openid)]))
     pages = (*pages, *([] if access.accounts is None else [Page("/accounts", "Accounts", "administer")]))
     pages = (*pages, *([] if access.trail.path is None else [Page("/audit", "Audit trail", "audit")]))
     app.state.access, app.state.pages, app.state.routers = access, tuple(pages), every
@@ -279,7 +281,7 @@ class _NewCookies:
                 secure = "; Secure" if scope["app"].state.access.secure else ""
                 name = cookie_name(Request(scope))
                 what = f"{name}={session.id}; Max-Age={SESSION_S:.0f}"
-                cookie = f"{what}; HttpOnly; SameSite=Strict; Path=/{secure}"
+                cookie = f"{what}; HttpOnly; SameSite=Lax; Path=/{secure}"
                 message["headers"] = [*message["headers"], (b"set-cookie", cookie.encode())]
             await send(message)
 
@@ -318,7 +320,7 @@ def _login_router(access: Access, pages: Sequence[Page]) -> APIRouter:
 
     @router.get("/login")
     def page(request: Request, _: Anyone) -> HTMLResponse:
-        return render(request, "login.html")
+        return _login_page(request, access)
 
     @router.post("/login")
     def log_in(request: Request, given: Credentials, before: Anyone) -> dict[str, str]:
@@ -336,6 +338,46 @@ def _login_router(access: Access, pages: Sequence[Page]) -> APIRouter:
     def log_out(session: Anyone) -> dict[str, str]:
         access.end(session)
         return {}
+
+    return router
+
+
+def _login_page(request: Request, access: Access, problem: str = "", status: int = 200) -> HTMLResponse:
+    host = "" if access.openid is None else access.openid.host
+    page = render(request, "login.html", provider=host, problem=problem)
+    page.status_code = status
+    return page
+
+
+def _openid_router(access: Access, openid: OpenId) -> APIRouter:
+    """The way to the OpenID provider, and back."""
+    router = APIRouter(include_in_schema=False)
+    Anyone = Annotated[Session, Depends(Needs(None))]
+
+    def back(request: Request) -> str:
+        return f"http{'s' * access.secure}://{request.headers['host']}/openid/return"
+
+    @router.get("/openid/login")
+    def leave(request: Request, session: Anyone) -> Response:
+        try:
+            address, session.begun = openid.begin(back(request))
+        except HTTPException as problem:
+            return _login_page(request, access, problem.detail, problem.status_code)
+        return RedirectResponse(address, 303)
+
+    @router.get("/openid/return")
+    def come_back(request: Request, before: Anyone) -> Response:
+        address = "" if request.client is None else request.client.host
+        begun, before.begun = before.begun, None
+        try:
+            person = openid.finish(begun, back(request), request.query_params)
+            session = access.admit(person, address)
+        except HTTPException as problem:
+            access.trail.add("", "login refused", problem.detail, address=address)
+            return _login_page(request, access, problem.detail, problem.status_code)
+        access.end(before)
+        request.state.new_session = session
+        return RedirectResponse("/", 303)
 
     return router
 

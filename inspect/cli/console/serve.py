@@ -2,7 +2,7 @@
 
 import contextlib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -13,6 +13,9 @@ from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.options import extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
+
+if TYPE_CHECKING:
+    from anisoscope.console.openid import OpenId
 
 PORT = 8040
 
@@ -27,6 +30,9 @@ def serve(
     history: HistoryOption = None,
     users: Annotated[
         Path | None, Parameter(help="File of users; without it one user, at this computer only.")
+    ] = None,
+    openid: Annotated[
+        Path | None, Parameter(help="With --users: file of an OpenID provider that logs people in too.")
     ] = None,
     host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="TCP port; 0 takes any free one.")] = PORT,
@@ -73,6 +79,7 @@ def serve(
     accounts = None if users is None else Accounts(users)
     if accounts is not None and not accounts.read():
         raise UsageError(f"--users {users}: has no accounts; `anisoscope user add` makes the first")
+    provider = _provider(openid, users)
     place = history_place(history, out)
     rig, out = rig.resolve(), out.resolve()
     trail = Trail(out / "console.audit.jsonl") if users is None else trail_of(users.resolve())
@@ -86,7 +93,7 @@ def serve(
         stack.callback(worker.close)
         at = Station(work, recipes.resolve(), worker, own.stop, eyes, trail, station)
         app = create_app(
-            Access(accounts, trail, secure=tls is not None),
+            Access(accounts, trail, secure=tls is not None, openid=provider),
             [station_router(at), fleet_router(place)],
             hosts_of(host, here, name),
             pages=[Page("/station", "Station"), Page("/fleet", "Fleet")],
@@ -97,3 +104,16 @@ def serve(
         write_line(message("Ctrl-C ends it"))
         run_server(server_of(app, tls, at.log.close), listener)
     return 0
+
+
+def _provider(file: Path | None, users: Path | None) -> "OpenId | None":
+    if file is None:
+        return None
+    from anisoscope.console.openid import OpenId, read_provider
+
+    if users is None:
+        raise UsageError(
+            "--openid goes with --users: who administers needs a way in when the provider is away"
+        )
+    with extra_packages("--openid", "openid"):
+        return OpenId(read_provider(file))

@@ -15,6 +15,7 @@ from anisoscope.console import accounts as module_of_accounts
 from anisoscope.console.access import TRIES, TRIES_S, Access
 from anisoscope.console.accounts import Accounts
 from anisoscope.console.application import create_app, permissions_of
+from anisoscope.console.openid import OpenId, Provider
 from anisoscope.console.trail import Trail, trail_of
 
 ROLES = ("operator", "engineer", "auditor", "administrator")
@@ -27,6 +28,8 @@ TABLE = {
     ("GET", "/login"): EVERYBODY,
     ("POST", "/login"): EVERYBODY,
     ("POST", "/logout"): EVERYBODY,
+    ("GET", "/openid/login"): EVERYBODY,
+    ("GET", "/openid/return"): EVERYBODY,
     ("GET", "/static/{name}"): EVERYBODY,
     ("GET", "/fleet"): LOGGED_IN,
     ("GET", "/fleet/charts"): LOGGED_IN,
@@ -93,7 +96,8 @@ def clock():
 
 @pytest.fixture
 def access(accounts, clock):
-    return Access(accounts, Trail(None), clock)
+    away = Provider(issuer="http://127.0.0.1:9", client="console", roles={"a": "operator"})
+    return Access(accounts, Trail(None), clock, openid=OpenId(away, clock))
 
 
 @pytest.fixture

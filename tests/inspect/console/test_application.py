@@ -48,7 +48,7 @@ def test_every_answer_forbids_what_comes_from_elsewhere(client):
         assert headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'")
         assert headers["x-content-type-options"] == "nosniff"
     cookie = httpx.get(f"{client.base_url}/fleet").headers["set-cookie"]
-    assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; "))
+    assert {"HttpOnly", "SameSite=Lax"} <= set(cookie.split("; "))
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8040", "127.0.0.1", "localhost:1", ""])

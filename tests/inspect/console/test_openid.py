@@ -1,0 +1,325 @@
+"""Login by OpenID Connect at a provider by others (Django OAuth Toolkit), which runs as a process and requires PKCE."""
+
+import contextlib
+import dataclasses
+import json
+import re
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+from fastapi import HTTPException
+from jwcrypto.jwk import JWK
+from jwcrypto.jwt import JWT
+
+from anisoscope.base.clock import VirtualClock
+from anisoscope.base.errors import ConfigError, UsageError
+from anisoscope.cli.console.serve import serve
+from anisoscope.console import accounts as module_of_accounts
+from anisoscope.console.access import Access
+from anisoscope.console.accounts import Accounts
+from anisoscope.console.application import create_app
+from anisoscope.console.openid import BEGUN_S, OpenId, Provider, read_provider
+from anisoscope.console.trail import trail_of
+
+ROLES = {"inspectors": "operator", "auditors": "auditor"}
+PASSWORD = "correct horse battery"
+
+
+@pytest.fixture(scope="module")
+def provider(tmp_path_factory):
+    """The folder and the issuer of a provider that runs."""
+    folder = tmp_path_factory.mktemp("provider")
+    command = [sys.executable, Path(__file__).with_name("openid_provider.py"), folder]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield folder, process.stdout.readline().strip()
+        process.terminate()
+
+
+def settings(issuer, **more):
+    return Provider(issuer=issuer, client="console", secret="secret", roles=ROLES, **more)
+
+
+@pytest.fixture
+def users(tmp_path, monkeypatch):
+    from argon2 import PasswordHasher
+
+    quick = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
+    monkeypatch.setattr(module_of_accounts, "_hasher", lambda: quick)
+    accounts = Accounts(tmp_path / "users.json")
+    accounts.put("the operator", "operator", PASSWORD)
+    return accounts
+
+
+@pytest.fixture
+def clock():
+    return VirtualClock()
+
+
+@pytest.fixture
+def console(served, users, provider, clock):
+    """``console(**more)``: a console with this provider; its address, its sessions and its trail."""
+    with contextlib.ExitStack() as stack:
+
+        def make(issuer=provider[1], **more):
+            trail = trail_of(users.path)
+            access = Access(users, trail, clock, openid=OpenId(settings(issuer, **more), clock))
+            return stack.enter_context(served(lambda hosts: create_app(access, [], hosts))), access, trail
+
+        yield make
+
+
+class Browser:
+    """A client that goes the way of a browser; its cookies are those of both sides."""
+
+    def __init__(self, address):
+        self.client = httpx.Client(base_url=address, timeout=60)
+
+    def authorized(self, who):
+        """Where the provider sends the browser of somebody who has begun to log in at the console."""
+        way = self.client.get("/openid/login")
+        assert way.status_code == 303, way.text
+        form = self.client.get(way.headers["location"], follow_redirects=True)
+        given = {"username": who, "password": "password"}
+        found = self.client.post(form.url, data=given)
+        assert found.status_code == 302, found.text
+        found = self.client.get(f"{form.url.scheme}://{form.url.netloc.decode()}{found.headers['location']}")
+        return found.headers["location"]
+
+    def log_in(self, who):
+        return self.client.get(self.authorized(who))
+
+
+def said(answer):
+    """What a page complains about."""
+    return re.search('role="alert" class="refused">([^<]+)<', answer.text)[1]
+
+
+def session_of(access):
+    return next(one for one in access._sessions.values() if one.begun is not None)
+
+
+def test_a_person_of_the_provider_has_the_roles_of_its_claim(console):
+    address, access, trail = console()
+    browser = Browser(address)
+    assert "Log in by localhost" in browser.client.get("/login").text
+    answer = browser.log_in("otto")
+    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+    (mine,) = (one for one in access._sessions.values() if one.roles)
+    assert (mine.name, mine.roles) == ("otto", {"operator", "auditor"})
+    assert browser.client.get("/audit").status_code == 200
+    assert browser.client.get("/accounts").status_code == 403
+    (line,) = trail.lines()
+    assert (line["who"], line["what"]) == ("otto", "login")
+    assert line["more"]["subject"]
+    # local accounts go on beside it
+    token = re.search('name="token" content="([^"]+)', browser.client.get("/login").text)[1]
+    local = {"name": "the operator", "password": PASSWORD}
+    assert browser.client.post("/login", json=local, headers={"X-CSRF-Token": token}).status_code == 200
+
+
+def test_a_login_is_of_the_browser_that_began_it_and_once(console):
+    address, access, _ = console()
+    browser, other = Browser(address), Browser(address)
+    back = browser.authorized("anna")
+    other.client.get("/openid/login")
+    for one, way in ((other, back), (browser, re.sub("state=[^&]+", "state=guessed", back))):
+        answer = one.client.get(way)
+        assert (answer.status_code, said(answer)) == (
+            400,
+            "This browser has begun no such login: log in again.",
+        )
+    assert browser.client.get(back).status_code == 400, "the wrong state has ended it"
+    assert not any(one.roles for one in access._sessions.values())
+    back = browser.authorized("anna")
+    assert browser.client.get(back).status_code == 303
+    assert browser.client.get(back).status_code == 400
+
+
+def test_a_code_that_has_expired_or_is_of_another_verifier_is_one_line(console, provider):
+    address, access, trail = console()
+    browser = Browser(address)
+    back = browser.authorized("anna")
+    with sqlite3.connect(provider[0] / "provider.sqlite") as database:
+        database.execute("UPDATE oauth2_provider_grant SET expires = '2001-01-01 00:00:00'")
+    answer = browser.client.get(back)
+    expired = "The code of the login has expired or was used: log in again."
+    assert (answer.status_code, said(answer)) == (401, expired)
+    back = browser.authorized("anna")
+    mine = session_of(access)
+    mine.begun = dataclasses.replace(mine.begun, verifier="x" * 64)
+    assert said(browser.client.get(back)) == expired, "the provider compares it with the challenge"
+    assert [(line["what"], line["why"]) for line in trail.lines()] == [("login refused", expired)] * 2
+
+
+def test_a_login_that_takes_too_long_is_one_line(console, clock):
+    address, _, _ = console()
+    browser = Browser(address)
+    back = browser.authorized("anna")
+    clock.sleep(BEGUN_S + 1.0)
+    assert said(browser.client.get(back)) == "The login took too long: log in again."
+
+
+@pytest.mark.parametrize(
+    ("who", "words"),
+    [
+        ("eve", "eve has no role here: groups is sales, which the file of --openid gives none."),
+        ("the operator", "There is an account the operator here: log in with its password."),
+    ],
+)
+def test_people_without_a_role_or_with_the_name_of_an_account_are_refused(console, who, words):
+    address, _, _ = console()
+    answer = Browser(address).log_in(who)
+    assert (answer.status_code, said(answer)) == (403, words)
+
+
+def test_another_issuer_and_a_provider_that_is_away_are_one_line(console, provider):
+    issuer = provider[1]
+    address, _, _ = console(f"{issuer}/")
+    answer = Browser(address).client.get("/openid/login")
+    words = f"The provider calls itself {issuer}, not {issuer}/: mend the issuer in the file of --openid."
+    assert (answer.status_code, said(answer)) == (502, words)
+    for other in (issuer.removesuffix("/o"), "http://127.0.0.1:9"):
+        address, _, _ = console(other)
+        answer = Browser(address).client.get("/openid/login")
+        assert answer.status_code == 502
+        assert "does not answer as an OpenID provider" in said(answer)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ({"iss": "https://evil.example", "code": "c"}, "The answer is not of localhost"),
+        (
+            {"error": "access_denied", "error_description": "not today"},
+            "refused the login: access_denied not today",
+        ),
+    ],
+)
+def test_answers_of_others_and_refusals_of_the_provider(provider, answer, words):
+    openid = OpenId(settings(provider[1]))
+    _, begun = openid.begin("http://127.0.0.1:1/openid/return")
+    with pytest.raises(HTTPException, match=words):
+        openid.finish(begun, "http://127.0.0.1:1/openid/return", {"state": begun.state, **answer})
+
+
+ISSUER, KEY = "https://login.example", JWK.generate(kty="RSA", size=2048, kid="k", use="sig", alg="RS256")
+RIGHT = {
+    "iss": ISSUER,
+    "aud": "console",
+    "sub": "1",
+    "nonce": "n",
+    "iat": time.time(),
+    "exp": time.time() + 3600,
+}
+
+
+def signed(header=None, key=KEY, **changes):
+    token = JWT(
+        {"alg": "RS256", "kid": "k"} | (header or {}),
+        {k: v for k, v in (RIGHT | changes).items() if v is not None},
+    )
+    token.make_signed_token(key)
+    return token.serialize()
+
+
+def claims(token):
+    keys = {"keys": [json.loads(KEY.export_public())]}
+    return OpenId(settings(ISSUER))._claims({"id_token": token}, keys, "n")
+
+
+def test_a_token_that_is_right():
+    assert claims(signed(aud=["console", "other"], azp="console"))["sub"] == "1"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"iss": "https://evil.example"},
+        {"iss": None},
+        {"aud": "other"},
+        {"aud": None},
+        {"aud": ["console", "other"], "azp": "other"},
+        {"nonce": "m"},
+        {"nonce": None},
+        {"exp": time.time() - 3600},
+        {"exp": None},
+        {"sub": None},
+        {"key": JWK.generate(kty="RSA", size=2048, kid="k")},
+        {"header": {"alg": "HS256"}, "key": JWK(kty="oct", k="c2VjcmV0c2VjcmV0c2VjcmV0c2VjcmV0")},
+    ],
+)
+def test_tokens_that_are_forged_old_or_of_others(changes):
+    with pytest.raises(HTTPException, match=r"The token of login\.example cannot be trusted: \w+"):
+        claims(signed(**changes))
+
+
+def test_a_token_without_a_signature_or_that_is_none():
+    head, body, _ = signed().split(".")
+    for token in (f"eyJhbGciOiJub25lIn0.{body}.", f"{head}.{body}.", "x", None, 3):
+        with pytest.raises(HTTPException, match="cannot be trusted"):
+            claims(token)
+
+
+@pytest.mark.parametrize(
+    ("claim", "value", "roles"),
+    [
+        ("groups", "inspectors", {"operator"}),
+        ("realm_access.roles", ["x", "auditors"], {"auditor"}),
+        ("https://a.example/roles", ["inspectors"], {"operator"}),
+    ],
+)
+def test_roles_are_of_a_text_a_list_or_within_tables(claim, value, roles):
+    given = {claim: value} if ":" in claim or "." not in claim else {"realm_access": {"roles": value}}
+    person = OpenId(settings(ISSUER, claim=claim))._person(
+        {"sub": "1", "preferred_username": "anna", **given}
+    )
+    assert person.roles == roles
+
+
+@pytest.mark.parametrize("name", [None, "", "a\nb", "x" * 81, ["anna"]])
+def test_a_name_that_is_none_is_refused(name):
+    with pytest.raises(HTTPException, match="gives no name"):
+        OpenId(settings(ISSUER))._person({"sub": "1", "preferred_username": name, "groups": "inspectors"})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('issuer = "http://login.example"\nclient = "c"\nroles = {a = "operator"}', "issuer: .*https://"),
+        ('issuer = "https://login.example"\nclient = "c"\nroles = {a = "king"}', "roles.a"),
+        ('issuer = "https://login.example"\nclient = "c"\nroles = {}', "roles"),
+        ('issuer = "https://login.example"\nroles = {a = "operator"}', "client"),
+    ],
+)
+def test_a_file_that_cannot_be_used(tmp_path, text, words):
+    (tmp_path / "openid.toml").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        read_provider(tmp_path / "openid.toml")
+
+
+def test_the_option_goes_with_accounts(tmp_path):
+    with pytest.raises(UsageError, match="--openid goes with --users"):
+        serve(rig=tmp_path / "rig.toml", recipes=tmp_path, openid=tmp_path / "openid.toml")
+
+
+@pytest.mark.browser
+def test_in_a_browser_the_way_leads_back_with_a_role(chromium, console):
+    address, _, _ = console()
+    page = chromium.new_context().new_page()
+    page.set_default_timeout(15_000)
+    page.goto(f"{address}/login")
+    page.get_by_role("link", name="Log in by localhost").click()
+    page.get_by_label("Username").fill("otto")
+    page.get_by_label("Password").fill("password")
+    page.get_by_role("button", name="Log in").click()
+    page.get_by_role("button", name="Log out").wait_for()
+    assert page.locator(".who").inner_text().startswith("otto")
+    assert page.url.startswith(address)
+    page.goto(f"{address}/audit")
+    page.get_by_text("No line was changed").wait_for()
+    page.context.close()
