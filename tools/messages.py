@@ -29,6 +29,7 @@ from anisoscope.kinds.prints.decision import NOT_JUDGED
 from anisoscope.kinds.prints.missing_ink import MISSING_TITLE
 from anisoscope.kinds.registry import kind_named
 from anisoscope.kinds.wafers.causes import wafer_causes
+from anisoscope.quality import nelson
 from anisoscope.report import rule
 from anisoscope.report.conclusion import OUTCOMES
 from anisoscope.report.inspection_page import INVALID_RULE, MEANING
@@ -45,6 +46,10 @@ TEMPLATES = (
     *(
         f"inspect/console/templates/{name}.html"
         for name in ("accounts", "audit", "base", "live", "login", "picture", "station")
+    ),
+    *(
+        f"inspect/console/templates/fleet{name}.html"
+        for name in ("", "_charts", "_inspection", "_maps", "_parts")
     ),
 )
 CALLS = (
@@ -121,7 +126,19 @@ FURTHER = (
         "tilt",
         "rig",
     ),
-    *("id", "time", "serial", "why", "disposition", "software", "folder", "inspection", "recipe", "product"),
+    *(
+        "id",
+        "time",
+        "serial",
+        "why",
+        "disposition",
+        "software",
+        "folder",
+        "inspection",
+        "recipe",
+        "product",
+        "seal",
+    ),
     *("accept", "reject", "rework", "remeasure", "hold", "white reference", "convention", "model"),
     *(
         "its record is the one in the history",
@@ -152,7 +169,7 @@ FURTHER = (
 HEADER = (
     "# Messages of the operator's path; `python tools/messages.py` brings them up to date and compiles them."
 )
-_IN_TEMPLATE = re.compile(r'_\("((?:[^"\\]|\\.)*)"')
+_IN_TEMPLATE = re.compile(r"""_\((?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')""")
 _PLACE = re.compile(r"\{(\w+)\}")
 
 
@@ -160,8 +177,8 @@ def found_messages(root: Path = ROOT) -> dict[str, str]:
     """All messages, each with the file that it comes from."""
     found: dict[str, str] = {}
     for name in TEMPLATES:
-        for text in _IN_TEMPLATE.findall((root / name).read_text(encoding="utf-8")):
-            found.setdefault(text, name)
+        for texts in _IN_TEMPLATE.findall((root / name).read_text(encoding="utf-8")):
+            found.setdefault("".join(texts), name)
     for folder in CALLS:
         for path in sorted((root / folder).rglob("*.py")):
             for text in _texts(path, {"message"}):
@@ -236,6 +253,7 @@ def _tables() -> Iterator[str]:
     for names, _ in STEPS:
         yield from (words for _, words in names)
     yield from (*NUMBER_WORDS.values(), " and ".join(f"{tilt:g}°" for tilt in TILTS_DEG))
+    yield from (*nelson.RULES.values(), *nelson.MEANING.values())
     yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
     for name in ("ridges", "wafers", "prints", "plates"):
         for key, words in kind_named(name).cause_words.items():

@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import number_name, number_text, true_minus
 from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.pages import render, report_at
@@ -241,7 +242,7 @@ class _Fleet:
             return content | {"names": {}, "charts": [], "left_out": []}
         found = readings_of(columns, "the selection")
         readings = Readings(found.source, {**found.texts, "id": tuple(map(str, ids))}, found.numbers, UTC)
-        names = {name: true_minus(number_name(name)) for name in charted(readings)}
+        names = {name: _named(name) for name in charted(readings)}
         charts, left_out = _charts(readings, asked, next(iter(names))) if names else ([], [])
         return content | {"names": names, "charts": charts, "left_out": left_out}
 
@@ -389,15 +390,19 @@ def _pareto(counts: Mapping[str, int]) -> list[tuple[str, int, float, float]]:
     return found
 
 
+def _named(number: str) -> str:
+    return true_minus(translated(number_name(number)))
+
+
 def _age(since: timedelta) -> str:
     seconds = since.total_seconds()
     if seconds < 0.0:
-        return "in the future: the clocks differ"
+        return message("in the future: the clocks differ")
     if seconds < 120.0:
-        return "less than 2 min ago"
+        return message("less than 2 min ago")
     units = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
     size, unit = next((size, unit) for size, unit in units if seconds >= 2.0 * size)
-    return f"{seconds / size:.0f} {unit} ago"
+    return message("{time} ago", time=f"{seconds / size:.0f} {unit}")
 
 
 def _time(moment: datetime) -> str:
@@ -445,14 +450,14 @@ def _charts(readings: Readings, asked: Asked, first: str) -> tuple[list[Chart], 
     groups = sorted(readings.grouped(asked.by).items(), key=lambda item: len(item[1]), reverse=True)
     found, left_out = list[Chart](), list[str]()
     for group, part in groups[:CHARTS]:
-        title = true_minus(number_name(name))
-        title += "" if asked.by is None else f", {asked.by} {group or 'not stated'}"
+        title = _named(name)
+        title += "" if asked.by is None else f", {translated(asked.by)} {group or message('not stated')}"
         try:
             found.append(_chart(title, name, part))
         except UsageError as error:
             left_out.append(f"{title}: {error}")
     if len(groups) > CHARTS:
-        left_out.append(f"{len(groups) - CHARTS} more of {asked.by}: choose one above")
+        left_out.append(message("{count} more: choose one above", count=len(groups) - CHARTS))
     return found, left_out
 
 
@@ -463,11 +468,12 @@ def _chart(title: str, name: str, part: Readings) -> Chart:
         limits, note = None, str(error)
     values, labels = part.numbers[name], part.labels
     study = control_study(title, values, labels, Settings(), limits)
-    levels = [(study.limits.center, "centre", "centre")]
-    levels += [(study.limits.lower, "lower limit", "limit"), (study.limits.upper, "upper limit", "limit")]
+    levels = [(study.limits.center, message("centre"), "centre")]
+    levels += [(study.limits.lower, message("lower limit"), "limit")]
+    levels += [(study.limits.upper, message("upper limit"), "limit")]
     if limits is not None:
-        sides = ((limits.lower, "tolerance"), (limits.upper, "tolerance"))
-        levels += [(side, text, "tolerance") for side, text in sides if side is not None]
+        sides = (limits.lower, limits.upper)
+        levels += [(side, message("tolerance"), "tolerance") for side in sides if side is not None]
     heights = np.concatenate([values[~np.isnan(values)], [y for y, *_ in levels]])
     low, high = float(heights.min()), float(heights.max())
     scale = (HEIGHT - 2.0 * EDGE) / ((high - low) or 1.0)
@@ -477,7 +483,7 @@ def _chart(title: str, name: str, part: Readings) -> Chart:
     shown = np.flatnonzero(known & (marked | (len(values) <= DOTS)))
     patterns = [
         (
-            f"rule {one.rule}: {one.text}",
+            f"{message('rule {number}', number=one.rule)}: {translated(one.text)}",
             MEANING[one.rule],
             part.texts["id"][one.seen_at],
             labels[one.seen_at],
@@ -496,12 +502,17 @@ def _chart(title: str, name: str, part: Readings) -> Chart:
             (
                 round(x[k], 1),
                 round(y[k], 1),
-                f"{labels[k]}: {number_text(name, values[k])}",
+                f"{labels[k]}: {decimal(number_text(name, values[k]))}",
                 bool(marked[k]),
             )
             for k in shown.tolist()
         ],
-        _spread([(HEIGHT - EDGE - (y - low) * scale, f"{text} {y:.4g}", kind) for y, text, kind in levels]),
+        _spread(
+            [
+                (HEIGHT - EDGE - (y - low) * scale, f"{text} {decimal(f'{y:.4g}')}", kind)
+                for y, text, kind in levels
+            ]
+        ),
         patterns[:PATTERNS],
         max(0, len(patterns) - PATTERNS),
         note,
@@ -559,19 +570,19 @@ def _maps(rows: Sequence[Row]) -> tuple[list[HeatMap], list[str]]:
         try:
             found = _deviations(row)
         except (AnisoscopeError, OSError, ValueError, KeyError) as error:
-            missing[f"cannot be read: {' '.join(str(error).split())}"] += 1
+            missing[message("cannot be read: {why}", why=" ".join(str(error).split()))] += 1
             continue
         if isinstance(found, str):
             missing[found] += 1
             continue
         cells, side_mm = found
-        key = (row.product, row.cavity or "not stated", side_mm, cells.off.shape)
+        key = (row.product, row.cavity or message("not stated"), side_mm, cells.off.shape)
         one = sums.setdefault(key, _Sums(0, np.zeros(cells.off.shape[1:]), np.zeros(cells.off.shape)))
         one.count += 1
         one.deviating += cells.deviating()
         one.off += cells.off
     drawn = [
-        _heat_map(f"{product}, cavity {cavity}", one, side)
+        _heat_map(message("{product}, cavity {cavity}", product=product, cavity=cavity), one, side)
         for (product, cavity, side, _), one in sums.items()
     ]
     return drawn, [f"{number} {text}" for text, number in missing.most_common()]
@@ -584,16 +595,18 @@ def _deviations(row: Row) -> "tuple[CellMap, float] | str":
 
     folder = Path(row.folder)
     if not folder.is_dir():
-        at = row.station or "a station that was not stated"
-        return (
-            f"not on this computer: made at {at} in {folder.parent}, or in the archive "
-            "(`anisoscope archive list`)"
+        return message(
+            "not on this computer: made at {at} in {folder}, or in the archive (`anisoscope archive list`)",
+            at=row.station or message("a station that was not stated"),
+            folder=folder.parent,
         )
     record = record_of(row)
     kept = read_kept(folder, record)
     found = None if kept is None else kind_named(record.kind).deviations(kept, record.recipe)
     return (
-        "without a map: INVALID, of a kind without one, or of an earlier version" if found is None else found
+        message("without a map: INVALID, of a kind without one, or of an earlier version")
+        if found is None
+        else found
     )
 
 
@@ -644,12 +657,12 @@ def _numbers(row: Row) -> list[tuple[str, str, str, str, str]]:
     """Name, value, standard uncertainty, deviation and tolerance."""
 
     def cell(label: str, form: str) -> str:
-        return true_minus(form.format(row.numbers[label])) if label in row.numbers else ""
+        return decimal(true_minus(form.format(row.numbers[label]))) if label in row.numbers else ""
 
     return [
         (
-            true_minus(number_name(label)),
-            true_minus(number_text(label, value)),
+            _named(label),
+            decimal(true_minus(number_text(label, value))),
             cell(f"u {label}", "{:.2g}"),
             cell(f"deviation {label}", "{:+.4g}"),
             cell(f"tolerance {label}", "±{:g}"),
@@ -666,22 +679,30 @@ def _report(row: Row) -> tuple[Path | None, str]:
     report is what that record's inspection wrote: no row can name another file of this computer.
     """
     folder = Path(row.folder)
-    at = f"station {row.station}" if row.station else "a station that was not stated"
     try:
         if not folder.is_dir():
-            return None, f"The report is not on this computer. It was written at {at}, into {row.folder}"
+            at = row.station or message("a station that was not stated")
+            where = message(
+                "The report is not on this computer. It was written at {at}, into {folder}",
+                at=at,
+                folder=row.folder,
+            )
+            return None, where
         record_of(row)
         state = report_state(folder).state
         path = folder / REPORT_NAME
         if state != "written" or path.resolve().parent != folder.resolve():
-            why = (
-                "has no report"
+            text = (
+                message("{folder} has no report", folder=row.folder)
                 if state == "missing"
-                else "has a report that was changed since, which is not shown"
+                else message(
+                    "{folder} has a report that was changed since, which is not shown", folder=row.folder
+                )
             )
-            return None, f"{row.folder} {why}; `anisoscope show id:{row.id} --html FILE` makes it again"
+            again = message("`anisoscope show id:{id} --html FILE` makes it again", id=row.id)
+            return None, f"{text}; {again}"
     except (AnisoscopeError, OSError, ValueError) as error:
-        return None, f"The report cannot be shown: {error}"
+        return None, message("The report cannot be shown: {why}", why=error)
     return path, ""
 
 
