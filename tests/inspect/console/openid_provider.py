@@ -21,7 +21,7 @@ PEOPLE = {
     "the operator": ["inspectors"],
 }
 LOGIN = (
-    "<form method='post'>{{ form }}<input type='hidden' name='next' value='{{ next }}'>"
+    "<form method='post'>{% csrf_token %}{{ form }}<input type='hidden' name='next' value='{{ next }}'>"
     "<button>Log in</button></form>"
 )
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import httpx
 import pytest
 from fastapi import HTTPException
+from jwcrypto.common import base64url_encode
 from jwcrypto.jwk import JWK
 from jwcrypto.jwt import JWT
 
@@ -81,10 +82,12 @@ class Browser:
 
     def authorized(self, who):
         """Where the provider sends the browser of somebody who has begun to log in at the console."""
+        self.client.cookies.delete("sessionid")  # of the login before, at the provider
         way = self.client.get("/openid/login")
         assert way.status_code == 303, way.text
         form = self.client.get(way.headers["location"], follow_redirects=True)
-        given = {"username": who, "password": "password"}
+        token = re.search('name="csrfmiddlewaretoken" value="([^"]+)', form.text)[1]
+        given = {"username": who, "password": "password", "csrfmiddlewaretoken": token}
         found = self.client.post(form.url, data=given)
         assert found.status_code == 302, found.text
         found = self.client.get(f"{form.url.scheme}://{form.url.netloc.decode()}{found.headers['location']}")
@@ -92,6 +95,19 @@ class Browser:
 
     def log_in(self, who):
         return self.client.get(self.authorized(who))
+
+
+@pytest.fixture
+def browser_of():
+    """``browser_of(address)``: a browser, closed at the end."""
+    with contextlib.ExitStack() as stack:
+
+        def make(address):
+            found = Browser(address)
+            stack.enter_context(found.client)
+            return found
+
+        yield make
 
 
 def said(answer):
@@ -103,9 +119,9 @@ def session_of(access):
     return next(one for one in access._sessions.values() if one.begun is not None)
 
 
-def test_a_person_of_the_provider_has_the_roles_of_its_claim(console):
+def test_a_person_of_the_provider_has_the_roles_of_its_claim(console, browser_of):
     address, access, trail = console()
-    browser = Browser(address)
+    browser = browser_of(address)
     assert "Log in by localhost" in browser.client.get("/login").text
     answer = browser.log_in("otto")
     assert (answer.status_code, answer.headers["location"]) == (303, "/")
@@ -122,9 +138,9 @@ def test_a_person_of_the_provider_has_the_roles_of_its_claim(console):
     assert browser.client.post("/login", json=local, headers={"X-CSRF-Token": token}).status_code == 200
 
 
-def test_a_login_is_of_the_browser_that_began_it_and_once(console):
+def test_a_login_is_of_the_browser_that_began_it_and_once(console, browser_of):
     address, access, _ = console()
-    browser, other = Browser(address), Browser(address)
+    browser, other = browser_of(address), browser_of(address)
     back = browser.authorized("anna")
     other.client.get("/openid/login")
     for one, way in ((other, back), (browser, re.sub("state=[^&]+", "state=guessed", back))):
@@ -140,9 +156,9 @@ def test_a_login_is_of_the_browser_that_began_it_and_once(console):
     assert browser.client.get(back).status_code == 400
 
 
-def test_a_code_that_has_expired_or_is_of_another_verifier_is_one_line(console, provider):
+def test_a_code_that_has_expired_or_is_of_another_verifier_is_one_line(console, provider, browser_of):
     address, access, trail = console()
-    browser = Browser(address)
+    browser = browser_of(address)
     back = browser.authorized("anna")
     with sqlite3.connect(provider[0] / "provider.sqlite") as database:
         database.execute("UPDATE oauth2_provider_grant SET expires = '2001-01-01 00:00:00'")
@@ -156,9 +172,9 @@ def test_a_code_that_has_expired_or_is_of_another_verifier_is_one_line(console, 
     assert [(line["what"], line["why"]) for line in trail.lines()] == [("login refused", expired)] * 2
 
 
-def test_a_login_that_takes_too_long_is_one_line(console, clock):
+def test_a_login_that_takes_too_long_is_one_line(console, clock, browser_of):
     address, _, _ = console()
-    browser = Browser(address)
+    browser = browser_of(address)
     back = browser.authorized("anna")
     clock.sleep(BEGUN_S + 1.0)
     assert said(browser.client.get(back)) == "The login took too long: log in again."
@@ -171,21 +187,21 @@ def test_a_login_that_takes_too_long_is_one_line(console, clock):
         ("the operator", "There is an account the operator here: log in with its password."),
     ],
 )
-def test_people_without_a_role_or_with_the_name_of_an_account_are_refused(console, who, words):
+def test_people_without_a_role_or_with_the_name_of_an_account_are_refused(console, who, words, browser_of):
     address, _, _ = console()
-    answer = Browser(address).log_in(who)
+    answer = browser_of(address).log_in(who)
     assert (answer.status_code, said(answer)) == (403, words)
 
 
-def test_another_issuer_and_a_provider_that_is_away_are_one_line(console, provider):
+def test_another_issuer_and_a_provider_that_is_away_are_one_line(console, provider, browser_of):
     issuer = provider[1]
     address, _, _ = console(f"{issuer}/")
-    answer = Browser(address).client.get("/openid/login")
+    answer = browser_of(address).client.get("/openid/login")
     words = f"The provider calls itself {issuer}, not {issuer}/: mend the issuer in the file of --openid."
     assert (answer.status_code, said(answer)) == (502, words)
     for other in (issuer.removesuffix("/o"), "http://127.0.0.1:9"):
         address, _, _ = console(other)
-        answer = Browser(address).client.get("/openid/login")
+        answer = browser_of(address).client.get("/openid/login")
         assert answer.status_code == 502
         assert "does not answer as an OpenID provider" in said(answer)
 
@@ -250,7 +266,7 @@ def test_a_token_that_is_right():
         {"exp": None},
         {"sub": None},
         {"key": JWK.generate(kty="RSA", size=2048, kid="k")},
-        {"header": {"alg": "HS256"}, "key": JWK(kty="oct", k="c2VjcmV0c2VjcmV0c2VjcmV0c2VjcmV0")},
+        {"header": {"alg": "HS256"}, "key": JWK(kty="oct", k=base64url_encode(KEY.export_to_pem()))},
     ],
 )
 def test_tokens_that_are_forged_old_or_of_others(changes):
