@@ -45,7 +45,7 @@ TEMPLATES = (
     "inspect/kinds/prints/templates/inspection_print_colours.html",
     *(
         f"inspect/console/templates/{name}.html"
-        for name in ("accounts", "audit", "base", "live", "login", "picture", "station")
+        for name in ("accounts", "audit", "base", "live", "login", "picture", "problem", "station")
     ),
     *(
         f"inspect/console/templates/fleet{name}.html"

@@ -296,18 +296,27 @@ async def _say_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, AnyHTTPException)
     if error.status_code == 401 and _wants_page(request):
         return RedirectResponse("/login", 303)
-    return JSONResponse({"error": str(error.detail)}, error.status_code, headers=error.headers)
+    return _said(request, str(error.detail), error.status_code, error.headers)
 
 
-async def _say_problem(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": " ".join(str(error).split())}, 409)
+def _said(request: Request, text: str, status: int, headers: Mapping[str, str] | None = None) -> Response:
+    """A refusal: a page where one was asked for, else JSON."""
+    if not _wants_page(request) or not hasattr(request.state, "session"):
+        return JSONResponse({"error": text}, status, headers=headers)
+    page = render(request, "problem.html", text=text)
+    page.status_code = status
+    return page
 
 
-async def _say_invalid(_: Request, error: Exception) -> Response:
+async def _say_problem(request: Request, error: Exception) -> Response:
+    return _said(request, " ".join(str(error).split()), 409)
+
+
+async def _say_invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
-    return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)
+    return _said(request, f"{where}: {first['msg']}", 422)
 
 
 def _login_router(access: Access, pages: Sequence[Page]) -> APIRouter:

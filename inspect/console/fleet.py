@@ -681,7 +681,11 @@ def _report(row: Row) -> tuple[Path | None, str]:
     folder = Path(row.folder)
     try:
         if not folder.is_dir():
-            at = row.station or message("a station that was not stated")
+            at = (
+                message("station {name}", name=row.station)
+                if row.station
+                else message("a station that was not stated")
+            )
             where = message(
                 "The report is not on this computer. It was written at {at}, into {folder}",
                 at=at,

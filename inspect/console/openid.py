@@ -9,7 +9,7 @@ import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 from fastapi import HTTPException
@@ -105,12 +105,10 @@ class OpenId:
     def __init__(self, provider: Provider, clock: Clock = SYSTEM) -> None:
         from authlib.integrations import requests_client  # noqa: PLC0415 - of the extra
         from joserfc.errors import JoseError  # noqa: PLC0415
-        from requests.exceptions import RequestException  # noqa: PLC0415
 
         self.provider, self._clock = provider, clock
         self.host = urlsplit(provider.issuer).netloc
         self._requests = requests_client
-        self._away: tuple[type[Exception], ...] = (RequestException, ValueError)
         self._forged: tuple[type[Exception], ...] = (JoseError, ValueError, TypeError, KeyError)
 
     def begin(self, back: str) -> tuple[str, Begun]:
@@ -122,7 +120,8 @@ class OpenId:
         Raises:
             HTTPException: 502, the provider does not answer, or is another one.
         """
-        begun = Begun(*(secrets.token_urlsafe(48) for _ in range(3)), at_s=self._clock())
+        state, nonce, verifier = (secrets.token_urlsafe(48) for _ in range(3))
+        begun = Begun(state, nonce, verifier, self._clock())
         with self._session(back) as session:
             address, _ = session.create_authorization_url(
                 self._metadata(session)["authorization_endpoint"],
@@ -177,7 +176,7 @@ class OpenId:
             answer = session.request("GET", address, withhold_token=True, timeout=ANSWER_S)
             answer.raise_for_status()
             return dict(answer.json())
-        except (*self._away, OSError, TypeError) as problem:
+        except (OSError, ValueError, TypeError) as problem:  # those of requests are OSError
             raise self._no_answer(problem) from problem
 
     def _no_answer(self, problem: Exception) -> HTTPException:
@@ -215,18 +214,22 @@ class OpenId:
                 ) from problem
             text = message("{host} refused the login: {why}", host=self.host, why=str(problem.error))
             raise HTTPException(401, text) from problem
-        except (*self._away, OSError, TypeError) as problem:
+        except (OSError, ValueError, TypeError) as problem:  # those of requests are OSError
             raise self._no_answer(problem) from problem
 
     def _claims(self, token: Mapping[str, Any], keys: Mapping[str, Any], nonce: str) -> Mapping[str, Any]:
         """The claims of a token whose signature, issuer, audience, nonce and time are right."""
         from authlib.oidc.core import CodeIDToken  # noqa: PLC0415
         from joserfc import jwt  # noqa: PLC0415
-        from joserfc.jwk import KeySet  # noqa: PLC0415
+        from joserfc.jwk import KeySet, KeySetSerialization  # noqa: PLC0415
 
         provider = self.provider
         try:
-            found = jwt.decode(token["id_token"], KeySet.import_key_set(dict(keys)), algorithms=ALGORITHMS)
+            found = jwt.decode(
+                token["id_token"],
+                KeySet.import_key_set(cast("KeySetSerialization", keys)),
+                algorithms=ALGORITHMS,
+            )
             claims = CodeIDToken(
                 found.claims,
                 found.header,

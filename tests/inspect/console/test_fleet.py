@@ -1,6 +1,7 @@
 """The fleet page: what it shows, what it exports, what it refuses, and what no record can make it do."""
 
 import csv
+import html
 import io
 import json
 import re
@@ -192,15 +193,17 @@ def test_a_pattern_leads_to_the_inspection_that_completed_it(tmp_path, client_of
     assert 'rule 1: one value beyond 3 sigma, complete at <a href="/fleet/inspections/21">A20</a>' in page
 
 
+def problem_of(answer):
+    """What a page says where something was refused."""
+    return html.unescape(re.search('role="alert" class="refused">(.*)</p>', answer.text)[1])
+
+
 def test_charts_for_each_cavity(client):
     words = text_of(client.get("/fleet/charts?by=cavity&number=deviation+ln+0-90").text)
     for cavity in range(4):
         assert f"cavity {cavity}" in words
-    assert (
-        client.get("/fleet/charts?number=none")
-        .json()["error"]
-        .startswith("the selection: there is no number 'none'")
-    )
+    wrong = problem_of(client.get("/fleet/charts?number=none"))
+    assert wrong.startswith("the selection: there is no number 'none'")
     few = client.get("/fleet/charts?serial=A1").text
     assert "ln ratio 0° / 90°, tilt 0°: " in few
     assert '<svg class="chart"' not in few
@@ -211,8 +214,8 @@ def test_a_history_that_is_not_there_or_empty(tmp_path, client_of):
         client = client_of(place)
         assert "0 inspections" in text_of(client.get("/fleet").text)
         assert client.get("/fleet/charts").status_code == 200
-        assert client.get("/fleet/inspections/1").json() == {"error": "the history has no inspection 1"}
-        assert client.get("/fleet/export/csv").json() == {"error": "there is no history yet"}
+        assert problem_of(client.get("/fleet/inspections/1")) == "the history has no inspection 1"
+        assert problem_of(client.get("/fleet/export/csv")) == "there is no history yet"
     with open_history(tmp_path / "history.sqlite"):
         pass
     client = client_of(tmp_path / "history.sqlite")
@@ -236,7 +239,10 @@ def test_a_history_that_is_not_there_or_empty(tmp_path, client_of):
 )
 def test_what_makes_no_sense_gets_one_message(client, query, status, message):
     for path in ("/fleet", "/fleet/charts", "/fleet/export/csv"):
-        answer = client.get(f"{path}?{query}")
+        page = client.get(f"{path}?{query}")
+        assert page.status_code == status
+        assert problem_of(page).startswith(message)
+        answer = client.get(f"{path}?{query}", headers={"Accept": "application/json"})
         assert answer.status_code == status
         assert answer.json().keys() == {"error"}
         assert answer.json()["error"].startswith(message)
@@ -276,7 +282,8 @@ def test_script_in_every_text_of_a_record_stays_text(tmp_path, client_of):
             assert "alert('" not in tag  # no quote of a value ended its attribute
     answer = client.get("/fleet/inspections/21/report")
     assert answer.status_code == 404
-    assert answer.headers["content-type"] == "application/json"
+    assert "alert(" in problem_of(answer)
+    assert "<script>alert" not in answer.text
 
 
 def reporting(client_of, place, inspected, **changes):
@@ -380,7 +387,7 @@ def test_no_row_opens_another_file_of_this_computer(client_of, tmp_path, inspect
         inspected.report.symlink_to(secret / "report.html")
     answer = client.get("/fleet/inspections/1/report")
     assert answer.status_code == 404
-    assert "secret" not in answer.json()["error"].replace(str(secret), "").replace("/secret", "")
+    assert "secret" not in problem_of(answer).replace(str(secret), "").replace("/secret", "")
     assert "placeholder" in client.get("/fleet/inspections/1").text
 
 
