@@ -5,6 +5,7 @@ may also be an inspection. Where a guide stands is in a file, so that the end of
 """
 
 import contextlib
+import math
 import random
 import re
 import secrets
@@ -20,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.base.json_fields import as_json
-from anisoscope.base.language import message, translated
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.progress import Advance
 from anisoscope.console.access import Permission
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 STATE = "guide.json"
 MOST_STEPS = 1000
 
-Key = Literal["flat", "rotation", "commissioning", "golden", "gauge", "material"]
+Key = Literal["flat", "rotation", "commissioning", "golden", "gauge", "material", "focus"]
 Rows = Sequence[Sequence[str]]
 
 
@@ -139,6 +140,20 @@ class Entered:
             found = 0.0
         if not 0.0 < found < float("inf"):
             raise UsageError(f"{name} takes a number above 0, not {str(self.values.get(name, ''))[:40]!r}")
+        return found
+
+    def reading(self, name: str) -> float:
+        """A reading of an axis, of either sign.
+
+        Raises:
+            UsageError: it is none.
+        """
+        try:
+            found = float(self.values[name])
+        except (KeyError, ValueError):
+            found = math.nan
+        if not math.isfinite(found):
+            raise UsageError(f"{name} takes a number, not {str(self.values.get(name, ''))[:40]!r}")
         return found
 
     def names(self, name: str, least: int) -> list[str]:
@@ -268,8 +283,11 @@ class Guided:
         write_text(self._file, self.state.model_dump_json())
 
 
-def described() -> list[dict[str, Any]]:
-    """All guides, for their forms."""
+def described(rig: Path) -> list[dict[str, Any]]:
+    """All guides that a rig has the axes for, for their forms."""
+    from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
+
+    focuses = read_rig(rig).z is not None
     return [
         {
             "key": key,
@@ -288,6 +306,7 @@ def described() -> list[dict[str, Any]]:
             ],
         }
         for key, guide in guides().items()
+        if key != "focus" or focuses
     ]
 
 
@@ -449,6 +468,41 @@ def scan_material(place: Workplace, advance: Advance, *, recipe: Path, name: str
     return Outcome(found.fits, rows, (message("record: {path}", path=out),))
 
 
+def find_focus(
+    place: Workplace, advance: Advance, *, exposure_s: float, gain: float, low: float, high: float
+) -> Outcome:
+    """Focus by the axis z, as `anisoscope rig focus`; the axis stays there."""
+    from anisoscope.live_view.autofocus import Autofocus  # noqa: PLC0415
+    from anisoscope.rig.acquisition.opening import open_devices  # noqa: PLC0415
+    from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
+
+    file = read_rig(place.rig)
+    if file.z is None:
+        raise UsageError("nothing moves the focus there: the rig file has no table [z]")
+    axes = file.moved_with("z")
+    with open_devices(axes, file.camera, file.light, rows_of=file) as devices:
+        for table in dict.fromkeys((*file.home_order, *axes)):
+            if table in axes and not devices.axes[table].is_homed:
+                advance(f"home {table}", 0, 1)
+                devices.axes[table].home()
+        assert devices.camera is not None
+        devices.camera.configure(exposure_s, gain)
+        if devices.light is not None:
+            devices.light.on()
+        search = Autofocus(devices.axes["z"], devices.camera, file.z.approach_mm, on_progress=advance)
+        found = search.search(low, high)
+    notes = (
+        message("z in focus at {place}", place=decimal(f"{found.reached:.4f} mm")),
+        message(
+            "repeatable within {size} (standard deviation of {count} sweeps)",
+            size=decimal(f"{1000.0 * found.repeatability:.2g} µm"),
+            count=len(found.places),
+        ),
+        message("half as sharp {size} away", size=decimal(f"{1000.0 * found.half_width:.3g} µm")),
+    )
+    return Outcome(True, (), notes)
+
+
 # The guides.
 
 
@@ -538,6 +592,22 @@ def _material(asked: Entered, _: GuideState) -> list[Step]:
     ]
 
 
+def _focus(asked: Entered, _: GuideState) -> list[Step]:
+    low, high = asked.reading("low"), asked.reading("high")
+    if not low < high:
+        raise UsageError(message("The sweep goes upwards: the first reading is below the last."))
+    find = partial(find_focus, exposure_s=asked.entry.exposure_s, gain=asked.entry.gain, low=low, high=high)
+    return [
+        Step(
+            message(
+                "Place the part on the stage. z moves between these readings, and first along its whole travel if it "
+                "was not homed: keep its path free."
+            ),
+            find,
+        )
+    ]
+
+
 def guides() -> Mapping[Key, Guide]:
     """All guided work, in the language of the page."""
     parts = message("Parts: their numbers, with commas")
@@ -586,5 +656,14 @@ def guides() -> Mapping[Key, Guide]:
             (Entry("name", message("Name of the material")),),
             _material,
             "set up",
+        ),
+        "focus": Guide(
+            message("Focus"),
+            message("Sweep of z with the exposure of the recipe; it goes to the sharpest picture."),
+            (
+                Entry("low", message("From: reading of z in mm")),
+                Entry("high", message("To: reading of z in mm")),
+            ),
+            _focus,
         ),
     }

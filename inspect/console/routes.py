@@ -72,7 +72,7 @@ def _add_pages(router: APIRouter, station: Station) -> None:
             recipes=station.all_recipes(),
             calibrations=station.calibrations(),
             resumable=station.resumable(),
-            guides=[one for one in described() if session.may(one["needs"])],
+            guides=[one for one in described(station.place.rig) if session.may(one["needs"])],
             name=station.name or "",
             words=_words(),
         )
@@ -196,7 +196,7 @@ def _add_changes(router: APIRouter, station: Station) -> None:
 def _add_guides(router: APIRouter, station: Station) -> None:
     @router.get("/api/v1/guides", summary="Guided work: commissioning, calibrations, golden parts, gauge R&R")
     def guides(_: Looking) -> list[dict[str, Any]]:
-        return described()
+        return described(station.place.rig)
 
     @router.post("/api/v1/guides/begin", summary="Begin guided work, with a reason")
     def begin(given: Begin, session: Operating) -> dict[str, Any]:

@@ -135,6 +135,7 @@ class Autofocus:
         approach_mm: every sweep begins so far below its first reading, because of play.
         measure: measure of sharpness.
         average: frames that are averaged at each reading.
+        on_progress: called before each reading; what it raises ends the search.
     """
 
     def __init__(
@@ -144,8 +145,14 @@ class Autofocus:
         approach_mm: float = 0.1,
         measure: FocusMeasure = "tenengrad",
         average: int = 1,
+        on_progress: Advance = silent,
     ) -> None:
-        self._axis, self._camera, self._approach_mm = axis, camera, approach_mm
+        self._axis, self._camera, self._approach_mm, self._on_progress = (
+            axis,
+            camera,
+            approach_mm,
+            on_progress,
+        )
         self._measure, self._average = measure, average
 
     def search(self, low: float, high: float, steps: int = 15, repeats: int = 3) -> Focus:
@@ -238,13 +245,15 @@ class Autofocus:
         targets = np.linspace(low, high, steps)
         self._below(low)
         found = []
-        for target in targets:
+        for done, target in enumerate(targets):
+            self._on_progress("focus", done, steps)
             reading = self._axis.move_to(float(target))
             found.append((reading, self._sharpness()))
         readings, sharpness = np.array(found).T
         return readings, sharpness
 
     def _go(self, reading: float) -> float:
+        self._on_progress("focus", 1, 1)
         self._below(reading)
         return self._axis.move_to(reading)
 

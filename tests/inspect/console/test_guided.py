@@ -109,6 +109,35 @@ def test_the_rotation_by_steps(guiding, at):
     assert (at.place.rig.parent / "rotation.json").is_file()
 
 
+Z_MM = 10.0
+
+
+def test_the_focus_by_steps(served, app_of, station_at):
+    z = {"driver": "zaber", "port": "sim://zaber?bench=${here}/bench.toml", "zero_mm": Z_MM}
+    z |= {"options": {"counts_per_mm": 1000.0 / 0.047625}}
+    bench = {"sensor": {"rows": 96, "cols": 96}, "z": {"protocol": "zaber", "zero_mm": Z_MM}}
+    at = station_at("z", bench=bench, rig={"z": z})[0]
+    with served(app_of(at)) as address:
+        guiding = Guiding(address, at)
+        assert "focus" in [one["key"] for one in guiding.client.get("/guides").json()]
+        for low, high in (("x", "11"), ("11", "9"), ("9", "nan")):
+            assert guiding.begin("focus", low=low, high=high).status_code == 409
+        assert guiding.begin("focus", low="9.2", high="10.9").status_code == 200
+        asked, state = guiding.all_steps()
+        assert "z moves" in asked[0]
+        found = float(
+            state["guide"]["results"][0]["notes"][0].removeprefix("z in focus at ").removesuffix(" mm")
+        )
+        assert found == pytest.approx(Z_MM, abs=0.01)
+        guiding.end()
+
+
+def test_without_z_no_focus_is_offered_and_a_search_is_refused(guiding):
+    assert "focus" not in [one["key"] for one in guiding.client.get("/guides").json()]
+    guiding.begin("focus", low="9", high="11")
+    assert "no table [z]" in guiding.step()["failure"]["text"]
+
+
 def test_golden_parts_are_inspected_and_added(guiding, at):
     guiding.begin("golden", parts="G-1, G-2")
     asked, _ = guiding.all_steps()
