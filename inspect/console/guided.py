@@ -468,15 +468,13 @@ def scan_material(place: Workplace, advance: Advance, *, recipe: Path, name: str
     return Outcome(found.fits, rows, (message("record: {path}", path=out),))
 
 
-def find_focus(
-    place: Workplace, advance: Advance, *, exposure_s: float, gain: float, low: float, high: float
-) -> Outcome:
+def find_focus(place: Workplace, advance: Advance, *, entry: RecipeEntry, low: float, high: float) -> Outcome:
     """Focus by the axis z, as `anisoscope rig focus`; the axis stays there."""
     from anisoscope.live_view.autofocus import Autofocus  # noqa: PLC0415
     from anisoscope.rig.acquisition.opening import open_devices  # noqa: PLC0415
     from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
 
-    file = read_rig(place.rig)
+    file = read_rig(place.rig, channel=entry.channel)
     if file.z is None:
         raise UsageError("nothing moves the focus there: the rig file has no table [z]")
     axes = file.moved_with("z")
@@ -486,7 +484,7 @@ def find_focus(
                 advance(f"home {table}", 0, 1)
                 devices.axes[table].home()
         assert devices.camera is not None
-        devices.camera.configure(exposure_s, gain)
+        devices.camera.configure(entry.exposure_s, entry.gain)
         if devices.light is not None:
             devices.light.on()
         search = Autofocus(devices.axes["z"], devices.camera, file.z.approach_mm, on_progress=advance)
@@ -509,7 +507,8 @@ def find_focus(
 def _taking(asked: Entered, frames: int) -> Any:  # noqa: ANN401
     from anisoscope.calibration.frames import Taking  # noqa: PLC0415
 
-    return Taking(asked.entry.exposure_s, asked.entry.gain, frames, operator=asked.who)
+    entry = asked.entry
+    return Taking(entry.exposure_s, entry.gain, frames, operator=asked.who, light_channel=entry.channel)
 
 
 def _flat_and_dark(asked: Entered, _: GuideState) -> list[Step]:
@@ -596,7 +595,7 @@ def _focus(asked: Entered, _: GuideState) -> list[Step]:
     low, high = asked.reading("low"), asked.reading("high")
     if not low < high:
         raise UsageError(message("The sweep goes upwards: the first reading is below the last."))
-    find = partial(find_focus, exposure_s=asked.entry.exposure_s, gain=asked.entry.gain, low=low, high=high)
+    find = partial(find_focus, entry=asked.entry, low=low, high=high)
     return [
         Step(
             message(

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import RigError
 from anisoscope.base.json_fields import as_json
-from anisoscope.rig.hold import SharedCamera
-from anisoscope.rig.light import Light
+from anisoscope.rig.hold import HeldLight, SharedCamera
+from anisoscope.rig.light import ChannelLight, Light
 
 if TYPE_CHECKING:
     from anisoscope.live_view.view import FocusMeasure
@@ -106,10 +106,11 @@ class EventLog:
 
 @dataclass(frozen=True)
 class Eyes:
-    """What the live picture needs of a rig."""
+    """What the live picture needs of a rig; the channel is that of the light where none is named."""
 
     camera: SharedCamera
     light: Light | None
+    channel: str | None = None
 
 
 class Live:
@@ -136,13 +137,20 @@ class Live:
         self._lock = threading.Lock()
         self._new_meter: Callable[[], Meter] = Meter
         self._meter = Meter()
-        self._newest: tuple[float, tuple[float, float], bytes, dict[str, Any]] | None = None
+        self._newest: tuple[float, tuple[float, float, str | None], bytes, dict[str, Any]] | None = None
         self._lit = False
         self._paused = False
         self._off: threading.Timer | None = None
 
-    def look(self, exposure_s: float, gain: float) -> tuple[bytes, dict[str, Any]]:
+    def look(
+        self, exposure_s: float, gain: float, channel: str | None = None
+    ) -> tuple[bytes, dict[str, Any]]:
         """The newest picture as JPEG, and its numbers with advice.
+
+        Args:
+            exposure_s: exposure.
+            gain: gain of the camera.
+            channel: of the light; None takes the usual one.
 
         Raises:
             RigError: there is no camera, or the rig is at work.
@@ -155,12 +163,15 @@ class Live:
                 raise RigError("the rig is at work: its frames are shown as they come")
             if self._eyes is None:
                 raise RigError("the camera of the rig cannot be used here")
-            asked = (exposure_s, gain)
+            asked = (exposure_s, gain, channel or self._eyes.channel)
             if self._newest is not None and self._newest[1] != asked:
                 self._meter, self._newest = self._new_meter(), None
+                self._darken()  # another channel may be wanted
             if self._newest is not None and self._clock() - self._newest[0] < self._gap_s:
                 return self._newest[2:]
             if not self._lit and self._eyes.light is not None:
+                if asked[2] is not None and isinstance(self._eyes.light, (ChannelLight, HeldLight)):
+                    self._eyes.light.select(asked[2])
                 self._eyes.light.on()
                 self._lit = True
             counts, info = self._eyes.camera.grab(exposure_s, gain), self._eyes.camera.info

@@ -148,15 +148,15 @@ def _add_pictures(router: APIRouter, station: Station) -> None:
         entry = station.recipe(recipe)
         if entry.problem is not None:
             raise HTTPException(409, entry.problem)
-        return _picture(station.live, entry.exposure_s, entry.gain)
+        return _picture(station.live, (entry.exposure_s, entry.gain, entry.channel))
 
     @router.get("/api/v1/frames/{number}.jpg", summary="A frame of the present inspection, small")
     def frame(number: int, _: Looking) -> Response:
         return Response(station.frame(number), media_type="image/jpeg")
 
 
-def _picture(live: Live, exposure_s: float, gain: float, **more: str) -> Response:
-    jpeg, numbers = live.look(exposure_s, gain)
+def _picture(live: Live, taken: tuple[float, float, str | None], **more: str) -> Response:
+    jpeg, numbers = live.look(*taken)
     said = numbers | {"advice": [message(one) for one in numbers["advice"]], **more}
     return Response(jpeg, media_type="image/jpeg", headers={"X-Numbers": json.dumps(said)})
 
@@ -244,7 +244,9 @@ def live_router(live: Live, exposure_s: float, gain: float, jogger: Jogger | Non
 
     @router.get("/api/v1/live.jpg", summary="Live picture; its numbers in X-Numbers")
     def picture(_: Looking) -> Response:
-        return _picture(live, exposure_s, gain, **({} if jogger is None else {"axes": jogger.state()}))
+        return _picture(
+            live, (exposure_s, gain, None), **({} if jogger is None else {"axes": jogger.state()})
+        )
 
     if jogger is None:
         return router

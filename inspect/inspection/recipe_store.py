@@ -18,6 +18,7 @@ class RecipeEntry(BaseModel):
     exposure_s: float
     gain: float
     poses: int
+    channel: str | None = None
     picture: str | None = None
     problem: str | None = None
 
@@ -52,6 +53,7 @@ def recipe_entry(path: Path) -> RecipeEntry:
             exposure_s=found.acquisition.exposure_s,
             gain=found.acquisition.gain,
             poses=len(found.poses.poses()),
+            channel=found.acquisition.light_channel,
             picture=logo_uri(found),
         )
     except AnisoscopeError as problem:

@@ -384,6 +384,8 @@ class HeldRig:
     camera: SharedCamera | None
     light: Light | None
     stop: Callable[[], dict[str, str]]
+    channel: str | None = None
+    """Light channel that is used where a recipe names none."""
 
 
 @contextlib.contextmanager
@@ -409,7 +411,7 @@ def held_rig(rig: Path) -> Iterator[HeldRig]:
             def stop() -> dict[str, str]:
                 return {table: why for found in stop_held(rig).values() for table, why in found.items()}
 
-            yield HeldRig(SharedCamera(devices.camera), devices.light, stop)
+            yield HeldRig(SharedCamera(devices.camera), devices.light, stop, file.light.channel)
         return
     with hold_devices(file.axes, file, str(rig)) as held:
-        yield HeldRig(held.owner.camera, held.devices.light, held.owner.stop_all)
+        yield HeldRig(held.owner.camera, held.devices.light, held.owner.stop_all, file.light.channel)

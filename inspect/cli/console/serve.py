@@ -87,7 +87,7 @@ def serve(
         listener = stack.enter_context(listen(host, port))
         here = int(listener.getsockname()[1])
         own = stack.enter_context(held_rig(rig))
-        eyes = None if own.camera is None else Eyes(own.camera, own.light)
+        eyes = None if own.camera is None else Eyes(own.camera, own.light, own.channel)
         work = Workplace(rig, out, place, remember, lot_mates, explained)
         worker = WorkerProcess(work)
         stack.callback(worker.close)

@@ -7,6 +7,7 @@ import httpx
 import numpy as np
 import pytest
 
+from anisoscope.base.clock import VirtualClock
 from anisoscope.console.access import Access
 from anisoscope.console.application import Page, create_app, permissions_of
 from anisoscope.console.live import Eyes, Live
@@ -14,6 +15,7 @@ from anisoscope.console.routes import live_router
 from anisoscope.console.trail import Trail
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.jogging import Step
+from anisoscope.rig.light import Channel, ChannelLight
 
 INFO = CameraInfo("test", "1", rows=360, cols=480, bit_depth=12, black_level=64.0)
 
@@ -117,6 +119,37 @@ def test_without_axes_the_page_shows_and_moves_nothing(keys):
         "/api/v1/jog",
         "/api/v1/stop",
     }
+
+
+class Lamps:
+    """Three lamps, and what shone when a picture was wanted."""
+
+    lamps = ("red", "green", "blue")
+
+    def __init__(self):
+        self.selected, self.shone = {}, []
+
+    def select(self, levels_percent):
+        self.selected = dict(levels_percent)
+
+    def on(self):
+        self.shone.append(self.selected)
+
+    def off(self):
+        self.shone.append(None)
+
+    def close(self):
+        pass
+
+
+def test_the_picture_is_lit_by_the_channel_of_the_recipe_else_by_the_usual_one():
+    lamps = Lamps()
+    light = ChannelLight(lamps, None, {name: Channel({name: 50}) for name in lamps.lamps})
+    live = Live(Eyes(Ridges(), light, "green"), VirtualClock(), gap_s=0.0)
+    for channel in ("red", "red", None, "blue"):
+        live.look(0.003, 1.0, channel)
+    live.pause()
+    assert lamps.shone == [{"red": 50}, None, {"green": 50}, None, {"blue": 50}, None]
 
 
 @pytest.fixture
