@@ -300,7 +300,7 @@ async def _say_http(request: Request, error: Exception) -> Response:
 
 
 def _said(request: Request, text: str, status: int, headers: Mapping[str, str] | None = None) -> Response:
-    """A refusal: a page where one was asked for, else JSON."""
+    """A refusal: a page where a browser wants one, else JSON."""
     if not _wants_page(request) or not hasattr(request.state, "session"):
         return JSONResponse({"error": text}, status, headers=headers)
     page = render(request, "problem.html", text=text)
