@@ -207,7 +207,7 @@ def test_reasons_recipes_and_roles_are_asked_for(guiding, at):
     assert guiding.client.post("/guides/step").status_code == 409
     operator = Session("o", "t", "an operator", frozenset({"operator"}))
     for key, guide in guides().items():
-        assert operator.may(guide.needs) == (key in {"flat", "rotation", "gauge"})
+        assert operator.may(guide.needs) == (key in {"flat", "rotation", "gauge", "focus"})
 
 
 def test_a_damaged_file_of_a_guide_is_left_alone(at):
