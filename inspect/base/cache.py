@@ -37,6 +37,8 @@ OWN = "anisoscope"
 DATA_FOLDERS = ("data", "templates")
 """Data folders next to a module: their files count like its source."""
 _FORMAT = 1
+_BLOCKS = ("body", "handlers", "orelse", "finalbody", "cases")
+"""Where nodes of a syntax tree hold statements."""
 _LOADED_AT = time.time()
 """When this process began to load code that is cached: modules that cache import this one before they compute."""
 
@@ -238,7 +240,9 @@ def _parse(file: Path) -> _Source:
 
 def _imports(tree: ast.AST) -> Iterator[str]:
     """Names in all import statements: ``from a import b`` gives ``a`` and ``a.b``, which may be a module."""
-    for node in ast.walk(tree):
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, ast.Import):
             yield from (one.name for one in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -246,6 +250,8 @@ def _imports(tree: ast.AST) -> Iterator[str]:
             if node.module:
                 yield base
             yield from (f"{base}.{one.name}" if node.module else base + one.name for one in node.names)
+        for block in _BLOCKS:  # statements stand in blocks of statements: no expression is looked through
+            waiting += getattr(node, block, ())
 
 
 Result = TypeVar("Result")

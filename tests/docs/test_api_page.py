@@ -22,6 +22,7 @@ RECIPE = """schema = 1
 product = "ridged test plate"
 [surface]
 pitch_um = 100.0
+reflections = "direct"
 [surface.design]
 ridge_angle_deg = 10.0
 [material]

@@ -60,6 +60,9 @@ def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied):
 
     for name, shown, quick in (
         ("bench.toml", "time_scale = 0.1", "time_scale = 0.0"),
+        ("bench.toml", "read_noise_e = 6.0", "rows = 512\ncols = 512\nread_noise_e = 6.0"),
+        ("bench.toml", "[optics]  ", "[optics]\npixel_um = 8.0\n#"),
+        ("rig.toml", "pixel_um = 4.0", "pixel_um = 8.0"),
         ("recipe.toml", "frames_per_pose = 4\ndark_frames = 8", "frames_per_pose = 2\ndark_frames = 2"),
     ):
         text = (copied / name).read_text()

@@ -68,11 +68,11 @@ def recipe(center_mm):
         pytest.param("elsewhere", [MIDDLE_MM, MIDDLE_MM], "FAIL", marks=pytest.mark.soak),
     ],
 )
-def test_a_window_of_a_pattern_is_inspected_where_it_lies(wafer, plain, name, center_mm, verdict):
+def test_a_window_of_a_pattern_is_inspected_where_it_lies(wafer, undiagnosed, name, center_mm, verdict):
     path = wafer / f"{name}.toml"
     path.write_text(tomli_w.dumps(recipe(center_mm)))
     record = inspect_part(
-        path, wafer / "bench" / "part" / "rig.toml", name, wafer / "inspections", methods=plain
+        path, wafer / "bench" / "part" / "rig.toml", name, wafer / "inspections", methods=undiagnosed
     ).record
     assert record.verdict == verdict, record.reasons
     if verdict == "PASS":
