@@ -5,6 +5,7 @@ begins without a role, and gets one by name and password.
 """
 
 import hmac
+import math
 import secrets
 import threading
 from collections import OrderedDict, deque
@@ -52,6 +53,7 @@ class Session:
     name: str = ""
     roles: frozenset[Role] = frozenset()
     seen_s: float = 0.0
+    ends_s: float = math.inf
     account: Account | None = None
     begun: Begun | None = None
 
@@ -98,23 +100,25 @@ class Access:
             found = self._sessions.get(cookie or "")
             if found is None:
                 return None
-            if self._clock() - found.seen_s > SESSION_S or self._changed(found.account):
+            if self._clock() - found.seen_s > SESSION_S or self._is_over(found):
                 del self._sessions[found.id]
                 return None
             found.seen_s = self._clock()
             self._sessions.move_to_end(found.id)
             return found
 
-    def _changed(self, account: Account | None) -> bool:
-        """Whether the account of a session is gone, locked, or has another role or password since."""
-        return (
+    def _is_over(self, session: Session) -> bool:
+        """Whether its account is gone, locked, or has another role or password since, or its time is over."""
+        account = session.account
+        changed = (
             self.accounts is not None and account is not None and self.accounts.now(account.name) != account
         )
+        return changed or self._clock() > session.ends_s
 
     def holds(self, session: Session) -> bool:
         """Whether a session is still one, for what it began and has not ended."""
         with self._lock:
-            return self._sessions.get(session.id) is session and not self._changed(session.account)
+            return self._sessions.get(session.id) is session and not self._is_over(session)
 
     def begin(self) -> Session:
         """A new session; the one unused for longest makes room for it."""
@@ -174,6 +178,7 @@ class Access:
         self.trail.add(person.name, "login", address=address, issuer=issuer, subject=person.subject)
         session = self.begin()
         session.name, session.roles = person.name, person.roles
+        session.ends_s = self._clock() + SESSION_S  # then the provider says again who may
         return session
 
     def _recent(self, key: str) -> list[float]:

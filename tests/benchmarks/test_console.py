@@ -104,7 +104,7 @@ def test_cold_start(bench, rig):
 
 def test_the_station_page(bench, console):
     page = console.client.get("/station").content
-    files = ("console.css", "console.js", "station.js", "guide.js", "icon.svg")
+    files = ("console.css", "console.js", "picture.js", "station.js", "guide.js", "icon.svg")
     size = len(page) + sum(len(console.client.get(f"/static/{name}").content) for name in files)
     bench.note(f"station page with scripts and style: {size / 1000:.1f} kB")
     assert size <= PAGE_BYTES

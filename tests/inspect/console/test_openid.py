@@ -21,7 +21,7 @@ from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import ConfigError, UsageError
 from anisoscope.cli.console.serve import serve
 from anisoscope.console import accounts as module_of_accounts
-from anisoscope.console.access import Access
+from anisoscope.console.access import SESSION_S, Access
 from anisoscope.console.accounts import Accounts
 from anisoscope.console.application import create_app
 from anisoscope.console.openid import BEGUN_S, OpenId, Provider, read_provider
@@ -136,6 +136,18 @@ def test_a_person_of_the_provider_has_the_roles_of_its_claim(console, browser_of
     token = re.search('name="token" content="([^"]+)', browser.client.get("/login").text)[1]
     local = {"name": "the operator", "password": PASSWORD}
     assert browser.client.post("/login", json=local, headers={"X-CSRF-Token": token}).status_code == 200
+
+
+def test_a_session_ends_though_its_page_stays_open(console, browser_of, clock):
+    address, access, _ = console()
+    browser_of(address).log_in("anna")
+    (mine,) = (one for one in access._sessions.values() if one.roles)
+    for _ in range(2):
+        clock.sleep(0.49 * SESSION_S)
+        assert access.find(mine.id) is mine
+    clock.sleep(0.03 * SESSION_S)
+    assert not access.holds(mine)
+    assert access.find(mine.id) is None
 
 
 def test_a_login_is_of_the_browser_that_began_it_and_once(console, browser_of):
