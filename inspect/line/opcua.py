@@ -429,7 +429,12 @@ class VisionServer:
                 self._heard.task_done()
 
     async def _ended(self, kind: Kind, job: Job) -> None:
-        fields = await self._result_fields(job)
+        try:
+            fields = await self._result_fields(job)
+        except _No as problem:  # the record is gone or damaged: the job has ended all the same
+            await self._say(f"job {job.id}: {problem}")
+            fields = await self._result_fields(job, content=False)
+            fields["ResultContent"] = _content(job, json.dumps(result_of(job, None)))
         await self._fire("ResultReadyEventType", f"job {job.id}: {job.verdict or job.state}", **fields)
         if self.state != SINGLE:  # halted or reset meanwhile
             return

@@ -34,24 +34,26 @@ class Loop:
 
 
 class Controller:
-    """A client with its session; `heard` are the events, as they come."""
+    """A client with its session; `heard` are the events, as they come.
 
-    def __init__(self, address, timeout=30):
+    The structures of the NodeSet stay known for a process; ``defined`` says that an earlier session has read them.
+    """
+
+    def __init__(self, address, timeout=30, *, defined=False):
+        self.defined = defined
         self.client = Client(address, timeout=timeout)
         self.heard = asyncio.Queue()
 
     async def __aenter__(self):
         await self.client.connect()
         try:
-            await self.client.load_data_type_definitions()
+            if not self.defined:
+                await self.client.load_data_type_definitions()
+                self.defined = True
             self.ns = await self.client.get_namespace_index(NAMESPACE)
             own = await self.client.get_namespace_index("urn:anisoscope:line")
             self.system = self.client.get_node(ua.NodeId("VisionSystem", own))
             self.methods = {}
-            for folder, names in FOLDERS.items():
-                parent = await self.at(folder)
-                for name in names:
-                    self.methods[name] = parent, await self.at(f"{folder}/{name}")
             subscription = await self.client.create_subscription(20, self)
             await subscription.subscribe_events(
                 ua.ObjectIds.Server,
@@ -76,6 +78,9 @@ class Controller:
 
     async def call(self, name, *arguments):
         """Output arguments of a method; a single one is a list too."""
+        if name not in self.methods:
+            folder = next(folder for folder, names in FOLDERS.items() if name in names)
+            self.methods[name] = await self.at(folder), await self.at(f"{folder}/{name}")
         parent, method = self.methods[name]
         found = await parent.call_method(method, *arguments)
         return found if isinstance(found, list | tuple) else [found]

@@ -1,6 +1,6 @@
 """Jobs ordered over OPC UA while connections are cut and the server is killed: each is done once.
 
-ANISOSCOPE_LINE_JOBS is the number of jobs, 1000 by default; one takes a second, a kill five.
+ANISOSCOPE_LINE_JOBS is the number of jobs, 1000 by default; on two idle cores one takes .6 s, a kill five.
 """
 
 import asyncio
@@ -14,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ SPEC = importlib.util.spec_from_file_location("controller", Path(__file__).with_
 CONTROLLER = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(CONTROLLER)
 RESULT_READY = 1024
-KILLS, CUTS = 0.04, 0.15  # of the jobs
+KILLS, CUTS = 0.02, 0.1  # of the jobs
 
 
 class Server:
@@ -65,10 +66,12 @@ class Server:
 async def disturb(server, controller, rng, counts):
     """After a moment, a cut or a kill; or nothing."""
     kind = rng.random()
+    if kind >= KILLS + CUTS:
+        return
     await asyncio.sleep(rng.uniform(0.0, 1.2))
     if kind < KILLS:
         await asyncio.to_thread(server.kill, alone=rng.random() < 0.5)
-    elif kind < KILLS + CUTS:
+    else:
         transport = controller.client.uaclient.protocol.transport
         if transport is not None:
             counts["cuts"] += 1
@@ -97,12 +100,14 @@ async def do(server, controller, number):
 
 
 async def order_all(server, jobs, rng, counts):
-    number = 0
+    number, defined = 0, False
     while number < jobs:
         if server.process.poll() is not None:
             await asyncio.to_thread(server.start)
         try:
-            async with asyncio.timeout(240), CONTROLLER.Controller(server.address, 10) as controller:
+            made = CONTROLLER.Controller(server.address, 10, defined=defined)
+            async with asyncio.timeout(240), made as controller:
+                defined = True
                 while number < jobs:
                     disturbing = asyncio.create_task(disturb(server, controller, rng, counts))
                     try:
@@ -125,7 +130,9 @@ def test_no_job_is_lost_or_doubled_by_kills_and_cuts(virtual_rig):
     shutil.copy(rig.recipe, folder / "recipes" / "plate.toml")
     server, counts = Server(folder), {"cuts": 0, "problems": 0}
     server.start()
+    began = time.monotonic()
     asyncio.run(order_all(server, jobs, random.Random(7), counts))
+    per_s = jobs / (time.monotonic() - began)
     server.end()
     names = [f"M-{number}" for number in range(jobs)]
     found = sorted((folder / "inspections").glob("*/record.json"))
@@ -135,4 +142,5 @@ def test_no_job_is_lost_or_doubled_by_kills_and_cuts(virtual_rig):
         rows = history.rows()
         assert history.verify_chain() == []
     assert sorted(row.folder for row in rows) == [str(path.parent) for path in found]
-    print(f"{jobs} jobs, {server.kills} kills, {counts}, verdicts {sorted({row.verdict for row in rows})}")  # noqa: T201
+    verdicts = sorted({row.verdict for row in rows})
+    print(f"{jobs} jobs, {server.kills} kills, {counts}, verdicts {verdicts}, {per_s:.2f} jobs/s")  # noqa: T201

@@ -1,4 +1,7 @@
-"""Jobs over MQTT while server and broker are killed: none is lost, none done twice."""
+"""Jobs over MQTT while server and broker are killed: none is lost, none done twice.
+
+ANISOSCOPE_LINE_JOBS is the number of jobs, 1000 by default. About one in 50 meets a kill: five seconds.
+"""
 
 import contextlib
 import importlib.util
@@ -9,13 +12,15 @@ import random
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from anisoscope.history.store import open_history
 
-COUNT = int(os.environ.get("ANISOSCOPE_SOAK_JOBS", "10000"))
+COUNT = int(os.environ.get("ANISOSCOPE_LINE_JOBS", "1000"))
+KILLS = 0.0025  # of the messages, of which a job has about eight
 NODE = ("--group", "hall 1", "--node", "rig 1", "--device", "plates")
 
 
@@ -87,11 +92,11 @@ class Shop:
 @pytest.mark.soak
 def test_jobs_over_mqtt_are_done_once_whatever_is_killed(place_of, tmp_path):
     place, recipes = place_of("mqtt soak")
-    shop = Shop(beside(), place, recipes, tmp_path)
+    shop, began = Shop(beside(), place, recipes, tmp_path), time.monotonic()
     try:
         while shop.done < COUNT:
             shop.hear(shop.host.heard.get(timeout=300))
-            if shop.chance.random() < 0.02:
+            if shop.chance.random() < KILLS:
                 shop.kill()
     finally:
         shop.close()
@@ -101,4 +106,5 @@ def test_jobs_over_mqtt_are_done_once_whatever_is_killed(place_of, tmp_path):
     assert len(serials) == len(set(serials))
     assert ordered <= set(serials)
     assert ordered <= shop.seen  # at least once over MQTT
-    assert shop.kills > 0
+    assert shop.kills > 0 or COUNT < 100
+    print(f"{COUNT} jobs, {shop.kills} kills, {COUNT / (time.monotonic() - began):.2f} jobs/s")  # noqa: T201
