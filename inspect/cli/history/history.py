@@ -380,6 +380,18 @@ def covariates(
         str,
         Parameter(help="Name that is put before the names of the numbers, where there are several machines."),
     ] = "",
+    opcua: Annotated[
+        str | None,
+        Parameter(help="Address of a machine with OPC 40077 (EUROMAP 77): add its cycles, until Ctrl-C."),
+    ] = None,
+    field: Annotated[
+        list[str] | None,
+        Parameter(
+            help="With --opcua: browse name of a field to take, such as CycleTime; may be repeated. "
+            "Without it all that are real numbers."
+        ),
+    ] = None,
+    cycles: Annotated[int | None, Parameter(help="With --opcua: end after so many cycles.")] = None,
     place: Place = None,
     json_: Json = False,
 ) -> int:
@@ -389,8 +401,18 @@ def covariates(
 
     Examples:
         anisoscope history covariates cycles.csv
+        anisoscope history covariates --opcua opc.tcp://press:4840
         anisoscope history covariates
     """
+    if opcua is not None:
+        if files:
+            raise UsageError("history covariates: give files or --opcua, not both")
+        if cycles is not None and cycles < 1:
+            raise UsageError("history covariates: --cycles is at least 1")
+        _follow(opcua, field or [], cycles, machine.strip(), place)
+        return 0
+    if field or cycles is not None:
+        raise UsageError("history covariates: --field and --cycles belong to --opcua")
     if not files:
         with opened(place) as found:
             numbers = found.covariates().numbers
@@ -413,6 +435,40 @@ def covariates(
     else:
         write_line(f"{added} added, {len(news) - added} there already: {where}")
     return 0
+
+
+def _follow(address: str, fields: Sequence[str], cycles: int | None, machine: str, place: str | None) -> None:
+    """Add the cycles of a machine as they come.
+
+    Raises:
+        UsageError: asyncua is not installed, or the address is not that of a machine with these fields.
+        HistoryError: the history cannot be written.
+    """
+    import asyncio
+    import contextlib
+    from dataclasses import replace
+
+    try:
+        from anisoscope.line.press import PressReader
+    except ImportError as problem:
+        raise UsageError(
+            f"OPC UA needs more packages ({problem.name}): pip install 'anisoscope[line]'"
+        ) from problem
+
+    def take(news: "Sequence[CycleData]") -> None:
+        named = [
+            replace(one, numbers={f"{machine} {name}".strip(): value for name, value in one.numbers.items()})
+            for one in news
+        ]
+        with opened(place, create=True) as found:
+            added = found.add_covariates(named)
+        write_line(f"{added} added, {len(news) - added} there already")
+
+    reader = PressReader(address, take, write_line, fields)
+    with opened(place, create=True):
+        pass  # a history that cannot be written is said before a cycle is waited for
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(reader.run(cycles))
 
 
 def _cycles(path: Path, machine: str) -> "list[CycleData]":

@@ -83,10 +83,17 @@ def press(
     onset: Annotated[int, Parameter(help="First part with the change, counted from 1.")] = 200,
     ramp: Annotated[int, Parameter(help="Parts over which it grows; 0 for a step.")] = 0,
     seed: Annotated[int, Parameter(help="Seed of the noise.")] = 1,
+    opcua: Annotated[
+        int | None,
+        Parameter(
+            help="TCP port of 127.0.0.1: serve the cycles by OPC 40077 (EUROMAP 77) too, until Ctrl-C."
+        ),
+    ] = None,
+    every_s: Annotated[float, Parameter(help="With --opcua: seconds from cycle to cycle.")] = 30.0,
 ) -> int:
     """Simulate an injection moulding machine: its cycle data, and what was measured on the parts.
 
-    `spc --csv parts.csv` reads the one, `history covariates cycles.csv` the other.
+    `spc --csv parts.csv` reads the one, `history covariates cycles.csv` the other, or its cycles with `--opcua`.
 
     Examples:
         anisoscope rig sim press --out press --setting "mould temperature" --change -2
@@ -99,6 +106,8 @@ def press(
     from anisoscope.base.csv_style import csv_text, number_text
     from anisoscope.sim.press import Change, mould
 
+    if opcua is not None and not (0 < opcua < 65536 and 0.0 < every_s < math.inf):
+        raise UsageError("rig sim press: --opcua is a TCP port, --every-s is above 0")
     if min(parts, onset) < 1 or ramp < 0 or not math.isfinite(change):
         raise UsageError(
             "rig sim press: --parts and --onset are at least 1, --ramp at least 0, --change is finite"
@@ -120,8 +129,42 @@ def press(
             for k, (time, serial) in enumerate(zip(times, serials, strict=True))
         ]
         write_text(out / name, csv_text([["time", "serial", *columns], *rows]))
-    print(f"{out / 'parts.csv'} and {out / 'cycles.csv'}: {parts} parts")  # noqa: T201
+    print(f"{out / 'parts.csv'} and {out / 'cycles.csv'}: {parts} parts", flush=True)  # noqa: T201
+    if opcua is not None:
+        cycles = [{name: float(column[k]) for name, column in made.cycles.items()} for k in range(parts)]
+        _serve_press(opcua, dict(zip(serials, cycles, strict=True)), every_s)
     return 0
+
+
+def _serve_press(port: int, cycles: dict[str, dict[str, float]], every_s: float) -> None:
+    """Serve the cycles one after the other, by part, until Ctrl-C.
+
+    Raises:
+        UsageError: asyncua is not installed, or the port is taken.
+    """
+    import asyncio
+    import contextlib
+
+    try:
+        from anisoscope.sim.press_server import PressServer
+    except ImportError as problem:
+        raise UsageError(
+            f"OPC UA needs more packages ({problem.name}): pip install 'anisoscope[line]'"
+        ) from problem
+
+    async def serve() -> None:
+        async with PressServer(port) as server:
+            print(f"press at {server.address}", flush=True)  # noqa: T201
+            for part, settings in cycles.items():
+                await asyncio.sleep(every_s)
+                await server.cycle(settings, part)
+            await asyncio.Event().wait()
+
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(serve())
+    except OSError as problem:
+        raise UsageError(f"cannot serve at port {port}: {problem.strerror}; choose another --opcua") from None
 
 
 @app.command
