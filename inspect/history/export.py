@@ -21,6 +21,18 @@ Decided = tuple[Row, Sequence[Disposition]]
 """An inspection and what was decided about it."""
 _TEXTS = ("serial", "product", "recipe", "lot", "cavity", "station", "operator", "verdict")
 _LATER = ("folder", "seal", "software", "hash")
+VALUE_COLUMNS = {
+    "id": "",
+    "created_at": "UTC",
+    **dict.fromkeys(_TEXTS, ""),
+    "characteristic": "",
+    "unit": "",
+    **dict.fromkeys(("value", "u", "deviation", "tolerance"), "unit"),
+}
+"""Columns of a table of values, and the line of units below them; ``unit`` refers to the column of this name."""
+_IN_DEGREES = frozenset({"print tilt", "print curl"})
+"""The other numbers of a history are ratios, logarithms, shares, probabilities and counts."""
+_WITH = ("u", "deviation", "tolerance")
 # Spreadsheets take such cells for formulae.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -70,6 +82,27 @@ def csv_lines(found: Iterable[Decided], labels: Sequence[str]) -> Iterator[str]:
         numbers = [number_text(repr(row.numbers[label])) if label in row.numbers else "" for label in labels]
         line = [row.id, utc_text(row.created_at), *map(_cell, texts), *numbers]
         yield csv_text([line], line_end="\r\n", file=False)
+
+
+def value_lines(found: Iterable[Decided]) -> Iterator[str]:
+    """All numbers of all inspections as a table whose columns never change: a line each, below `VALUE_COLUMNS`.
+
+    What belongs to a characteristic (``u ln 0-90``, ``deviation …``, ``tolerance …``) is in its line.
+    """
+    yield csv_text([list(VALUE_COLUMNS), list(VALUE_COLUMNS.values())], line_end="\r\n")
+    for row, _ in found:
+        about = [row.id, utc_text(row.created_at), *(_cell(getattr(row, name) or "") for name in _TEXTS)]
+        more = {f"{word} {label}" for label in row.numbers for word in _WITH}
+        lines = []
+        for label in row.numbers:
+            if label not in more:
+                cells = [
+                    number_text(repr(row.numbers[name])) if name in row.numbers else ""
+                    for name in (label, *(f"{word} {label}" for word in _WITH))
+                ]
+                lines.append([*about, _cell(label), "deg" if label in _IN_DEGREES else "1", *cells])
+        if lines:
+            yield csv_text(lines, line_end="\r\n", file=False)
 
 
 def _cell(text: str) -> str:

@@ -701,6 +701,13 @@ def export(
     *,
     which: Selection = ALL,
     csv: Annotated[Path | None, Parameter(name="--csv-file", help="Write a table (CSV, UTF-8).")] = None,
+    values: Annotated[
+        Path | None,
+        Parameter(
+            name="--values-file",
+            help="Write a CSV of fixed columns: a line for each number, units in line 2.",
+        ),
+    ] = None,
     json: Annotated[Path | None, Parameter(name="--json-file", help="Write JSON.")] = None,
     junit: Annotated[
         Path | None, Parameter(help="Write JUnit XML, for servers of continuous integration.")
@@ -727,20 +734,24 @@ def export(
         anisoscope export --aqdef week.dfq --product plate --since 7d
         anisoscope export --bundle A1.zip --serial A1
     """
-    from anisoscope.history.export import csv_lines, json_lines, junit_lines, write_lines
+    from anisoscope.history.export import csv_lines, json_lines, junit_lines, value_lines, write_lines
 
-    files = [path for path in (csv, json, junit) if path is not None]
+    files = [path for path in (csv, values, json, junit) if path is not None]
     if bundle is not None:
         _bundled(bundle, which.serial, place)
     if aqdef is not None:
         _aqdef(aqdef, which, limit, place)
     if not files and bundle is None and aqdef is None:
-        raise UsageError("name a file: --csv-file, --json-file, --junit, --aqdef or --bundle FILE")
+        raise UsageError(
+            "name a file: --csv-file, --values-file, --json-file, --junit, --aqdef or --bundle FILE"
+        )
     if not files:
         return 0
     with opened(place) as found, found.selection(which.filters(limit)) as selected:
         if csv is not None:
             write_lines(csv, csv_lines(selected.decided(), selected.labels()))
+        if values is not None:
+            write_lines(values, value_lines(selected.decided()))
         if json is not None:
             write_lines(json, json_lines(selected.decided()))
         verdicts = selected.verdicts()

@@ -3,12 +3,14 @@
 import csv
 import io
 import json
+import re
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
 from anisoscope.base.errors import RecordError
-from anisoscope.history.export import csv_lines, json_lines, junit_lines, write_lines
+from anisoscope.history.export import csv_lines, json_lines, junit_lines, value_lines, write_lines
 from anisoscope.history.filters import Filters
 from anisoscope.history.store import open_history
 
@@ -58,6 +60,27 @@ def test_csv_has_a_line_for_each_and_a_column_for_every_number(exported):
     assert [float(line["ln 0-90"]) for line in found[:10]] == [row.numbers["ln 0-90"] for row in rows[:10]]
     assert (found[10]["ln 0-90"], found[10]["d2"], found[10]["lot"]) == ("", "7.0", "")
     assert (found[2]["disposition"], found[2]["reviewer"]) == ("accept", "R")
+
+
+def test_values_have_the_columns_of_the_page_and_each_number_once(sqlite_history, new_row):
+    numbers = {"ln 0-90": 0.25, "u ln 0-90": 0.01, "deviation ln 0-90": -0.02, "p": 0.5, "print tilt": 1.5}
+    rows = [new_row(0, numbers=numbers, lot="=1+1"), new_row(1, numbers={}), new_row(2, numbers={"d2": 7.0})]
+    sqlite_history.append_all(rows)
+    with sqlite_history.selection(EVERYTHING) as selected:
+        header, units, *lines = csv.reader(io.StringIO("".join(value_lines(selected.decided()))))
+    page = (Path(__file__).parents[3] / "docs" / "history.md").read_text(encoding="utf-8")
+    (listed,) = (part for part in page.split("\n- ") if part.startswith("**CSV of fixed columns"))
+    assert re.findall("`([a-z_0-9]+)`", listed.partition(":")[2].partition("Line 2")[0]) == header
+    assert dict(zip(header, units, strict=True)) == dict.fromkeys(header, "") | {
+        "created_at": "UTC", "value": "unit", "u": "unit", "deviation": "unit", "tolerance": "unit",
+    }  # fmt: skip
+    assert [[line[0], *line[10:]] for line in lines] == [
+        ["1", "ln 0-90", "1", "0.25", "0.01", "-0.02", ""],
+        ["1", "p", "1", "0.5", "", "", ""],
+        ["1", "print tilt", "deg", "1.5", "", "", ""],
+        ["3", "d2", "1", "7.0", "", "", ""],
+    ]
+    assert lines[0][5] == "'=1+1"
 
 
 def test_csv_holds_no_formula(sqlite_history, new_row):
