@@ -24,7 +24,9 @@ CodeKind = Annotated[
 def batch(
     tray: Annotated[
         Path,
-        Parameter(help="Tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig,x_mm,y_mm."),
+        Parameter(
+            help="Tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig,x_mm,y_mm; or AQDEF (.dfq)."
+        ),
     ],
     /,
     *,

@@ -1,4 +1,4 @@
-"""Tray list: the part in each slot, from a CSV file."""
+"""Tray list: the part in each slot, from a CSV file or AQDEF."""
 
 import csv
 import difflib
@@ -12,6 +12,7 @@ from pathlib import Path
 
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
+from anisoscope.history.aqdef import SUFFIXES, read_aqdef
 from anisoscope.inspection.job import check_serial
 
 COLUMNS = ("slot", "serial", "lot", "cavity", "recipe", "rig", "x_mm", "y_mm")
@@ -50,7 +51,7 @@ class Tray:
 
     Attributes:
         path: the file.
-        sha256: of the file.
+        sha256: of the file; from AQDEF, of the list.
         slots: in the order of the file.
         notes: what was passed over in reading, one line each.
     """
@@ -72,11 +73,13 @@ def read_tray(path: Path) -> Tray:
     Args:
         path: CSV in UTF-8, with or without a byte order mark, separated by commas, semicolons or tabs; the header
             names ``slot`` and ``serial`` and, if wanted, ``lot``, ``cavity``, ``recipe``, ``rig``, and ``x_mm`` with
-            ``y_mm``, in any order.
+            ``y_mm``, in any order. Or AQDEF: its parts (K0014) with lot (K0006) and cavity are in slots 1, 2, …
 
     Raises:
         UsageError: the file cannot be used; line and column are named.
     """
+    if path.suffix.lower() in SUFFIXES:
+        return _from_aqdef(path)
     text = read_text(path)
     reader = csv.reader(
         io.StringIO(text, newline=""), delimiter=_separator(text), strict=True, skipinitialspace=True
@@ -100,6 +103,24 @@ def read_tray(path: Path) -> Tray:
     extra = [name for name in columns if name not in COLUMNS]
     notes = (f"{path}: columns passed over: {', '.join(extra)}",) if extra else ()
     return Tray(path, hashlib.sha256(text.encode()).hexdigest(), slots, notes)
+
+
+def _from_aqdef(path: Path) -> Tray:
+    texts = read_aqdef(path).texts
+    if "serial" not in texts:
+        raise UsageError(f"{path}: no serial numbers of parts (K0014)")
+    slots = []
+    for number, serial in enumerate(texts["serial"], start=1):
+        try:
+            check_serial(serial)
+        except UsageError as error:
+            raise UsageError(f"{path}, part {number}, K0014: {error}") from None
+        lot, cavity = (
+            texts[name][number - 1] or None if name in texts else None for name in ("lot", "cavity")
+        )
+        slots.append(Slot(str(number), serial, lot, cavity, line=number))
+    _refuse_doubles(tuple(slots), path, "part")
+    return Tray(path, hashlib.sha256(repr(slots).encode()).hexdigest(), tuple(slots))
 
 
 def _separator(text: str) -> str:
@@ -202,7 +223,7 @@ def _file(texts: Mapping[str, str], column: str, path: Path, place: str) -> Path
     return found
 
 
-def _refuse_doubles(slots: tuple[Slot, ...], path: Path) -> None:
+def _refuse_doubles(slots: tuple[Slot, ...], path: Path, entry: str = "line") -> None:
     """Refuse names that differ only in case: they share a folder on some systems."""
     first_with: dict[tuple[str, str], Slot] = {}
     for slot in slots:
@@ -212,6 +233,6 @@ def _refuse_doubles(slots: tuple[Slot, ...], path: Path) -> None:
             if first is not slot:
                 value = slot.label if column == "slot" else slot.serial
                 raise UsageError(
-                    f"{path}, line {slot.line}, column {column}: {value} stands already in line {first.line}; every "
-                    f"{column} stands once"
+                    f"{path}, {entry} {slot.line}, column {column}: {value} stands already in {entry} {first.line}; "
+                    f"every {column} stands once"
                 )

@@ -3,6 +3,7 @@
 import pytest
 
 from anisoscope.base.errors import UsageError
+from anisoscope.history.aqdef import FIELD
 from anisoscope.inspection.batch.tray import Slot, read_tray
 
 
@@ -86,3 +87,43 @@ def test_no_text_at_all(tmp_path):
         read_tray(tray(tmp_path, "slot,serial\n1,Ä\n", "latin-1"))
     with pytest.raises(UsageError, match="No such file"):
         read_tray(tmp_path / "none.csv")
+
+
+AQDEF = """K0100 1
+K1001 plate
+K2001/1 1
+K2002/1 length
+{values}"""
+
+
+def aqdef(tmp_path, *values):
+    path = tmp_path / "parts.dfq"
+    path.write_text(AQDEF.format(values="\n".join(values) + "\n"))
+    return path
+
+
+def test_parts_of_aqdef_are_in_slots_in_their_order(tmp_path):
+    path = aqdef(tmp_path, "K0014/0 P-7", f"10.1{FIELD}0{FIELD}{FIELD}{FIELD}#L7", "K0014/0 P-9", "10.2")
+    found = read_tray(path)
+    assert found.slots == (
+        Slot("1", "P-7", "L7", line=1),
+        Slot("2", "P-9", line=2),
+    )
+    assert not found.placed
+    assert found.sha256 == read_tray(path).sha256
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (("10.1",), r"parts\.dfq: no serial numbers of parts \(K0014\)"),
+        (
+            ("K0014/0 A", "1", "K0014/0 A", "2"),
+            r"part 2, column serial: A stands already in part 1",
+        ),
+        (("K0014/0 A", "1", "2"), r"part 2, K0014: "),
+    ],
+)
+def test_aqdef_without_a_serial_number_for_each_part_is_refused(tmp_path, values, said):
+    with pytest.raises(UsageError, match=said):
+        read_tray(aqdef(tmp_path, *values))
