@@ -24,7 +24,7 @@ class Loop:
         self._thread = threading.Thread(target=self.loop.run_forever)
         self._thread.start()
 
-    def __call__(self, coroutine, timeout=120):
+    def __call__(self, coroutine, timeout=600):
         return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(timeout)
 
     def close(self):
@@ -111,7 +111,7 @@ class Controller:
 
     async def next(self, kind):
         """The next event of a type; the others are passed over."""
-        async with asyncio.timeout(120):
+        async with asyncio.timeout(600):
             while True:
                 event = await self.heard.get()
                 if event.EventType.Identifier == kind and event.EventType.NamespaceIndex == self.ns:

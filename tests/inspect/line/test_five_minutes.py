@@ -32,7 +32,7 @@ def serving(command, cwd):
             yield server.stdout.readline().split()[-1]
         finally:
             server.send_signal(signal.SIGTERM)
-            assert server.wait(60) == 0
+            assert server.wait(600) == 0
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_the_commands_of_the_page(demo_folder, free_port, tmp_path, anisoscope):
             capture_output=True,
             text=True,
             check=False,
-            timeout=300,
+            timeout=900,
             env=os.environ,
         )
         assert done.returncode == 0, done.stderr

@@ -76,7 +76,7 @@ class Gate:
         self.count += 1
         if self.at_work and self.count == 3:
             self.reached.set()
-            self.go.wait(60)
+            self.go.wait(600)
         if self.fault is not None:
             raise self.fault
         return _GRAB(camera)
@@ -121,7 +121,7 @@ def server(place, loop, gate, stopping):
     made = VisionServer(jobs, place[1], port=free_port())
     gate.hold()
     loop(made.__aenter__())
-    assert gate.reached.wait(60)
+    assert gate.reached.wait(600)
     made.at_first = made.state
     gate.let_go()
     yield made
@@ -145,7 +145,7 @@ def at(server, controller, loop, gate, stopping):
         gate.fault = None
         stopping.clear()
         gate.let_go()
-        assert server._jobs.wait(60)
+        assert server._jobs.wait(600)
         loop(server._heard.join())
         if server.state != "Preoperational":
             loop(controller.call("Reset", *CAUSE))
@@ -160,11 +160,11 @@ def at(server, controller, loop, gate, stopping):
         if state == "SingleExecution":
             gate.hold()
             loop(controller.start("X-1"))
-            assert gate.reached.wait(60)
+            assert gate.reached.wait(600)
         if state == "Error":
             gate.fault = CameraError("the cable came off")
             loop(controller.start("X-1"))
-            assert server._jobs.wait(60)
+            assert server._jobs.wait(600)
             loop(server._heard.join())
             gate.fault = None
         assert server.state == state

@@ -83,7 +83,7 @@ class Reading:
         """Wait until it has said this."""
 
         async def wait():
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(600):
                 while words not in (text := await self.lines.get()):
                     pass
                 return text
@@ -91,7 +91,7 @@ class Reading:
         return self.loop(wait())
 
     def done(self):
-        return self.task.result(60)
+        return self.task.result(600)
 
 
 @pytest.fixture
@@ -108,7 +108,7 @@ def reading(press, loop):
     for one in made:
         one.task.cancel()
         with suppress(BaseException):
-            one.task.result(60)
+            one.task.result(600)
 
 
 def test_a_cycle_is_read_by_the_browse_names_of_the_nodesets(press, loop, reading):
