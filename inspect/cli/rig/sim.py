@@ -83,13 +83,13 @@ def press(
     onset: Annotated[int, Parameter(help="First part with the change, counted from 1.")] = 200,
     ramp: Annotated[int, Parameter(help="Parts over which it grows; 0 for a step.")] = 0,
     seed: Annotated[int, Parameter(help="Seed of the noise.")] = 1,
-    opcua: Annotated[
+    opcua_port: Annotated[
         int | None,
         Parameter(
             help="TCP port of 127.0.0.1: serve the cycles by OPC 40077 (EUROMAP 77) too, until Ctrl-C."
         ),
     ] = None,
-    every_s: Annotated[float, Parameter(help="With --opcua: seconds from cycle to cycle.")] = 30.0,
+    every_s: Annotated[float, Parameter(help="With --opcua-port: seconds from cycle to cycle.")] = 30.0,
 ) -> int:
     """Simulate an injection moulding machine: its cycle data, and what was measured on the parts.
 
@@ -106,8 +106,8 @@ def press(
     from anisoscope.base.csv_style import csv_text, number_text
     from anisoscope.sim.press import Change, mould
 
-    if opcua is not None and not (0 < opcua < 65536 and 0.0 < every_s < math.inf):
-        raise UsageError("rig sim press: --opcua is a TCP port, --every-s is above 0")
+    if opcua_port is not None and not (0 < opcua_port < 65536 and 0.0 < every_s < math.inf):
+        raise UsageError("rig sim press: --opcua-port is a TCP port, --every-s is above 0")
     if min(parts, onset) < 1 or ramp < 0 or not math.isfinite(change):
         raise UsageError(
             "rig sim press: --parts and --onset are at least 1, --ramp at least 0, --change is finite"
@@ -130,9 +130,9 @@ def press(
         ]
         write_text(out / name, csv_text([["time", "serial", *columns], *rows]))
     print(f"{out / 'parts.csv'} and {out / 'cycles.csv'}: {parts} parts", flush=True)  # noqa: T201
-    if opcua is not None:
+    if opcua_port is not None:
         cycles = [{name: float(column[k]) for name, column in made.cycles.items()} for k in range(parts)]
-        _serve_press(opcua, dict(zip(serials, cycles, strict=True)), every_s)
+        _serve_press(opcua_port, dict(zip(serials, cycles, strict=True)), every_s)
     return 0
 
 
@@ -164,7 +164,9 @@ def _serve_press(port: int, cycles: dict[str, dict[str, float]], every_s: float)
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(serve())
     except OSError as problem:
-        raise UsageError(f"cannot serve at port {port}: {problem.strerror}; choose another --opcua") from None
+        raise UsageError(
+            f"cannot serve at port {port}: {problem.strerror}; choose another --opcua-port"
+        ) from None
 
 
 @app.command
