@@ -393,13 +393,16 @@ class _Facets:
     ) -> Iterator[Contribution]:
         """What the points of the map leave open of walls: any draft of a wall narrower than a pixel, rectangular.
 
-        Without a profile the facets may have the light of ideal ridges of either wall instead of theirs.
+        Without a profile the facets may have the light of ideal ridges of either wall instead of theirs. What the
+        points about walls show and the profile does not may be of the part, as predicted, or come of their places.
         """
         radiance, indirect = light
         yield pixel_bias(pixel_um, design.pitch_um, radiance, indirect)
         drafts = [replace(design, wall=one) for one in ("vertical", "perpendicular")]
         if edges is not None:
             yield from edge_contributions(edges.edges, sides, lobe, radiance, indirect)
+            left = np.abs(edges.unexplained(*sides, lobe)) / np.sqrt(3.0)
+            yield Contribution("light of the points at walls", left, "independent", rectangular=True)
             if design.wall_width_um >= pixel_um:
                 return
             drafts.append(design)

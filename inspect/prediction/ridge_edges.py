@@ -10,6 +10,7 @@ where the last two have the roughness of lobe and map together. What the points 
 what is missing there, is the same in the first and the last term and drops out, wherever the ridges run on the grid.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -54,12 +55,16 @@ BAND_ROWS = 160
 MARGIN, LEAST_DEEP, CLEAR_PIXELS = 5, 0.4, 2.5
 """Points next to borders of fields that are left out; share of the points that must be left; points about walls whose
 slopes do not count as roughness."""
-REACH, LEAST_LOSS, MOST_LOSS, OF_LOSS = (0.99, 0.01), 0.02, 0.9, (0.8, 0.9, 1.0, 1.15)
-"""Quantiles of the heights of fields, height losses from which on a level top is tried, and up to which, and shares of
-the loss by the quantiles that are tried."""
-PASSES, STARTS, STEPPED, OTHER_PITCH, PLACED = 3, (1.0, 1.15, 1.3), 0.03, 0.5, 3
+TOP, LEAST_LOSS, MOST_LOSS, OF_LOSS = 0.99, 0.02, 0.9, (0.85, 0.93, 1.0, 1.1)
+"""Quantile of the heights of fields, height losses from which on a level top is tried, and up to which, and shares of
+the loss by the quantile that are tried."""
+PASSES, STARTS, STEPPED, OTHER_PITCH, PLACED = 6, (1.0, 1.15, 1.3), 0.03, 0.5, 3
+IN_STEP = 0.6
 """Passes in which the pitch is found, from the one by the height of the ridges and from greater ones, unless facets are
-steps apart within a share of the height; by how much it may differ from that; passes of places and profile."""
+steps apart within a share of the height; by how much it may differ from that; passes of places and profile;
+and how far walls of a field are in step, as a share of what is usual."""
+MOVED = (1.0, 31), (0.1, 13), (0.015, 7)
+"""Reach in pixels, and number, of the places tried for a field; each pass starts from the last."""
 ALPHA_OF_MAD = 1.4826 * 2.0**0.5
 PLAIN_ROWS = 3
 
@@ -79,6 +84,7 @@ class RidgeEdges:
         crest_um: place of a crest from the first point of the map, in that direction.
         resolved: roughness along and across that the map resolves.
         steps: (3, 3) principal standard deviations of place [µm], draft [°] and edge radius [µm], one a row.
+        others: profiles with other tops, level or round, which the points allow too, each with its probability.
     """
 
     relief: Relief
@@ -87,6 +93,7 @@ class RidgeEdges:
     crest_um: float
     resolved: tuple[float, float]
     steps: FloatArray
+    others: tuple[tuple["RidgeEdges", float], ...] = ()
 
     @property
     def lean_deg(self) -> float:
@@ -126,6 +133,8 @@ class RidgeEdges:
     ) -> FloatArray:
         """(3, P) changes of the radiance in 1/sr by one principal standard deviation of the profile each.
 
+        A fourth row is the root mean square change by other tops, where the points of the map allow any.
+
         Args:
             to_light: (P, 3) unit vectors.
             to_camera: (P, 3) unit vectors.
@@ -143,6 +152,9 @@ class RidgeEdges:
         for number in range(len(self.steps)):
             up, down = (light(self.stepped(number, sign)) - nominal for sign in (1.0, -1.0))
             found.append(np.where(np.abs(up) > np.abs(down), up, -down))
+        if self.others:
+            squares = [share * (light(one) - nominal) ** 2 for one, share in self.others]
+            found.append(np.sqrt(np.sum(squares, axis=0)))
         return np.array(found)
 
     @property
@@ -247,13 +259,45 @@ def ridge_edges(relief: Relief) -> RidgeEdges | None:
     place, height, sigma = _about_the_wall(relief.surface, azimuth, pitch, wall, pixel)
     if place.size < FEWEST_PLACES:
         return None
-    fits = [_fitted(place, height, sigma, one, pixel) for one in tops]
-    plain, (best, steps, misfit, _) = min(zip(tops, fits, strict=True), key=lambda one: one[1][3])
-    if misfit > MISFIT * plain.height_um:
+    fits = [_Fit(one, *_fitted(place, height, sigma, one, pixel)) for one in tops]
+    best = min(fits, key=lambda one: one.square)
+    if best.misfit > MISFIT * best.top.height_um:
         return None
     resolved = found.alpha_along.value or 0.0, found.alpha_across.value or 0.0
-    design = _design(plain, best[1], best[2])
-    return RidgeEdges(relief, design, azimuth, wall + float(best[0]), resolved, steps)
+    edges = RidgeEdges(relief, best.design, azimuth, wall + float(best.mean[0]), resolved, best.steps)
+    return _with_others(edges, fits, place.size)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """What `_fitted` gives for ridges with one top."""
+
+    top: RidgeDesign
+    mean: FloatArray
+    steps: FloatArray
+    misfit: float
+    square: float
+
+    @property
+    def design(self) -> RidgeDesign:
+        return _design(self.top, self.mean[1], self.mean[2])
+
+
+def _with_others(edges: RidgeEdges, fits: list[_Fit], points: int) -> RidgeEdges:
+    """The best profile with those of other tops that the points do not rule out."""
+    best = min(fits, key=lambda one: one.square)
+    birge = max(1.0, best.square / max(points - 3, 1))
+    apart = [(one.square - best.square) / birge for one in fits]
+    weights = [np.exp(-0.5 * one) if one < DEEP else 0.0 for one in apart]
+    others = [
+        (
+            replace(edges, design=one.design, crest_um=edges.crest_um + float(one.mean[0] - best.mean[0])),
+            share,
+        )
+        for one, share in zip(fits, np.array(weights) / sum(weights), strict=True)
+        if one is not best and share > 0.0
+    ]
+    return replace(edges, others=tuple(others))
 
 
 def _snapped(relief: Relief, azimuth_deg: float) -> float:
@@ -329,6 +373,11 @@ def _binned(
     usual = float(np.median(scatter))
     median = np.asarray(median)
     slope = np.gradient(median, place) if place.size > 1 else np.zeros(1)
+    if (
+        place.size * pixel < BINS_A_PIXEL * half
+    ):  # few places, some of which differ by no more than they are known
+        ends = (np.interp(place + side * 0.5 * pixel, place, median) for side in (1.0, -1.0))
+        slope = np.maximum(np.abs(slope), np.abs(np.subtract(*ends)) / pixel)
     sigma = np.sqrt(
         np.maximum(scatter, usual) ** 2 + pixel**2 * (LEAST_SIGMA**2 + (PLACE_SIGMA * slope) ** 2)
     )
@@ -341,24 +390,41 @@ class FieldEdges:
 
     Attributes:
         edges: the profile; its relief is the map.
-        sampled: the map with the profile in these fields, each at its own place.
+        sampled: the map with the profile closest to its points in these fields, each at its own place.
         inside: (rows − 1, cols − 1) facets of the fields, away from their borders.
+        clear: the same, those that are some points away from walls.
     """
 
     edges: RidgeEdges
     sampled: Relief
     inside: npt.NDArray[np.bool_]
+    clear: npt.NDArray[np.bool_]
+
+    def unexplained(self, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        """(P,) direct light in 1/sr, of facets about walls, that the map shows and the profile does not."""
+        about = self.inside & ~self.clear
+        shown, drawn = (
+            np.array([float(np.nansum(each[about], dtype=float)) for each in maps])
+            for maps in self._maps(to_light, to_camera, material)
+        )
+        return np.asarray((shown - drawn) / np.count_nonzero(self.inside))
+
+    def _maps(
+        self, to_light: FloatArray, to_camera: FloatArray, material: Material
+    ) -> list[Iterator[npt.NDArray[np.float32]]]:
+        rough = self.edges.rougher(material)
+        return [
+            radiance_maps(self.edges.relief, to_light, to_camera, material),
+            radiance_maps(self.sampled, to_light, to_camera, rough),
+        ]
 
     def light(self, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
         """(P,) direct light of the fields in 1/sr: that of their facets, and what the points of the map miss."""
         rough = self.edges.rougher(material)
         whole = corrected.radiance(to_light, to_camera, self.edges.design, rough)
         shown, missed = (
-            np.array([float(np.nanmean(each[self.inside], dtype=float)) for each in radiance_maps(*one)])
-            for one in (
-                (self.edges.relief, to_light, to_camera, material),
-                (self.sampled, to_light, to_camera, rough),
-            )
+            np.array([float(np.nanmean(each[self.inside], dtype=float)) for each in maps])
+            for maps in self._maps(to_light, to_camera, material)
         )
         return np.asarray(shown + whole - missed)
 
@@ -401,12 +467,13 @@ def field_edges(relief: Relief, labels: npt.NDArray[np.int32], plain: RidgeDesig
     fit = _fitted_fields(at, height, field, places, plain, pixel)
     if fit is None:
         return None
-    design, crest, steps, places = fit
-    levels = _levels(height - design.profile(at - places[field]), field, len(places))
+    fits, points, drawn_design, places = fit
+    best = min(fits, key=lambda one: one.square)
+    levels = _levels(height - drawn_design.profile(at - places[field]), field, len(places))
     sampled = surface.height_um.copy()
     known = np.isfinite(places[labels]) & (labels > 0) & np.isfinite(sampled)
     field = labels[known]
-    sampled[known] = levels[field] + design.profile(across[known] - places[field])
+    sampled[known] = levels[field] + drawn_design.profile(across[known] - places[field])
     drawn = surface.with_height(sampled)
     inside = (numbers > 0) & np.isfinite(places[numbers])
     left_x, left_y = (a - b for a, b in zip((fall_x, fall_y), _falls(drawn), strict=True))
@@ -418,8 +485,8 @@ def field_edges(relief: Relief, labels: npt.NDArray[np.int32], plain: RidgeDesig
     if not along.size:
         return None
     resolved = float(ALPHA_OF_MAD * np.median(along)), float(ALPHA_OF_MAD * np.median(along_x))
-    edges = RidgeEdges(relief, design, azimuth, crest, resolved, steps)
-    return FieldEdges(edges, replace(relief, surface=drawn), inside)
+    edges = RidgeEdges(relief, best.design, azimuth, float(best.mean[0]), resolved, best.steps)
+    return FieldEdges(_with_others(edges, fits, points), replace(relief, surface=drawn), inside, smooth)
 
 
 def _fitted_fields(
@@ -429,8 +496,8 @@ def _fitted_fields(
     places: FloatArray,
     plain: RidgeDesign,
     pixel: float,
-) -> tuple[RidgeDesign, float, FloatArray, FloatArray] | None:
-    """One profile of all fields, its place in µm, principal standard deviations, and better places of the fields.
+) -> tuple[list[_Fit], int, RidgeDesign, FloatArray] | None:
+    """One profile of all fields for every top tried, number of points, profile closest to them, places of the fields.
 
     Args:
         at: (n,) places of points across the ridges in µm.
@@ -451,18 +518,59 @@ def _fitted_fields(
         points = _binned(offset[near], heights[near], (ridge + 1e3 * field)[near], pixel, half)
         if points[0].size < FEWEST_PLACES:
             return None
-        reach = np.subtract(*np.quantile(heights, REACH)) / (REACH[0] - REACH[1])
-        loss = float(np.clip(1.0 - reach / plain.height_um, 0.0, MOST_LOSS))
+        loss = float(np.clip(1.0 - np.quantile(heights, TOP) / plain.height_um, 0.0, MOST_LOSS))
         losses = (0.0,) if loss < LEAST_LOSS else (0.0, *(loss * np.array(OF_LOSS)))
         tops = [replace(plain, height_loss=float(one)) for one in losses]
-        fits = [_fitted(*points, one, pixel) for one in tops]
-        top, (best, steps, misfit, _) = min(zip(tops, fits, strict=True), key=lambda one: one[1][3])
-        design = _design(top, best[1], best[2])
-        moved = _moved(offset[near] - best[0], heights[near], field[near], design, pixel, len(places))
-        places = places + best[0] + moved
-        if misfit <= MISFIT * top.height_um:
-            return design, float(best[0]), steps, places
+        fits = [_Fit(one, *_fitted(*points, one, pixel)) for one in tops]
+        best = min(fits, key=lambda one: one.square)
+        shift, design = _closest(*points, best, (0.5 * pixel, pixel))
+        if design.height_loss > 0.0:  # the loss itself, and not only the nearest of those tried
+            top = replace(plain, height_loss=design.height_loss)
+            fits.append(_Fit(top, *_fitted(*points, top, pixel)))
+            best = min(fits, key=lambda one: one.square)
+        moved = _moved(offset[near] - shift, heights[near], field[near], design, pixel, len(places))
+        places = places + shift + moved
+        if best.misfit <= MISFIT * best.top.height_um:
+            return fits, points[0].size, design, places
     return None
+
+
+def _closest(
+    place: FloatArray, height: FloatArray, sigma: FloatArray, fit: _Fit, radii_um: tuple[float, ...]
+) -> tuple[float, RidgeDesign]:
+    """Place and profile with the least misfit to the heights, whatever is known before, with a top of the same form.
+
+    Args:
+        place: (n,) places about the wall in µm.
+        height: (n,) heights in µm.
+        sigma: (n,) their standard deviations.
+        fit: the profile from which the search starts.
+        radii_um: other radii from which it starts.
+    """
+    from scipy import optimize  # noqa: PLC0415 - slow to import
+
+    level = fit.top.height_loss > 0.0
+
+    def profile(x: FloatArray) -> RidgeDesign:
+        top = replace(fit.top, height_loss=float(x[2])) if level else fit.top
+        return _design(top, x[1], 0.0 if level else x[2])
+
+    def left(x: FloatArray) -> FloatArray:
+        off = height - profile(x).profile(place - x[0])
+        return np.asarray((off - np.median(off)) / sigma)
+
+    most = MOST_LOSS if level else LARGEST_RADIUS * fit.top.pitch_um
+    low, high = [-np.inf, 0.0, LEAST_LOSS if level else 0.0], [np.inf, STEEPEST_DRAFT_DEG, most]
+    ends = (fit.top.height_loss,) if level else (fit.mean[2], *radii_um)
+    scale = [1.0, 5.0, LEAST_LOSS if level else 1.0]
+    found = [
+        optimize.least_squares(
+            left, np.clip([*fit.mean[:2], end], low, high), bounds=(low, high), loss="soft_l1", x_scale=scale
+        )
+        for end in ends
+    ]
+    best = min(found, key=lambda one: float(one.cost)).x
+    return float(best[0]), profile(best)
 
 
 def _deep_labels(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
@@ -476,6 +584,19 @@ def _deep_labels(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
         found = np.where(cv2.erode(floats, kernel) == cv2.dilate(floats, kernel), labels, 0)
         if np.count_nonzero(found) > LEAST_DEEP * np.count_nonzero(labels):
             break
+    return _largest_pieces(found)
+
+
+def _largest_pieces(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """The labels without what is not connected to the largest piece: corners of other fields of the class."""
+    from scipy import ndimage  # noqa: PLC0415 - slow to import
+
+    found = np.zeros_like(labels)
+    for number, box in enumerate(ndimage.find_objects(labels), start=1):
+        if box is not None:
+            pieces = ndimage.label(labels[box] == number)[0]
+            largest = int(np.bincount(pieces.ravel())[1:].argmax()) + 1
+            found[box][pieces == largest] = number
     return found
 
 
@@ -499,6 +620,8 @@ def _wall_places(
     The pitch is the fall from one facet to the line of the next, over the slope: crests and walls do not matter. Ridges
     that lost height have a greater pitch than their height says: the one whose facets are steps apart is taken.
 
+    A field whose walls are far less in step than those of others is left out: a corner of another field may be in it.
+
     Args:
         walls: places across the ridges, weights and fields of what rises.
         facets: places, heights and fields of all points.
@@ -510,6 +633,7 @@ def _wall_places(
     at, height, of = facets
     slope = float(np.tan(np.radians(plain.ridge_angle_deg)))
     level = height + slope * at
+    total = np.bincount(field, weight, fields + 1)
     least, best = np.inf, (plain.pitch_um, np.full(fields + 1, np.nan))
     for start in STARTS:
         pitch, left, found = start * plain.pitch_um, np.inf, np.full(fields + 1, np.nan)
@@ -518,12 +642,14 @@ def _wall_places(
             real, imaginary = (
                 np.bincount(field, weight * part(turn), fields + 1) for part in (np.cos, np.sin)
             )
-            found = np.where(
-                np.hypot(real, imaginary) > 0.0, pitch * np.arctan2(imaginary, real) / (2.0 * np.pi), np.nan
-            )
+            together = np.hypot(real, imaginary) / np.maximum(total, 1e-300)
+            usual = float(np.median(together[total > 0.0])) if total.any() else 0.0
+            seen = (total > 0.0) & (together > max(IN_STEP * usual, 1e-9))
+            found = np.where(seen, pitch * np.arctan2(imaginary, real) / (2.0 * np.pi), np.nan)
             with np.errstate(invalid="ignore"):  # fields without walls
                 number, rest = np.divmod((at - found[of]) / pitch, 1.0)
-                clear = np.minimum(rest, 1.0 - rest) * pitch > CLEAR_PIXELS * pixel
+                past = rest * pitch - max(pitch - plain.pitch_um, 0.0)  # the level top
+                clear = np.minimum(past, (1.0 - rest) * pitch) > CLEAR_PIXELS * pixel
             here = of[clear]
             count = np.maximum(np.bincount(here, minlength=fields + 1), 1)
             along, up = (
@@ -550,16 +676,19 @@ def _moved(
     count: int,
 ) -> FloatArray:
     """(count,) by how much the walls of single fields lie farther along in µm, up to a pixel: posterior means."""
-    tried = pixel * np.linspace(-1.0, 1.0, PLACES)
-    squares = np.empty((PLACES, count))
     points = np.maximum(np.bincount(field, minlength=count), 1)
     sigma = pixel * np.hypot(LEAST_SIGMA, PLACE_SIGMA)
-    for number, one in enumerate(tried):
-        left = height - design.profile(offset - one)
-        left -= (np.bincount(field, left, count) / points)[field]
-        squares[number] = np.bincount(field, 2.0 * (np.sqrt(1.0 + (left / sigma) ** 2) - 1.0), count)
-    weight = np.exp(-0.5 * (squares - squares.min(axis=0)))
-    return np.asarray(tried @ weight / weight.sum(axis=0))
+    found = np.zeros(count)
+    for reach, places in MOVED:
+        tried = pixel * np.linspace(-reach, reach, places)
+        squares = np.empty((places, count))
+        for number, one in enumerate(tried):
+            left = height - design.profile(offset - found[field] - one)
+            left -= (np.bincount(field, left, count) / points)[field]
+            squares[number] = np.bincount(field, 2.0 * (np.sqrt(1.0 + (left / sigma) ** 2) - 1.0), count)
+        weight = np.exp(-0.5 * (squares - squares.min(axis=0)))
+        found += tried @ weight / weight.sum(axis=0)
+    return found
 
 
 def _levels(height: FloatArray, field: npt.NDArray[np.int32], count: int) -> FloatArray:

@@ -37,6 +37,8 @@ LEAST_SHARE = 0.01
 """Share of the map that a class of direction takes at least."""
 LEAST_SIDE = 4.0
 """Side of a region, in standard deviations of the window; smaller ones belong to their surroundings."""
+OF_SIDE = 0.5
+"""Common border of two parts of one region, over the side of a square as large as the smaller one."""
 HISTOGRAM = 180
 COARSE_POINTS = 400
 """Points along the shorter side of the grid on which regions are found."""
@@ -285,7 +287,8 @@ def _found(surface: HeightMap) -> DirectionRegions:
     deep = _deep(fine) > band
     if len(class_of) > 2:
         azimuths = _refined(surface, fine, deep, class_of, azimuths)
-        fine = _at_borders(surface, fine, deep, class_of, azimuths, one_sided=one_sided)
+        rim = int(np.ceil(band))
+        fine = _at_borders(surface, fine, deep, class_of, azimuths, rim, one_sided=one_sided)
     fine[~np.isfinite(surface.height_um)] = 0
     return replace(_regions(surface, fine, class_of, azimuths, one_sided=one_sided), margin=BORDER)
 
@@ -347,10 +350,15 @@ def _at_borders(
     deep: npt.NDArray[np.bool_],
     class_of: npt.NDArray[np.intp],
     azimuths: FloatArray,
+    rim: int,
     *,
     one_sided: bool,
 ) -> Labels:
-    """The labels with borders where the slopes of the points themselves change, not where means of them do."""
+    """The labels with borders where the slopes of the points themselves change, not where means of them do.
+
+    Within ``rim`` points of the rim of the map, too, where the slopes have another line: a field that is cut off there
+    may be too narrow to be seen.
+    """
     from scipy import ndimage  # noqa: PLC0415 - slow to import
 
     fall_x, fall_y = _falls(surface, LOCAL)
@@ -366,9 +374,13 @@ def _at_borders(
         ]
     )
     local = np.array(present)[fits.argmax(axis=0)]
-    found, core = labels.copy(), np.where(deep, labels, 0)
+    own = np.take_along_axis(fits, np.searchsorted(present, class_of[labels])[None], axis=0)[0]
+    outer = np.ones_like(deep)
+    outer[rim : len(deep) - rim, rim : deep.shape[1] - rim] = False
+    near = ~deep | (outer & (fits.max(axis=0) - own > 2.0 * LEAN_WEIGHT))
+    found, core = labels.copy(), np.where(near, 0, labels)
     for number in present:
-        mine = ~deep & (local == number) & (class_of[labels] != number)
+        mine = near & (local == number) & (class_of[labels] != number)
         if not mine.any():
             continue
         seeds = np.where((class_of[core] == number) & (core > 0), core, 0)
@@ -469,7 +481,32 @@ def _grown(classes: Labels, window: float) -> tuple[Labels, npt.NDArray[np.intp]
     if len(class_of) > 1:
         nearest = ndimage.distance_transform_edt(seeds == 0, return_distances=False, return_indices=True)
         seeds = seeds[tuple(nearest)]
-    return seeds, np.array(class_of)
+    return _joined(seeds, np.array(class_of), side), np.array(class_of)
+
+
+def _joined(labels: Labels, class_of: npt.NDArray[np.intp], side: int) -> Labels:
+    """The labels, one number for regions of a class that are parted along a side, and not only touch at a corner.
+
+    Cut crests and walls between them are level or rise over as much as facets fall, and part a field into its ridges.
+    A corner is about ``side`` points wide, and its border twice as long by steps along the grid.
+    """
+    from scipy import sparse  # noqa: PLC0415 - slow to import
+
+    pairs = np.concatenate(
+        [
+            np.stack([a.ravel(), b.ravel()])
+            for a, b in ((labels[:, 1:], labels[:, :-1]), (labels[1:], labels[:-1]))
+        ],
+        axis=1,
+    )
+    pairs = np.sort(pairs[:, (pairs[0] != pairs[1]) & (class_of[pairs[0]] == class_of[pairs[1]])], axis=0)
+    (one, other), length = np.unique(pairs, axis=1, return_counts=True)
+    points = np.bincount(labels.ravel(), minlength=class_of.size)
+    long = length > np.maximum(2 * side, OF_SIDE * np.sqrt(np.minimum(points[one], points[other])))
+    graph = sparse.coo_array((length[long], (one[long], other[long])), shape=(class_of.size,) * 2)
+    part = sparse.csgraph.connected_components(graph, directed=False)[1]
+    first = np.unique(part, return_index=True)[1]
+    return np.asarray(first[part][labels], dtype=np.int32)
 
 
 def _regions(

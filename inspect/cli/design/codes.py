@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 LIGHT_DEG = 10.0
 READ_AT_DEG = 0.0, 90.0
+SHOWN = 40  # characters of a long text in a message
 
 
 @everyday(
@@ -103,8 +104,9 @@ def code(
     plan = plan_of_modules(dark, module_mm, (azimuths[0], azimuths[1]))
     plan.check_ridges(pitch)
     if plate_mm is not None and max(plan.size_mm) > plate_mm * (1.0 + 1e-9):
+        shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
         raise UsageError(
-            f"{text!r} needs {len(plan.rows)} × {len(plan.rows)} modules with its quiet zone, {plan.size_mm[0]:g} mm "
+            f"{shown!r} needs {len(plan.rows)} × {len(plan.rows)} modules with its quiet zone, {plan.size_mm[0]:g} mm "
             f"of {module_mm:g} mm each; the plate has {plate_mm:g} mm: make modules of at most "
             f"{plate_mm / len(plan.rows):.3g} mm, or the text shorter"
         )

@@ -185,8 +185,9 @@ def fields_text(fields: list[FieldRecord]) -> str:
 
 
 def places_text(fields: list[FieldRecord]) -> str:
-    """Where fields are, the first of them alone where they are many."""
-    named = "; ".join(f"row {one.row + 1}, column {one.col + 1}" for one in fields[:LISTED])
+    """Where fields are, row by row, those that are most off alone where they are many."""
+    listed = sorted(fields[:LISTED], key=lambda one: (one.row, one.col))
+    named = "; ".join(f"row {one.row + 1}, column {one.col + 1}" for one in listed)
     more = len(fields) - LISTED
     return f"{named}; and {more} more" if more > 0 else named
 

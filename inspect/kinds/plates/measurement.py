@@ -113,12 +113,14 @@ def measure_plate(
     check_views(views)
     grid, points = plate_grid(recipe, expected.plan, pixel_um)
     aligned = _aligned(views, grid)
+    interior = recipe.fields.interior
+    # turned, it may show borders in too few poses to be placed
+    check_lying(np.array([field_means(one, points, interior) for one in aligned]), expected)
     places = tuple(field_places(one, points) for one in aligned)
     x, y = check_places(places, expected.plan.module_mm)
     if np.hypot(x, y) > LEAST_FOLLOWED * expected.plan.module_mm:
         grid = moved_grid(grid, x, y)
         aligned = _aligned(views, grid)
-    interior = recipe.fields.interior
     radiance = np.array([field_means(one, points, interior) for one in aligned])
     if not np.nanmin(radiance) > 0.0:
         raise MeasurementError(
@@ -216,23 +218,10 @@ def check_plan(radiance: FloatArray, expected: ExpectedPlate) -> float:
     Raises:
         MeasurementError: the plate lies turned or upside down, or is not the one of the plan.
     """
-    seen = np.log(radiance)
-    right, *others = expected.lying
+    check_lying(radiance, expected)
+    seen, right = np.log(radiance), expected.lying[0]
     alike = _alike(seen, right)
     distance = _distance(seen, right)
-    best = min(others, key=lambda one: _distance(seen, one), default=right)
-    closest = _distance(seen, best)
-    if closest < min(distance - CLOSER, FITS) and _alike(seen, best) >= ALIKE:
-        turned = 90 * best.quarters
-        if best.mirrored:
-            raise MeasurementError(
-                f"the fields are those of the plan mirrored and turned by {turned}° (mean distance of ln L "
-                f"{closest:.2f}, as planned {distance:.2f}): the plan is mirrored, or is that of the mould"
-            )
-        raise MeasurementError(
-            f"the plate lies turned by {turned}° (mean distance of ln L {closest:.2f}, as it should lie "
-            f"{distance:.2f}): seat it as the recipe says"
-        )
     if alike >= ALIKE:
         return alike
     shown, planned = (float(np.nanstd(_within_poses(one))) for one in (seen, _due(right)))
@@ -247,6 +236,34 @@ def check_plan(radiance: FloatArray, expected: ExpectedPlate) -> float:
         f"the fields are not those of the plan (correlation {alike:.2f}, at least {ALIKE:g} is needed): is it the plan "
         "of another plate?"
     )
+
+
+def check_lying(radiance: FloatArray, expected: ExpectedPlate) -> None:
+    """Check that the fields are not much more like those of the plate turned by quarters, or mirrored.
+
+    Args:
+        radiance: (P, rows, cols) measured; what is not above 0 does not count.
+        expected: the prediction.
+
+    Raises:
+        MeasurementError: the plate lies turned, or the plan is mirrored.
+    """
+    seen = np.log(np.where(radiance > 0.0, radiance, np.nan))
+    right, *others = expected.lying
+    distance = _distance(seen, right)
+    best = min(others, key=lambda one: _distance(seen, one), default=right)
+    closest = _distance(seen, best)
+    if closest < min(distance - CLOSER, FITS) and _alike(seen, best) >= ALIKE:
+        turned = 90 * best.quarters
+        if best.mirrored:
+            raise MeasurementError(
+                f"the fields are those of the plan mirrored and turned by {turned}° (mean distance of ln L "
+                f"{closest:.2f}, as planned {distance:.2f}): the plan is mirrored, or is that of the mould"
+            )
+        raise MeasurementError(
+            f"the plate lies turned by {turned}° (mean distance of ln L {closest:.2f}, as it should lie "
+            f"{distance:.2f}): seat it as the recipe says"
+        )
 
 
 def _due(lying: Lying) -> FloatArray:
