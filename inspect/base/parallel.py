@@ -1,25 +1,95 @@
 """One function over many items in threads; products of matrices in one."""
 
+import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from os import cpu_count
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def for_each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+def for_each(
+    function: Callable[[Item], Result], items: Iterable[Item], threads: int | None = None
+) -> list[Result]:
     """``function`` of every item, in order, in threads: numpy and OpenCV let go of the interpreter while they work.
 
-    The first error of them is raised, whichever thread fails first.
+    Every thread takes one item after the other and waits for nothing; the caller is one of them, and the others serve
+    from call to call, because OpenCV keeps half a kilobyte of every thread that ever ended. It may be called from
+    several threads at once, and from within ``function``.
+
+    Args:
+        function: what is done; no item is begun after one has failed.
+        items: the items, in the order of the results.
+        threads: how many threads at most; as many as there are cores without it.
+
+    Raises:
+        BaseException: of the first item, in their order, that failed.
     """
     todo = list(items)
-    with ThreadPoolExecutor(max(1, min(cpu_count() or 1, len(todo)))) as pool:
-        return list(pool.map(function, todo))
+    workers = min(threads or os.cpu_count() or 1, len(todo))
+    if workers <= 1:
+        return [function(item) for item in todo]
+    work = _Work(function, todo)
+    helpers = _helpers.start(work.run, workers - 1)
+    work.run()
+    for helper in helpers:
+        if not helper.cancel():  # one that has not begun is not waited for: there is nothing left to do
+            helper.result()
+    return work.results()
+
+
+class _Work(Generic[Item, Result]):
+    """Work items, distributed in order to threads."""
+
+    def __init__(self, function: Callable[[Item], Result], todo: list[Item]) -> None:
+        self._function, self._todo = function, todo
+        self._numbers = iter(range(len(todo)))  # asking for the next one is atomic
+        self._found: list[Result | None] = [None] * len(todo)
+        self._failed: dict[int, BaseException] = {}
+
+    def run(self) -> None:
+        """Work until nothing is left, or an item has failed."""
+        for number in self._numbers:
+            if self._failed:
+                return
+            try:
+                self._found[number] = self._function(self._todo[number])
+            except BaseException as problem:  # noqa: BLE001 - raised again by the caller
+                self._failed[number] = problem
+
+    def results(self) -> list[Result]:
+        """Results in order; raises the exception of the first item that failed."""
+        if self._failed:
+            raise self._failed[min(self._failed)]
+        return cast("list[Result]", self._found)
+
+
+class _Helpers:
+    """Pool of reusable threads, as many as ever requested."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Have no threads: a forked process has none of its parent's."""
+        self._lock, self._count, self._pool = Lock(), 0, ThreadPoolExecutor(1, "anisoscope")
+
+    def start(self, function: Callable[[], None], threads: int) -> "list[Future[None]]":
+        """Let so many threads begin a function."""
+        with self._lock:
+            if threads > self._count:
+                self._pool.shutdown(wait=False)
+                self._count, self._pool = threads, ThreadPoolExecutor(threads, "anisoscope")
+            return [self._pool.submit(function) for _ in range(threads)]
+
+
+_helpers = _Helpers()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helpers.forget)
 
 
 class _BlasThreads:
