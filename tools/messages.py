@@ -61,6 +61,7 @@ ERRORS = {"MeasurementError", "CalibrationError", "RegistrationError"}
 SENTENCES = {
     "inspect/base/notation.py": ("quantity_name",),
     "inspect/report/conclusion.py": ("_of_verdict", "surface_finding", "_contrast_finding", "_finding"),
+    "inspect/decision/certificate.py": {"message"},
     "inspect/decision/reference_parts.py": ("lacking",),
     "inspect/decision/design_vs_map.py": ("compare",),
     "inspect/decision/decision.py": ("_combine", "_blind", "_of_tolerance", "_limit_of"),

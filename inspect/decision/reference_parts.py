@@ -8,9 +8,7 @@ part; `GoldenSet` adds the deviating area of surfaces.
 
 import hashlib
 import json
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
@@ -19,10 +17,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
-from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.base.json_fields import in_json
+from anisoscope.base.errors import CalibrationError
 from anisoscope.base.json_file import bounded_bytes
-from anisoscope.base.significance import hotelling, log_basis, proportion_interval
+from anisoscope.base.significance import hotelling, log_basis
 from anisoscope.decision.equipment import Equipment
 from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares
 from anisoscope.recipe.base import AcquisitionPart, RecipeBase
@@ -577,91 +574,3 @@ def write_golden(path: Path, golden: BaseModel) -> None:
         RecordError: the folder cannot be written.
     """
     write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
-
-
-@dataclass(frozen=True)
-class FalseAlarmCertificate:
-    """What the verdicts of good parts, which are not golden ones, prove about false alarms.
-
-    Free of any distribution: the rate after C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404; the level by
-    order statistics after S. S. Wilks, Annals of Mathematical Statistics 12 (1941) 91.
-
-    Attributes:
-        parts: good parts with a verdict.
-        alarms: of these FAIL.
-        undecided: of these INCONCLUSIVE.
-        highest: upper limit of the rate of false alarms with the confidence.
-        confidence: one-sided.
-        wanted: largest rate that is to be certified.
-        needed: good parts that certify it if none fails.
-        stated: the model's own statement: the level of the recipe's test of all contrasts together.
-        level: largest level of that test that holds the wanted rate with the confidence, whatever the distribution;
-            None with too few parts or without p values.
-    """
-
-    parts: int
-    alarms: int
-    undecided: int
-    highest: float
-    confidence: float
-    wanted: float
-    needed: int
-    stated: float | None
-    level: float | None
-
-    @property
-    @in_json()
-    def certified(self) -> bool:
-        """The wanted rate is proven."""
-        return self.highest <= self.wanted
-
-    @property
-    @in_json()
-    def verdict(self) -> str:
-        """The certificate in a sentence."""
-        text = (
-            f"at most {self.highest:.2%} false alarms with {self.confidence:.0%} confidence after {self.parts} good "
-            f"parts, {self.alarms} of which failed"
-        )
-        if self.certified:
-            return f"certified: {text} (wanted: {self.wanted:.2%})"
-        return f"not certified: {text}; {self.wanted:.2%} takes {self.needed} good parts of which none fails"
-
-
-def certificate(
-    verdicts: Sequence[str],
-    p_values: Sequence[float | None],
-    wanted: float = 0.01,
-    confidence: float = 0.95,
-    stated: float | None = None,
-) -> FalseAlarmCertificate:
-    """Limit of the rate of false alarms from the verdicts of different good parts.
-
-    Args:
-        verdicts: PASS, INCONCLUSIVE or FAIL of every part.
-        p_values: of all contrasts together, of every part; None where it has none.
-        wanted: largest rate.
-        confidence: one-sided.
-        stated: level of the recipe's test.
-
-    Raises:
-        UsageError: no part, or a rate or confidence that is none.
-    """
-    from scipy.special import betainc  # noqa: PLC0415 - start-up time
-
-    if not verdicts:
-        raise UsageError("no good part with a verdict is left: nothing can be certified")
-    if not (0.0 < wanted < 1.0 and 0.5 <= confidence < 1.0):
-        raise UsageError(
-            f"the rate lies between 0 and 1 and the confidence between 0.5 and 1, not at {wanted:g} and {confidence:g}"
-        )
-    count, alarms = len(verdicts), sum(one == "FAIL" for one in verdicts)
-    highest = proportion_interval(alarms, count, 2.0 * confidence - 1.0)[1]
-    needed = math.ceil(math.log1p(-confidence) / math.log1p(-wanted))
-    known = sorted(p for p in p_values if p is not None)
-    places = [r for r in range(1, len(known) + 1) if betainc(r, len(known) - r + 1, wanted) >= confidence]
-    level = known[places[-1] - 1] if places and len(known) == count else None
-    undecided = sum(one == "INCONCLUSIVE" for one in verdicts)
-    return FalseAlarmCertificate(
-        count, alarms, undecided, highest, confidence, wanted, needed, stated, level
-    )  # fmt: skip

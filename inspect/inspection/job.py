@@ -8,6 +8,7 @@ from anisoscope.base.signature import signer_in_use
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.calibration.record import Kind, record_path
 from anisoscope.calibration.white_reference import read_reference
+from anisoscope.decision.certificate import CERTIFICATE, valid_certificate
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
@@ -175,20 +176,22 @@ def sources_of(
 
     Raises:
         HeightMapError: the height map is missing.
+        CalibrationError: the certificate of false alarms is damaged.
         RecipeError: light or camera would stand below the part's horizon, or the region covers a marker.
         RigFileError: the rig file lacks what the kind needs, or has another lamp than the recipe.
     """
     kind.check(recipe, rig, recipe_path, rig_path)
     check_region(recipe, rig.fixture, recipe_path)
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
-    files += [*kind.sources(recipe, rig).items(), *_golden_file(recipe_path)]
+    files += [*kind.sources(recipe, rig).items(), *_golden_files(recipe_path)]
     files += [] if recipe.report.logo is None else [(LOGO, recipe.report.logo)]
     return tuple(Source(role, path, sha256_of(path)) for role, path in files)
 
 
-def _golden_file(recipe_path: Path) -> list[tuple[Role, Path]]:
-    path = golden_path(recipe_path)
-    return [("golden parts", path)] if path.is_file() else []
+def _golden_files(recipe_path: Path) -> list[tuple[Role, Path]]:
+    path, certificate = golden_path(recipe_path), valid_certificate(recipe_path)
+    files: list[tuple[Role, Path]] = [("golden parts", path)] if path.is_file() else []
+    return files if certificate is None else [*files, (CERTIFICATE, certificate)]
 
 
 def check_calibration_files(path: Path, part: CalibrationPart, without: Kind | None = None) -> None:

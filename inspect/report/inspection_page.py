@@ -11,6 +11,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.language import message
 from anisoscope.calibration.record import CalibrationRecord, Kind
+from anisoscope.decision.certificate import certificate_of
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import CauseRecord, PoseRecord, Record
 from anisoscope.report import figures
@@ -150,6 +151,7 @@ def _content(
         "logo": pictures.logo,
         "meaning": MEANING[record.verdict],
         "rule_text": sections.rule or (message(INVALID_RULE) if record.verdict == "INVALID" else ""),
+        "certificate": certificate_of([one.name for one in record.inputs], folder),
         "reasons": sections.reasons,
         "precedence": PRECEDENCE,
         "rule": record.recipe["decision"],

@@ -1,8 +1,9 @@
 """``anisoscope golden``: parts that are known to be good, against which others are compared."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ from anisoscope.cli.tables import console, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.kinds.kind import Reference
+    from anisoscope.record.schema import Record
 
 app = App(name="golden", help="Manage the golden parts of a recipe: parts that are known to be good.")
 
@@ -133,6 +135,10 @@ def certify(
     false_alarms: Annotated[float, Parameter(help="Largest rate of false alarms that is wanted.")] = 0.01,
     confidence: Annotated[float, Parameter(help="One-sided confidence.")] = 0.95,
     html: Annotated[Path | None, Parameter(help="Write the certificate as a page.")] = None,
+    store: Annotated[
+        bool,
+        Parameter(negative="", help="Store it next to the recipe: reports of later inspections print it."),
+    ] = False,
     json_: Json = False,
 ) -> int:
     """Certify the rate of false alarms from inspections of good parts, whatever their distribution.
@@ -142,11 +148,12 @@ def certify(
     Exit codes: 0 certified, 1 not, 64 and above nothing can be said.
 
     Examples:
-        anisoscope golden certify --recipe recipe.toml --false-alarms 0.02 inspections/OK-*
+        anisoscope golden certify --recipe recipe.toml --false-alarms 0.02 --store inspections/OK-*
     """
-    from anisoscope.decision.reference_parts import certificate, golden_path
+    from anisoscope.decision.certificate import StoredCertificate, certificate, certificate_path
+    from anisoscope.decision.reference_parts import golden_path
     from anisoscope.kinds.registry import kind_of
-    from anisoscope.record.schema import read_record, sha256_of
+    from anisoscope.record.schema import sha256_of
     from anisoscope.report.study_page import Table, write_study_page
 
     if not folders:
@@ -155,31 +162,10 @@ def certify(
     rules = kind.read_recipe(recipe)
     with _as_usage():
         known = kind.read_reference(path, rules)
-    golden = set() if known is None else {one.serial for one in known.parts}
     now = [(file.name, sha256_of(file)) for file in (recipe, path) if file.is_file()]
-    seen: dict[str, Path] = {}
-    records, invalid = [], 0
-    for folder in folders:
-        record = read_record(folder)
-        if record.serial in golden:
-            raise UsageError(
-                f"{folder}: {record.serial} is a golden part: it made the rule and proves nothing about it"
-            )
-        if record.serial in seen:
-            raise UsageError(
-                f"{folder}: {record.serial} is the part of {seen[record.serial]}: name each part once"
-            )
-        seen[record.serial] = folder
-        used = {one.sha256 for one in record.inputs}
-        changed = next((name for name, digest in now if digest not in used), None)
-        if changed is not None:
-            raise UsageError(
-                f"{folder}: was judged by another {changed} than the present one: inspect the part again"
-            )
-        if record.verdict == "INVALID":
-            invalid += 1
-        else:
-            records.append(record)
+    judged = _judged(folders, set() if known is None else {one.serial for one in known.parts}, now)
+    records = [one for one in judged if one.verdict != "INVALID"]
+    invalid = len(judged) - len(records)
     stated = getattr(rules.decision, "alpha", None)
     found = certificate(
         [one.verdict for one in records], [one.p_value for one in records], false_alarms, confidence, stated
@@ -197,6 +183,12 @@ def certify(
         found.verdict,
         *([f"{invalid} INVALID inspections say nothing and are left out"] if invalid else []),
     ]
+    if store:
+        stored = StoredCertificate.of(
+            recipe, found, [one.serial for one in records], f"{datetime.now(UTC):%Y-%m-%d}"
+        )
+        stored.write(certificate_path(recipe))
+        notes.append(f"stored in {certificate_path(recipe)}, for this recipe and these golden parts alone")
     if html is not None:
         table = Table("False alarms", ("", "value"), rows)
         write_study_page(html, "Certificate of false alarms", str(recipe), [], [table], notes)
@@ -207,6 +199,33 @@ def certify(
         for line in notes:
             console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0 if found.certified else 1
+
+
+def _judged(folders: Sequence[Path], golden: set[str], now: Sequence[tuple[str, str]]) -> list["Record"]:
+    """Inspections of different parts, none golden, by the files (name and SHA-256) that are in use now."""
+    from anisoscope.record.schema import read_record
+
+    seen: dict[str, Path] = {}
+    records = []
+    for folder in folders:
+        record = read_record(folder)
+        if record.serial in golden:
+            raise UsageError(
+                f"{folder}: {record.serial} is a golden part: it made the rule and proves nothing about it"
+            )
+        if record.serial in seen:
+            raise UsageError(
+                f"{folder}: {record.serial} is the part of {seen[record.serial]}: name each part once"
+            )
+        seen[record.serial] = folder
+        used = {one.sha256 for one in record.inputs}
+        changed = next((name for name, digest in now if digest not in used), None)
+        if changed is not None:
+            raise UsageError(
+                f"{folder}: was judged by another {changed} than the present one: inspect the part again"
+            )
+        records.append(record)
+    return records
 
 
 def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:

@@ -1,8 +1,15 @@
 """golden and recipe on the command line."""
 
+import re
 import shutil
+from dataclasses import replace
 
+import pytest
+
+from anisoscope.base.errors import CalibrationError
+from anisoscope.decision.certificate import certificate_path
 from anisoscope.decision.reference_parts import golden_path
+from anisoscope.inspection.run import Methods
 from anisoscope.kinds.registry import read_recipe
 
 
@@ -49,6 +56,30 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     assert (done.code, "was judged by another" in done.err) == (64, True)
     assert anisoscope("golden", "remove", *at, "B").code == 0
     assert not golden_path(rig.recipe).exists()
+
+
+def test_reports_print_the_certificate_that_is_stored_for_their_recipe(anisoscope, virtual_rig, undiagnosed):
+    rig = virtual_rig()
+    path, at = certificate_path(rig.recipe), ("--recipe", rig.recipe)
+    first = rig.inspect("A", methods=undiagnosed).folder
+    done = anisoscope("golden", "certify", *at, first, "--store")
+    assert (done.code, f"stored in {path}" in done.out) == (1, True)
+    page = (
+        rig.inspect("B", methods=replace(undiagnosed, page=Methods().page)).folder / "report.html"
+    ).read_text(encoding="utf-8")
+    assert re.search(
+        r"<li id=\"certificate\">False alarms: at most 95\.00% with 95% confidence, whatever the distribution "
+        r"\(0 of 1 good parts failed; \d{4}-\d\d-\d\d\)\.</li>",
+        page,
+    )
+    whole = path.read_bytes()
+    path.write_text("{}")
+    with pytest.raises(CalibrationError, match=r"cannot be read: .*: certify again"):
+        rig.inspect("C", methods=undiagnosed)
+    path.write_bytes(whole)
+    assert anisoscope("golden", "add", *at, first).code == 0
+    later = rig.inspect("D", methods=undiagnosed)
+    assert f"inputs/{path.name}" not in [one.name for one in later.record.inputs]
 
 
 def test_a_new_recipe_and_what_is_refused(anisoscope, tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from statsmodels.stats.proportion import proportion_confint
 
 from anisoscope.base.errors import UsageError
-from anisoscope.decision.reference_parts import certificate
+from anisoscope.decision.certificate import certificate
 
 
 def test_no_alarm_among_299_certifies_one_percent():
