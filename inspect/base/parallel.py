@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from threading import Lock
+from threading import Barrier, Lock, Thread
 from typing import Any, Generic, TypeVar, cast
 
 Item = TypeVar("Item")
@@ -82,9 +82,31 @@ class _Helpers:
         """Let so many threads begin a function."""
         with self._lock:
             if threads > self._count:
-                self._pool.shutdown(wait=False)
-                self._count, self._pool = threads, ThreadPoolExecutor(threads, "anisoscope")
+                before, self._pool = self._pool, _filled(threads)
+                self._count = threads
+                before.shutdown(wait=False)
             return [self._pool.submit(function) for _ in range(threads)]
+
+
+def _filled(threads: int) -> ThreadPoolExecutor:
+    """A pool all of whose threads run.
+
+    Another thread starts them: Ctrl-C, which reaches the main one, in the middle of a start would leave a thread that
+    the pool does not know, and for which the process would wait at its end.
+    """
+    pool, all_run = ThreadPoolExecutor(threads, "anisoscope"), Barrier(threads)
+
+    def fill() -> None:
+        try:
+            for _ in range(threads):
+                pool.submit(all_run.wait)
+        except RuntimeError:  # the system has no more: those that run serve
+            all_run.abort()
+
+    starter = Thread(target=fill)
+    starter.start()
+    starter.join()
+    return pool
 
 
 _helpers = _Helpers()

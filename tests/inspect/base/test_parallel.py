@@ -1,6 +1,7 @@
 """Work shared among threads; threads of BLAS."""
 
 import multiprocessing
+import subprocess
 import sys
 import threading
 from functools import partial
@@ -67,6 +68,27 @@ def test_a_forked_process_starts_its_own():
     assert here.poll(60.0)
     assert here.recv() == [1, 2, 3]
     child.join()
+
+
+INTERRUPTED = """
+import threading
+from anisoscope.base.parallel import for_each
+
+def start(thread, really=threading.Thread.start):
+    really(thread)
+    if threading.current_thread() is threading.main_thread():
+        raise KeyboardInterrupt
+
+threading.Thread.start = start
+for_each(abs, range(4), 2)
+"""
+
+
+def test_a_process_that_is_interrupted_while_threads_start_ends():
+    command = [sys.executable, "-Ic", INTERRUPTED]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300.0, check=False)
+    assert done.returncode != 0
+    assert "KeyboardInterrupt" in done.stderr
 
 
 def threads():
