@@ -165,7 +165,7 @@ class StoredCertificate(BaseModel):
             reason = str(problem).splitlines()[0]
             raise CalibrationError(
                 f"the certificate of false alarms in {path} cannot be read: {reason}: certify again (golden certify "
-                "--store), or delete the file"
+                "--for-reports), or delete the file"
             ) from problem
 
     def write(self, path: Path) -> None:

@@ -135,7 +135,7 @@ def certify(
     false_alarms: Annotated[float, Parameter(help="Largest rate of false alarms that is wanted.")] = 0.01,
     confidence: Annotated[float, Parameter(help="One-sided confidence.")] = 0.95,
     html: Annotated[Path | None, Parameter(help="Write the certificate as a page.")] = None,
-    store: Annotated[
+    for_reports: Annotated[
         bool,
         Parameter(negative="", help="Store it next to the recipe: reports of later inspections print it."),
     ] = False,
@@ -148,7 +148,7 @@ def certify(
     Exit codes: 0 certified, 1 not, 64 and above nothing can be said.
 
     Examples:
-        anisoscope golden certify --recipe recipe.toml --false-alarms 0.02 --store inspections/OK-*
+        anisoscope golden certify --recipe recipe.toml --false-alarms 0.02 --for-reports inspections/OK-*
     """
     from anisoscope.decision.certificate import StoredCertificate, certificate, certificate_path
     from anisoscope.decision.reference_parts import golden_path
@@ -183,7 +183,7 @@ def certify(
         found.verdict,
         *([f"{invalid} INVALID inspections say nothing and are left out"] if invalid else []),
     ]
-    if store:
+    if for_reports:
         stored = StoredCertificate.of(
             recipe, found, [one.serial for one in records], f"{datetime.now(UTC):%Y-%m-%d}"
         )

@@ -62,7 +62,7 @@ def test_reports_print_the_certificate_that_is_stored_for_their_recipe(anisoscop
     rig = virtual_rig()
     path, at = certificate_path(rig.recipe), ("--recipe", rig.recipe)
     first = rig.inspect("A", methods=undiagnosed).folder
-    done = anisoscope("golden", "certify", *at, first, "--store")
+    done = anisoscope("golden", "certify", *at, first, "--for-reports")
     assert (done.code, f"stored in {path}" in done.out) == (1, True)
     page = (
         rig.inspect("B", methods=replace(undiagnosed, page=Methods().page)).folder / "report.html"
