@@ -106,7 +106,7 @@ COMMANDS = {
             "List past inspections; add and check them, record reviewers' decisions.",
         ),
         "export": (
-            "history.history:export",
+            "history.export:export",
             "Export past inspections as CSV, JSON, JUnit or AQDEF; the filters are those of history.",
         ),
         "whatif": (

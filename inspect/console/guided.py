@@ -134,10 +134,7 @@ class Entered:
         Raises:
             UsageError: it is none.
         """
-        try:
-            found = float(self.values[name])
-        except (KeyError, ValueError):
-            found = 0.0
+        found = self._value(name)
         if not 0.0 < found < float("inf"):
             raise UsageError(f"{name} takes a number above 0, not {str(self.values.get(name, ''))[:40]!r}")
         return found
@@ -148,13 +145,17 @@ class Entered:
         Raises:
             UsageError: it is none.
         """
-        try:
-            found = float(self.values[name])
-        except (KeyError, ValueError):
-            found = math.nan
+        found = self._value(name)
         if not math.isfinite(found):
             raise UsageError(f"{name} takes a number, not {str(self.values.get(name, ''))[:40]!r}")
         return found
+
+    def _value(self, name: str) -> float:
+        """What a field has, NaN if that is no number."""
+        try:
+            return float(self.values[name])
+        except (KeyError, ValueError):
+            return math.nan
 
     def names(self, name: str, least: int) -> list[str]:
         """Names with commas between them, each once.

@@ -17,6 +17,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.progress import Advance, silent
+from anisoscope.prediction.field_edges import FieldEdges, field_edges
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_bias
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import Reflect, Roughness, predict_design, predict_height_map
@@ -26,9 +27,7 @@ from anisoscope.prediction.relief_preparation import Levelling, turned_clockwise
 from anisoscope.prediction.ridge_edges import (
     LARGEST_ANGLE_DEG,
     LEAST_ANGLE_DEG,
-    FieldEdges,
     SeveralDirectionsError,
-    field_edges,
 )
 from anisoscope.prediction.sensitivity import Budget, Contribution, InputUncertainty
 from anisoscope.profiles.heightmap import HeightMap

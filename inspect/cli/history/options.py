@@ -94,6 +94,9 @@ class Which:
 ALL = Which()
 
 
+Selection = Annotated[Which, Parameter(name="*")]
+
+
 def opened(place: str | None, *, create: bool = False) -> "History":
     """The history that is meant, open.
 

@@ -16,6 +16,7 @@ from anisoscope.base.language import message
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.cli.options import extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def opcua(
     Examples:
         anisoscope line opcua --rig rig.toml --recipes recipes
     """
-    with _needs("OPC UA"):
+    with extra_packages("OPC UA", "line"):
         from anisoscope.line.opcua import VisionServer
     check_open(host, open_=open_)
     with jobs_at(rig, recipes, out, history, station) as jobs:
@@ -98,7 +99,7 @@ def mqtt(
         anisoscope line mqtt --broker mqtt://127.0.0.1 --rig rig.toml --recipes recipes
         anisoscope line mqtt --broker mqtts://broker.example --history inspections/history.sqlite
     """
-    with _needs("MQTT"):
+    with extra_packages("MQTT", "line"):
         from anisoscope.line.mqtt import EdgeNode, broker_of
         from anisoscope.line.sparkplug import Names
 
@@ -160,7 +161,7 @@ def modbus(
     Examples:
         anisoscope line modbus 192.168.1.10 --rig rig.toml --recipes recipes --recipe plate
     """
-    with _needs("Modbus/TCP"):
+    with extra_packages("Modbus/TCP", "line"):
         from anisoscope.line.modbus import POLL_S, Addresses, Handshake, Lines, ModbusIo
     from anisoscope.base.errors import NotConnected
 
@@ -179,21 +180,6 @@ def modbus(
         with contextlib.suppress(NotConnected):
             io.write(Lines())
     return 0
-
-
-@contextlib.contextmanager
-def _needs(what: str) -> Iterator[None]:
-    """The packages of the line.
-
-    Raises:
-        UsageError: they are not installed.
-    """
-    try:
-        yield
-    except ImportError as problem:
-        raise UsageError(
-            f"{what} needs more packages ({problem.name}): pip install 'anisoscope[line]'"
-        ) from problem
 
 
 def check_open(host: str, *, open_: bool) -> None:

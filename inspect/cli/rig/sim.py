@@ -106,8 +106,10 @@ def press(
     from anisoscope.base.csv_style import csv_text, number_text
     from anisoscope.sim.press import Change, mould
 
-    if opcua_port is not None and not (0 < opcua_port < 65536 and 0.0 < every_s < math.inf):
-        raise UsageError("rig sim press: --opcua-port is a TCP port, --every-s is above 0")
+    if opcua_port is not None and not 0 < opcua_port < 65536:
+        raise UsageError(f"rig sim press: --opcua-port is a TCP port from 1 to 65535, not {opcua_port}")
+    if not 0.0 < every_s < math.inf:
+        raise UsageError(f"rig sim press: --every-s is above 0, not {every_s:g}")
     if min(parts, onset) < 1 or ramp < 0 or not math.isfinite(change):
         raise UsageError(
             "rig sim press: --parts and --onset are at least 1, --ramp at least 0, --change is finite"

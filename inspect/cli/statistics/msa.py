@@ -7,7 +7,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.history.options import Place
+from anisoscope.cli.history.options import Place, Selection
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.statistics.source import (
@@ -17,7 +17,6 @@ from anisoscope.cli.statistics.source import (
     Html,
     Limit,
     Number,
-    Selection,
     print_grid,
     readings_from,
     write_lines,

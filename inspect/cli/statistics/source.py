@@ -29,7 +29,7 @@ Limit = Annotated[int, Parameter(help="At most so many, the latest ones; 0 for a
 Alpha = Annotated[
     float, Parameter(name="--significance", help="Significance of the tests; intervals cover the rest.")
 ]
-Selection = Annotated[Which, Parameter(name="*")]
+
 EVERYTHING = ALL
 
 

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.history.options import Place
+from anisoscope.cli.history.options import Place, Selection
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -21,7 +21,6 @@ from anisoscope.cli.statistics.source import (
     Html,
     Limit,
     Number,
-    Selection,
     print_grid,
     readings_from,
     write_lines,

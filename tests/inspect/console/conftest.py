@@ -50,6 +50,27 @@ def served():
     return serve
 
 
+@pytest.fixture
+def opened_page(chromium):
+    """``opened_page(address, but=())``: a page of the console that asks nothing elsewhere and complains of nothing."""
+
+    @contextmanager
+    def opened(address, but=()):
+        asked, said = [], []
+        found = chromium.new_page(viewport={"width": 1024, "height": 768})
+        found.set_default_timeout(15_000)
+        found.on("request", lambda one: asked.append(one.url))
+        found.on("console", lambda one: said.append(one.text))
+        found.on("pageerror", lambda one: said.append(str(one)))
+        found.goto(address)
+        yield found
+        found.close()
+        assert [text for text in said if not any(one in text for one in but)] == []
+        assert {url.startswith((address, f"blob:{address}", "data:")) for url in asked} == {True}
+
+    return opened
+
+
 @pytest.fixture(scope="session")
 def tls(tmp_path_factory):
     """A certificate of this computer that it has signed itself, and its key."""

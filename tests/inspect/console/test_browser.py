@@ -22,24 +22,15 @@ def address(served, app_of, station):
 
 
 @pytest.fixture
-def page(chromium, address):
-    asked, said = [], []
-    found = chromium.new_page(viewport={"width": 1024, "height": 768})
-    found.set_default_timeout(15_000)
-    found.on("request", lambda one: asked.append(one.url))
-    found.on("console", lambda one: said.append(one.text))
-    found.on("pageerror", lambda one: said.append(str(one)))
-    found.goto(address)
-    found.locator("#holder").get_by_text(re.compile("rig")).wait_for()
-    if found.locator("#verdict").is_visible():  # of the part before
-        found.get_by_role("button", name="Next part").click()
-    if found.locator("#take").is_visible():  # whose page is closed
-        found.locator("#take").click()
-        found.locator("#holder").get_by_text("You hold the rig").wait_for()
-    yield found
-    found.close()
-    assert [text for text in said if "409" not in text and "404" not in text] == []
-    assert {url.startswith((address, f"blob:{address}", "data:")) for url in asked} == {True}
+def page(opened_page, address):
+    with opened_page(address, but=("409", "404")) as found:
+        found.locator("#holder").get_by_text(re.compile("rig")).wait_for()
+        if found.locator("#verdict").is_visible():  # of the part before
+            found.get_by_role("button", name="Next part").click()
+        if found.locator("#take").is_visible():  # whose page is closed
+            found.locator("#take").click()
+            found.locator("#holder").get_by_text("You hold the rig").wait_for()
+        yield found
 
 
 def start(page, serial, lot=""):

@@ -153,18 +153,9 @@ def test_the_picture_is_lit_by_the_channel_of_the_recipe_else_by_the_usual_one()
 
 
 @pytest.fixture
-def page(chromium, address):
-    asked, said = [], []
-    found = chromium.new_page(viewport={"width": 1024, "height": 768})
-    found.set_default_timeout(15_000)
-    found.on("request", lambda one: asked.append(one.url))
-    found.on("console", lambda one: said.append(one.text))
-    found.on("pageerror", lambda one: said.append(str(one)))
-    found.goto(address)
-    yield found
-    found.close()
-    assert said == []
-    assert {url.startswith((address, f"blob:{address}", "data:")) for url in asked} == {True}
+def page(opened_page, address):
+    with opened_page(address) as found:
+        yield found
 
 
 @pytest.mark.browser
