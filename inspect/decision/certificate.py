@@ -179,7 +179,7 @@ class StoredCertificate(BaseModel):
     @property
     def text(self) -> str:
         """The certificate in a sentence of the report."""
-        return message(
+        proven = message(
             "at most {highest} with {confidence} confidence, whatever the distribution ({alarms} of {count} good parts "
             "failed; {day})",
             highest=f"{self.highest:.2%}",
@@ -188,6 +188,9 @@ class StoredCertificate(BaseModel):
             alarms=self.alarms,
             day=self.certified_on,
         )
+        if self.stated is None:
+            return proven
+        return message("{proven}; the model states {stated}", proven=proven, stated=f"{self.stated:.2%}")
 
 
 def certificate_path(recipe_path: Path) -> Path:

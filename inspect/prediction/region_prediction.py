@@ -310,7 +310,7 @@ class _Facets:
     """Prediction of regions of few ridges, facet by facet: each with the lobe of its class, shadows of the whole map.
 
     What the points of the map do to walls and crests is made good for by the profile of all regions of the class
-    together (`anisoscope.prediction.ridge_edges.field_edges`). Light that is reflected more than once is that of the
+    together (`anisoscope.prediction.field_edges.field_edges`). Light that is reflected more than once is that of the
     groove of this profile, else of the median ridge angle; uncertainties are those of ideal ridges, of the profile, and
     of walls that the map does not show.
     """
