@@ -122,12 +122,16 @@ def _tell_pushed(lines: "list[Pushed | str]", done: int, failed: int, url: str, 
         return
     for one in problems:
         write_line(one)
-    words = f"{done} inspections in {url}, {len(new)} of them new, {sent / 1e6:.1f} MB sent"
+    words = f"{_counted(done, 'inspection')} in {url}, {len(new)} of them new, {sent / 1e6:.1f} MB sent"
     write_line(
         words
-        + (f", {removed} local folders removed" if removed else "")
+        + (f", {_counted(removed, 'local folder')} removed" if removed else "")
         + (f", {failed} refused" if failed else "")
     )
+
+
+def _counted(number: int, word: str) -> str:
+    return f"{number} {word}" + ("" if number == 1 else "s")
 
 
 @app.command
@@ -242,7 +246,7 @@ def verify(
     for line in found.unread:
         write_line(line)
     write_line(
-        f"{found.inspections} inspections, {found.objects} files, {found.hashed} hashed: "
+        f"{_counted(found.inspections, 'inspection')}, {_counted(found.objects, 'file')}, {found.hashed} hashed: "
         + ("none damaged; " if found.intact else "")
         + f"at most {100.0 * found.share:.2g} % of the files are damaged ({confidence:g} % confidence)"
     )

@@ -3,8 +3,10 @@
 The object store is moto's server with its authentication enforced; it is somebody else's, but no full S3 server.
 """
 
+import contextlib
 import json
 import os
+import resource
 import signal
 from collections import Counter
 from datetime import UTC, datetime, timedelta
@@ -234,6 +236,29 @@ def test_a_push_that_is_killed_anywhere_goes_on_and_loses_nothing(finished, tmp_
     assert read_record(folder) == record
 
 
+@contextlib.contextmanager
+def files_up_to(count):
+    """The operating system refuses every file that becomes longer, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (count, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_store_without_space_is_one_line_and_the_push_goes_on_later(finished, folder_store, tmp_path):
+    with files_up_to(50_000), pytest.raises(ArchiveError, match=r"cannot be written: File too large$"):
+        push_all(folder_store, [finished.parent], remove=True, tell=lambda _: None)
+    assert (archived(folder_store), verify(finished).intact) == ([], True)
+    push_all(folder_store, [finished.parent], remove=True, tell=lambda _: None)
+    (name,) = archived(folder_store)
+    with files_up_to(50_000), pytest.raises(RecordError, match=r"cannot write .*: File too large$"):
+        pull(folder_store, read_manifest(folder_store, name), tmp_path / "restored")
+    assert verify(pull(folder_store, read_manifest(folder_store, name), tmp_path / "restored")).intact
+    assert [one.name for one in (tmp_path / "restored").iterdir() if one.name.startswith(".")] == []
+
+
 def test_a_damaged_folder_and_a_damaged_archive_are_refused(finished, folder_store, tmp_path):
     path = finished / "frames" / "000_dark.tif"
     content = path.read_bytes()
@@ -408,7 +433,7 @@ def test_the_commands(finished, anisoscope, tmp_path):
     share, out = tmp_path / "share", finished.parent
     (tmp_path / "anisoscope.toml").write_text('store = "share"\n', encoding="utf-8")
     done = anisoscope("archive", "push", out, cwd=tmp_path)
-    assert (done.code, "1 inspections in" in done.out) == (0, True), done.err
+    assert (done.code, "1 inspection in" in done.out) == (0, True), done.err
     listed = anisoscope("archive", "ls", "T-1", "--store", share, "--json").json
     assert [one["serial"] for one in listed["inspections"]] == ["T-1"]
     proven = anisoscope("archive", "verify", "--store", share)

@@ -38,6 +38,7 @@ pytestmark = pytest.mark.soak
 TIMES = int(os.environ.get("ANISOSCOPE_SOAK_KILLS", "200"))
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 AT_ONCE = 4  # inspections that wait for a push, or for a retention
+AN_ARCHIVE = 20  # moments after which a new archive begins: the whole of it is verified after every one
 
 
 def quiet(_):
@@ -128,6 +129,14 @@ class Station:
         self.made.append(serial)
         return self.copy_of(self.base, self.out / serial, self.model, serial=serial, **changes)
 
+    def fill(self):
+        """Inspect until as many wait for a push as always."""
+        for _ in range(AT_ONCE - len(self.local())):
+            self.inspect()
+
+    def push(self, store=None):
+        push_all(store or self.store, [self.out], remove=True, tell=quiet)
+
     def local(self):
         return [path for path in self.out.iterdir() if path.name.startswith("P-")]
 
@@ -145,119 +154,160 @@ class Station:
 
 @pytest.fixture
 def station(inspected_part, copy_of, tmp_path):
-    return lambda store: Station(inspected_part[1].folder, copy_of, tmp_path / "station", store)
+    return lambda store, number=0: Station(
+        inspected_part[1].folder, copy_of, tmp_path / f"station {number}", store
+    )
 
 
-def killed_after(work, seconds):
-    """Do something in a child that is killed after a time; whether it was."""
+def series():
+    """How many moments each archive sees."""
+    return [min(AN_ARCHIVE, TIMES - first) for first in range(0, TIMES, AN_ARCHIVE)]
+
+
+def begun(work):
+    """A child that does something."""
     child = os.fork()
     if child == 0:
         try:
             work()
         finally:
             os._exit(0)
+    return child
+
+
+def killed_after(work, seconds):
+    """Do something in a child that is killed after a time; whether it was."""
+    child = begun(work)
     time.sleep(seconds)
     os.kill(child, signal.SIGKILL)
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
 def seconds_of(work):
-    """How long it takes undisturbed."""
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
+    """How long a child takes for it undisturbed, its start with it."""
+    start = time.perf_counter()
+    os.waitpid(begun(work), 0)
+    return time.perf_counter() - start
 
 
 def test_a_push_killed_at_random_moments(station, tmp_path):
-    store, rng, killed, broken = FolderStore(tmp_path / "share"), np.random.default_rng(11), 0, 0
-    one = station(store)
-
-    def work():
-        push_all(store, [one.out], remove=True, tell=quiet)
-
-    for _ in range(AT_ONCE):
-        one.inspect()
-    longest = seconds_of(work)
-    for _ in range(TIMES):
-        for _ in range(AT_ONCE - len(one.local())):
-            one.inspect()
-        killed += killed_after(work, rng.uniform(0.0, longest))
-        here, _ = one.check()
-        broken += 0 < here < AT_ONCE
-    work()
-    assert one.check() == (0, len(one.made))
-    assert not list(one.out.glob(".removed-*"))
-    print(f"{killed} of {TIMES} pushes killed, {broken} between two inspections; {len(one.made)} inspections")  # noqa: T201
+    rng, killed, broken, made = np.random.default_rng(11), 0, 0, 0
+    for number, times in enumerate(series()):
+        one = station(FolderStore(tmp_path / f"share {number}"), number)
+        work = one.push
+        one.fill()
+        longest = seconds_of(work)
+        for _ in range(times):
+            one.fill()
+            killed += killed_after(work, rng.uniform(0.0, longest))
+            here, _ = one.check()
+            broken += 0 < here < AT_ONCE
+        work()
+        assert one.check() == (0, len(one.made))
+        assert not list(one.out.glob(".removed-*"))
+        made += len(one.made)
+    print(f"{killed} of {TIMES} pushes killed, {broken} between two inspections; {made} inspections")  # noqa: T201
     assert killed > TIMES // 10
+    assert broken > TIMES // 20
+
+
+class SlowShare(FolderStore):
+    """A share over a network, on which what changes it takes some milliseconds: time in which a program is killed."""
+
+    def write(self, name, content):
+        time.sleep(0.005)
+        super().write(name, content)
+
+    def delete(self, name):
+        time.sleep(0.005)
+        super().delete(name)
+
+
+class Ruled:
+    """An archive of a station, of which a rule deletes what is old but for one inspection that is held."""
+
+    def __init__(self, station):
+        self.station, self.store = station, station.store
+        check_format(self.store, begin=True)
+        self.stay = {station.inspect(created_at=NOW.isoformat()).name for _ in range(AT_ONCE)}
+        held = station.inspect(created_at=(NOW - timedelta(days=500)).isoformat()).name
+        station.push()
+        hold(self.store, next(one for one in self.there() if one.serial == held), "claim", "R", NOW)
+        self.stay.add(held)
+
+    def there(self):
+        return list(manifests(self.store, archived(self.store)))
+
+    def old(self):
+        return {one.serial for one in self.there()} - self.stay
+
+    def fill(self):
+        """Archive old inspections until the rule has as many to delete as always."""
+        for _ in range(AT_ONCE - len(self.old())):
+            self.station.inspect(created_at=(NOW - timedelta(days=400)).isoformat())
+        mark = self.store.folder / "clearing.json"  # of a program that was killed: it ends after a day
+        mark.unlink(missing_ok=True)
+        self.station.push()
+
+    def retain(self):
+        for one in due(self.store, [parse_rule("PASS:365")], NOW):
+            if one.held is None:
+                let_go(self.store, one, "me", NOW)
+        clear(self.store, datetime.now(UTC) + timedelta(days=2))
+
+    def check(self):
+        """What stays is there, the rest is there or noted as deleted, and all is whole; how many old ones are left."""
+        notes = (self.store.folder / "deleted").glob("[!.]*")
+        noted = {json.loads(path.read_text())["inspection"]["serial"] for path in notes}
+        assert self.stay <= {one.serial for one in self.there()}
+        assert not noted & self.stay
+        assert self.stay | self.old() | noted == set(self.station.made)
+        assert prove(self.store, 0.0, 0.95, np.random.default_rng(1)).intact
+        return len(self.old())
 
 
 def test_a_retention_killed_at_random_moments(station, tmp_path):
-    store, rng, killed = FolderStore(tmp_path / "share"), np.random.default_rng(12), 0
-    check_format(store, begin=True)
-    one = station(store)
-    rule, later = parse_rule("PASS:365"), datetime.now(UTC) + timedelta(days=2)
-    stay = [one.inspect(created_at=NOW.isoformat()).name for _ in range(AT_ONCE)]
-    held = one.inspect(created_at=(NOW - timedelta(days=500)).isoformat()).name
-    push_all(store, [one.out], remove=True, tell=quiet)
-    hold(store, next(m for m in manifests(store, archived(store)) if m.serial == held), "claim", "R", NOW)
-
-    def work():
-        for old in due(store, [rule], NOW):
-            if old.held is None:
-                let_go(store, old, "me", NOW)
-        clear(store, later)
-
-    def old_ones():
-        for _ in range(AT_ONCE):
-            one.inspect(created_at=(NOW - timedelta(days=400)).isoformat())
-        (store.folder / "clearing.json").unlink(
-            missing_ok=True
-        )  # of a program that was killed: it ends after a day
-        push_all(store, [one.out], remove=True, tell=quiet)
-
-    old_ones()
-    longest = seconds_of(work)
-    for _ in range(TIMES):
-        old_ones()
-        killed += killed_after(work, rng.uniform(0.0, longest))
-        there = [m.serial for m in manifests(store, archived(store))]
-        noted = {
-            json.loads(path.read_text())["inspection"]["serial"]
-            for path in (store.folder / "deleted").glob("[!.]*")
-        }
-        assert {*stay, held} <= set(there)
-        assert not noted & {*stay, held}
-        assert set(there) | noted == set(one.made)
-        assert prove(store, 0.0, 0.95, np.random.default_rng(1)).intact
-    work()
-    assert {m.serial for m in manifests(store, archived(store))} == {*stay, held}
-    print(f"{killed} of {TIMES} retentions killed, {len(noted)} inspections deleted by rule")  # noqa: T201
+    rng, killed, broken, gone = np.random.default_rng(12), 0, 0, 0
+    for number, times in enumerate(series()):
+        ruled = Ruled(station(SlowShare(tmp_path / f"share {number}"), number))
+        ruled.fill()
+        longest = seconds_of(ruled.retain)
+        for _ in range(times):
+            ruled.fill()
+            killed += killed_after(ruled.retain, rng.uniform(0.0, longest))
+            broken += 0 < ruled.check() < AT_ONCE
+        ruled.retain()
+        assert ruled.check() == 0
+        gone += len(ruled.station.made) - len(ruled.stay)
+    print(f"{killed} of {TIMES} retentions killed, {broken} between two inspections; {gone} deleted by rule")  # noqa: T201
     assert killed > TIMES // 10
+    assert broken > TIMES // 20
 
 
 def test_a_line_to_the_store_cut_at_random_bytes(station, s3, server, cut_line):
     host, port = server[0].removeprefix("http://").split(":")
-    line, direct = cut_line((host, int(port))), open_store(s3("cut"))
-    check_format(direct, begin=True)
-    one, rng, refused = station(direct), np.random.default_rng(13), []
-    for _ in range(AT_ONCE):
-        one.inspect()
-    line.cut_after(None)
-    through = open_store(s3("cut", f"http://127.0.0.1:{line.port}"))
-    push_all(through, [one.out], remove=True, tell=quiet)
-    for _ in range(TIMES):
-        for _ in range(AT_ONCE - len(one.local())):
-            one.inspect()
-        line.cut_after(int(rng.integers(0, 60_000)), again=bool(rng.random() < 0.3))
-        try:
-            push_all(through, [one.out], remove=True, tell=quiet)
-        except ArchiveError as error:
-            refused.append(str(error))
-        one.check()
-    line.cut_after(None)
-    push_all(through, [one.out], remove=True, tell=quiet)
-    assert one.check() == (0, len(one.made))
-    print(f"{len(refused)} of {TIMES} pushes ended by the cut line; {len(one.made)} inspections")  # noqa: T201
+    line, rng, refused, made = cut_line((host, int(port))), np.random.default_rng(13), [], 0
+    for number, times in enumerate(series()):
+        direct = open_store(s3(f"cut-{number}"))
+        check_format(direct, begin=True)
+        one = station(direct, number)
+        one.fill()
+        line.cut_after(None)
+        through = open_store(s3(f"cut-{number}", f"http://127.0.0.1:{line.port}"))
+        one.push(through)
+        for _ in range(times):
+            one.fill()
+            line.cut_after(int(rng.integers(0, 60_000)), again=bool(rng.random() < 0.3))
+            try:
+                one.push(through)
+            except ArchiveError as error:
+                refused.append(str(error))
+            one.check()
+        line.cut_after(None)
+        one.push(through)
+        assert one.check() == (0, len(one.made))
+        made += len(one.made)
+    print(f"{len(refused)} of {TIMES} pushes ended by the cut line; {made} inspections")  # noqa: T201
     assert not [line for line in refused if "\n" in line]
     assert len(refused) > TIMES // 10
 
