@@ -621,6 +621,7 @@ def commission(
         frames=frames,
         dark_frames=max(frames, 4),
         settle_s=settle_s,
+        light_channel=recipe.acquisition.light_channel,
     )
     return find(
         Path(rig),

@@ -49,7 +49,7 @@ TEMPLATES = (
     ),
     *(
         f"inspect/console/templates/fleet{name}.html"
-        for name in ("", "_charts", "_inspection", "_maps", "_parts")
+        for name in ("", "_charts", "_inspection", "_maps", "_parts", "_view")
     ),
 )
 CALLS = (
@@ -90,6 +90,8 @@ SENTENCES = {
     "inspect/kinds/prints/quantities.py": ("sentence", "colour"),
     "inspect/kinds/prints/missing_ink.py": ("reason",),
     "inspect/kinds/prints/report.py": ("print_rule",),
+    "inspect/quality/control.py": ("verdict", "_trouble", "capable_words", "_notes"),
+    "inspect/quality/capability.py": ("specification", "_one"),
     "inspect/cli/inspect/batch_operator.py": ("place", "serial_of", "trouble", "_part"),
     "inspect/cli/rig/motion.py": {"confirm"},
     "inspect/inspection/run.py": {"advance"},
@@ -164,6 +166,19 @@ FURTHER = (
     *("cell contrast", "minimum reflectance", "cell modulation", "fixed pattern damage", "not read"),
     *("axial non-uniformity", "grid non-uniformity", "unused error correction", "row, column", "class"),
     *("ln ratio", "looks like", "fields that deviate", "The fields are at {places}"),
+    *("idle", "running", "fault", "off", "no sign", "capable", "barely capable", "not capable"),
+    *(
+        "1 pattern",
+        "{count} patterns",
+        "1 jump",
+        "{count} jumps",
+        "1 value",
+        "{count} values",
+        "the selection",
+    ),
+    "a control chart needs at least {least} measured values, not {count}",
+    "no two measured values of the baseline follow each other: there is no moving range",
+    "all values of the baseline are the same: there is nothing to draw limits from; is the number rounded?",
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
 )
 """Names that reach the page or the console from data."""

@@ -10,7 +10,7 @@ from anisoscope.base.errors import ConfigError, RecipeError
 
 def with_values(
     text: str,
-    changes: Mapping[tuple[str, ...], Any] | Mapping[tuple[str, str], Any],
+    changes: Mapping[tuple[str, ...], Any],
     error: type[ConfigError] = RecipeError,
     what: str = "recipe",
 ) -> str:
@@ -18,7 +18,7 @@ def with_values(
 
     Args:
         text: of a recipe or another file.
-        changes: new values by (key,) at the top or (table, key).
+        changes: new values by (key,) at the top, (table, key), or (table, table in it, key).
         error: what is raised.
         what: word for the file in its message.
 
@@ -52,9 +52,12 @@ def _changed(text: str, place: tuple[str, ...], value: object, end: str) -> str:
     if len(place) == 1:
         stop = headers[0] if headers else stop
     else:
-        named = [k for k in headers if re.match(rf"\s*\[\s*{re.escape(place[0])}\s*\]", lines[k])]
+        name = r"\s*\.\s*".join(map(re.escape, place[:-1]))
+        named = [k for k in headers if re.match(rf"\s*\[\s*{name}\s*\]", lines[k])]
         if not named:
-            return end.join([*lines, "", f"[{place[0]}]", f"{place[-1]} = {toml_literal(value)}", ""])
+            return end.join(
+                [*lines, "", f"[{'.'.join(place[:-1])}]", f"{place[-1]} = {toml_literal(value)}", ""]
+            )
         start = named[0] + 1
         stop = next((k for k in headers if k >= start), stop)
     key = re.compile(rf"(\s*{re.escape(place[-1])}\s*=\s*)([^#]*?)(\s*#.*)?$")

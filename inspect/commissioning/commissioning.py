@@ -43,7 +43,7 @@ from anisoscope.record.schema import sha256_of
 from anisoscope.rig.rigfile import RigFile, read_rig
 
 Value = str | int | float
-Changes = Mapping[tuple[str, str], Value]
+Changes = Mapping[tuple[str, ...], Value]
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def update_rig_file(path: Path, changes: Changes) -> Written:
 
     Args:
         path: the rig file.
-        changes: new values by (table, key).
+        changes: new values by the names of tables and key.
 
     Raises:
         RigFileError: the file cannot be read, or would no longer be a rig file.
@@ -88,8 +88,11 @@ def _dumped(text: str, changes: Changes) -> str:
     import tomli_w  # noqa: PLC0415 - start-up time
 
     tables = tomllib.loads(text)
-    for (table, key), value in changes.items():
-        tables.setdefault(table, {})[key] = value
+    for place, value in changes.items():
+        table = tables
+        for name in place[:-1]:
+            table = table.setdefault(name, {})
+        table[place[-1]] = value
     return tomli_w.dumps(tables)
 
 
@@ -227,7 +230,7 @@ def commission(
         MeasurementError: the pictures do not carry it.
         RecordError: the frames cannot be written.
     """
-    file = read_rig(rig_path)
+    file = read_rig(rig_path, channel=series.light_channel)
     if file.fixture is not None:
         check_fixture(file.fixture)
     white = _white(file)
@@ -253,7 +256,7 @@ def _white(file: RigFile) -> WhiteReference | None:
     return None if file.calibration is None else read_reference(file.calibration.flat)
 
 
-def changes_of(record: Commissioning) -> dict[tuple[str, str], str | int | float]:
+def changes_of(record: Commissioning) -> dict[tuple[str, ...], str | int | float]:
     """Changes for ``--write``: findings that differ, rounded to a tenth of their uncertainty."""
     found = {}
     for finding in record.findings:
@@ -263,8 +266,7 @@ def changes_of(record: Commissioning) -> dict[tuple[str, str], str | int | float
         if isinstance(value, float):
             value = round(value, _decimals(finding))
         if value != finding.old:
-            table, _, key = finding.key.partition(".")
-            found[table, key] = value
+            found[tuple(finding.key.split("."))] = value
     return found
 
 

@@ -86,8 +86,10 @@ def light_finding(angles: Angles, file: RigFile) -> Finding:
         remarks.append(
             f"u is above {MAX_U_LIGHT_DEG:g}°: state what is known of the part more exactly, or tilt the arm"
         )
+    channels, name = file.light.channels, file.light.channel
+    own = name if name in channels and channels[name].angle_deg is not None else None
     return Finding(
-        key="light.angle_deg",
+        key=f"light.{'' if own is None else f'channels.{own}.'}angle_deg",
         words="angle between light and camera",
         unit="°",
         old=file.light.angle_deg,

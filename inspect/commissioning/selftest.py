@@ -466,7 +466,7 @@ def self_test(
         RigFileError, UsageError: the rig file, an exposure that makes no sense.
         CalibrationError: the record was named and cannot be read.
     """
-    file = read_rig(rig_path)
+    file = read_rig(rig_path, channel=settings.light_channel)
     known, problem = _commissioned(rig_path, commissioned)
     checks: list[Check] = []
     devices: dict[str, str] = {}

@@ -44,6 +44,7 @@ class Settings:
         white_days: age of the white reference.
         shading_share: largest change of the shading since the white reference.
         level_share: largest change of the light since the white reference.
+        light_channel: of the rig file; None for the one that it uses by default.
     """
 
     exposure_s: float
@@ -68,6 +69,7 @@ class Settings:
     white_days: float = 30.0
     shading_share: float = 0.02
     level_share: float = 0.1
+    light_channel: str | None = None
 
     def __post_init__(self) -> None:
         if not (0.0 < self.exposure_s < float("inf") and 0.0 < self.gain < float("inf")):

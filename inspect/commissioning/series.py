@@ -43,6 +43,7 @@ class Series:
         frames: frames of every pose, averaged.
         dark_frames: frames with the light off.
         settle_s: seconds to wait after every move.
+        light_channel: of the rig file; None for the one that it uses by default.
     """
 
     exposure_s: float
@@ -53,6 +54,7 @@ class Series:
     frames: int = 2
     dark_frames: int = 4
     settle_s: float = 0.0
+    light_channel: str | None = None
 
     def __post_init__(self) -> None:
         for name, step in (("step", self.step_deg), ("tilt step", self.tilt_step_deg)):

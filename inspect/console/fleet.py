@@ -5,12 +5,16 @@ dispositions, whose token a script sends.
 """
 
 import itertools
+import math
+import threading
 from base64 import b64encode
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlencode
@@ -22,11 +26,12 @@ from fastapi.responses import HTMLResponse, StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
-from anisoscope.base.language import decimal, message, translated
+from anisoscope.base.language import decimal, language, message, translated
 from anisoscope.base.notation import number_name, number_text, true_minus
 from anisoscope.console.access import Access, Needs, Session
-from anisoscope.console.pages import render, report_at
+from anisoscope.console.pages import drawn, render, report_at
 from anisoscope.console.trail import Trail
 from anisoscope.history.address import parse_address
 from anisoscope.history.columns import us_to_datetime
@@ -36,6 +41,7 @@ from anisoscope.history.export import csv_lines, json_lines
 from anisoscope.history.filters import MOST_IDS, Filters, parse_moment
 from anisoscope.history.overview import Facts, IntArray, Overview
 from anisoscope.history.rows import MAX_TEXT, Row
+from anisoscope.history.signs import Sign, State, read_signs
 from anisoscope.history.store import History, open_history
 from anisoscope.inspection.report_seal import report_state
 from anisoscope.quality.capability import charted, specification
@@ -47,11 +53,15 @@ from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.study.statistics import Rate, rate
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
+
     from anisoscope.imaging.deviation_map import CellMap
 
 A_PAGE, A_PORTION = 50, 500
 CHARTED, CHARTS = 2000, 12
 CAUSES, STATIONS, CHOICES, LAST = 12, 100, 200, 20
+FRESH_S, VIEWS = 1.0, 64
+SAYING = {"running", "fault"}
 LETTERS = {"PASS": "P", "FAIL": "F", "INCONCLUSIVE": "?", "INVALID": "!"}
 
 Looks = Annotated[Session, Depends(Needs("look"))]
@@ -120,36 +130,59 @@ class Decided(BaseModel):
 
 
 def fleet_router(
-    history: str | Path | None, now: Callable[[], datetime] = lambda: datetime.now(UTC)
+    history: str | Path | None,
+    now: Callable[[], datetime] = lambda: datetime.now(UTC),
+    clock: Clock = SYSTEM,
 ) -> APIRouter:
     """Routes of the fleet page.
 
     Args:
         history: what `anisoscope.history.store.open_history` takes; None without a history.
         now: the time, with a zone.
+        clock: a monotonic clock in seconds.
     """
-    router = APIRouter(include_in_schema=False)
-    fleet = _Fleet(history, now, Overview())
+    router = APIRouter()
+    get = partial(router.get, include_in_schema=False)
+    fleet = _Fleet(history, now, Overview(), _Views(clock))
 
-    @router.get("/fleet")
+    @router.get("/api/v1/stations", summary="Stations of the history: what each does, and since when")
+    def stations(_: Looks) -> list[StationNow]:
+        return fleet.stations()
+
+    @get("/fleet")
     def page(request: Request, _: Looks, asked: Wants) -> HTMLResponse:
-        return render(request, "fleet.html", asked=asked, **fleet.page(asked))
+        view, mark = fleet.view(asked)
+        return render(request, "fleet.html", view=view, mark=mark)
 
-    @router.get("/fleet/charts")
+    @get("/fleet/view")
+    def view(request: Request, _: Looks, asked: Wants) -> Response:
+        content, mark = fleet.view(asked)
+        if request.headers.get("if-none-match") == mark:
+            return Response(status_code=304, headers={"ETag": mark})
+        return HTMLResponse(content, headers={"ETag": mark})
+
+    @get("/fleet/charts")
     def charts(request: Request, _: Looks, asked: Wants) -> HTMLResponse:
         return render(request, "fleet_charts.html", asked=asked, **fleet.charts(asked))
 
-    @router.get("/fleet/maps")
+    @get("/fleet/maps")
     def maps(request: Request, _: Looks, asked: Wants) -> HTMLResponse:
         return render(request, "fleet_maps.html", asked=asked, **fleet.maps(asked))
 
-    @router.get("/fleet/export/{form}")
+    @get("/fleet/export/{form}")
     def export(form: Literal["csv", "json"], _: Looks, asked: Wants) -> Response:
         kind = "text/csv; charset=utf-8" if form == "csv" else "application/json"
         name = {"Content-Disposition": f'attachment; filename="inspections.{form}"'}
         return StreamingResponse(fleet.export(form, asked), media_type=kind, headers=name)
 
-    @router.get("/fleet/inspections/{number}")
+    _add_inspections(router, fleet)
+    return router
+
+
+def _add_inspections(router: APIRouter, fleet: "_Fleet") -> None:
+    """Routes of one inspection."""
+
+    @router.get("/fleet/inspections/{number}", include_in_schema=False)
     def inspection(request: Request, _: Looks, number: Number) -> HTMLResponse:
         row, decided = fleet.inspection(number)
         content = {
@@ -160,14 +193,14 @@ def fleet_router(
         }
         return render(request, "fleet_inspection.html", row=row, time=_time, **content)
 
-    @router.get("/fleet/inspections/{number}/report")
+    @router.get("/fleet/inspections/{number}/report", include_in_schema=False)
     def report(_: Looks, number: Number) -> Response:
         path, where = _report(fleet.inspection(number)[0])
         if path is None:
             raise HTTPException(404, where)
         return report_at(path)
 
-    @router.post("/fleet/inspections/{number}/dispositions")
+    @router.post("/fleet/inspections/{number}/dispositions", include_in_schema=False)
     def dispose(
         request: Request,
         session: Annotated[Session, Depends(Needs("review"))],
@@ -178,7 +211,33 @@ def fleet_router(
         made = fleet.dispose(number, session.name, given, access.trail)
         return {"id": made.id, "reviewer": made.reviewer, "decision": made.decision, "reason": made.comment}
 
-    return router
+
+@dataclass(eq=False)
+class _Views:
+    """Drawn views, shared by all sessions and checked against the state of the history once a second."""
+
+    clock: Clock
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _asked_at: float = -math.inf
+    _state: object = None
+    _drawn: "OrderedDict[str, tuple[object, Markup, str]]" = field(default_factory=OrderedDict)
+
+    def view(
+        self, name: str, state: Callable[[], object], draw: "Callable[[], Markup]"
+    ) -> "tuple[Markup, str]":
+        """A view and its mark, which changes with it; drawn anew where the state is another one."""
+        with self._lock:
+            if self.clock() - self._asked_at >= FRESH_S:
+                self._state, self._asked_at = state(), self.clock()
+            known = self._drawn.get(name)
+            if known is None or known[0] != self._state:
+                content = draw()
+                known = self._state, content, f'"{sha256(content.encode()).hexdigest()[:32]}"'
+            self._drawn[name] = known
+            self._drawn.move_to_end(name)
+            while len(self._drawn) > VIEWS:
+                self._drawn.popitem(last=False)
+            return known[1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +247,7 @@ class _Fleet:
     place: str | Path | None
     now: Callable[[], datetime]
     overview: Overview
+    views: _Views
 
     @contextmanager
     def history(self) -> Iterator[History | None]:
@@ -208,19 +268,37 @@ class _Fleet:
             chosen &= np.isin(facts.ids, known)
         return facts, facts.ordered(chosen)
 
+    def state(self) -> object:
+        """What views depend on: the newest rows, what stations do, and the minute, for ages are in words."""
+        minute = int(self.now().timestamp() // 60)
+        with self.history() as history:
+            if history is None:
+                return minute
+            does = tuple((one.station, *one.now(), one.words) for one in read_signs(history))
+            return minute, history.head(), history.disposition_head(), does
+
+    def view(self, asked: Asked) -> "tuple[Markup, str]":
+        """The view of stations, causes and a page of the list, and its mark."""
+
+        def draw() -> "Markup":
+            return drawn("fleet_view.html", asked=asked, **self.page(asked))
+
+        return self.views.view(f"{language()} {asked.query(page=asked.page)}", self.state, draw)
+
     def page(self, asked: Asked) -> dict[str, Any]:
         """Stations, causes and a page of the list."""
         with self.history() as history:
             facts, places = self.selected(history, asked)
             ids = _ids(facts, places[::-1][(asked.page - 1) * A_PAGE : asked.page * A_PAGE])
             rows = [] if history is None else history.rows(Filters(ids=ids))[::-1]
+            signs = [] if history is None else read_signs(history)
             decided = {} if history is None else history.dispositions_of(ids)
         chosen = np.zeros(len(facts), dtype=np.bool_)
         chosen[places] = True
         return {
             "total": len(facts),
             "count": len(places),
-            "stations": _stations(facts, places, self.now()),
+            "stations": _stations(facts, places, signs, self.now(), asked.station)[:STATIONS],
             "rate": _yield(facts, places),
             "verdicts": facts.counts("verdict", chosen),
             "causes": _pareto(facts.counts("cause", chosen)),
@@ -228,8 +306,18 @@ class _Fleet:
             "last_page": max(1, -(-len(places) // A_PAGE)),
             "choices": _choices(facts),
             "time": _time,
+            "since": partial(_since, now=self.now()),
             "letters": LETTERS,
         }
+
+    def stations(self) -> list["StationNow"]:
+        """What every station does; the silent ones are known by their inspections."""
+        with self.history() as history:
+            if history is None:
+                return []
+            facts, places = self.selected(history, Asked())
+            found = _stations(facts, places, read_signs(history), self.now())
+        return [one.present for one in found if one.present is not None]
 
     def charts(self, asked: Asked) -> dict[str, Any]:
         """Control charts of the latest ones."""
@@ -335,6 +423,23 @@ def _choices(facts: Facts) -> dict[str, list[str]]:
 # Stations, yield and causes.
 
 
+class StationNow(BaseModel):
+    """What a station does.
+
+    Attributes:
+        station: its name.
+        state: ``idle``, ``running``, ``fault`` (the last task failed), ``off`` (its program ended in order), or
+            ``no sign``.
+        since: when that began; without a sign the moment of the last one, or of the last inspection.
+        words: serial number of the part at work, or what is wrong.
+    """
+
+    station: str
+    state: State
+    since: datetime
+    words: str = ""
+
+
 @dataclass(frozen=True)
 class Station:
     """A station as far as the history knows it.
@@ -342,34 +447,56 @@ class Station:
     Attributes:
         name: "" where none was stated.
         count: inspections.
-        last: when the last one was made.
+        last: when the last one was made; None without one.
         age: since then, in words.
         verdicts: of the last ones, the oldest first.
         rate: share of PASS in all that could be judged.
+        present: what it does; None where no name was stated.
     """
 
     name: str
     count: int
-    last: datetime
+    last: datetime | None
     age: str
     verdicts: tuple[str, ...]
     rate: Rate
+    present: StationNow | None
 
 
-def _stations(facts: Facts, places: IntArray, now: datetime) -> list[Station]:
-    """The stations of some inspections, that with the last inspection first."""
-    if not len(places):
-        return []
+def _stations(
+    facts: Facts, places: IntArray, signs: Sequence[Sign], now: datetime, only: str | None = None
+) -> list[Station]:
+    """The stations of some inspections, that with the last inspection first, and those that give signs."""
     codes = facts.codes["station"][places]
     order = np.argsort(codes, kind="stable")
-    found = []
-    for some in np.split(places[order], np.flatnonzero(np.diff(codes[order])) + 1):
+    words, verdicts = facts.words["station"], facts.words["verdict"]
+    given, found = {sign.station: sign for sign in signs}, dict[str, Station]()
+    times = np.full(len(words), -1)
+    np.maximum.at(times, facts.codes["station"], facts.times)
+    latest = {name: us_to_datetime(at) for name, at in zip(words, times.tolist(), strict=True) if at >= 0}
+    for some in np.split(places[order], np.flatnonzero(np.diff(codes[order])) + 1) if len(places) else ():
         last = us_to_datetime(int(facts.times[some[-1]]))
-        words, verdicts = facts.words["station"], facts.words["verdict"]
-        latest = tuple(verdicts[code] for code in facts.codes["verdict"][some[-LAST:]])
+        shown = tuple(verdicts[code] for code in facts.codes["verdict"][some[-LAST:]])
         name = words[facts.codes["station"][some[0]]]
-        found.append(Station(name, len(some), last, _age(now - last), latest, _yield(facts, some)))
-    return sorted(found, key=lambda one: one.last, reverse=True)[:STATIONS]
+        present = _present(name, given.get(name), latest[name])
+        found[name] = Station(name, len(some), last, _age(now - last), shown, _yield(facts, some), present)
+    listed = sorted(found.values(), key=lambda one: one.last or now, reverse=True)
+    nothing = _yield(facts, places[:0])
+    for name in sorted(given.keys() - found.keys()):
+        if only in {None, name}:
+            present = _present(name, given[name], latest.get(name))
+            listed.append(Station(name, 0, None, "", (), nothing, present))
+    return listed
+
+
+def _present(name: str, sign: Sign | None, last: datetime | None) -> StationNow | None:
+    if not name:
+        return None
+    if sign is None:
+        assert last is not None
+        return StationNow(station=name, state="no sign", since=last)
+    state, since = sign.now(last)
+    return StationNow(station=name, state=state, since=since, words=sign.words if state in SAYING else "")
 
 
 def _yield(facts: Facts, places: IntArray) -> Rate:
@@ -403,6 +530,11 @@ def _age(since: timedelta) -> str:
     units = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
     size, unit = next((size, unit) for size, unit in units if seconds >= 2.0 * size)
     return message("{time} ago", time=f"{seconds / size:.0f} {unit}")
+
+
+def _since(moment: datetime, now: datetime) -> str:
+    at, today = moment.astimezone(), now.astimezone().date()
+    return at.strftime("%H:%M" if at.date() == today else "%Y-%m-%d %H:%M")
 
 
 def _time(moment: datetime) -> str:
@@ -455,7 +587,7 @@ def _charts(readings: Readings, asked: Asked, first: str) -> tuple[list[Chart], 
         try:
             found.append(_chart(title, name, part))
         except UsageError as error:
-            left_out.append(f"{title}: {error}")
+            left_out.append(f"{title}: {translated(str(error))}")
     if len(groups) > CHARTS:
         left_out.append(message("{count} more: choose one above", count=len(groups) - CHARTS))
     return found, left_out

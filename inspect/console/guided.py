@@ -361,9 +361,7 @@ def find_rotation(place: Workplace, advance: Advance, *, taking: Any) -> Outcome
     return _calibrated(calibrate_rotation(place.rig, path, taking, on_progress=advance), notes)
 
 
-def commission_rig(
-    place: Workplace, advance: Advance, *, recipe: Path, exposure_s: float, gain: float
-) -> Outcome:
+def commission_rig(place: Workplace, advance: Advance, *, recipe: Path, entry: RecipeEntry) -> Outcome:
     """Geometry of the rig, as `anisoscope rig commission`."""
     from anisoscope.commissioning.commissioning import commission, part_of_recipe  # noqa: PLC0415
     from anisoscope.commissioning.record import default_record_path, write_commissioning  # noqa: PLC0415
@@ -372,7 +370,8 @@ def commission_rig(
     from anisoscope.report.commission_page import finding_row  # noqa: PLC0415
 
     part = part_of_recipe(read_recipe(recipe), None, 0.1)
-    done = commission(place.rig, part, Series(exposure_s, gain), on_progress=advance)
+    series = Series(entry.exposure_s, entry.gain, light_channel=entry.channel)
+    done = commission(place.rig, part, series, on_progress=advance)
     write_commissioning(done.record, default_record_path(place.rig))
     rows = [
         (translated(words), f"{old} → {translated(value)} {unit}", f"u {u}")
@@ -534,9 +533,7 @@ def _rotation(asked: Entered, _: GuideState) -> list[Step]:
 
 
 def _commissioning(asked: Entered, _: GuideState) -> list[Step]:
-    find = partial(
-        commission_rig, recipe=asked.recipe, exposure_s=asked.entry.exposure_s, gain=asked.entry.gain
-    )
+    find = partial(commission_rig, recipe=asked.recipe, entry=asked.entry)
     return [
         Step(
             message("Place the known part of the recipe on the stage. All axes move: keep their paths free."),

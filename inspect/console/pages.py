@@ -14,9 +14,19 @@ from anisoscope.console.access import Permission
 
 if TYPE_CHECKING:
     import jinja2
+    import markupsafe
 
 KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-STATIC = ("console.css", "console.js", "fleet.css", "guide.js", "icon.svg", "picture.js", "station.js")
+STATIC = (
+    "console.css",
+    "console.js",
+    "fleet.css",
+    "fleet.js",
+    "guide.js",
+    "icon.svg",
+    "picture.js",
+    "station.js",
+)
 
 REPORT_POLICY = (
     "sandbox allow-scripts allow-popups; default-src 'none'; script-src 'unsafe-inline' data: blob:; "
@@ -44,6 +54,13 @@ def render(request: Request, template: str, **content: object) -> HTMLResponse:
         "here": request.url.path,
     }
     return HTMLResponse(_environment().get_template(template).render(**common, **content))
+
+
+def drawn(template: str, **content: object) -> "markupsafe.Markup":
+    """A part of a page that is the same in every session."""
+    import markupsafe  # noqa: PLC0415 - with Jinja2
+
+    return markupsafe.Markup(_environment().get_template(template).render(**content))  # noqa: S704 - escaped there
 
 
 @cache

@@ -9,20 +9,23 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from fastapi import HTTPException
 from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
-from anisoscope.console.access import Session
+from anisoscope.console.access import SINGLE_USER, Session
 from anisoscope.console.guided import Begin, Guided, Outcome, guides
 from anisoscope.console.live import EventLog, Eyes, Live
 from anisoscope.console.trail import Trail
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path, recipe_paths
 from anisoscope.inspection.work import Task, Worker, Workplace
 from anisoscope.record.schema import RECORD_NAME, Particulars
+
+if TYPE_CHECKING:
+    from anisoscope.history.signs import Doing
 
 SOON_DAYS = 7.0
 MOST_STREAMS = 200
@@ -75,6 +78,7 @@ class Station:
         eyes: camera and light for the live picture.
         trail: where starts, stops and other changes are recorded.
         name: of the station, for records.
+        report: called with what the station does whenever something happens (`anisoscope.history.signs.Beacon.show`).
     """
 
     def __init__(
@@ -86,8 +90,9 @@ class Station:
         eyes: Eyes | None,
         trail: Trail,
         name: str | None = None,
+        report: "Callable[[Doing, str], None]" = lambda *_: None,
     ) -> None:
-        self.place, self.recipes_folder, self.name = place, recipes, name
+        self.place, self.recipes_folder, self.name, self._report = place, recipes, name, report
         self.log, self.live = EventLog(), Live(eyes)
         self._worker, self._stop_axes, self._trail = worker, stop_axes, trail
         self._lock = threading.RLock()
@@ -119,12 +124,13 @@ class Station:
                 "failure": now.failure,
                 "notes": now.notes,
                 "guide": self._guided.shown(),
-                "holder": None if self._holder is None else {"id": self._holder[0], "name": self._holder[1]},
-                "asking": None if self._asking is None else {"id": self._asking[0], "name": self._asking[1]},
+                "holder": _browser(self._holder),
+                "asking": _browser(self._asking),
             }
 
     def _publish(self) -> None:
         self.log.add("state", self.state()[1])
+        self._report(*_in_short(self._now))
 
     @contextlib.contextmanager
     def watched_by(self, session: Session) -> Iterator[None]:
@@ -223,9 +229,10 @@ class Station:
         self._begin(session, Task("resume", folder=self.place.out / folder), {"folder": folder})
 
     def check(self, session: Session, recipe: str) -> None:
-        """Test the rig with the exposure of a recipe; errors as for `start`."""
+        """Test the rig with the exposure and the light channel of a recipe; errors as for `start`."""
         entry = self.recipe(recipe)
-        self._begin(session, Task("check", exposure_s=entry.exposure_s, gain=entry.gain), {"recipe": recipe})
+        task = Task("check", exposure_s=entry.exposure_s, gain=entry.gain, channel=entry.channel)
+        self._begin(session, task, {"recipe": recipe})
 
     def begin_guide(self, session: Session, given: Begin) -> None:
         """Begin guided work; its first step waits for `do_step`.
@@ -479,6 +486,24 @@ class Station:
         if folder not in known or not path.is_file():
             raise HTTPException(404, "there is no such report here")
         return path
+
+
+def _browser(one: tuple[str, str] | None) -> dict[str, str] | None:
+    """Who holds the rig or asks for it; without accounts that is this computer, in the language of the page."""
+    if one is None:
+        return None
+    return {"id": one[0], "name": message("this computer") if one[1] == SINGLE_USER else one[1]}
+
+
+def _in_short(now: _Present) -> "tuple[Doing, str]":
+    """What a station does, for the page of all stations; a fault is what ended the last task, but not a stop."""
+    if now.state in {"running", "stopping"}:
+        return "running", now.task.get("serial") or now.task.get("folder", "")
+    if now.state == "failed" and now.failure is not None and not now.failure["stopped"]:
+        return "fault", now.failure["text"]
+    if now.task.get("kind") == "check" and now.checked is not None and not now.checked["fit"]:
+        return "fault", message("the self test found the rig unfit")
+    return "idle", ""
 
 
 def _in_words(verdict: dict[str, Any]) -> dict[str, Any]:

@@ -110,6 +110,16 @@ covariates = Table(
     Column("previous", LargeBinary, nullable=False),
     Column("hash", LargeBinary, nullable=False),
 )
+# What each station does now, and when it said so last: the one table whose rows are replaced.
+stations = Table(
+    "stations",
+    metadata,
+    Column("station", Text, primary_key=True),
+    Column("doing", Text, nullable=False),
+    Column("words", Text, nullable=False),
+    Column("since_us", BigInteger, nullable=False),
+    Column("seen_us", BigInteger, nullable=False),
+)
 GUARDED = (versions, layouts, inspections, dispositions, signed_heads, time_stamps, covariates)
 _REFUSAL = "the history is append-only"
 
@@ -144,7 +154,7 @@ def _fourth(connection: Connection) -> None:
     for table in (signed_heads, time_stamps):
         _guard(connection, table)
     if connection.dialect.name == "postgresql":  # rigs that may add inspections may add their signatures
-        connection.execute(text(_POSTGRESQL_GRANTS.format(tables="signed_heads, time_stamps")))
+        connection.execute(text(_grants("signed_heads, time_stamps")))
 
 
 def _fifth(connection: Connection) -> None:
@@ -152,12 +162,24 @@ def _fifth(connection: Connection) -> None:
     metadata.create_all(connection, [covariates])
     _guard(connection, covariates)
     if connection.dialect.name == "postgresql":
-        connection.execute(text(_POSTGRESQL_GRANTS.format(tables="covariates")))
+        connection.execute(text(_grants("covariates")))
 
 
-MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third, _fourth, _fifth)
+def _sixth(connection: Connection) -> None:
+    """Version 6: signs of stations."""
+    metadata.create_all(connection, [stations])
+    if connection.dialect.name == "postgresql":
+        connection.execute(text(_grants("stations", "SELECT, INSERT, UPDATE")))
+
+
+def _grants(names: str, rights: str = "SELECT, INSERT") -> str:
+    """Statement: rights on tables for those who may add inspections."""
+    return _POSTGRESQL_GRANTS.format(rights=rights, tables=names)
+
+
+MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third, _fourth, _fifth, _sixth)
 VERSION = len(MIGRATIONS)
-WITH_DISPOSITIONS, WITH_SIGNED_HEADS, WITH_COVARIATES = 2, 4, 5
+WITH_DISPOSITIONS, WITH_SIGNED_HEADS, WITH_COVARIATES, WITH_STATIONS = 2, 4, 5, 6
 """Versions that brought tables; those before the first cannot be read without being brought up to date."""
 
 
@@ -260,7 +282,7 @@ DO $body$ DECLARE rig text; BEGIN
 FOR rig IN SELECT DISTINCT grantee FROM information_schema.role_table_grants
 WHERE table_schema = current_schema() AND table_name = 'inspections' AND privilege_type = 'INSERT'
 AND grantee NOT IN (current_user, 'PUBLIC')
-LOOP EXECUTE format('GRANT SELECT, INSERT ON {tables} TO %I', rig); END LOOP;
+LOOP EXECUTE format('GRANT {rights} ON {tables} TO %I', rig); END LOOP;
 END $body$
 """
 _POSTGRESQL_TRIGGERS = """

@@ -68,6 +68,7 @@ class Task:
     folder: Path | None = None
     exposure_s: float = 0.0
     gain: float = 1.0
+    channel: str | None = None
     fresh: bool = True
     stopped: bool = False
     do: "Callable[[Workplace, Advance], Any] | None" = None
@@ -261,7 +262,11 @@ def _check(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) ->
             raise KeyboardInterrupt("the self test was stopped")
         emit("progress", {"doing": doing, "done": done, "total": total})
 
-    result = self_test(place.rig, Settings(exposure_s=task.exposure_s, gain=task.gain), on_progress=advance)
+    result = self_test(
+        place.rig,
+        Settings(exposure_s=task.exposure_s, gain=task.gain, light_channel=task.channel),
+        on_progress=advance,
+    )
     write_self_test(result, place.out / "selftests")
     emit("checked", as_json({"fit": result.fit, "checks": [one.model_dump() for one in result.checks]}))
 

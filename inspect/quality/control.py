@@ -314,17 +314,17 @@ class ControlStudy:
     def _trouble(self) -> str:
         found = []
         if self.flags:
-            first = self.flags[0]
-            found.append(
-                f"{_times(len(self.flags), 'pattern')}, the first at {self.labels[first.seen_at]} "
-                f"(rule {first.rule}: {first.text})"
-            )
+            first, patterns = self.flags[0], _times(len(self.flags), "pattern")
+            name, rule, meaning = self.labels[first.seen_at], first.rule, first.text
+            found.append(f"{patterns}, the first at {name} (rule {rule}: {meaning})")
         if self.wide.any():
-            found.append(f"{_times(int(self.wide.sum()), 'jump')} between neighbours above the limit")
+            jumps = _times(int(self.wide.sum()), "jump")
+            found.append(f"{jumps} between neighbours above the limit")
         if self.average.outside.any():
-            at = self.labels[int(np.argmax(self.average.outside))]
-            found.append(f"the moving average leaves its limits, first at {at}")
-        return "not stable: " + "; ".join(found)
+            name = self.labels[int(np.argmax(self.average.outside))]
+            found.append(f"the moving average leaves its limits, first at {name}")
+        trouble = "; ".join(found)
+        return f"not stable: {trouble}"
 
     def __repr__(self) -> str:
         """One line: name, how many values, and the outcome."""
@@ -390,9 +390,9 @@ def capable_words(found: Capability, stable: bool) -> str:
         word = "barely capable"
     else:
         word = "not capable"
-    outside = f"{found.outside} of {found.count} outside"
-    text = f"{word}: Ppk {index.value:.2f} ({index.low:.2f} to {index.high:.2f}), {outside}"
-    return text if stable else text + "; capability is meaningless until the process is stable"
+    value, low, high = f"{index.value:.2f}", f"{index.low:.2f}", f"{index.high:.2f}"
+    capable = f"{word}: Ppk {value} ({low} to {high}), {found.outside} of {found.count} outside"
+    return capable if stable else f"{capable}; capability is meaningless until the process is stable"
 
 
 def control_study(
@@ -433,10 +433,11 @@ def control_study(
 
 
 def _notes(values: FloatArray, ranges: FloatArray, limits: Limits) -> list[str]:
-    missing, known = int(np.isnan(values).sum()), ranges[~np.isnan(ranges)]
+    number, known = int(np.isnan(values).sum()), ranges[~np.isnan(ranges)]
     notes = []
-    if missing:
-        notes.append(f"{_times(missing, 'value')} missing; no moving range and no pattern reaches across")
+    if number:
+        missing = _times(number, "value")
+        notes.append(f"{missing} missing; no moving range and no pattern reaches across")
     if limits.baseline == 0:
         notes.append("mean and sigma of the limits were given")
     elif limits.baseline < FEW:

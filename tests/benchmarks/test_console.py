@@ -5,6 +5,7 @@ those of the clock; both are noted.
 """
 
 import contextlib
+import re
 import statistics
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from anisoscope.cli.demo.ridges import lay_out
 
 pytestmark = pytest.mark.benchmark
 COLD_START_S, STOP_S, PAGE_BYTES, FRAMES_PER_S, BROWSERS = 2.0, 0.2, 200_000, 10.0, 50
-PARTS, STOPS = 5, 5
+PARTS, STOPS, RESTING_S = 5, 5, 20.0
 
 
 @dataclass
@@ -147,28 +148,45 @@ def test_stop(bench, console):
 def test_fifty_browsers_on_the_fleet_page(bench, console):
     over = threading.Event()
 
-    def browser():
+    def browser(known):
+        """Looks as the page does, and follows the events of the station besides."""
         with httpx.Client(base_url=console.address, timeout=120) as client:
-            client.get("/fleet")
+            mark = re.search('data-mark="&#34;(.*?)&#34;"', client.get("/fleet").text)[1]
+            known.release()
             with client.stream("GET", "/api/v1/events"):
-                while not over.wait(5.0):  # as one that looks again
-                    client.get("/fleet")
+                while not over.wait(5.0):
+                    answer = client.get("/fleet/view", headers={"If-None-Match": f'"{mark}"'})
+                    mark = answer.headers["etag"].strip('"')
 
-    alone, together, own = [], [], []
-    for part in range(PARTS):
-        alone.append(console.inspect(f"alone-{part}"))
+    @contextlib.contextmanager
+    def browsers():
+        known = threading.Semaphore(0)
+        threads = [threading.Thread(target=browser, args=(known,)) for _ in range(BROWSERS)]
         over.clear()
-        threads = [threading.Thread(target=browser) for _ in range(BROWSERS)]
         for thread in threads:
             thread.start()
-        while console.client.get("/api/v1/status").status_code != 200:
-            pass
-        before = console.processor_s()[0]
-        together.append(console.inspect(f"together-{part}"))
-        own.append(console.processor_s()[0] - before)
+        for _ in threads:
+            known.acquire()
+        yield
         over.set()
         for thread in threads:
             thread.join()
+
+    spent = []
+    for look in (contextlib.nullcontext, browsers):
+        with look():
+            before = console.processor_s()[0]
+            time.sleep(RESTING_S)
+            spent.append(console.processor_s()[0] - before)
+    each = 1e3 * (spent[1] - spent[0]) / BROWSERS * 60.0 / RESTING_S
+    bench.note(f"a browser costs the server {each:.0f} ms of processor a minute while nothing is inspected")
+    alone, together, own = [], [], []
+    for part in range(PARTS):
+        alone.append(console.inspect(f"alone-{part}"))
+        with browsers():
+            before = console.processor_s()[0]
+            together.append(console.inspect(f"together-{part}"))
+            own.append(console.processor_s()[0] - before)
     first, second, busy = (statistics.median(one) for one in (alone, together, own))
     share = second / first - 1.0
     bench.note(f"an inspection alone {first:.2f} s, with {BROWSERS} browsers {second:.2f} s ({share:+.1%})")

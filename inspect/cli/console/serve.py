@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
-from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
+from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember, unsigned
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.options import extra_packages
@@ -36,7 +36,9 @@ def serve(
     ] = None,
     host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="TCP port; 0 takes any free one.")] = PORT,
-    station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
+    station: Annotated[
+        str | None, Parameter(help="Station where the rig stands; the fleet page shows what it does.")
+    ] = None,
     name: Annotated[
         tuple[str, ...],
         Parameter(
@@ -68,6 +70,7 @@ def serve(
     from anisoscope.console.routes import station_router
     from anisoscope.console.station import Station
     from anisoscope.console.trail import Trail, trail_of
+    from anisoscope.history.signs import Beacon
     from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
 
     if (certificate is None) != (key is None):
@@ -91,7 +94,8 @@ def serve(
         work = Workplace(rig, out, place, remember, lot_mates, explained)
         worker = WorkerProcess(work)
         stack.callback(worker.close)
-        at = Station(work, recipes.resolve(), worker, own.stop, eyes, trail, station)
+        beacon = stack.enter_context(Beacon(place, station, unsigned))
+        at = Station(work, recipes.resolve(), worker, own.stop, eyes, trail, station, beacon.show)
         app = create_app(
             Access(accounts, trail, secure=tls is not None, openid=provider),
             [station_router(at), fleet_router(place)],

@@ -119,6 +119,11 @@ def _say(text: str) -> None:
     print(f"anisoscope: {text}", file=sys.stderr)  # noqa: T201
 
 
+def unsigned(problem: str) -> None:
+    """Say that the fleet page does not hear of this station; for `anisoscope.history.signs.Beacon`."""
+    _say(f"the fleet page gets no sign of this station: {problem}; it is tried again")
+
+
 def _where(place: str | Path) -> str:
     """The option that names a history, if commands would not find it by themselves; without a password."""
     from anisoscope.history.address import VARIABLE, parse_address

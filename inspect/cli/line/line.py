@@ -13,20 +13,23 @@ from cyclopts import App, Parameter
 from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
-from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
+from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember, unsigned
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.options import extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
-    from anisoscope.line.jobs import Jobs
+    from anisoscope.history.signs import Doing
+    from anisoscope.line.jobs import Job, Jobs, Kind
     from anisoscope.line.mqtt import Broker
 
 app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA, MQTT or Modbus/TCP.")
 Recipes = Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")]
 Out = Annotated[Path, Parameter(help="Folder that receives the inspection folders.")]
-Station = Annotated[str | None, Parameter(help="Station where the rig stands.")]
+Station = Annotated[
+    str | None, Parameter(help="Station where the rig stands; the fleet page shows what it does.")
+]
 INSPECTIONS = Path("inspections")
 
 
@@ -205,6 +208,7 @@ def jobs_at(
         UsageError: there is no folder of recipes, or the rig is set by hand.
         RigFileError, RigError: the rig cannot be read or opened.
     """
+    from anisoscope.history.signs import Beacon
     from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
     from anisoscope.line.jobs import Jobs
 
@@ -217,7 +221,17 @@ def jobs_at(
         workplace = Workplace(rig, out, place, remember, lot_mates, explained)
         worker = WorkerProcess(workplace)
         stack.callback(worker.close)
-        yield Jobs(workplace, recipes.resolve(), worker, own.stop, station)
+        jobs = Jobs(workplace, recipes.resolve(), worker, own.stop, station)
+        beacon = stack.enter_context(Beacon(place, station, unsigned))
+        jobs.listen(lambda kind, job, _: beacon.show(*_sign(kind, job)))
+        yield jobs
+
+
+def _sign(kind: "Kind", job: "Job") -> "tuple[Doing, str]":
+    """What a station does after something happened to a job."""
+    if kind in {"accepted", "progress"}:
+        return "running", job.order.serial
+    return ("fault", job.problem or "") if kind == "failed" else ("idle", "")
 
 
 def _say_address(address: str) -> None:

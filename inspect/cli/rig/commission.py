@@ -11,6 +11,7 @@ from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
+from anisoscope.cli.rig.options import Channel
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
@@ -46,6 +47,9 @@ def commission(
     ] = None,
     exposure: Annotated[float | None, Parameter(help="Exposure in seconds; else the recipe's.")] = None,
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
+    channel: Annotated[
+        str | None, Parameter(help="Light channel; else the recipe's, else light.channel of the rig file.")
+    ] = None,
     ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of the part in degrees.")] = None,
     u_ridge_angle: Annotated[
         float, Parameter(help="Standard uncertainty of the ridge angle, degrees.")
@@ -105,9 +109,10 @@ def commission(
             raise UsageError("give --exposure SECONDS, or --recipe FILE whose exposure is taken")
         exposure = recipe.acquisition.exposure_s
     known = _part(part, ridge_angle, u_ridge_angle, pitch, alpha, u_alpha, spot_mm)
-    series = Series(
-        exposure, gain, step, parse_numbers(tilts, "--tilts"), max(step, 60.0), frames, max(frames, 4), settle
-    )
+    if channel is None and recipe is not None:
+        channel = recipe.acquisition.light_channel
+    tilts_deg = parse_numbers(tilts, "--tilts")
+    series = Series(exposure, gain, step, tilts_deg, max(step, 60.0), frames, max(frames, 4), settle, channel)
     with progress("commissioning", quiet=json_) as advance:
         done = find(
             rig,
@@ -196,6 +201,7 @@ def check(
     rig: _RigOption,
     exposure: Annotated[float, Parameter(help="Exposure in seconds for the part or tile on the stage.")],
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
+    channel: Channel = None,
     commissioned: Annotated[
         Path | None, Parameter(help="Record of the commissioning; else the one next to the rig file.")
     ] = None,
@@ -216,7 +222,7 @@ def check(
     from anisoscope.commissioning.selftest import self_test
     from anisoscope.commissioning.selftest_record import Settings, write_self_test
 
-    settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile)
+    settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile, light_channel=channel)
     with progress("self test", quiet=json_) as advance:
         result = self_test(rig, settings, commissioned, on_progress=advance)
     written_to = None if out is None else write_self_test(result, out)

@@ -9,13 +9,14 @@ const stop = () => post("/api/v1/stop");
 if ($("stop")) $("stop").addEventListener("click", stop);
 
 function showNumbers(found) {
-  const share = (value, digits) => value === null ? "–" : `${(100 * value).toFixed(digits)} %`;
+  const rounded = (value, digits) => value.toLocaleString(document.documentElement.lang, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+  const share = (value, digits) => value === null ? "–" : `${rounded(100 * value, digits)} %`;
   $("advice").textContent = found.advice.join(" · ") || words.good;
   $("focus").value = found.relative_focus || 0;
   $("focus-text").textContent = share(found.relative_focus, 0);
   $("mean").textContent = share(found.mean, 0);
   $("saturated").textContent = share(found.saturated_share, 2);
-  $("ridges").textContent = found.ridge_deg === null ? words.undefined : words.angle.replace("{angle}", found.ridge_deg.toFixed(1));
+  $("ridges").textContent = found.ridge_deg === null ? words.undefined : words.angle.replace("{angle}", rounded(found.ridge_deg, 1));
   const bars = $("histogram"), top = Math.max(...found.histogram, 1e-9);
   while (bars.children.length < found.histogram.length) bars.append(document.createElement("div"));
   found.histogram.forEach((part, k) => { bars.children[k].style.height = `${100 * Math.sqrt(part / top)}%`; });

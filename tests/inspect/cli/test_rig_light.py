@@ -1,6 +1,7 @@
 """Light channels of the virtual rig: `rig light`, `rig snap --channel`, calibrations, a scan and an inspection."""
 
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from anisoscope.cli import run
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.reflectance_scan import begin_lamps, planned_lamps
+from anisoscope.inspection.work import Task, Workplace, perform
 from anisoscope.rig.frame import read_frame
 from anisoscope.sim.bench.camera import SimulatedCamera
 
@@ -96,9 +98,56 @@ def test_channels_are_listed_and_lit(rig, command, monkeypatch):
     assert json.loads(out)["light"]["channels"] == list(CHANNELS)
 
 
+def levels_at_frames(rig, monkeypatch):
+    """Levels of the lamps at every frame that is taken from now on."""
+    lit, grab = [], SimulatedCamera.grab
+
+    def seen(camera):
+        lit.append(tuple(one.level for one in rig.bench.lamps.values()))
+        return grab(camera)
+
+    monkeypatch.setattr(SimulatedCamera, "grab", seen)
+    return lit
+
+
+def test_the_self_test_is_lit_by_its_channel(rig, command, monkeypatch):
+    lit = levels_at_frames(rig, monkeypatch)
+    check = ("rig", "check", "-g", rig.rig, "--exposure", 0.0015, "--tile", "--json")
+    _, out, _ = command(*check, "--channel", "far")
+    assert set(lit) == {(0.0, 0.0), (0.0, 1.0)}
+    assert json.loads(out)["settings"]["light_channel"] == "far"
+
+
+def test_the_check_of_the_console_is_lit_by_the_channel_of_its_task(rig, monkeypatch, tmp_path):
+    lit, said = levels_at_frames(rig, monkeypatch), []
+    task = Task("check", exposure_s=0.0015, channel="far")
+    perform(task, Workplace(rig.rig, tmp_path), lambda *one: said.append(one), threading.Event())
+    assert said[-1][0] == "checked"
+    assert set(lit) == {(0.0, 0.0), (0.0, 1.0)}
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
+        (("rig", "check", "--exposure", 0.001, "--channel", "uv"), 78, "has no channel 'uv'"),
+        (
+            (
+                "rig",
+                "commission",
+                "--exposure",
+                0.001,
+                "--channel",
+                "uv",
+                "--ridge-angle",
+                10,
+                "--pitch",
+                100,
+                "--spot-mm",
+                1,
+            ),
+            78,
+            "has no channel 'uv'",
+        ),
         (("rig", "light", "blue"), 64, "has no channel 'blue'; it has near, far, grey"),
         (("rig", "light", "on"), 69, "channels near, far, grey: choose one"),
         (

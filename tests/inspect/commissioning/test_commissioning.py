@@ -445,17 +445,17 @@ def test_a_rig_file_keeps_its_comments(tmp_path):
     path.write_text(
         '# our rig\nschema = 1\nname = "r"\n[stage] # the turntable\ndriver = "elliptec"\nport = "COM3"\n'
         'zero_deg = 10.0  # by eye\n[stage.options]\naddress = "0"\n[camera]\ndriver = "simulated"\npixel_um = 4.0\n'
-        '[light]\nangle_deg = 10.0\n',
+        '[light]\nangle_deg = 10.0\n[ light . channels.far ]\nangle_deg = 18.0  # red\n',
         encoding="utf-8",
     )  # fmt: skip
     before = path.read_bytes()
-    written = update_rig_file(
-        path, {("stage", "zero_deg"): 12.25, ("stage", "turns"): "cw", ("light", "angle_deg"): 9.5}
-    )
+    changes = {("stage", "zero_deg"): 12.25, ("stage", "turns"): "cw", ("light", "angle_deg"): 9.5}
+    written = update_rig_file(path, changes | {("light", "channels", "far", "angle_deg"): 20.5})
     text = path.read_text(encoding="utf-8")
     assert written.comments_preserved
     assert written.backup.read_bytes() == before
     assert "zero_deg = 12.25  # by eye" in text
+    assert "angle_deg = 20.5  # red" in text
     assert text.startswith("# our rig")
     file = read_rig(path)
     assert (file.stage.turns, file.stage.zero_deg, file.light.angle_deg) == ("cw", 12.25, 9.5)

@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from anisoscope.history.store import open_history
 from anisoscope.sim.bench.camera import SimulatedCamera
 
 pytestmark = pytest.mark.browser
@@ -54,6 +55,9 @@ def test_a_day(page, station):
     station[0]._busy.join()
     page.get_by_role("link", name="Fleet").click()
     assert "1 inspections" in page.inner_text("main")
+    with open_history(station[0].place.history) as history:
+        history.dispose(1, reviewer="Q. Quast", decision="hold", comment="decided elsewhere")
+    page.get_by_text("decided elsewhere").wait_for(timeout=120_000)  # without being loaded anew
 
 
 def test_the_space_bar_stops_and_the_page_offers_to_resume(page, station, monkeypatch):

@@ -18,14 +18,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from anisoscope.base.clock import VirtualClock
+from anisoscope.base.language import speaking
+from anisoscope.console import fleet
 from anisoscope.console.access import COOKIE, PERMISSIONS, Access
 from anisoscope.console.accounts import ROLES, Accounts
 from anisoscope.console.application import create_app, permissions_of
 from anisoscope.console.fleet import fleet_router
 from anisoscope.console.trail import Trail
+from anisoscope.history import signs
+from anisoscope.history.columns import to_us
 from anisoscope.history.export import csv_lines, json_lines
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow, row_of
+from anisoscope.history.signs import give_sign
 from anisoscope.history.store import open_history
 from anisoscope.quality.control import Settings, control_study
 
@@ -98,11 +104,92 @@ def test_stations_show_what_the_history_knows_of_them(client, place):
     words = text_of(client.get("/fleet").text)
     assert f"{COUNT} inspections" in words
     # the last ones: 129 at west (a multiple of 3), 128 at east, at 4:18 and 4:16 after the start
-    assert re.search(r"west 6 h ago .* 44 .* east 6 h ago .* 86 ", words)
-    assert "whether a station is on, runs or has a fault is not known here" in words
+    assert re.search(r"west no sign since .* 6 h ago .* 44 .* east no sign since .* 6 h ago .* 86 ", words)
     # 78 PASS of 104 that could be judged; the interval of Clopper and Pearson from R: binom.test(78, 104)
     assert "Yield 75.0 % (65.6 to 83.0 %)" in words
     assert "78 PASS, 26 FAIL, 26 INVALID" in words
+
+
+def test_the_state_of_every_station_is_shown_and_silence_is_no_rest(tmp_path, client_of, monkeypatch):
+    place, names = tmp_path / "history.sqlite", ("busy", "faulty", NASTY, "off", "silent")
+    moment = to_us(NOW)
+    monkeypatch.setattr(signs, "moment_us", lambda _: moment)
+    with open_history(place) as history:
+        history.append_all(
+            [new_row(number, station=(*names, "unsigned")[number % 6]) for number in range(12)]
+        )
+        for name in names:
+            give_sign(history, name, "running", "A9")
+        moment += 40_000_000
+        for name, doing, words in (
+            ("busy", "running", f"A9 {NASTY}"),
+            ("faulty", "fault", "the camera does not answer"),
+            (NASTY, "idle", ""),
+            ("off", "off", ""),
+            ("new", "idle", ""),
+        ):
+            give_sign(history, name, doing, words)
+    client = client_of(place)
+    found = {one["station"]: one for one in client.get("/api/v1/stations").json()}
+    assert {name: one["state"] for name, one in found.items()} == {
+        "busy": "running",
+        "faulty": "fault",
+        NASTY: "idle",
+        "off": "off",
+        "new": "idle",
+        "silent": "no sign",
+        "unsigned": "no sign",
+    }
+    since = {name: datetime.fromisoformat(one["since"]) for name, one in found.items()}
+    assert since["busy"] < since["faulty"]  # it runs on, since the first sign
+    assert since["unsigned"] == START + timedelta(minutes=22)  # its last inspection
+    assert found["faulty"]["words"] == "the camera does not answer"
+    assert found["silent"]["words"] == found["off"]["words"] == ""
+    page = client.get("/fleet").text
+    assert "<script>alert" not in page
+    words = text_of(page)
+    assert re.search(r"faulty fault since [0-9:]+ the camera does not answer", words)
+    assert re.search(r"new idle since [0-9:]+ 0 –", words)
+    assert "new idle" not in text_of(client.get("/fleet?station=busy").text)
+
+
+def test_a_view_is_drawn_once_for_all_and_anew_when_something_changed(tmp_path, served, monkeypatch):
+    place, clock, drawn = tmp_path / "history.sqlite", VirtualClock(), []
+    draw = fleet.drawn
+    monkeypatch.setattr(fleet, "drawn", lambda *one, **more: drawn.append(one) or draw(*one, **more))
+    with open_history(place) as history:
+        history.append(new_row(1))
+    app = lambda hosts: create_app(  # noqa: E731
+        Access(None, Trail(None)), [fleet_router(place, lambda: NOW, clock)], hosts
+    )
+    with (
+        served(app) as address,
+        httpx.Client(base_url=address) as one,
+        httpx.Client(base_url=address) as other,
+    ):
+        page = other.get("/fleet").text
+        first = one.get("/fleet/view")
+        assert html.unescape(re.search('data-mark="(.*?)"', page)[1]) == first.headers["etag"]
+        assert first.text in page
+        seen = {"If-None-Match": first.headers["etag"]}
+        assert one.get("/fleet/view", headers=seen).status_code == 304
+        assert len(drawn) == 1
+        one.get("/fleet/view?station=west")
+        assert len(drawn) == 2
+        with open_history(place) as history:
+            history.append(new_row(2))
+            give_sign(history, "east", "running", "A3")
+        assert one.get("/fleet/view", headers=seen).status_code == 304  # it asks the history once a second
+        clock.sleep(1.0)
+        second = one.get("/fleet/view", headers=seen)
+        assert (second.status_code, listed(second.text)) == (200, [2, 1])
+        assert "running since" in text_of(second.text)
+        clock.sleep(1.0)
+        with open_history(place) as history:
+            history.dispose(2, reviewer="Q. Quast", decision="hold", comment="later")
+        assert "Q. Quast" in one.get("/fleet/view", headers={"If-None-Match": second.headers["etag"]}).text
+        assert len(drawn) == 4
+        assert 'name="token"' not in first.text  # of no session
 
 
 def test_the_list_has_pages_with_the_latest_first(client):
@@ -177,6 +264,18 @@ def test_a_chart_shows_the_limits_and_patterns_that_spc_computes(client, place):
     assert slope < 0.0
     assert np.abs(pairs[:, 1] - slope * pairs[:, 0] - offset).max() < 0.2
     assert len(re.findall("complete at", page)) == min(15, len(study.flags))
+
+
+@pytest.mark.parametrize(
+    ("lang", "words"),
+    [("de", r"unter \d+ Werten|nicht stabil: "), ("da", r"blandt \d+ værdier|ikke stabil: ")],
+)
+def test_what_spc_says_is_in_the_language_of_the_page(client, lang, words):
+    with speaking(lang):
+        page = client.get("/fleet/charts?cavity=2&number=ln+0-90").text
+    assert re.search(words, text_of(page))
+    assert 'lang="en"' not in page
+    assert "stable" not in text_of(page)
 
 
 def test_a_pattern_leads_to_the_inspection_that_completed_it(tmp_path, client_of):
@@ -411,9 +510,9 @@ def test_every_route_by_every_role(client_of, tmp_path, place):
     shutil.copy(place, own)
     access = Access(Accounts(tmp_path / "users.json"), Trail(tmp_path / "users.audit.jsonl"))
     routes = permissions_of(create_app(access, [fleet_router(own)], frozenset()))
-    routes = {one: needs for one, needs in routes.items() if one[1].startswith("/fleet")}
+    routes = {one: needs for one, needs in routes.items() if "/fleet" in one[1] or "stations" in one[1]}
     client = client_of(own, access)
-    assert len(routes) == 7
+    assert len(routes) == 9
     for (method, path), needs in routes.items():
         target = path.format(form="csv", number=7)
         for role in (None, *ROLES):

@@ -219,7 +219,15 @@ def test_a_damaged_file_of_a_guide_is_left_alone(at):
 
 @pytest.mark.soak
 def test_commissioning_by_steps(served, app_of, station_at):
-    at = station_at("commissioned")[0]
+    lamps = {"A": {"light_angle_deg": 10.0}, "B": {"light_angle_deg": 20.0}}
+    light = {
+        "driver": "coolled",
+        "port": "sim://coolled?bench=${here}/bench.toml",
+        "options": {"bench": None},
+    }
+    light["channels"] = {"near": {"lamps": ["A"]}, "far": {"lamps": ["B"], "angle_deg": 18.0}}
+    changes = {"rig": {"light": light}, "bench": {"lamps": lamps}}
+    at = station_at("commissioned", recipe={"acquisition": {"light_channel": "far"}}, **changes)[0]
     with served(app_of(at)) as address:
         guiding = Guiding(address, at)
         guiding.begin("commissioning", why="new lens")
@@ -230,6 +238,11 @@ def test_commissioning_by_steps(served, app_of, station_at):
     record = read_commissioning(default_record_path(at.place.rig))
     (pixel,) = [one.value for one in record.findings if one.key.endswith("pixel_um")]
     assert pixel == pytest.approx(8.0, rel=0.01)  # of the bench
+    (angle,) = [one for one in record.findings if one.key == "light.channels.far.angle_deg"]
+    assert abs(angle.value - 20.0) < 3.0 * angle.u  # of the lamp of the recipe's channel
+    written = tomllib.loads(at.place.rig.read_text(encoding="utf-8"))["light"]
+    assert written["channels"]["far"]["angle_deg"] == pytest.approx(angle.value, abs=angle.u)
+    assert written["channels"]["near"] == light["channels"]["near"]
 
 
 @pytest.mark.soak

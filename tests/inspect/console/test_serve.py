@@ -16,6 +16,8 @@ import pytest
 import tomli_w
 
 from anisoscope.console.accounts import Accounts
+from anisoscope.history.signs import read_signs
+from anisoscope.history.store import open_history
 from anisoscope.record.schema import read_record
 from anisoscope.rig.acquisition.journal import read_journal
 
@@ -67,7 +69,7 @@ def serving(folder, rig, tls, *, killed=False):
     command = [sys.executable, "-m", "anisoscope", "serve", "--port", "0", "--rig", str(rig)]
     for name, path in (("recipes", "recipes"), ("out", "out"), ("users", "users.json")):
         command += [f"--{name}", str(folder / path)]
-    command += ["--certificate", str(tls[0]), "--key", str(tls[1])]
+    command += ["--station", "S1", "--certificate", str(tls[0]), "--key", str(tls[1])]
     environment = os.environ | {"PYTHONPATH": str(folder)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, cwd=folder) as process:
         try:
@@ -99,6 +101,14 @@ def state_with(client, wanted):
     raise AssertionError("the events ended")
 
 
+def station_in(client, state):
+    """The station, once the history knows that it is in a state."""
+    while True:
+        for one in client.get("/api/v1/stations").json():
+            if one["state"] == state:
+                return one
+
+
 def test_with_tls_it_is_killed_in_an_inspection_and_offers_to_resume(rig, tls, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with serving(tmp_path, rig, tls, killed=True) as client:
@@ -113,17 +123,21 @@ def test_with_tls_it_is_killed_in_an_inspection_and_offers_to_resume(rig, tls, t
         assert client.post("/api/v1/start", json={"recipe": "plate", "serial": "K-1"}).status_code == 200
         state_with(client, lambda content: content.get("frames") == 4)
         folder = client.get("/api/v1/status").json()["folder"]
+        assert station_in(client, "running")["words"] == "K-1"
     (tmp_path / "pipe").unlink()
     taken = read_journal(tmp_path / "out" / folder).frames
     assert len(taken) >= 4
     assert not (tmp_path / "out" / folder / "record.json").exists()
     with serving(tmp_path, rig, tls) as client:
         log_in(client)
+        assert station_in(client, "idle")["station"] == "S1"
         assert client.get("/api/v1/resumable").json() == [folder]
         assert f'data-resume="{folder}"' in client.get("/station").text
         assert client.post("/api/v1/resume", json={"name": folder}).status_code == 200
         state = state_with(client, lambda content: content.get("state") in {"done", "failed"})
         assert (state["verdict"] or state["failure"])["verdict"] == "PASS"
+    with open_history(tmp_path / "out" / "history.sqlite") as history:
+        assert [(one.station, one.doing) for one in read_signs(history)] == [("S1", "off")]
     record = read_record(tmp_path / "out" / folder)
     assert record.serial == "K-1"
     assert [frame.name for frame in read_journal(tmp_path / "out" / folder).frames][: len(taken)] == [

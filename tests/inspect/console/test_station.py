@@ -13,7 +13,7 @@ import pytest
 
 from anisoscope.console.access import Session
 from anisoscope.console.live import EventLog, exposure_advice, focus_advice
-from anisoscope.console.station import Start
+from anisoscope.console.station import Start, _in_short, _Present
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.sim.bench.camera import SimulatedCamera
 
@@ -80,7 +80,9 @@ def begin(browser, serial, **more):
     assert answer.status_code == 200, answer.text
 
 
-def test_a_part_is_inspected_and_enters_the_history(browser, at):
+def test_a_part_is_inspected_and_enters_the_history(browser, at, monkeypatch):
+    reported = []
+    monkeypatch.setattr(at, "_report", lambda *said: reported.append(said))
     begin(browser, "A-1", lot="L7")
     state = browser.wait()
     assert (state["verdict"]["verdict"], state["verdict"]["serial"]) == ("PASS", "A-1")
@@ -92,6 +94,8 @@ def test_a_part_is_inspected_and_enters_the_history(browser, at):
         assert picture.content[:2] == b"\xff\xd8"
     assert browser.client.get(f"/frames/{len(journal.frames) + 1}.jpg").status_code == 404
     at._busy.join()  # the history follows the verdict
+    assert ("running", "A-1") in reported
+    assert reported[-1] == ("idle", "")
     (row,) = browser.get("/results", serial="A-1")
     assert (row["verdict"], row["lot"], row["station"], row["operator"]) == (
         "PASS",
@@ -144,6 +148,16 @@ def test_no_event_of_a_thousand_inspections_is_lost_though_connections_are_cut(b
     print(f"{len(seen)} events, {cuts} connections cut, {newest - first - len(seen)} lost")  # noqa: T201 - the number
     assert [int(id_.partition("-")[2]) for id_ in seen] == list(range(first + 1, newest + 1))
     assert {id_.partition("-")[0] for id_ in seen} == {start.partition("-")[0]}
+
+
+def test_what_failed_by_itself_is_a_fault_for_the_page_of_all_stations():
+    failure = {"text": "the camera does not answer", "stopped": False}
+    assert _in_short(_Present("failed", failure=failure)) == ("fault", "the camera does not answer")
+    assert _in_short(_Present("failed", failure=failure | {"stopped": True})) == ("idle", "")
+    checked = {"fit": False, "checks": []}
+    assert _in_short(_Present("done", {"kind": "check"}, checked=checked))[0] == "fault"
+    assert _in_short(_Present("done", {"kind": "check"}, checked=checked | {"fit": True})) == ("idle", "")
+    assert _in_short(_Present("stopping", {"kind": "resume", "folder": "A-1-x"})) == ("running", "A-1-x")
 
 
 def test_who_comes_back_after_a_restart_gets_the_state(browser):

@@ -14,6 +14,7 @@ from anisoscope.history.columns import columns_of, labels_of
 from anisoscope.history.database import Database
 from anisoscope.history.filters import Filters
 from anisoscope.history.problems import HistoryError
+from anisoscope.history.signs import give_sign
 from anisoscope.history.store import open_history
 
 DATA = Path(__file__).parents[2] / "data" / "history"
@@ -105,7 +106,7 @@ def test_the_last_version_refuses_what_this_one_wrote(last_version, new_row, mon
     with monkeypatch.context() as earlier:
         earlier.setattr(schema, "VERSION", 3)
         earlier.setattr(schema, "MIGRATIONS", schema.MIGRATIONS[:3])
-        with pytest.raises(HistoryError, match=r"made by a later anisoscope \(version 5 .*update"):
+        with pytest.raises(HistoryError, match=r"made by a later anisoscope \(version 6 .*update"):
             open_history(last_version)
     with open_history(last_version) as history:
         assert history.head() == head
@@ -125,15 +126,17 @@ def test_a_rig_that_may_only_add_is_sent_to_the_owner_of_an_earlier_history(post
             connection.execute(text(statement))
     url = make_url(postgresql_place).set(username=role, password="secret")
     with open_history(url.render_as_string(hide_password=False)) as rig:
-        with pytest.raises(HistoryError, match=r"of version 3, .* needs 5, .* as their owner"):
+        with pytest.raises(HistoryError, match=r"of version 3, .* needs 6, .* as their owner"):
             rig.append(new_row(1))
         with open_history(postgresql_place) as owner:
             owner.append(new_row(2))
         rig.append(new_row(1))
         assert [row.serial for row in rig.rows()] == ["A1", "A2"]
         with database.reading() as connection:
-            for name in ("signed_heads", "time_stamps", "covariates"):
+            for name in ("signed_heads", "time_stamps", "covariates", "stations"):
                 assert connection.scalar(text(f"SELECT has_table_privilege('{role}', '{name}', 'INSERT')"))
+        for _ in range(2):
+            give_sign(rig, "east", "idle")
     with database.writing() as connection:
         connection.execute(text(f"DROP OWNED BY {role}"))
         connection.execute(text(f"DROP ROLE {role}"))
