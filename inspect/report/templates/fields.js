@@ -17,7 +17,7 @@ function directionsOf(state) {
   return [into(lightOf(state)), into([0, 0, 1])];
 }
 
-// kind.palette(state): RGBA of every class; kind.text(palette, number, place): what is seen; kind.channels in use.
+// kind.palette(state, coarse): RGBA of every class, quicker where it is coarse; kind.text(palette, number, place): what is seen; kind.channels in use.
 function showFields(kind) {
 const canvas = $("plate");
 const gl = canvas.getContext("webgl2", {antialias: false, alpha: false});
@@ -99,11 +99,15 @@ function draw(state, light, w, h, mode, ground, samples) {
 }
 
 const state = {...DATA.start};
-let waiting = false, speaking = 0, resting = 0, painted = 0;
-let known = {of: "", light: null};
-function coloured(state) { // the palette depends on where part and light are, not on zoom or exposure
-  const of = [state.stage, state.tilt, state.azimuth, state.elevation].join();
-  if (known.of !== of) known = {of, light: kind.palette(state)};
+let waiting = false, speaking = 0, resting = 0, painted = 0, lasted = 0, shrunk = 1;
+let known = {of: "", light: null}, slow = false;
+function coloured(state, moving) { // the palette depends on where part and light are, not on zoom or exposure
+  const of = [state.stage, state.tilt, state.azimuth, state.elevation].join(), coarse = moving && slow;
+  if (known.of !== of || (known.coarse && !coarse)) {
+    const begun = performance.now();
+    known = {of, light: kind.palette(state, coarse), coarse};
+    if (!coarse) slow = performance.now() - begun > 12;
+  }
   return known.light;
 }
 function said(light) {
@@ -115,20 +119,23 @@ function redraw() {
   waiting = true;
   requestAnimationFrame(() => { waiting = false; paint(1); });
 }
-function paint(samples) { // one sample a pixel while the part moves, nine when it rests
-  const box = canvas.getBoundingClientRect(), ratio = Math.min(window.devicePixelRatio || 1, 2);
+function paint(samples) { // while the part moves one sample a pixel, and larger pixels where that is slow; nine samples when it rests
+  if (samples > 1) shrunk = lasted < 20 ? Math.max(1, shrunk - 1) : shrunk;
+  else if (lasted > 40) shrunk = Math.min(4, shrunk + 1);
+  const box = canvas.getBoundingClientRect(), ratio = Math.min(window.devicePixelRatio || 1, 2) / (samples > 1 ? 1 : shrunk);
   const [w, h] = [Math.max(2, Math.round(box.width * ratio)), Math.max(2, Math.round(box.height * ratio))];
   if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
   const ground = getComputedStyle(canvas).getPropertyValue("--stage").trim().match(/../g).map(v => parseInt(v, 16) / 255);
-  const light = coloured(state);
+  const light = coloured(state, samples === 1);
   draw(state, light, w, h, state.shown === "eye" ? 1 : 0, ground, samples);
   if (samples > 1) return;
   clearTimeout(resting);
   const now = performance.now(); // a slow machine must not paint in full between two steps of a drag
   resting = setTimeout(() => paint(3), Math.min(2000, Math.max(150, 2 * (now - painted))));
+  lasted = now - painted > 1000 ? 0 : now - painted;
   painted = now;
   clearTimeout(speaking);
-  speaking = setTimeout(() => { $("said").textContent = said(light); }, 250); // not at every step of a drag
+  speaking = setTimeout(() => { $("said").textContent = said(coloured(state)); }, 250); // not at every step of a drag
   document.body.dataset.drawn = String(Number(document.body.dataset.drawn || 0) + 1);
 }
 const controls = [...document.querySelectorAll("[data-key]")];

@@ -114,7 +114,8 @@ class Orders:
                 slice(int(np.searchsorted(f, at - wide)), int(np.searchsorted(f, at + wide, side="right")))
             )
         part = self.spectra[:, cut[1], cut[0]]
-        return np.tensordot(phases, part, axes=1), self.frequency_x[cut[0]], self.frequency_y[cut[1]]
+        waves = np.einsum("k,kyx->yx", phases, part)  # no BLAS: its threads cost more than so small a product
+        return waves, self.frequency_x[cut[0]], self.frequency_y[cut[1]]
 
     def density(self, levels_um: FloatArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
         """Blurred mean power spectrum in one direction as `fused.density`, in µm², of (K,) heights."""

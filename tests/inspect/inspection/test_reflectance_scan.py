@@ -29,6 +29,7 @@ from anisoscope.inspection.reflectance_scan import (
     seating_slopes,
 )
 from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.record.schema import read_record
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
@@ -54,12 +55,15 @@ FEW = ("--max-tilt", 12, "--stages", 4, "--tilts", 5)
 
 @pytest.fixture(scope="module")
 def coupon_rig(virtual_rigs, tmp_path_factory):
-    """A rig whose angles and white tile are known well, with a flat coupon on it."""
+    """A rig whose white tile is known well, with a flat coupon on it."""
     folder = tmp_path_factory.mktemp("scan")
     tile = virtual_rigs("tile", rig=RIG, bench={**BENCH, "sample": {"kind": "white-tile"}})
     take_flat(tile.rig, folder / "flat.tif", exposure_s=0.0015, frames=4)
     named = {**RIG, "calibration": {"flat": str(folder / "flat.tif")}}
-    recipe = {"region": {"size_mm": [0.8, 0.8]}, "uncertainty": ANGLES}
+    recipe = {
+        "region": {"size_mm": [0.8, 0.8]},
+        "uncertainty": {"scale_share": 0.01},
+    }  # light angle: 0.1° by default
     return virtual_rigs(
         "coupon",
         rig=named,
@@ -153,15 +157,9 @@ def test_the_scan_feeds_a_material(scanned, coupon_rig, anisoscope, tmp_path):
 @pytest.mark.soak
 @pytest.mark.parametrize("angle_deg", [10.0, 14.0])
 def test_from_a_scan_to_a_verdict(coupon_rig, virtual_rigs, anisoscope, tmp_path, angle_deg):
-    """Coupon, material, recipe, inspection: a part of the scanned plastic passes, one of 14° does not."""
-    scan = tmp_path / "scan"
+    """Scan, fit, material, recipe and inspection by their commands: a part of the scanned plastic passes, 14° fails."""
+    scan, plastic = tmp_path / "scan", tmp_path / "abs.toml"
     more = ("--stages", 8, "--tilts", 9, "--max-tilt", 20)
-    arguments = ("--coupon", "-g", coupon_rig.rig, "-r", coupon_rig.recipe, "--out", scan, *more)
-    done = anisoscope("rig", "scan", *arguments)
-    assert done.code == 0, done.err
-    plastic = tmp_path / "abs.toml"
-    arguments = ("--coupon", "-g", coupon_rig.rig, "--readings", scan / "readings.csv", "--out", plastic)
-    assert anisoscope("calibrate", "material", *arguments).code == 0
     named = {**RIG, "calibration": tomllib.loads(coupon_rig.rig.read_text())["calibration"]}
     part = virtual_rigs(
         f"part-{angle_deg:g}",
@@ -169,9 +167,21 @@ def test_from_a_scan_to_a_verdict(coupon_rig, virtual_rigs, anisoscope, tmp_path
         bench={**BENCH, "sample": {"ridge_angle_deg": angle_deg}},
         recipe={"region": {"size_mm": [0.8, 0.8]}, "uncertainty": ANGLES, "material": str(plastic)},
     )
-    found = part.inspect()
-    assert found.record.recipe["material"]["calibrated"]["id"]
-    assert found.record.verdict == ("PASS" if angle_deg == 10.0 else "FAIL"), found.record.reasons
+    on = ("--coupon", "-g", coupon_rig.rig)
+    for command in (
+        ("rig", "scan", *on, "-r", coupon_rig.recipe, "--out", scan, *more),
+        ("fit", "brdf", scan / "brdf.csv", "--ridge-angle", 0, "--fit"),
+        ("calibrate", "material", *on, "--readings", scan / "readings.csv", "--out", plastic),
+        ("recipe", "check", part.recipe),
+    ):
+        done = anisoscope(*command)
+        assert done.code == 0, (command, done.err)
+    arguments = ("-r", part.recipe, "-g", part.rig, "--serial", "T-1", "--out", part.out)
+    done = anisoscope("inspect", *arguments, "--history", "none", "--json")
+    assert done.json["verdict"] == ("PASS" if angle_deg == 10.0 else "FAIL"), done.json["reasons"]
+    assert done.code == (0 if angle_deg == 10.0 else 1)
+    (folder,) = part.folders
+    assert read_record(folder).recipe["material"]["calibrated"]["id"]
 
 
 @pytest.mark.soak
