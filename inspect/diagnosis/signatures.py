@@ -542,6 +542,7 @@ class _Scene:
         return float(np.mean(over)), levels, tuple(map(float, thresholds)), form_of(over)
 
 
+@lru_cache(maxsize=16)
 def _profile(design: RidgeDesign) -> HeightMap:
     """Two rows of a design, a pitch apart so that no ball reaches from one to the other."""
     pitch = design.pitch_um
@@ -550,6 +551,7 @@ def _profile(design: RidgeDesign) -> HeightMap:
     return ridges(design, shape, (pitch, pitch / points))
 
 
+@lru_cache(maxsize=16)  # one object for one design, so that the ridges of every cause are found once
 def _ideal(design: RidgeDesign) -> HeightMap:
     pitch = design.pitch_um
     shape = ROWS_PITCHES * POINTS_ALONG + 1, PITCHES * POINTS_ACROSS + 1

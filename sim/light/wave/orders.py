@@ -13,6 +13,7 @@ than for narrower ones. Of three widths each parabola is known, and a direction 
 design.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
@@ -103,6 +104,13 @@ class Orders:
         Raises:
             ModelError: frequencies that were not kept.
         """
+        cols, rows = self._window(middle, half_width)
+        part = self.spectra[:, rows, cols]
+        waves = np.einsum("k,kyx->yx", phases, part)  # no BLAS: its threads cost more than so small a product
+        return waves, self.frequency_x[cols], self.frequency_y[rows]
+
+    def _window(self, middle: tuple[float, float], half_width: tuple[float, float]) -> tuple[slice, slice]:
+        """Columns and rows of the orders near a direction; arguments and errors as of `around`."""
         cut = []
         for f, at, wide in zip((self.frequency_x, self.frequency_y), middle, half_width, strict=True):
             if abs(at) + wide > -f[0]:
@@ -113,9 +121,7 @@ class Orders:
             cut.append(
                 slice(int(np.searchsorted(f, at - wide)), int(np.searchsorted(f, at + wide, side="right")))
             )
-        part = self.spectra[:, cut[1], cut[0]]
-        waves = np.einsum("k,kyx->yx", phases, part)  # no BLAS: its threads cost more than so small a product
-        return waves, self.frequency_x[cut[0]], self.frequency_y[cut[1]]
+        return cut[0], cut[1]
 
     def density(self, levels_um: FloatArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
         """Blurred mean power spectrum in one direction as `fused.density`, in µm², of (K,) heights."""
@@ -124,10 +130,37 @@ class Orders:
     def blurred(self, phases: ComplexArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
         """The same of (K,) waves of the levels."""
         middle, wide = half.frequency(wavelength_um), window.half_width(wavelength_um, half.z)
+        overlap = _Overlap.of(window, wavelength_um)
+        if overlap.round:
+            return self._inside(overlap, middle, wide, phases)
         waves, fx, fy = self.around(middle, wide, phases)
         power = waves.real.astype(np.float64) ** 2 + waves.imag.astype(np.float64) ** 2
         off = fx[None, :] - middle[0], fy[:, None] - middle[1]
-        return float(np.sum(power * window_density(window, *off, wavelength_um)))
+        return float(np.sum(power * overlap.density(*off)))
+
+    def _inside(
+        self,
+        overlap: "_Overlap",
+        middle: tuple[float, float],
+        half_width: tuple[float, float],
+        phases: ComplexArray,
+    ) -> float:
+        """As `blurred`, of two discs that look alike: thousands of directions of every wafer."""
+        from anisoscope.sim.light.wave.order_kernels import power_inside  # noqa: PLC0415 - numba when first needed
+
+        cols, rows = self._window(middle, half_width)
+        power: float = power_inside(
+            self.spectra,
+            phases.astype(np.complex128),
+            self.frequency_x,
+            self.frequency_y,
+            (cols.start, cols.stop),
+            (rows.start, rows.stop),
+            middle,
+            overlap.into,
+            overlap.radius,
+        )
+        return power / overlap.area
 
 
 def _bands(labels: npt.NDArray[np.uint8], levels: int, half: list[int]) -> Bands:
@@ -168,36 +201,68 @@ def window_density(window: Window, x: FloatArray, y: FloatArray, wavelength_um: 
     Raises:
         ModelError: a window that is a point, a rectangle, or has roughness.
     """
-    extents = sorted((window.source, window.aperture), key=lambda one: one.size)
-    if extents[1].size == 0.0 or window.slope_variance is not None or any(e.shape != "disc" for e in extents):
-        raise ModelError(
-            "diffraction orders need a lamp or a lens of some size, as discs, and nothing else that blurs"
-        )
-    small, large = (_ellipse(extent, wavelength_um) for extent in extents)
-    into = np.linalg.inv(large)
-    e = [into[k, 0] * x + into[k, 1] * y for k in (0, 1)]
-    area = np.pi * abs(float(np.linalg.det(large)))
-    if extents[0].size == 0.0:
-        return np.asarray((e[0] ** 2 + e[1] ** 2 <= 1.0) / area)
-    b = into @ small
-    long, short = np.linalg.svd(b, compute_uv=False).tolist()
-    if long <= ROUND * short:
-        return _lens(np.hypot(*e), float(np.sqrt(long * short))) / area
-    return _chords(e, b) / area
+    return _Overlap.of(window, wavelength_um).density(x, y)
+
+
+@dataclass(frozen=True, eq=False)
+class _Overlap:
+    """The two ellipses of a window among the frequencies, seen so that the larger one is the unit circle.
+
+    Attributes:
+        into: matrix, row by row, from frequencies to there.
+        small: (2, 2) map from the unit circle to the smaller ellipse there.
+        area: of the larger one, in cycles² per µm².
+        radius: of the smaller one, or of the circle of its area.
+        round: whether the smaller one is a circle, and no point.
+    """
+
+    into: tuple[float, float, float, float]
+    small: FloatArray
+    area: float
+    radius: float
+    round: bool
+
+    @classmethod
+    def of(cls, window: Window, wavelength_um: float) -> Self:
+        """Of a window; errors as of `window_density`."""
+        extents = sorted((window.source, window.aperture), key=lambda one: one.size)
+        if (
+            extents[1].size == 0.0
+            or window.slope_variance is not None
+            or any(e.shape != "disc" for e in extents)
+        ):
+            raise ModelError(
+                "diffraction orders need a lamp or a lens of some size, as discs, and nothing else that blurs"
+            )
+        small, large = (_ellipse(extent, wavelength_um) for extent in extents)
+        (xx, xy), (yx, yy) = large.tolist()
+        turned = xx * yy - xy * yx
+        into = yy / turned, -xy / turned, -yx / turned, xx / turned
+        inside = np.array(into).reshape(2, 2) @ small
+        (xx, xy), (yx, yy) = inside.tolist()
+        # half the sum and half the difference of the singular values
+        mean, half = (0.5 * math.hypot(xx + sign * yy, yx - sign * xy) for sign in (1.0, -1.0))
+        long, short = mean + half, abs(mean - half)
+        alike = extents[0].size > 0.0 and long <= ROUND * short
+        return cls(into, inside, math.pi * abs(turned), math.sqrt(long * short), alike)
+
+    def density(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """`window_density`."""
+        e = [self.into[k] * x + self.into[k + 1] * y for k in (0, 2)]
+        if self.round:
+            return _lens(np.hypot(*e), self.radius) / self.area
+        if self.radius == 0.0:
+            return np.asarray((e[0] ** 2 + e[1] ** 2 <= 1.0) / self.area)
+        return _chords(e, self.small) / self.area
 
 
 def _lens(apart: FloatArray, radius: float) -> FloatArray:
     """Share of a circle inside the unit circle, at a distance of their centres."""
-    d = np.clip(apart, 1e-12, None)
-    inside = np.where(d <= 1.0 - radius, 1.0, 0.0)
-    cut = (d > 1.0 - radius) & (d < 1.0 + radius)
-    at = d[cut]
-    small = np.clip((at**2 + radius**2 - 1.0) / (2.0 * at * radius), -1.0, 1.0)
-    unit = np.clip((at**2 + 1.0 - radius**2) / (2.0 * at), -1.0, 1.0)
-    sides = (1.0 + radius + at) * (1.0 + radius - at) * (at + radius - 1.0) * (at - radius + 1.0)
-    kite = np.sqrt(np.maximum(sides, 0.0))
-    inside[cut] = (radius**2 * np.arccos(small) + np.arccos(unit) - 0.5 * kite) / (np.pi * radius**2)
-    return inside
+    from anisoscope.sim.light.wave.order_kernels import shares_inside  # noqa: PLC0415 - numba when first needed
+
+    found = np.empty(np.shape(apart))
+    shares_inside(np.ascontiguousarray(apart).ravel(), radius, found.reshape(-1))
+    return found
 
 
 def _chords(e: list[FloatArray], b: FloatArray) -> FloatArray:
