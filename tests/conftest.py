@@ -1,5 +1,6 @@
 """What could not be run is said at the end; with ANISOSCOPE_REQUIRE_ALL=1 it fails."""
 
+import contextlib
 import gc
 import importlib.util
 import os
@@ -51,7 +52,20 @@ def pytest_configure(config):
     config.stash[OWN_RUN] = Path(tempfile.mkdtemp(prefix="anisoscope-run-"))
     os.environ[RUN] = str(config.stash[OWN_RUN])
     if CACHE not in os.environ:
-        config.stash[OWN_CACHE] = os.environ[CACHE] = tempfile.mkdtemp(prefix="anisoscope-cache-")
+        folder = tempfile.mkdtemp(prefix="anisoscope-cache-")
+        take_over_sources(folder)
+        config.stash[OWN_CACHE] = os.environ[CACHE] = folder
+
+
+def take_over_sources(folder):
+    """Copy what `anisoscope warm` found in the source files: parsing them takes every process seconds.
+
+    An entry counts only for a file of the same size and times.
+    """
+    from anisoscope.base.cache import cache_folder
+
+    with contextlib.suppress(OSError):
+        shutil.copy(cache_folder() / "sources.json", folder)
 
 
 def pytest_unconfigure(config):
@@ -94,7 +108,6 @@ def pytest_collection_modifyitems(config, items):
 def pytest_collection_finish(session):
     """What the collected tests imported is set up for workers side by side."""
     gc.enable()
-    gc.collect()
     gc.freeze()  # thousands of tests and all that they imported stay: looking through them takes a twentieth of the run
     if SIDE_BY_SIDE and "numba" in sys.modules:
         import numba

@@ -88,6 +88,7 @@ def serve(address: str) -> None:
 
     Ends when the last client has left.
     """
+    gc.disable()  # what is imported stays
     from anisoscope.cli import main
 
     _load()
@@ -96,7 +97,7 @@ def serve(address: str) -> None:
         sidebyside = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(sidebyside)
         sidebyside.share()
-    gc.collect()
+    gc.enable()
     gc.freeze()  # nothing of this is looked at again, least of all at every child's end
     with socket.socket(socket.AF_UNIX) as listener, selectors.DefaultSelector() as ready:
         Path(address).unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import pyvista
 
 from anisoscope.kinds.plates.kind import PLATES
 from anisoscope.profiles.files.load import read_height_map
@@ -12,6 +11,8 @@ from anisoscope.sim.design.plates import modules_of_code
 
 
 def test_a_data_matrix_becomes_part_insert_and_recipe(anisoscope, tmp_path):
+    import pyvista
+
     out = tmp_path / "code"
     done = anisoscope("design", "code", "A17", "--out", out, "--pixel", "4", "--stl", "--json")
     assert done.code == 0, done.err

@@ -4,14 +4,17 @@ import math
 
 import numpy as np
 import pytest
-import statsmodels.api as sm
 from scipy.special import expit
+from statsmodels.genmod import families
+from statsmodels.genmod.generalized_linear_model import GLM
+from statsmodels.regression.linear_model import OLS
+from statsmodels.tools.tools import add_constant
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import as_json
 from anisoscope.quality.detection_probability import Trials, hit_miss, read_trials, signal_over_size
 
-LINKS = {"logit": sm.families.links.Logit(), "probit": sm.families.links.Probit()}
+LINKS = {"logit": families.links.Logit(), "probit": families.links.Probit()}
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +28,12 @@ def example(published):
 def test_hits_and_misses_of_the_handbook_are_fitted_as_by_an_independent_library(example, link, scale):
     found = hit_miss(example, scale, link)
     x = np.log(example.size) if scale == "log" else example.size
-    other = sm.GLM(example.hit.astype(float), sm.add_constant(x), sm.families.Binomial(LINKS[link])).fit()
+    other = GLM(example.hit.astype(float), add_constant(x), families.Binomial(LINKS[link])).fit()
     assert [found.parameters[name] for name in ("intercept", "slope")] == pytest.approx(
         other.params, rel=1e-5
     )
     assert found.deviance == pytest.approx(-2.0 * other.llf, abs=1e-8)
-    curve = other.predict(sm.add_constant(np.log(found.grid) if scale == "log" else found.grid))
+    curve = other.predict(add_constant(np.log(found.grid) if scale == "log" else found.grid))
     assert found.probability == pytest.approx(curve, abs=1e-6)
     assert (found.count, found.found, found.false_calls) == (134, 92, None)
     for one, quantile in zip(found.sizes, (0.5, 0.9), strict=True):
@@ -46,7 +49,7 @@ def test_limits_are_those_of_the_profile_likelihood(example):
         for at, drop in ((one.low, 3.841459), (one.high, 3.841459), (one.bound, 2.705543)):
             x = np.log(example.size / at)
             offset = np.full(len(x), math.log(one.probability / (1.0 - one.probability)))
-            fixed = sm.GLM(example.hit.astype(float), x, sm.families.Binomial(), offset=offset).fit()
+            fixed = GLM(example.hit.astype(float), x, families.Binomial(), offset=offset).fit()
             assert -2.0 * fixed.llf - top == pytest.approx(drop, abs=1e-4)
     assert found.sizes[1].size < found.sizes[1].bound < found.sizes[1].high
 
@@ -59,7 +62,7 @@ def signals(rng, count=80):
 def test_signals_are_fitted_as_by_an_independent_library(rng):
     size, signal = signals(rng)
     found = signal_over_size(size, signal, 2.0)
-    other = sm.OLS(np.log(signal), sm.add_constant(np.log(size))).fit()
+    other = OLS(np.log(signal), add_constant(np.log(size))).fit()
     assert [found.parameters[name] for name in ("intercept", "slope")] == pytest.approx(
         other.params, rel=1e-7
     )
@@ -77,7 +80,7 @@ def test_limits_of_many_signals_are_those_of_normal_theory(rng):
     size, signal = signals(rng, 2000)
     found = signal_over_size(size, signal, 2.0, points=2)
     x, slope, sigma = np.log(size), found.parameters["slope"], found.parameters["sigma"]
-    design = sm.add_constant(x)
+    design = add_constant(x)
     v = np.linalg.inv(design.T @ design) * sigma**2
     at = math.log(found.sizes[1].size)
     gradient = np.array([1.0, at]) / slope

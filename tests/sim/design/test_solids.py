@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import pyvista
 
 from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign
@@ -30,6 +29,8 @@ def edges_twice(triangles):
 
 @pytest.mark.parametrize("side", ["part", "insert"])
 def test_a_body_is_closed_and_has_the_volume_of_its_height_map(tmp_path, side):
+    import pyvista
+
     body = Body(PLAN, DESIGN, BASE_UM)
     write_body(body, tmp_path / "body.stl", side)
     mesh = pyvista.read(tmp_path / "body.stl").clean()
@@ -48,6 +49,8 @@ def test_a_body_is_closed_and_has_the_volume_of_its_height_map(tmp_path, side):
 
 
 def test_the_insert_is_the_mirrored_negative_of_the_part(tmp_path):
+    import pyvista
+
     body = Body(PLAN, DESIGN, BASE_UM)
     found = []
     for side in ("part", "insert"):
