@@ -93,8 +93,11 @@ class JsonLines(Generic[Line]):
                 ) from error
         return lines
 
-    def add(self, line: Line) -> None:
+    def add(self, line: Line, *, is_safe: bool = True) -> None:
         """Add a line; it is safe on disk when this returns.
+
+        One that follows from what is safe elsewhere need not be: a process that is killed leaves it, a power failure
+        may take it away.
 
         Raises:
             RecordError: it cannot be written.
@@ -104,6 +107,7 @@ class JsonLines(Generic[Line]):
             with self.path.open("ab") as stream:
                 stream.write(text.encode())
                 stream.flush()
-                os.fsync(stream.fileno())
+                if is_safe:
+                    os.fsync(stream.fileno())
         except OSError as error:
             raise RecordError(f"cannot write {self.path}: {error.strerror}") from error

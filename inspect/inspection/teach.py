@@ -1,4 +1,4 @@
-"""Teach a recipe by a good part: exposure, region and tolerances as the pictures of the part suggest them."""
+"""Teach a recipe by a good part: exposure, region and tolerances as its pictures suggest; or by limits of a file."""
 
 import tempfile
 from collections.abc import Callable, Sequence
@@ -10,21 +10,24 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
-from anisoscope.base.errors import MeasurementError, RigFileError, Saturated
+from anisoscope.base.errors import MeasurementError, RigFileError, Saturated, UsageError
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.reference_parts import golden_path
+from anisoscope.history.aqdef import read_aqdef
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
 from anisoscope.inspection.frame_table import Replay
 from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.replay import inspect_frames, read_given
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import AnyKind, Reference
-from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.kinds.registry import kind_of, read_any_recipe
 from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import Record
+from anisoscope.record.surface_details import contrast_label
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan
@@ -32,6 +35,7 @@ from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame, read_frame
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
+from anisoscope.sim.light.contrasts import contrasts
 
 UNLIKE = 2.0  # factor in brightness from which on a stretch along the border is not the part
 POINTS_A_PITCH = 4
@@ -242,6 +246,67 @@ def teach_by_frames(
         f"({LEVEL:.0%} is sought on a rig); not checked: whether another one would show more"
     )
     return _taught(recipe_path, part, probe, inspect, (note,))
+
+
+def teach_by_limits(recipe_path: Path, rig_path: Path, source: Path) -> Taught:
+    """Write a new version of a recipe with tolerances from the limits of an AQDEF file; nothing moves.
+
+    A recipe predicts its contrasts and has one tolerance on both sides of each: the distance from the prediction to the
+    nearer limit, so that no part passes which the limits refuse. Notes give nominal value, limits and prediction.
+
+    Args:
+        recipe_path: recipe with contrasts between poses.
+        rig_path: rig file, for its light angle.
+        source: ``.dfq``, or ``.dfd``; its characteristics are named as in the history, such as ``ln 0-90``.
+
+    Raises:
+        UsageError: the recipe has no such contrasts, a limit is missing, or a prediction is not within its limits.
+        RecipeError, RigFileError, RecordError: a file.
+    """
+    kind = kind_of(recipe_path)
+    recipe = kind.read_recipe(recipe_path)
+    if not isinstance(recipe, SurfaceRecipe):
+        raise UsageError(
+            f"{recipe_path}: limits are taken for contrasts between poses, which {kind.one} has not"
+        )
+    previous = previous_version_path(recipe_path, recipe.version)
+    given = read_aqdef(source)
+    rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
+    expected = kind.predict(recipe, rig, cached=True)
+    found, notes = [], []
+    for one in contrasts(expected.poses, expected.radiance):
+        name = contrast_label(recipe.decision.contrast, one.from_deg, one.to_deg, one.tilt_deg)
+        predicted = float(getattr(one, recipe.decision.contrast))
+        low, high = given.limits.get(name, (None, None))
+        if low is None or high is None:
+            raise UsageError(
+                f"{source}: {name!r} needs a lower and an upper limit (K2110, K2111); it describes "
+                f"{', '.join(given.numbers)}"
+            )
+        if not low < predicted < high:
+            raise UsageError(
+                f"{source}: {name} must be within {low:g} and {high:g}, where {recipe_path} predicts {predicted:+.4f}: "
+                "the file is that of another part, or the recipe's height map or design is not that of a good one"
+            )
+        found.append(float(f"{min(predicted - low, high - predicted):.6g}"))
+        nominal = f"nominal {given.nominal[name]:+.4f}, " if name in given.nominal else ""
+        notes.append(
+            f"{name}: {nominal}limits {low:+.4f} to {high:+.4f}, predicted {predicted:+.4f}: ±{found[-1]:g}"
+        )
+    if given.product != recipe.product:
+        notes.append(f"the part of {source.name} is {given.product!r}, that of the recipe {recipe.product!r}")
+    text = recipe_path.read_text(encoding="utf-8")
+    values = {("version",): recipe.version + 1, ("decision", "tolerance"): found}
+    candidate = recipe_path.with_name(f".{recipe_path.stem}-taught.toml")
+    try:
+        write_text(candidate, with_values(text, values))
+        kind.read_recipe(candidate)
+    finally:
+        candidate.unlink(missing_ok=True)
+    write_text(previous, text)
+    write_text(recipe_path, with_values(text, values))
+    change = Change("decision.tolerance", recipe.decision.tolerance, found, f"the limits of {source.name}")
+    return Taught(recipe.version + 1, previous, None, (change,), tuple(notes))
 
 
 def _fixture(fixture: Fixture | None, rig_path: Path) -> Fixture:

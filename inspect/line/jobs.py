@@ -122,7 +122,8 @@ class Job:
 
 
 Listener = Callable[[Kind, Job, dict[str, Any]], None]
-"""Called in a thread of the jobs, in order: what happened, to which job, and for ``progress`` how far it is."""
+"""Called in a thread of the jobs, in order: what happened, to which job, and more: for ``progress`` how far it is, for
+``done`` its ``record``, as it was read from its folder, where that was possible."""
 
 
 def now_utc() -> datetime:
@@ -372,12 +373,12 @@ class Jobs:
                 break
         at_work.close()
 
-    def _end(self, job: Job, state: State, **more: str | None) -> None:
+    def _end(self, job: Job, state: State, record: Record | None = None, **more: str | None) -> None:
         line = JobLine(line="end", at=self._time(), job=job.id, state=state, **more)
         with self._lock:
-            self._journal.add(line)
+            self._journal.add(line, is_safe=state != "done")  # the record in the folder says it too
             ended = self._take(line)
-        self._say(_END[state], ended, {})
+        self._say(_END[state], ended, {} if record is None else {"record": record})
 
     def _say(self, kind: Kind, job: Job, content: dict[str, Any]) -> None:
         for listener in self._listeners:
@@ -397,6 +398,7 @@ class _AtWork:
         self._jobs, self._job, self._cancel = jobs, job, cancel
         self.folder: str | None = None
         self.verdict: str | None = None
+        self.record: Record | None = None
         self.problem: dict[str, Any] | None = None
         self.ended = False
 
@@ -407,8 +409,11 @@ class _AtWork:
             self.folder = content["folder"]
         elif kind == "verdict":
             self.verdict, self.folder = content["verdict"], content["folder"]
+            with contextlib.suppress(RecordError):  # whoever asks for it hears why
+                folder = self._jobs.place.out / content["folder"]
+                self.record = read_record(folder)  # while it enters the history
         elif kind == "entered":
-            self._close("done", verdict=self.verdict)
+            self._close("done", self.record, verdict=self.verdict)
         elif kind == "failed" and not self.ended:
             self.problem = content
 
@@ -427,9 +432,9 @@ class _AtWork:
         elif self._jobs._stopped:  # noqa: SLF001
             self._close("stopped", problem=text)
 
-    def _close(self, state: State, **more: str | None) -> None:
+    def _close(self, state: State, record: Record | None = None, **more: str | None) -> None:
         self.ended = True
-        self._jobs._end(self._job, state, folder=self.folder, **more)  # noqa: SLF001
+        self._jobs._end(self._job, state, record, folder=self.folder, **more)  # noqa: SLF001
 
 
 @contextlib.contextmanager

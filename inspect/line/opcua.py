@@ -44,6 +44,7 @@ from anisoscope.line.opcua_types import (
     signature_of,
     subtypes,
 )
+from anisoscope.record.schema import Record
 from anisoscope.record.verdict import Verdict
 
 NAME = "VisionSystem"
@@ -190,8 +191,10 @@ class VisionServer:
         self._server = Server()
         self._prepared: _Prepared | None = None
         self._lock = asyncio.Lock()
-        self._heard: asyncio.Queue[tuple[Kind, Job]] = asyncio.Queue()
+        self._heard: asyncio.Queue[tuple[Kind, Job, Record | None]] = asyncio.Queue()
         self._events: dict[str, Event] = {}
+        self._ends: dict[str, dict[str, ua.LocalizedText]] = {}
+        self._shown: list[tuple[ua.NodeId, ua.NodeId]] = []
         self._handle = 0
         self._stop_asked = False
         self._outputs: dict[str, list[ua.Argument]] = {}
@@ -204,9 +207,9 @@ class VisionServer:
         await self._lay_out()
         loop = asyncio.get_running_loop()
 
-        def hear(kind: Kind, job: Job, _: dict[str, Any]) -> None:
+        def hear(kind: Kind, job: Job, content: dict[str, Any]) -> None:
             if kind in {"done", "failed", "stopped"}:
-                loop.call_soon_threadsafe(self._heard.put_nowait, (kind, job))
+                loop.call_soon_threadsafe(self._heard.put_nowait, (kind, job, content.get("record")))
 
         self._jobs.listen(hear)
         await asyncio.to_thread(self._jobs.__enter__)
@@ -273,6 +276,12 @@ class VisionServer:
             **await named_children(server.get_node(ua.NodeId(1017, self._ns))),
             **await named_children(server.get_node(ua.NodeId(1021, self._ns))),
         }
+        for name in {name for step in STEPS.values() for name in step.transitions}:
+            self._ends[name] = await _ends_of(self._objects[name])
+        for machine in (self._machine, self._automatic):
+            current = await machine.get_child(ua.QualifiedName("CurrentState"))
+            identity = await current.get_child(ua.QualifiedName("Id"))
+            self._shown.append((current.nodeid, identity.nodeid))
         for node in (server.nodes.server, self._system, self._machine, self._automatic):
             await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents])
         await self._link()
@@ -349,43 +358,27 @@ class VisionServer:
         if self.state in {PREOPERATIONAL, HALTED, ERROR, INITIALIZED}:
             self._prepared = None
         for name in step.transitions:
-            await self._changed(name)
+            await self._fire(
+                "StateChangedEventType", name, Transition=ua.LocalizedText(name), **self._ends[name]
+            )
         if before != READY and self.state == READY:
             await self._fire("ReadyEventType", f"{before}: ready", JobId=_id("JobIdDataType", job))
         if self.state == SINGLE:
             await self._fire("JobStartedEventType", "job started", JobId=_id("JobIdDataType", job))
 
-    async def _changed(self, transition: str) -> None:
-        node = self._objects[transition]
-        states: dict[str, ua.LocalizedText] = {}
-        for reference in await node.get_references(direction=ua.BrowseDirection.Forward):
-            if reference.ReferenceTypeId.Identifier in {
-                ua.ObjectIds.FromState,
-                ua.ObjectIds.ToState,
-            }:
-                states[ua.ObjectIdNames[reference.ReferenceTypeId.Identifier]] = ua.LocalizedText(
-                    reference.BrowseName.Name
-                )
-        await self._fire(
-            "StateChangedEventType", transition, Transition=ua.LocalizedText(transition), **states
-        )
-
     async def _show_state(self) -> None:
         outer = "Operational" if self.state in OPERATIONAL else self.state
-        for machine, name in ((self._machine, outer), (self._automatic, self.state)):
-            current = await machine.get_child(ua.QualifiedName("CurrentState"))
-            identity = await current.get_child(ua.QualifiedName("Id"))
-            if machine is self._automatic and self.state not in OPERATIONAL:
-                nothing = ua.DataValue(
+        inner = self.state if self.state in OPERATIONAL else None
+        for (current, identity), name in zip(self._shown, (outer, inner), strict=True):
+            if name is None:
+                text = of = ua.DataValue(
                     ua.Variant(None), StatusCode=ua.StatusCode(ua.StatusCodes.BadStateNotActive)
                 )
-                for node in (current, identity):
-                    await self._server.write_attribute_value(node.nodeid, nothing)
             else:
-                text = ua.Variant(ua.LocalizedText(name), ua.VariantType.LocalizedText)
-                await self._server.write_attribute_value(current.nodeid, ua.DataValue(text))
-                of = ua.Variant(self._objects[name].nodeid, ua.VariantType.NodeId)
-                await self._server.write_attribute_value(identity.nodeid, ua.DataValue(of))
+                text = ua.DataValue(ua.Variant(ua.LocalizedText(name), ua.VariantType.LocalizedText))
+                of = ua.DataValue(ua.Variant(self._objects[name].nodeid, ua.VariantType.NodeId))
+            await self._server.write_attribute_value(current, text)
+            await self._server.write_attribute_value(identity, of)
 
     def _may(self, method: str) -> None:
         if (self.state, method) not in STEPS:
@@ -419,18 +412,18 @@ class VisionServer:
     async def _follow(self) -> None:
         """What the jobs do by themselves, in its order."""
         while True:
-            kind, job = await self._heard.get()
+            kind, job, record = await self._heard.get()
             try:
                 async with self._lock:
-                    await self._ended(kind, job)
+                    await self._ended(kind, job, record)
             except Exception:  # noqa: BLE001 - the next job is followed all the same
                 _log.exception("job %s: %s", job.id, kind)
             finally:
                 self._heard.task_done()
 
-    async def _ended(self, kind: Kind, job: Job) -> None:
+    async def _ended(self, kind: Kind, job: Job, record: Record | None) -> None:
         try:
-            fields = await self._result_fields(job)
+            fields = await self._result_fields(job, record)
         except _No as problem:  # the record is gone or damaged: the job has ended all the same
             await self._say(f"job {job.id}: {problem}")
             fields = await self._result_fields(job, content=False)
@@ -513,7 +506,8 @@ class VisionServer:
         assert prepared is not None
         if name != prepared.name:
             raise _No(CODES["recipe"], f"recipe {name[:80]!r} is not prepared; {prepared.name} is")
-        if self._find(name) != prepared:
+        if _digest(self._recipes, name) != prepared.sha256:
+            self._find(name)  # says what is wrong with one that cannot be used any more
             raise _No(CODES["recipe"], f"recipe {name} was changed since it was prepared: prepare it again")
         if product.Id and product.Id != prepared.product:
             raise _No(CODES["order"], f"product {product.Id[:80]!r}: recipe {name} is for {prepared.product}")
@@ -528,8 +522,7 @@ class VisionServer:
     def _find(self, name: str) -> _Prepared:
         with _refusals():
             entry = self._jobs.recipe(name)
-        content = (self._recipes / f"{name}.toml").read_bytes()
-        return _Prepared(name, hashlib.sha256(content).digest(), entry.product)
+        return _Prepared(name, _digest(self._recipes, name), entry.product)
 
     def _asked_recipe(self, external: Structure, internal: Structure) -> _Prepared:
         names = {one.Id for one in (external, internal) if one.Id}
@@ -626,10 +619,11 @@ class VisionServer:
 
     # Results: one a job, with its id.
 
-    async def _result_fields(self, job: Job, *, content: bool = True) -> dict[str, Any]:
+    async def _result_fields(
+        self, job: Job, record: Record | None = None, *, content: bool = True
+    ) -> dict[str, Any]:
         """What a result says, by the names of ResultDataType that the event has too."""
-        record = None
-        if content:
+        if content and record is None:
             try:
                 record = await asyncio.to_thread(self._jobs.record, job.id)
             except AnisoscopeError as problem:
@@ -700,7 +694,24 @@ class VisionServer:
         return self._handle
 
 
+async def _ends_of(transition: Node) -> dict[str, ua.LocalizedText]:
+    """FromState and ToState of a transition of the NodeSet, as its event gives them."""
+    wanted = (ua.ObjectIds.FromState, ua.ObjectIds.ToState)
+    return {
+        ua.ObjectIdNames[found.ReferenceTypeId.Identifier]: ua.LocalizedText(found.BrowseName.Name)
+        for found in await transition.get_references(direction=ua.BrowseDirection.Forward)
+        if found.ReferenceTypeId.Identifier in wanted
+    }
+
+
 _RESULT_STATES = {"done": 1, "running": 2, "stopped": 3, "failed": 4}
+
+
+def _digest(recipes: Path, name: str) -> bytes:
+    """SHA-256 of the file of a recipe; empty where it cannot be read."""
+    with contextlib.suppress(OSError):
+        return hashlib.sha256((recipes / f"{name}.toml").read_bytes()).digest()
+    return b""
 
 
 def _page(found: Sequence[Any], most: int, start: int) -> tuple[Sequence[Any], bool]:

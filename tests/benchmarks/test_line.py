@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from anisoscope.cli.demo.ridges import lay_out
 
@@ -82,10 +83,12 @@ def test_what_a_job_adds_to_its_inspection(bench, line):
         loop(controller.__aexit__())
     finally:
         loop.close()
-    added = np.subtract(ordered, within)
+    added, pairs = np.subtract(ordered, within), np.sort(np.subtract(ordered, alone))
+    low, high = (pairs[int(one)] for one in binom.interval(0.95, len(pairs), 0.5))
     bench.note(
         f"StartSingleJob to ResultReady, {JOBS} jobs in turn with inspections without the line: "
-        f"median {1e3 * statistics.median(ordered):.0f} ms, alone {1e3 * statistics.median(alone):.0f} ms"
+        f"median {1e3 * statistics.median(ordered):.0f} ms, alone {1e3 * statistics.median(alone):.0f} ms; of pairs in "
+        f"turn {1e3 * np.median(pairs):+.0f} ms (95 %: {1e3 * low:.0f} to {1e3 * high:.0f})"
     )
     bench.note(
         f"the line adds {1e3 * np.median(added):.0f} ms (95 %: {1e3 * np.quantile(added, 0.95):.0f} ms) around the "

@@ -276,6 +276,12 @@ def teach(
             help="With --golden: another recipe, for the same plastic and rig, whose golden parts teach.",
         ),
     ] = None,
+    limits: Annotated[
+        Path | None,
+        Parameter(
+            help="AQDEF file (.dfq, .dfd) whose limits become the tolerances; nothing is photographed."
+        ),
+    ] = None,
     share: Annotated[
         float, Parameter(help="With --golden: share of good prints that should pass all limits.")
     ] = 0.95,
@@ -285,26 +291,32 @@ def teach(
     """Photograph a good part, and set exposure, region and tolerances of a recipe by it.
 
     --frames uses existing frames and their exposure. --golden sets only the tolerances of a print by its golden
-    prints, or the scatter of ridged parts by theirs. The recipe becomes a new version; the old one is saved as
-    NAME.v1.toml and so on.
+    prints, or the scatter of ridged parts by theirs; --limits only the tolerances of contrasts. The recipe becomes a
+    new version; the old one is saved as NAME.v1.toml and so on.
 
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
         anisoscope recipe teach print.toml --rig rig.toml --golden
         anisoscope recipe teach upright.toml --rig rig.toml --golden --golden-of tilted.toml
+        anisoscope recipe teach recipe.toml --rig rig.toml --limits part.dfq
     """
-    if golden == (serial is not None):
+    if golden + (serial is not None) + (limits is not None) != 1:
         raise UsageError(
-            "name either a good part with --serial, or --golden for the golden parts of a recipe"
+            "name a good part with --serial, or --golden for the golden parts of a recipe, or a file with --limits"
         )
     if golden_of is not None and not golden:
         raise UsageError("--golden-of names the recipe whose golden parts teach: it needs --golden")
-    if golden and frames is not None:
-        raise UsageError("--golden teaches by golden prints, and --frames by a good part: leave one out")
+    if serial is None and frames is not None:
+        raise UsageError("--frames teaches by a good part: it goes with --serial")
     if rig is None and frames is None:
         raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
     if serial is not None:
         found = _by_part(file, rig, serial, out, frames, reflectance, json_=json_)
+    elif limits is not None:
+        from anisoscope.inspection.teach import teach_by_limits
+
+        assert rig is not None
+        found = teach_by_limits(file, rig, limits)
     else:
         assert rig is not None
         found = _by_golden(file, rig, share, golden_of)

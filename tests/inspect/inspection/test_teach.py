@@ -1,4 +1,4 @@
-"""A good part teaches exposure, region and tolerances."""
+"""A good part teaches exposure, region and tolerances; limits of a file teach tolerances."""
 
 import tomllib
 
@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope.base.errors import MeasurementError, RecordError, RigError, RigFileError
+from anisoscope.base.errors import (
+    MeasurementError,
+    RecipeError,
+    RecordError,
+    RigError,
+    RigFileError,
+    UsageError,
+)
 from anisoscope.inspection.replay import check_with_frames
-from anisoscope.inspection.teach import teach, teach_by_frames
+from anisoscope.inspection.teach import teach, teach_by_frames, teach_by_limits
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import kind_of, read_recipe
 from anisoscope.kinds.ridges.kind import Ridges
@@ -130,3 +137,50 @@ def test_an_old_version_is_never_overwritten(flat_at_any_exposure, plain):
         teach(rig.recipe, rig.rig, "GOOD-1", rig.out, methods=plain)
     assert rig.recipe.with_name("recipe.v1.toml").read_text() == "mine"
     assert rig.folders == []
+
+
+def limits_file(folder, record, below, above, *, nominal=None):
+    """An AQDEF file as another program writes it, with limits about what an inspection had as prediction."""
+    lines = [f"K0100 {len(record.details.contrasts)}", f"K1001/1 {record.product}"]
+    for number, one in enumerate(record.details.contrasts, start=1):
+        lines += [f"K2002/{number} ln {one.from_deg:g}-{one.to_deg:g}"]
+        keyed = {"K2101": nominal, "K2110": one.predicted - below, "K2111": one.predicted + above}
+        lines += [f"{key}/{number} {value:.6f}" for key, value in keyed.items() if value is not None]
+    path = folder / "drawing.dfq"
+    path.write_text("\r\n".join(lines) + "\r\n")
+    return path
+
+
+def test_limits_of_a_file_become_tolerances(inspected_part):
+    rig, inspected = inspected_part
+    before = rig.recipe.read_text()
+    found = teach_by_limits(
+        rig.recipe, rig.rig, limits_file(rig.out, inspected.record, 0.2, 0.3, nominal=0.1)
+    )
+    recipe = read_recipe(rig.recipe)
+    assert recipe.decision.tolerance == pytest.approx(
+        [0.2, 0.2], abs=2e-6
+    )  # no part passes below the lower limit
+    assert (recipe.version, found.kept.read_text()) == (2, before)
+    assert "nominal +0.1000" in found.notes[0]
+    assert found.changes[0].old == 0.25
+
+
+@pytest.mark.parametrize(
+    ("below", "above", "words"),
+    [
+        (-0.01, 0.3, "within .* predicts"),
+        (None, 0.3, "needs a lower and an upper limit"),
+        (40.0, 40.0, "tolerance"),
+    ],
+)
+def test_limits_that_fit_no_recipe_change_nothing(inspected_part, below, above, words):
+    rig, inspected = inspected_part
+    before = rig.recipe.read_text()
+    path = limits_file(rig.out, inspected.record, below or 0.2, above)
+    if below is None:
+        path.write_text("\r\n".join(one for one in path.read_text().splitlines() if "K2110" not in one))
+    with pytest.raises((UsageError, RecipeError), match=words):
+        teach_by_limits(rig.recipe, rig.rig, path)
+    assert rig.recipe.read_text() == before
+    assert sorted(one.name for one in rig.recipe.parent.glob("*recipe*")) == ["recipe.toml"]

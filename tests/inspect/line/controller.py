@@ -5,6 +5,7 @@ import json
 import threading
 
 from asyncua import Client, ua
+from asyncua.common.events import get_filter_from_event_type
 
 NAMESPACE = "http://opcfoundation.org/UA/MachineVision"
 FOLDERS = {
@@ -36,29 +37,30 @@ class Loop:
 class Controller:
     """A client with its session; `heard` are the events, as they come.
 
-    The structures of the NodeSet stay known for a process; ``defined`` says that an earlier session has read them.
+    The structures of the NodeSet stay known for a process; ``known``, of an earlier session in it, is the filter of its
+    events, so that neither is read again.
     """
 
-    def __init__(self, address, timeout=30, *, defined=False):
-        self.defined = defined
+    def __init__(self, address, timeout=30, *, known=None):
+        self.known = known
         self.client = Client(address, timeout=timeout)
         self.heard = asyncio.Queue()
 
     async def __aenter__(self):
         await self.client.connect()
         try:
-            if not self.defined:
+            if self.known is None:
                 await self.client.load_data_type_definitions()
-                self.defined = True
             self.ns = await self.client.get_namespace_index(NAMESPACE)
             own = await self.client.get_namespace_index("urn:anisoscope:line")
             self.system = self.client.get_node(ua.NodeId("VisionSystem", own))
             self.methods = {}
-            subscription = await self.client.create_subscription(20, self)
-            await subscription.subscribe_events(
-                ua.ObjectIds.Server,
-                [ua.NodeId(one, self.ns) for one in (1013, 1018, 1019, 1022, 1023, 1024, 1038)],
-            )
+            subscription = await self.client.create_subscription(5, self)
+            if self.known is None:
+                types = (1013, 1018, 1019, 1022, 1023, 1024, 1038)
+                nodes = [self.client.get_node(ua.NodeId(one, self.ns)) for one in types]
+                self.known = await get_filter_from_event_type(nodes)
+            await subscription.subscribe_events(ua.ObjectIds.Server, evfilter=self.known)
         except BaseException:
             await self.client.disconnect()
             raise

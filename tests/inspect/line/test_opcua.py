@@ -592,21 +592,27 @@ def test_a_job_whose_rig_fails_ends_with_a_result_and_an_error_event(server, con
     assert loop(controller.states()) == ("Error", None)
 
 
-def test_a_job_whose_record_is_damaged_ends_all_the_same(server, controller, loop, at):
+def test_a_job_whose_record_is_damaged_ends_all_the_same(server, controller, loop, at, monkeypatch):
     at("Ready")
 
-    def damage(kind, job, _content):
-        if kind == "done" and job.id == "M-damaged":
-            (job.folder / "record.json").write_text("{")
+    worker, out = server._jobs._worker, server._jobs.place.out
 
-    server._jobs._listeners.insert(0, damage)
+    class Damaging:
+        def run(self, task, emit, cancel):
+            def damaged(kind, content):
+                if kind == "verdict":
+                    (out / content["folder"] / "record.json").write_text("{")
+                emit(kind, content)
+
+            worker.run(task, damaged, cancel)
+
+    monkeypatch.setattr(server._jobs, "_worker", Damaging())
     assert loop(controller.start("D-1", "M-damaged"))[1] == 0
     assert loop(said(controller, "M-damaged: .*record.json"))
     event = loop(controller.next(RESULT_READY))
     verdict, code, all_of_it = content(event.ResultContent)
     assert (verdict, code, all_of_it["job"], "numbers" in all_of_it) == ("PASS", 0, "M-damaged", False)
     assert loop(controller.next(READY)).JobId.Id == "M-damaged"
-    server._jobs._listeners.remove(damage)
 
 
 def test_a_port_that_is_taken_is_named(place_of, server, loop):

@@ -96,13 +96,17 @@ def test_a_defect_that_is_not_simulated_is_refused(defect, largest, word):
         detection_trials(Lot(recipe(), LIGHT_DEG, Spread(), parts=40, rigs=2), defect, largest, Workers())
 
 
-@pytest.mark.statistics
-def test_a90_is_found_in_nine_of_ten_of_many_parts():
-    """The curve of 400 parts against a count of 2000 at its a50 and a90; three golden parts on every rig."""
+@pytest.mark.parametrize(
+    "count",
+    [pytest.param(2000, marks=pytest.mark.statistics), pytest.param(20_000, marks=pytest.mark.soak)],
+)
+def test_a90_is_found_in_nine_of_ten_of_many_parts(count):
+    """The curve of 400 parts against a count of many at its a50 and a90; three golden parts on every rig."""
     one = recipe()
     lot = Lot(one, LIGHT_DEG, Spread.of(one), parts=400, rigs=2, golden=3)
     curve = hit_miss(detection_trials(lot, "height_loss", None, Workers(None)))
     for limit in curve.sizes:
-        many = replace(lot, shift=Shift(height_loss=limit.size), parts=2000, rigs=2000)
+        many = replace(lot, shift=Shift(height_loss=limit.size), parts=count, rigs=count)
         share = part_yield(many, Workers(None), seed=99).verdicts["FAIL"].value
+        print(f"{limit.size:.4f}: {limit.probability:.0%} by the curve, {share:.1%} of {count}")  # noqa: T201
         assert share == pytest.approx(limit.probability, abs=0.1)
