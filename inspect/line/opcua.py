@@ -9,13 +9,14 @@ the signature in the NodeSet before anything else (`anisoscope.line.opcua_types`
 import asyncio
 import contextlib
 import copy
+import gc
 import hashlib
 import json
 import logging
 import re
 import socket
 import uuid
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -761,6 +762,17 @@ def _refusals() -> Any:  # noqa: ANN401
         raise _No(CODES[refused.why], str(refused)) from None
     except (AnisoscopeError, OSError) as problem:
         raise _No(BROKEN, " ".join(str(problem).split())) from None
+
+
+@contextlib.contextmanager
+def long_lived() -> Iterator[None]:
+    """What is made meanwhile stays as long as the process: no garbage is looked for among it, now or at any job."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def _check_port(host: str, port: int) -> None:

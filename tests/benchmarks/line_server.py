@@ -6,6 +6,7 @@ the monotonic clock, written by the process that inspects.
 """
 
 import asyncio
+import contextlib
 import os
 import sys
 import threading
@@ -18,7 +19,7 @@ from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.inspection.work import Task, WorkerProcess, Workplace, held_rig, perform
 from anisoscope.line.jobs import Jobs
-from anisoscope.line.opcua import VisionServer
+from anisoscope.line.opcua import VisionServer, long_lived
 
 STAMPS = "ANISOSCOPE_STAMPS"
 
@@ -44,7 +45,9 @@ def inspect_here(recipe, serial, place, _advance):
 
 
 async def serve(jobs, worker, recipes, port):
-    async with VisionServer(jobs, recipes, port=port) as server:
+    async with contextlib.AsyncExitStack() as stack:
+        with long_lived():
+            server = await stack.enter_async_context(VisionServer(jobs, recipes, port=port))
         print(server.address, flush=True)
         while serial := (await asyncio.to_thread(sys.stdin.readline)).strip():
             await asyncio.to_thread(jobs.wait)

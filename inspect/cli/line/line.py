@@ -58,12 +58,15 @@ def opcua(
         anisoscope line opcua --rig rig.toml --recipes recipes
     """
     with extra_packages("OPC UA", "line"):
-        from anisoscope.line.opcua import VisionServer
+        from anisoscope.line.opcua import VisionServer, long_lived
     check_open(host, open_=open_)
     with jobs_at(rig, recipes, out, history, station) as jobs:
 
         async def serve() -> None:
-            async with VisionServer(jobs, recipes.resolve(), host, port) as server:
+            async with contextlib.AsyncExitStack() as stack:
+                with long_lived():
+                    server = VisionServer(jobs, recipes.resolve(), host, port)
+                    await stack.enter_async_context(server)
                 _say_address(server.address)
                 await _until_signalled()
 
