@@ -72,6 +72,7 @@ def _add_pages(router: APIRouter, station: Station) -> None:
             recipes=station.all_recipes(),
             calibrations=station.calibrations(),
             resumable=station.resumable(),
+            places=station.has_places(),
             guides=[one for one in described(station.place.rig) if session.may(one["needs"])],
             name=station.name or "",
             words=_words(),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fastapi import HTTPException
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
@@ -32,7 +32,7 @@ MOST_STREAMS = 200
 
 
 class Start(BaseModel):
-    """What to inspect."""
+    """What to inspect; x and y are the place of the part, in mm right and up of the stage's axis at sample angle 0."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -40,6 +40,8 @@ class Start(BaseModel):
     serial: str = Field(min_length=1, max_length=200)
     lot: str | None = Field(None, max_length=200)
     cavity: str | None = Field(None, max_length=200)
+    x_mm: FiniteFloat | None = None
+    y_mm: FiniteFloat | None = None
 
 
 class Named(BaseModel):
@@ -210,17 +212,31 @@ class Station:
 
         Raises:
             HTTPException: 409 if the rig is at work or held by another one, 404 without such a recipe.
-            UsageError: a serial number that cannot be used.
+            UsageError: a serial number that cannot be used, or a place that the rig has no axes for.
         """
         from anisoscope.inspection.job import check_serial  # noqa: PLC0415 - loads much
 
         path = self.recipe_path(asked.recipe)
-        operator = session.name
+        serial, place = check_serial(asked.serial.strip()), self._place(asked)
         who = Particulars(
-            operator=operator, lot=asked.lot or None, cavity=asked.cavity or None, station=self.name
+            operator=session.name,
+            lot=asked.lot or None,
+            cavity=asked.cavity or None,
+            station=self.name,
+            place_mm=place,
         )
-        task = Task("inspect", path, check_serial(asked.serial.strip()), who)
-        self._begin(session, task, {"recipe": asked.recipe, "serial": task.serial, "lot": asked.lot or ""})
+        words = {"recipe": asked.recipe, "serial": serial, "lot": asked.lot or ""}
+        words |= {} if place is None else {"place_mm": f"{place[0]:g}, {place[1]:g}"}
+        self._begin(session, Task("inspect", path, serial, who), words)
+
+    def _place(self, asked: Start) -> tuple[float, float] | None:
+        if asked.x_mm is None and asked.y_mm is None:
+            return None
+        if asked.x_mm is None or asked.y_mm is None:
+            raise UsageError(message("The place of a part takes both x and y."))
+        if not self.has_places():
+            raise UsageError(message("This rig has no axes x and y: leave the place out."))
+        return asked.x_mm, asked.y_mm
 
     def resume(self, session: Session, folder: str) -> None:
         """Go on with an interrupted inspection; errors as for `start`."""
@@ -401,6 +417,12 @@ class Station:
         self.live.pause()
 
     # What there is.
+
+    def has_places(self) -> bool:
+        """Whether axes x and y bring parts below the camera."""
+        from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415 - as below
+
+        return {"x", "y"} <= read_rig(self.place.rig).linear.keys()
 
     def recipe_path(self, name: str) -> Path:
         """Path of a recipe by its name.

@@ -113,8 +113,10 @@ wanted = () => {
 
 $("start").addEventListener("submit", async event => {
   event.preventDefault();
-  const asked = Object.fromEntries(new FormData($("start")));
-  if (await post("/api/v1/start", asked)) $("start").elements.serial.value = "";
+  const fields = $("start").elements, asked = Object.fromEntries(new FormData($("start")));
+  for (const name of ["x_mm", "y_mm"]) asked[name] = asked[name] ? asked[name].trim().replace(",", ".") : null;
+  if (!await post("/api/v1/start", asked)) return;
+  for (const name of ["serial", "x_mm", "y_mm"]) if (fields[name]) fields[name].value = "";  // these are of one part
 });
 const ask = (id, path, content) => { if ($(id)) $(id).addEventListener("click", () => post(path, content ? content() : {})); };
 ask("take", "/api/v1/take");

@@ -6,6 +6,7 @@ import json
 import runpy
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import numpy as np
@@ -291,6 +292,44 @@ def test_serial_numbers_that_cannot_be_used_are_refused(browser, serial):
     answer = browser.post("/start", recipe="plate", serial=serial)
     assert answer.status_code in {409, 422}
     assert "\n" not in answer.json()["error"]
+
+
+def test_places_are_for_rigs_with_axes_that_go_there(browser, at, monkeypatch):
+    answer = browser.post("/start", recipe="plate", serial="P-1", x_mm=1.0, y_mm=2.0)
+    assert (answer.status_code, answer.json()["error"]) == (
+        409,
+        "This rig has no axes x and y: leave the place out.",
+    )
+    assert (
+        'name="x_mm"' not in browser.client.get(f"{browser.client.base_url.copy_with(path='/station')}").text
+    )
+    text = at.place.rig.read_text(encoding="utf-8")
+    axis = 'driver = "zaber"\nport = "sim://zaber?bench=${here}/bench.toml"\n'
+    at.place.rig.write_text(f"{text}\n[x]\n{axis}[y]\n{axis}", encoding="utf-8")
+    tasks = []
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(at, "_worker", SimpleNamespace(run=lambda task, *_: tasks.append(task)))
+            for wrong in (
+                {"x_mm": 1.0},
+                {"y_mm": 1.0},
+                {"x_mm": "1e999", "y_mm": 1.0},
+                {"x_mm": "a", "y_mm": 1.0},
+            ):
+                assert browser.post("/start", recipe="plate", serial="P-1", **wrong).status_code in {409, 422}
+            assert (
+                'name="x_mm"'
+                in browser.client.get(f"{browser.client.base_url.copy_with(path='/station')}").text
+            )
+            assert (
+                browser.post("/start", recipe="plate", serial="P-1", x_mm="-1.5", y_mm=2.0).status_code == 200
+            )
+            at._busy.join()
+    finally:
+        at.place.rig.write_text(text, encoding="utf-8")
+    (task,) = tasks
+    assert task.particulars.place_mm == (-1.5, 2.0)
+    assert at._trail.lines()[-1]["more"]["place_mm"] == "-1.5, 2"
 
 
 def test_no_name_leads_out_of_the_folders(browser, address):
