@@ -27,7 +27,7 @@ async def inspect(address, recipe, serial):
         own = await client.get_namespace_index("urn:anisoscope:line")
         system = client.get_node(f"ns={own};s=VisionSystem")
         results = Results()
-        subscription = await client.create_subscription(5, results)  # ms; an event waits half of it
+        subscription = await client.create_subscription(20, results)
         await subscription.subscribe_events(ua.ObjectIds.Server, ua.NodeId(RESULT_READY, vision))
 
         async def call(path, *arguments):

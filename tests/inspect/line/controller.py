@@ -55,7 +55,7 @@ class Controller:
             own = await self.client.get_namespace_index("urn:anisoscope:line")
             self.system = self.client.get_node(ua.NodeId("VisionSystem", own))
             self.methods = {}
-            subscription = await self.client.create_subscription(5, self)
+            subscription = await self.client.create_subscription(20, self)
             if self.known is None:
                 types = (1013, 1018, 1019, 1022, 1023, 1024, 1038)
                 nodes = [self.client.get_node(ua.NodeId(one, self.ns)) for one in types]
