@@ -296,7 +296,6 @@ def teach(
 
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
-        anisoscope recipe teach print.toml --rig rig.toml --golden
         anisoscope recipe teach upright.toml --rig rig.toml --golden --golden-of tilted.toml
         anisoscope recipe teach recipe.toml --rig rig.toml --limits part.dfq
     """

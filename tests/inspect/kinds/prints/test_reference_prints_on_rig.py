@@ -49,7 +49,7 @@ def refused(recipe_path, rig_path, match):
 def check_that_they_teach(recipe_path, rig_path, capsys):
     """The tolerances become those that the golden prints teach; all else stays."""
     before, limits = recipe_path.read_text(), read_print_recipe(recipe_path).tolerances
-    with pytest.raises(UsageError, match="either a good part with --serial, or --golden"):
+    with pytest.raises(UsageError, match="name a good part with --serial, or --golden"):
         recipe_command.teach(recipe_path, rig=rig_path)
     assert recipe_command.teach(recipe_path, rig=rig_path, golden=True, json_=True) == 0
     told = json.loads(capsys.readouterr().out)
