@@ -1,6 +1,6 @@
 """Scalar waves against rigorous coupled waves: lamellar gratings of aluminium, solved by fmmax (MIT).
 
-An order sweep comes first: of both polarisations, at the narrowest and at the widest steps. Then every cell of the
+More orders come first: of both polarisations, at the narrowest and at the widest steps. Then every cell of the
 table is solved, and with ANISOSCOPE_WRITE_DOCS=1 written to tests/sim/light/wave/rigorous.csv, with which
 `test_rigorous.py` there compares the engine. So are gratings and a random tile that no bound was fitted to
 (unseen.csv, `test_edges.py`).
@@ -97,23 +97,21 @@ def solved_ridges(pitch_um, ridges, depths_um, angle_deg, half):
 
 
 @pytest.mark.benchmark
-@pytest.mark.parametrize(("width_um", "factors"), [(2.0, (1.5, 2.0, 3.0)), (16.0, (1.05, 1.15))])
-def test_orders_of_the_expansion_suffice(bench, width_um, factors):
-    """The sweep of orders that decides how many the table takes."""
-    kept, before = propagating(width_um), None
-    for factor in factors:
-        half = terms(width_um, factor)
-        found = {
-            depth: one[:, half - kept : half + kept + 1]
-            for depth, one in solved(width_um, (0.06, 0.4), 30.0, half).items()
-        }
-        if before is not None:
-            change = {depth: np.abs(one - before[depth]).max(axis=1) for depth, one in found.items()}
-            for depth, (te, tm) in change.items():
-                cell = f"{width_um:g} µm wide, {1e3 * depth:g} nm deep"
-                bench.note(f"{cell}: ±{half} orders change TE by {te:.1e}, TM by {tm:.1e}")
-            assert max(float(one.max()) for one in change.values()) < 5e-3
-        before = found
+@pytest.mark.parametrize(("width_um", "factor"), [(2.0, 6.0), (16.0, 1.25)])
+def test_orders_of_the_expansion_suffice(bench, width_um, factor):
+    """The table's orders against more: TM of shallow grooves converges slowly, even and odd numbers apart."""
+    kept, found = propagating(width_um), []
+    for one in (FACTORS[width_um], factor):
+        half = terms(width_um, one)
+        powers = solved(width_um, (0.06, 0.4), 30.0, half)
+        found.append({depth: both[:, half - kept : half + kept + 1] for depth, both in powers.items()})
+    for depth in found[0]:
+        te, tm = np.abs(found[1][depth] - found[0][depth]).max(axis=1)
+        bench.note(
+            f"{width_um:g} µm wide, {1e3 * depth:g} nm deep: ±{half} instead of ±{terms(width_um, FACTORS[width_um])} "
+            f"orders change TE by {te:.1e}, TM by {tm:.1e}"
+        )
+        assert max(te, tm) < 5e-3
 
 
 @pytest.mark.benchmark
