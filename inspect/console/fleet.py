@@ -7,8 +7,7 @@ dispositions, whose token a script sends.
 import itertools
 import math
 import threading
-from base64 import b64encode
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -25,11 +24,11 @@ from fastapi import Path as InPath
 from fastapi.responses import HTMLResponse, StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from anisoscope.base.arrays import FloatArray
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.language import decimal, language, message, translated
 from anisoscope.base.notation import number_name, number_text, true_minus
+from anisoscope.console import heat_maps
 from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.pages import drawn, render, report_at
 from anisoscope.console.trail import Trail
@@ -55,7 +54,6 @@ from anisoscope.study.statistics import Rate, rate
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-    from anisoscope.imaging.deviation_map import CellMap
 
 A_PAGE, A_PORTION = 50, 500
 CHARTED, CHARTS = 2000, 12
@@ -338,9 +336,9 @@ class _Fleet:
         """Where the latest ones deviate, by product and cavity."""
         with self.history() as history:
             facts, places = self.selected(history, asked)
-            ids = _ids(facts, places[-MAPPED:])
+            ids = _ids(facts, places[-heat_maps.MAPPED :])
             rows = [] if history is None else history.rows(Filters(ids=ids))
-        found, missing = _maps(rows)
+        found, missing = heat_maps.heat_maps(rows)
         content = {"choices": _choices(facts), "count": len(places), "shown": len(rows)}
         return content | {"maps": found, "missing": missing}
 
@@ -659,127 +657,6 @@ def _spread(levels: list[tuple[float, str, str]]) -> list[tuple[float, float, st
         free = at + LINE
         found.append((round(y, 1), round(at, 1), true_minus(text), kind))
     return found
-
-
-# Where parts deviate.
-
-MAPPED, BROAD, HIGH = 100, 420.0, 420.0
-
-
-@dataclass(frozen=True)
-class HeatMap:
-    """The deviating cells of the parts of a cavity, laid over each other.
-
-    Attributes:
-        title: product and cavity.
-        count: parts.
-        width, height: of the pictures, in units of the drawing.
-        bar: length of the scale bar in mm, and in these units.
-        share: picture of the share of parts in which a cell deviates, and its largest value.
-        mean: picture of the mean ln ratio less that of the flank, of the pair of poses where it is largest, and that.
-    """
-
-    title: str
-    count: int
-    width: float
-    height: float
-    bar: tuple[float, float]
-    share: tuple[str, float]
-    mean: tuple[str, float]
-
-
-@dataclass(eq=False)
-class _Sums:
-    count: int
-    deviating: FloatArray
-    off: FloatArray
-
-
-def _maps(rows: Sequence[Row]) -> tuple[list[HeatMap], list[str]]:
-    """Maps of inspections, and where those are whose cells are not here."""
-    sums, missing = dict[tuple[str, str, float, tuple[int, ...]], _Sums](), Counter[str]()
-    for row in rows:
-        try:
-            found = _deviations(row)
-        except (AnisoscopeError, OSError, ValueError, KeyError) as error:
-            missing[message("cannot be read: {why}", why=" ".join(str(error).split()))] += 1
-            continue
-        if isinstance(found, str):
-            missing[found] += 1
-            continue
-        cells, side_mm = found
-        key = (row.product, row.cavity or message("not stated"), side_mm, cells.off.shape)
-        one = sums.setdefault(key, _Sums(0, np.zeros(cells.off.shape[1:]), np.zeros(cells.off.shape)))
-        one.count += 1
-        one.deviating += cells.deviating()
-        one.off += cells.off
-    drawn = [
-        _heat_map(message("{product}, cavity {cavity}", product=product, cavity=cavity), one, side)
-        for (product, cavity, side, _), one in sums.items()
-    ]
-    return drawn, [f"{number} {text}" for text, number in missing.most_common()]
-
-
-def _deviations(row: Row) -> "tuple[CellMap, float] | str":
-    """Map of the cells of an inspection and their side in mm, or where it is."""
-    from anisoscope.inspection.kept_measurement import read_kept  # noqa: PLC0415 - start-up time, as below
-    from anisoscope.kinds.registry import kind_named  # noqa: PLC0415
-
-    folder = Path(row.folder)
-    if not folder.is_dir():
-        return message(
-            "not on this computer: made at {at} in {folder}, or in the archive (`anisoscope archive list`)",
-            at=row.station or message("a station that was not stated"),
-            folder=folder.parent,
-        )
-    record = record_of(row)
-    kept = read_kept(folder, record)
-    found = None if kept is None else kind_named(record.kind).deviations(kept, record.recipe)
-    return (
-        message("without a map: INVALID, of a kind without one, or of an earlier version")
-        if found is None
-        else found
-    )
-
-
-def _heat_map(title: str, sums: _Sums, side_mm: float) -> HeatMap:
-    share, mean = sums.deviating / sums.count, sums.off / sums.count
-    strongest = np.take_along_axis(mean, np.abs(mean).argmax(axis=0)[None], axis=0)[0]
-    most, limit = float(share.max()), float(np.abs(strongest).max())
-    rows, cols = share.shape
-    unit = min(BROAD / cols, HIGH / rows)
-    bar_mm = max(
-        (
-            step * 10.0**power
-            for power in range(-3, 4)
-            for step in (1, 2, 5)
-            if step * 10.0**power <= cols * side_mm / 3
-        ),
-        default=side_mm,
-    )
-    return HeatMap(
-        title,
-        sums.count,
-        cols * unit,
-        rows * unit,
-        (bar_mm, bar_mm / side_mm * unit),
-        (_picture(share / (most or 1.0)), most),
-        (_picture(strongest / (limit or 1.0)), limit),
-    )
-
-
-RED, BLUE = np.array([0xA0, 0x10, 0x20]), np.array([0x10, 0x40, 0xA0])
-
-
-def _picture(values: FloatArray) -> str:
-    """A picture of values from -1, blue, by 0, white, to 1, red, a pixel each."""
-    import cv2  # noqa: PLC0415 - start-up time
-
-    dark = np.where(values[..., None] < 0.0, BLUE, RED)
-    rgb = 255.0 + np.abs(values)[..., None] * (dark - 255.0)
-    done, content = cv2.imencode(".png", rgb[..., ::-1].round().astype(np.uint8))
-    assert done
-    return f"data:image/png;base64,{b64encode(content.tobytes()).decode()}"
 
 
 # One inspection: its numbers, and where its report is.

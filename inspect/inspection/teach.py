@@ -283,6 +283,10 @@ def teach_by_limits(recipe_path: Path, rig_path: Path, source: Path) -> Taught:
                 f"{source}: {name!r} needs a lower and an upper limit (K2110, K2111); it describes "
                 f"{', '.join(given.numbers)}"
             )
+        if low >= high:
+            raise UsageError(
+                f"{source}: {name}: the lower limit {low:g} (K2110) is not below the upper one {high:g} (K2111)"
+            )
         if not low < predicted < high:
             raise UsageError(
                 f"{source}: {name} must be within {low:g} and {high:g}, where {recipe_path} predicts {predicted:+.4f}: "

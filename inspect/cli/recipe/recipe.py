@@ -308,7 +308,9 @@ def teach(
     if serial is None and frames is not None:
         raise UsageError("--frames teaches by a good part: it goes with --serial")
     if rig is None and frames is None:
-        raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
+        raise UsageError(
+            "name a rig file with --rig" + (", or a folder of frames with --frames" if serial else "")
+        )
     if serial is not None:
         found = _by_part(file, rig, serial, out, frames, reflectance, json_=json_)
     elif limits is not None:

@@ -160,7 +160,7 @@ def _part(
     if recipe_path is not None:
         known = part_of_recipe(read_recipe(recipe_path), ridge_angle, u_ridge_angle)
     elif ridge_angle is None or pitch is None or spot_mm is None:
-        raise UsageError("say what lies on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm")
+        raise UsageError("name the part on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm")
     else:
         known = RidgedPart(pitch, ridge_angle, u_ridge_angle_deg=u_ridge_angle, spot_mm=spot_mm)
     changes: dict[str, float | None] = {}

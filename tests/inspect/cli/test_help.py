@@ -24,11 +24,27 @@ def commands(parent=app, words=()):
 
 
 ALL = commands()
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_every_command_has_a_sentence():
     lines = {" ".join(words): one.help.strip().split("\n")[0] for words, one in ALL.items()}
     assert {name: line for name, line in lines.items() if not line.endswith(".") or len(line) > 120} == {}
+
+
+def test_commands_that_the_sources_name_exist():
+    groups, named = {words[0] for words in ALL if len(words) > 1}, defaultdict(set)
+    for path in (
+        one for name in ("inspect", "rig", "profiles", "sim") for one in (ROOT / name).rglob("*.py")
+    ):
+        text = path.read_text(encoding="utf-8")
+        for first, second in re.findall(
+            r"`(?:python -m )?anisoscope ([a-z][a-z-]*)(?: ([a-z][a-z-]*))?", text
+        ):
+            words = (first, second) if second and first in groups else (first,)
+            named[words].add(path.name)
+    assert len(named) > 50
+    assert {words: files for words, files in named.items() if words not in ALL} == {}
 
 
 def test_the_first_page_has_the_sentences_and_examples_of_the_commands():

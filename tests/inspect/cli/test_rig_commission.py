@@ -87,7 +87,7 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--exposure", "0.001"), "say what lies on the stage"),
+        (("--exposure", "0.001"), "name the part on the stage"),
         (("--ridge-angle", "10", "--pitch", "100", "--spot-mm", "1"), "give --exposure"),
         ((*COMMON, "--alpha", "0.1,0.2,0.3"), "--alpha takes"),
         ((*COMMON, "--step", "90"), "step must lie"),

@@ -171,6 +171,7 @@ def test_limits_of_a_file_become_tolerances(inspected_part):
     [
         (-0.01, 0.3, "within .* predicts"),
         (None, 0.3, "needs a lower and an upper limit"),
+        (0.3, -0.4, "is not below the upper one"),
         (40.0, 40.0, "tolerance"),
     ],
 )
