@@ -25,7 +25,7 @@ def _picture_words(away: str) -> dict[str, str]:
     """What the script of the live picture says; ``away``: when nothing answers."""
     return {
         "away": away,
-        "good": message("exposure and focus are good"),
+        "good": message("exposure is good; no picture so far was sharper (move the focus to compare)"),
         "undefined": message("undefined"),
         "angle": message("{angle}° counter-clockwise from upright", angle="{angle}"),
     }

@@ -54,7 +54,7 @@ def test_a_day(page, station):
     assert not verdict.is_visible()
     station[0]._busy.join()
     page.get_by_role("link", name="Fleet").click()
-    assert "1 inspections" in page.inner_text("main")
+    assert "Inspections: 1" in page.inner_text("main")
     with open_history(station[0].place.history) as history:
         history.dispose(1, reviewer="Q. Quast", decision="hold", comment="decided elsewhere")
     page.get_by_text("decided elsewhere").wait_for(timeout=120_000)  # without being loaded anew

@@ -102,7 +102,7 @@ def listed(page):
 
 def test_stations_show_what_the_history_knows_of_them(client, place):
     words = text_of(client.get("/fleet").text)
-    assert f"{COUNT} inspections" in words
+    assert f"Inspections: {COUNT}" in words
     # the last ones: 129 at west (a multiple of 3), 128 at east, at 4:18 and 4:16 after the start
     assert re.search(r"west no sign since .* 6 h ago .* 44 .* east no sign since .* 6 h ago .* 86 ", words)
     # 78 PASS of 104 that could be judged; the interval of Clopper and Pearson from R: binom.test(78, 104)
@@ -215,7 +215,7 @@ def test_filters_are_those_of_the_history_in_page_charts_and_exports(client, pla
     with open_history(place) as history:
         rows = history.rows(filters)
     page = client.get(f"/fleet?{query}").text
-    assert f"{len(rows)} inspections" in text_of(page)
+    assert f"Inspections: {len(rows)}" in text_of(page)
     assert listed(page) == [row.id for row in rows[::-1][:50]]
     exported = client.get(f"/fleet/export/json?{query}").json()
     assert [one["id"] for one in exported] == [row.id for row in rows]
@@ -311,14 +311,14 @@ def test_charts_for_each_cavity(client):
 def test_a_history_that_is_not_there_or_empty(tmp_path, client_of):
     for place in (None, tmp_path / "history.sqlite"):
         client = client_of(place)
-        assert "0 inspections" in text_of(client.get("/fleet").text)
+        assert "Inspections: 0" in text_of(client.get("/fleet").text)
         assert client.get("/fleet/charts").status_code == 200
         assert problem_of(client.get("/fleet/inspections/1")) == "the history has no inspection 1"
         assert problem_of(client.get("/fleet/export/csv")) == "there is no history yet"
     with open_history(tmp_path / "history.sqlite"):
         pass
     client = client_of(tmp_path / "history.sqlite")
-    assert "0 inspections" in text_of(client.get("/fleet").text)
+    assert "Inspections: 0" in text_of(client.get("/fleet").text)
     assert client.get("/fleet/export/json").json() == []
 
 
