@@ -14,7 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Literal, Self
 
 from anisoscope.base.errors import AnisoscopeError
 from anisoscope.inspection.folder import working_in
@@ -22,7 +22,14 @@ from anisoscope.inspection.report_seal import write_report_sealed
 
 WAITING = 2
 """Reports that may wait for the one at work; a further part waits for the first of them, which bounds the memory."""
+Wanted = Literal["all", "not-pass", "none"]
+"""Parts that get a report by themselves; `anisoscope report` writes that of any other one later."""
 _log = logging.getLogger("anisoscope.reports")
+
+
+def gets_report(wanted: Wanted, verdict: str) -> bool:
+    """Whether a part with this verdict gets a report by itself."""
+    return wanted == "all" or (wanted == "not-pass" and verdict != "PASS")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +74,11 @@ class Reports:
 
     Args:
         tell: called, in the thread, with each note for the user; without it `finish` returns them.
+        wanted: parts whose reports are handed over by who inspects them.
     """
 
-    def __init__(self, tell: Callable[[str], None] | None = None) -> None:
+    def __init__(self, tell: Callable[[str], None] | None = None, wanted: Wanted = "all") -> None:
+        self.wanted: Wanted = wanted
         self._notes: list[str] = []
         self._tell = tell or self._notes.append
         self._pool = ThreadPoolExecutor(1, "anisoscope reports")

@@ -24,7 +24,7 @@ from anisoscope.inspection.manifest import Manifest, begin, one_round_more, reop
 from anisoscope.inspection.objects import SharedDarks, begin_series, shared_darks
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
 from anisoscope.inspection.report_seal import report_state, write_report_sealed
-from anisoscope.inspection.reports import PendingReport, Reports
+from anisoscope.inspection.reports import PendingReport, Reports, gets_report
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.logo import logo_uri
@@ -196,9 +196,12 @@ def inspect_part(
 def reported(
     inspected: Inspected, report: PendingReport, reports: Reports | None, advance: Advance
 ) -> Inspected:
-    """A concluded inspection whose report is handed over, or written at once; then its notes are added."""
+    """A concluded inspection whose report is handed over, unless none is wanted; or written at once, with its notes."""
     if reports is not None:
-        reports.add(report)
+        if gets_report(reports.wanted, inspected.record.verdict):
+            reports.add(report)
+        else:
+            report.discard()
         return inspected
     advance("report", 0, 1)
     notes = report.write()

@@ -31,6 +31,7 @@ from anisoscope.rig.light import Light
 from anisoscope.rig.rigfile import read_rig
 
 if TYPE_CHECKING:
+    from anisoscope.inspection.reports import Wanted
     from anisoscope.inspection.run import Inspected
 
 Emit = Callable[[str, dict[str, Any]], None]
@@ -86,6 +87,7 @@ class Workplace:
         lot_mates: inspections of a lot, from the place and the lot.
         explain: lines that say what is wrong and where, from a record.
         methods: as for `anisoscope.inspection.run.inspect_part`.
+        reports: which parts get a report by themselves.
     """
 
     rig: Path
@@ -95,6 +97,7 @@ class Workplace:
     lot_mates: Callable[[str | Path | None, str | None], Sequence[Any]] = _no_mates
     explain: Callable[[Any], list[str]] = _no_lines
     methods: Any = None
+    reports: "Wanted" = "all"
 
 
 class Worker(Protocol):
@@ -145,7 +148,7 @@ def _inspect(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) 
     def begun(folder: Path) -> None:
         emit("folder", {"folder": folder.name})
 
-    with Reports(lambda text: emit("note", {"text": text})) as reports:
+    with Reports(lambda text: emit("note", {"text": text}), place.reports) as reports:
         if task.folder is not None:
             begun(task.folder)
             inspected = resume_part(
@@ -215,14 +218,15 @@ def _carry_out(task: Task, place: Workplace, emit: Emit, cancel: threading.Event
 
 def _finish(folder: Path, place: Workplace, emit: Emit) -> None:
     """What may be missing of an inspection that has its record: its row in the history and its report."""
-    from anisoscope.inspection.reports import Reports  # noqa: PLC0415 - as for `_inspect`
+    from anisoscope.inspection.reports import Reports, gets_report  # noqa: PLC0415 - as for `_inspect`
     from anisoscope.inspection.run import Inspected, missing_report  # noqa: PLC0415
     from anisoscope.report.inspection_page import REPORT_NAME  # noqa: PLC0415
 
-    with Reports(lambda text: emit("note", {"text": text})) as reports:
+    with Reports(lambda text: emit("note", {"text": text}), place.reports) as reports:
         emit("folder", {"folder": folder.name})
-        _concluded(Inspected(read_record(folder), folder, folder / REPORT_NAME), place, emit)
-        report = missing_report(folder)
+        record = read_record(folder)
+        _concluded(Inspected(record, folder, folder / REPORT_NAME), place, emit)
+        report = missing_report(folder) if gets_report(place.reports, record.verdict) else None
         if report is not None:
             reports.add(report)
 

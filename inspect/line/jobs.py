@@ -23,6 +23,7 @@ from anisoscope.history.rows import numbers_of
 from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path, recipe_paths
+from anisoscope.inspection.reports import Wanted, gets_report
 from anisoscope.inspection.work import LINE, Task, Worker, Workplace
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record
 from anisoscope.report.inspection_page import REPORT_NAME
@@ -208,7 +209,8 @@ class Jobs:
     def running(self) -> Job | None:
         """The job at work."""
         with self._lock:
-            return next((job for job in reversed(self._jobs.values()) if job.state == "running"), None)
+            last = next(reversed(self._jobs.values()), None)  # none is accepted while one is at work
+            return last if last is not None and last.state == "running" else None
 
     def job(self, id_: str) -> Job | None:
         """A job by its id, or None."""
@@ -446,7 +448,7 @@ def _closed_on_error(stack: contextlib.ExitStack) -> Iterator[None]:
         raise
 
 
-def result_of(job: Job, record: Record | None) -> dict[str, Any]:
+def result_of(job: Job, record: Record | None, reports: Wanted = "all") -> dict[str, Any]:
     """A result as JSON: job and part, verdict and why, every number of the history by its label, causes, and links.
 
     Numbers are those of `anisoscope.history.rows.numbers_of`: ``ln 0-90`` is a contrast, ``u ln 0-90`` its standard
@@ -455,6 +457,7 @@ def result_of(job: Job, record: Record | None) -> dict[str, Any]:
     Args:
         job: the job.
         record: its record, or None where it has none.
+        reports: which parts get a report by themselves; without one its link is None.
     """
     found: dict[str, Any] = {
         "job": job.id,
@@ -471,6 +474,7 @@ def result_of(job: Job, record: Record | None) -> dict[str, Any]:
     if record is None or job.folder is None:
         return found
     said, diagnosis = record.conclusion, record.diagnosis
+    report = job.folder / REPORT_NAME
     return found | {
         "product": record.product,
         "finding": None if said is None else said.finding,
@@ -483,6 +487,6 @@ def result_of(job: Job, record: Record | None) -> dict[str, Any]:
         "links": {
             "folder": job.folder.as_uri(),
             "record": (job.folder / RECORD_NAME).as_uri(),
-            "report": (job.folder / REPORT_NAME).as_uri(),
+            "report": report.as_uri() if gets_report(reports, record.verdict) or report.exists() else None,
         },
     }

@@ -650,7 +650,9 @@ class VisionServer:
             ),
         }
         if content:
-            fields["ResultContent"] = _content(job, json.dumps(result_of(job, record)))
+            fields["ResultContent"] = _content(
+                job, json.dumps(result_of(job, record, self._jobs.place.reports))
+            )
         return fields
 
     async def _result(self, job: Job, *, content: bool = True) -> Any:  # noqa: ANN401
@@ -676,9 +678,10 @@ class VisionServer:
         *ids, most, start, _timeout = asked
         meas, part, external, internal, outer, inner, product, job_id = (one.Id or "" for one in ids)
         rig = self._jobs.place.rig.name
+        one = self._jobs.job(meas or job_id)
         found = [
             job
-            for job in self._jobs.all()
+            for job in (self._jobs.all() if not meas + job_id else [one] if one else [])
             if state in {0, _RESULT_STATES[job.state]}
             and {meas, job_id} <= {"", job.id}
             and part in {"", job.order.serial}

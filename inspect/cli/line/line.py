@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -30,6 +30,14 @@ Out = Annotated[Path, Parameter(help="Folder that receives the inspection folder
 Station = Annotated[
     str | None, Parameter(help="Station where the rig stands; the fleet page shows what it does.")
 ]
+Wanted = Literal["all", "not-pass", "none"]
+Reports = Annotated[
+    Wanted,
+    Parameter(
+        help="Parts whose report.html is written: all, those that are not PASS, or none. `anisoscope report FOLDER` "
+        "writes any other one later."
+    ),
+]
 INSPECTIONS = Path("inspections")
 
 
@@ -41,6 +49,7 @@ def opcua(
     out: Out = INSPECTIONS,
     history: HistoryOption = None,
     station: Station = None,
+    reports: Reports = "all",
     host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="TCP port.")] = 4840,
     open_: Annotated[
@@ -60,7 +69,7 @@ def opcua(
     with extra_packages("OPC UA", "line"):
         from anisoscope.line.opcua import VisionServer, long_lived
     check_open(host, open_=open_)
-    with jobs_at(rig, recipes, out, history, station) as jobs:
+    with jobs_at(rig, recipes, out, history, station, reports) as jobs:
 
         async def serve() -> None:
             async with contextlib.AsyncExitStack() as stack:
@@ -85,6 +94,7 @@ def mqtt(
     out: Out = INSPECTIONS,
     history: HistoryOption = None,
     station: Station = None,
+    reports: Reports = "all",
     group: Annotated[str, Parameter(help="Sparkplug group.")] = "anisoscope",
     node: Annotated[
         str, Parameter(help="Sparkplug edge node; another one for every rig at the broker.")
@@ -111,6 +121,8 @@ def mqtt(
 
     if (rig is None) != (recipes is None):
         raise UsageError("--rig and --recipes go together: the rig that inspects, and what may be ordered")
+    if rig is None and reports != "all":
+        raise UsageError("--reports is for parts that are inspected here: add --rig and --recipes")
     where, names = broker_of(broker), Names(group, node, device)
     place = history_place(history, out)
     if place is None:
@@ -119,7 +131,7 @@ def mqtt(
         jobs: Jobs | None = None
         if rig is not None and recipes is not None:
             _check_reach(where, open_=open_)
-            jobs = stack.enter_context(jobs_at(rig, recipes, out, history, station))
+            jobs = stack.enter_context(jobs_at(rig, recipes, out, history, station, reports))
         served = EdgeNode(where, names, place, out / "line" / "mqtt.json", write_line, jobs)
         if jobs is not None:
             stack.enter_context(jobs)  # a job that a killed process left goes on, and is heard of
@@ -154,6 +166,7 @@ def modbus(
     out: Out = INSPECTIONS,
     history: HistoryOption = None,
     station: Station = None,
+    reports: Reports = "all",
     trigger: Annotated[int, Parameter(help="Discrete input of the trigger, counted from 0.")] = 0,
     number: Annotated[
         int, Parameter(help="First of two holding registers with the number of the job, high word first.")
@@ -176,7 +189,7 @@ def modbus(
         raise UsageError(f"{plc}: give the controller as HOST or HOST:PORT")
     io = ModbusIo(host, int(port or 502), Addresses(trigger, number, outputs, unit))
     stop = threading.Event()
-    held = jobs_at(rig, recipes, out, history, station)
+    held = jobs_at(rig, recipes, out, history, station, reports)
     with _at_signals(stop.set), contextlib.closing(io), held as jobs, jobs:
         jobs.check(recipe)
         handshake = Handshake(io, jobs, recipe, prefix, write_line)
@@ -203,7 +216,7 @@ def check_open(host: str, *, open_: bool) -> None:
 
 @contextlib.contextmanager
 def jobs_at(
-    rig: Path, recipes: Path, out: Path, history: str | None, station: str | None
+    rig: Path, recipes: Path, out: Path, history: str | None, station: str | None, reports: Wanted
 ) -> Iterator["Jobs"]:
     """The jobs of a rig, which this process holds; not entered.
 
@@ -221,7 +234,7 @@ def jobs_at(
     rig, out = rig.resolve(), out.resolve()
     with contextlib.ExitStack() as stack:
         own = stack.enter_context(held_rig(rig))
-        workplace = Workplace(rig, out, place, remember, lot_mates, explained)
+        workplace = Workplace(rig, out, place, remember, lot_mates, explained, reports=reports)
         worker = WorkerProcess(workplace)
         stack.callback(worker.close)
         jobs = Jobs(workplace, recipes.resolve(), worker, own.stop, station)

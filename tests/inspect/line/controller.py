@@ -44,6 +44,7 @@ class Controller:
     def __init__(self, address, timeout=30, *, known=None):
         self.known = known
         self.client = Client(address, timeout=timeout)
+        self.client.session_timeout = 30_000  # ms; what a cut leaves publishes on in the server until then
         self.heard = asyncio.Queue()
 
     async def __aenter__(self):

@@ -2,14 +2,17 @@
 
 import json
 import threading
+from dataclasses import replace
 
 import pytest
 
 from anisoscope.base.errors import CameraError, RecordError
 from anisoscope.history.store import open_history
 from anisoscope.inspection import work
+from anisoscope.inspection.integrity import verify
+from anisoscope.inspection.run import write_report_again
 from anisoscope.inspection.work import WorkerHere
-from anisoscope.line.jobs import Jobs, Order, Refused, order_of
+from anisoscope.line.jobs import Jobs, Order, Refused, order_of, result_of
 from anisoscope.sim.bench.camera import SimulatedCamera
 
 
@@ -52,6 +55,36 @@ def test_a_job_is_done_once_and_its_result_is_that_of_the_record(place, jobs_at)
         jobs.submit(order.model_copy(update={"serial": "A-2"}))
     assert refused.value.why == "changed"
     assert len(records_of(place[0])) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "angle", "reports", "verdict", "is_there"),
+    [
+        ("jobs", 10.0, "not-pass", "PASS", False),
+        ("worn", 6.0, "not-pass", "INCONCLUSIVE", True),
+        ("worn", 6.0, "none", "INCONCLUSIVE", False),
+    ],
+)
+def test_a_part_gets_a_report_where_that_is_wanted(
+    place_of, jobs_at, name, angle, reports, verdict, is_there
+):
+    """Without one its folder is as whole, its result links none, and one can be written later."""
+    place, recipes = place_of(name, bench={"sample": {"ridge_angle_deg": angle}})
+    jobs, _ = jobs_at(replace(place, reports=reports), recipes)
+    order = Order(job=f"{verdict} {reports}", recipe="plate", serial=f"{verdict} {reports}")
+    jobs.submit(order)
+    assert jobs.wait(600)
+    done = jobs.job(order.job)
+    report = done.folder / "report.html"
+    assert (done.verdict, report.exists()) == (verdict, is_there)
+    found = verify(done.folder)
+    assert (found.intact, found.finished, found.report_written) == (True, True, is_there)
+    link = report.as_uri() if is_there else None
+    assert result_of(done, jobs.record(order.job), reports)["links"]["report"] == link
+    if not is_there:
+        write_report_again(done.folder)
+        assert verify(done.folder).report_written
+        assert result_of(done, jobs.record(order.job), reports)["links"]["report"] == report.as_uri()
 
 
 @pytest.mark.parametrize(
@@ -188,9 +221,22 @@ class Dying:
             self.patch.undo()
 
 
-@pytest.mark.parametrize("point", ["begin", "folder", "frame", "verdict", "entered"])
-def test_a_job_that_was_killed_anywhere_is_taken_up_and_done_once(place_of, jobs_at, monkeypatch, point):
-    place = place_of(f"killed at {point}")
+@pytest.mark.parametrize(
+    ("point", "reports"),
+    [
+        ("begin", "all"),
+        ("folder", "all"),
+        ("frame", "none"),
+        ("verdict", "all"),
+        ("verdict", "not-pass"),
+        ("entered", "all"),
+    ],
+)
+def test_a_job_that_was_killed_anywhere_is_taken_up_and_done_once(
+    place_of, jobs_at, monkeypatch, point, reports
+):
+    place, recipes = place_of(f"killed at {point}, reports {reports}")
+    place = replace(place, reports=reports), recipes
     order = Order(job="J1", recipe="plate", serial="A [1]", lot="L")
     with pytest.MonkeyPatch.context() as patch:
         before = Jobs(*place, Dying(place[0], point, patch), dict)
@@ -206,7 +252,7 @@ def test_a_job_that_was_killed_anywhere_is_taken_up_and_done_once(place_of, jobs
     assert (done.state, done.verdict) == ("done", "PASS")
     assert records_of(place[0]) == [done.folder.name]
     assert [(row.serial, row.folder) for row in rows_of(place[0])] == [("A [1]", str(done.folder))]
-    assert (done.folder / "report.html").exists()
+    assert (done.folder / "report.html").exists() == (reports == "all")
     lines = [json.loads(text) for text in (place[0].out / "line" / "jobs.jsonl").read_text().splitlines()]
     assert [line["line"] for line in lines] == ["accepted", "end"]
 
