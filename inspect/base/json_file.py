@@ -3,11 +3,13 @@
 import errno
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
 
 Line = TypeVar("Line", bound=BaseModel)
@@ -59,7 +61,7 @@ def is_deeper(content: Any, levels: int) -> bool:  # noqa: ANN401
 
 
 class JsonLines(Generic[Line]):
-    """A file of JSON lines that is only ever added to; a line counts once it is there as a whole.
+    """A file of JSON lines that are added one by one; a line counts once it is there as a whole.
 
     Args:
         path: the file.
@@ -93,6 +95,14 @@ class JsonLines(Generic[Line]):
                 ) from error
         return lines
 
+    def replace(self, lines: Iterable[Line]) -> None:
+        """Put these lines in the place of all that are there, as a whole or not at all.
+
+        Raises:
+            RecordError: the file cannot be written.
+        """
+        write_text(self.path, "".join(map(_text, lines)))
+
     def add(self, line: Line, *, is_safe: bool = True) -> None:
         """Add a line; it is safe on disk when this returns.
 
@@ -102,12 +112,15 @@ class JsonLines(Generic[Line]):
         Raises:
             RecordError: it cannot be written.
         """
-        text = json.dumps(line.model_dump(mode="json", exclude_none=True)) + "\n"
         try:
             with self.path.open("ab") as stream:
-                stream.write(text.encode())
+                stream.write(_text(line).encode())
                 stream.flush()
                 if is_safe:
                     os.fsync(stream.fileno())
         except OSError as error:
             raise RecordError(f"cannot write {self.path}: {error.strerror}") from error
+
+
+def _text(line: BaseModel) -> str:
+    return json.dumps(line.model_dump(mode="json", exclude_none=True)) + "\n"

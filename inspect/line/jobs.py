@@ -29,6 +29,8 @@ from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_reco
 from anisoscope.report.inspection_page import REPORT_NAME
 
 JOURNAL = "jobs.jsonl"
+KNOWN = 20_000
+"""Jobs that are known by their ids at least, the latest ones; from twice as many on the others are forgotten."""
 MOST_TRIES = 3
 """Inspecting processes that may end by themselves at one job."""
 
@@ -217,7 +219,7 @@ class Jobs:
         return self._jobs.get(id_)
 
     def all(self) -> list[Job]:
-        """All jobs that were ever accepted here, the oldest first."""
+        """The jobs that are known, the oldest first."""
         with self._lock:
             return list(self._jobs.values())
 
@@ -259,6 +261,7 @@ class Jobs:
                 check_serial(order.serial)
             except UsageError as problem:
                 raise Refused("serial", str(problem)) from None
+            self._forget()
             line = JobLine(line="accepted", at=self._time(), job=order.job, order=order)
             self._journal.add(line)
             job = self._take(line)
@@ -375,6 +378,13 @@ class Jobs:
                 break
         at_work.close()
 
+    def _forget(self) -> None:
+        """Leave only the latest jobs in journal and memory, once there are twice as many; nothing is at work."""
+        if len(self._jobs) >= 2 * KNOWN:
+            latest = list(self._jobs.values())[-KNOWN:]
+            self._journal.replace(line for job in latest for line in _lines_of(job))
+            self._jobs = {job.id: job for job in latest}
+
     def _end(self, job: Job, state: State, record: Record | None = None, **more: str | None) -> None:
         line = JobLine(line="end", at=self._time(), job=job.id, state=state, **more)
         with self._lock:
@@ -388,6 +398,17 @@ class Jobs:
                 listener(kind, job, content)
             except Exception:  # noqa: BLE001 - a listener that fails must not hold up the jobs
                 _log.exception("job %s: %s", job.id, kind)
+
+
+def _lines_of(job: Job) -> tuple[JobLine, JobLine]:
+    """What the journal says of a job that has ended."""
+    assert job.ended_at is not None
+    folder = None if job.folder is None else job.folder.name
+    more = {"state": job.state, "folder": folder, "verdict": job.verdict, "problem": job.problem}
+    return (
+        JobLine(line="accepted", at=job.accepted_at, job=job.id, order=job.order),
+        JobLine(line="end", at=job.ended_at, job=job.id, **more),
+    )
 
 
 _END: dict[State, Kind] = {"done": "done", "failed": "failed", "stopped": "stopped"}

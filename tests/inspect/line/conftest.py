@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
@@ -25,6 +26,17 @@ def place_of(virtual_rigs, undiagnosed):
         return Workplace(rig.rig, rig.out, history, remember, lot_mates, explained, undiagnosed), recipes
 
     return make
+
+
+@pytest.fixture(scope="module")
+def coarse(virtual_rigs):
+    """Changes to the small rig: the same field with a quarter of the pixels, for long campaigns."""
+    bench = {"sensor": {"rows": 274, "cols": 274}, "optics": {"pixel_um": 15.0}}
+    camera = {"camera": {"pixel_um": 15.0}}
+    white = virtual_rigs("white", bench=bench | {"sample": {"kind": "white-tile"}}, rig=camera).rig
+    flat = white.with_name("flat.tif")
+    take_flat(white, flat, exposure_s=0.0015, frames=8)
+    return {"bench": bench, "rig": camera | {"calibration": {"flat": str(flat)}}}
 
 
 @pytest.fixture

@@ -257,6 +257,39 @@ def test_a_job_that_was_killed_anywhere_is_taken_up_and_done_once(
     assert [line["line"] for line in lines] == ["accepted", "end"]
 
 
+def test_the_oldest_jobs_are_forgotten_and_their_results_stay(place_of, jobs_at, monkeypatch):
+    monkeypatch.setattr("anisoscope.line.jobs.KNOWN", 1)
+    place, recipes = place_of("known")
+    orders = [Order(job=f"J{number}", recipe="plate", serial=f"A-{number}") for number in range(3)]
+    journal = place.out / "line" / "jobs.jsonl"
+
+    def full(*_):
+        raise RecordError("no space left on the device")
+
+    with Jobs(place, recipes, WorkerHere(place), dict) as jobs:
+        for order in orders[:2]:
+            jobs.submit(order)
+            assert jobs.wait(600)
+        before = journal.read_bytes()
+        with monkeypatch.context() as patch, pytest.raises(RecordError, match="no space"):
+            patch.setattr("anisoscope.base.json_file.write_text", full)
+            jobs.submit(orders[2])
+        assert ([job.id for job in jobs.all()], journal.read_bytes()) == (["J0", "J1"], before)
+        jobs.submit(orders[2])
+        assert jobs.wait(600)
+        latest = jobs.all()
+    assert [(job.id, job.state, job.verdict) for job in latest] == [
+        ("J1", "done", "PASS"),
+        ("J2", "done", "PASS"),
+    ]
+    again, _ = jobs_at(place, recipes)
+    assert again.all() == latest
+    assert again.submit(orders[1]) == latest[0]  # known: not done again
+    assert again.record("J2").serial == "A-2"
+    assert [row.serial for row in rows_of(place)] == ["A-0", "A-1", "A-2"]
+    assert len(records_of(place)) == 3
+
+
 def test_a_journal_that_was_changed_is_refused(place_of):
     place = place_of("damaged")
     journal = place[0].out / "line" / "jobs.jsonl"

@@ -159,9 +159,9 @@ async def order_all(server, jobs, rng, counts):
 
 
 @pytest.mark.soak
-def test_no_job_is_lost_or_doubled_by_kills_and_cuts(virtual_rig):
+def test_no_job_is_lost_or_doubled_by_kills_and_cuts(virtual_rig, coarse):
     jobs = int(os.environ.get("ANISOSCOPE_LINE_JOBS", "1000"))
-    rig = virtual_rig("soak")
+    rig = virtual_rig("soak", **coarse)
     folder = rig.rig.parent
     (folder / "recipes").mkdir()
     shutil.copy(rig.recipe, folder / "recipes" / "plate.toml")

@@ -102,8 +102,8 @@ class Shop:
 
 
 @pytest.mark.soak
-def test_jobs_over_mqtt_are_done_once_whatever_is_killed(place_of, tmp_path):
-    place, recipes = place_of("mqtt soak")
+def test_jobs_over_mqtt_are_done_once_whatever_is_killed(place_of, coarse, tmp_path):
+    place, recipes = place_of("mqtt soak", **coarse)
     shop, began, said = Shop(beside(), place, recipes, tmp_path), time.monotonic(), 0
     try:
         while shop.done < COUNT and said < MINUTES:
