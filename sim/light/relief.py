@@ -269,15 +269,15 @@ def radiance(
         relief.columns_first(*rows[0])  # prepared once, before threads share it
     idle, lock, done = list[Horizon](), Lock(), 0
 
-    def predict(work: tuple[tuple[int, int], slice]) -> FloatArray:
-        """(P,) what is hidden in a band of rows, for some of the poses."""
+    def predict(work: tuple[tuple[int, int], range]) -> FloatArray:
+        """What is hidden in a band of rows, in each of some poses."""
         nonlocal done
         band, some = work
         part = census if len(rows) == 1 else census.band(*band)
         horizon = idle.pop() if idle else Horizon(relief, relief.shares, None if len(rows) == 1 else band)
-        found = np.zeros(len(shines))
-        for pose in range(len(shines))[some]:
-            found[pose] = added(part, shines[pose], horizon, at_nodes[pose % POSES_AT_ONCE])
+        found = np.zeros(len(some))
+        for place, pose in enumerate(some):
+            found[place] = added(part, shines[pose], horizon, at_nodes[pose % POSES_AT_ONCE])
             with lock:
                 done += 1
                 progress("predicting poses", done // len(rows), len(shines))
@@ -289,10 +289,9 @@ def radiance(
     for first in range(0, len(shines), POSES_AT_ONCE):
         group = range(len(shines))[first : first + POSES_AT_ONCE]
         at_nodes = threads.each(partial(shine_at_nodes, census), [shines[pose] for pose in group])
-        alone = [slice(pose, pose + 1) for pose in group]
-        together = [slice(group.start, group.stop)]
-        total += sum(threads.each(predict, product(rows, alone if len(rows) == 1 else together)))
-        total[group.start : group.stop] += [float(census.weight @ nodes) for nodes in at_nodes]
+        shares = [group[place : place + 1] for place in range(len(group))] if len(rows) == 1 else [group]
+        hidden = np.concatenate(threads.each(predict, product(rows, shares))).reshape(len(rows), -1)
+        total[group.start : group.stop] = sum(hidden) + [float(census.weight @ nodes) for nodes in at_nodes]
     return total / census.total
 
 

@@ -61,6 +61,8 @@ def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied):
     for name, shown, quick in (
         ("bench.toml", "time_scale = 0.1", "time_scale = 0.0"),
         ("bench.toml", "read_noise_e = 6.0", "rows = 512\ncols = 512\nread_noise_e = 6.0"),
+        ("bench.toml", "size_mm = 2.4", "size_mm = 1.4"),
+        ("recipe.toml", "size_mm = [2.0, 2.0]", "size_mm = [1.0, 1.0]"),
         ("bench.toml", "[optics]  ", "[optics]\npixel_um = 8.0\n#"),
         ("rig.toml", "pixel_um = 4.0", "pixel_um = 8.0"),
         ("recipe.toml", "frames_per_pose = 4\ndark_frames = 8", "frames_per_pose = 2\ndark_frames = 2"),

@@ -68,6 +68,7 @@ def test_the_sources_that_lead_are_those_of_the_budget(example):
     assert_quoted("uncertainties alone would say # %", apart)
 
 
+@pytest.mark.soak  # 2,000 draws; each of the other numbers of the page is read in every run
 def test_the_broken_case_is_what_the_command_prints():
     inputs = input_uncertainty(UncertaintyOptions(u_alpha=0.0, u_index=0.0, u_seating_tilt=1.5))
     found = predict_design(

@@ -38,8 +38,11 @@ HEAVY = (
     "numba",
     "jinja2",
     "sqlalchemy",
+    "rich.markdown",
     "rich.table",
     "rich.progress",
+    "cyclopts.help.formatters",
+    "docstring_parser",
 )
 PACKAGES = (
     "anisoscope",
@@ -67,8 +70,10 @@ def _load() -> None:
         importlib.import_module(name)
     from numba.core.registry import cpu_target
 
+    from anisoscope.base import plugins
     from anisoscope.cli import progress
     from anisoscope.cli.cache import warm
+    from anisoscope.rig import transport
     from anisoscope.sim.light import material
 
     progress.PATIENCE_S = A_RUN_S
@@ -80,6 +85,8 @@ def _load() -> None:
     for name in warm.OF_DEMO:  # reads their kernels from the disk, which costs a command a third of a second
         warm.JOBS[name]()
     warm._read_sources()
+    plugins.installed("anisoscope.kinds")  # reads what is said of every package that is installed
+    transport.register_handlers()
     assert threading.active_count() == 1
 
 

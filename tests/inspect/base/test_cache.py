@@ -274,13 +274,13 @@ def test_processes_that_write_and_remove_at_the_same_time_read_whole_entries(fol
     program = (
         "import sys\n"
         "from anisoscope.base.cache import Cache\n"
-        "for turn in range(40):\n"
+        "for turn in range(12):\n"
         "    for number in range(6):\n"
         f"        entry = Cache().entry('numbers', number, {HERE!r})\n"
         "        found = entry.read()\n"
         "        assert found in (None, bytes([number]) * 50_000), number\n"
         "        entry.write(bytes([number]) * 50_000)\n"
-        "    if turn % 10 == 0:\n"
+        "    if turn % 4 == 0:\n"
         "        Cache().clear()\n"
     )
     environment = os.environ | {"ANISOSCOPE_CACHE_LIMIT_MB": "0.2"}

@@ -2,7 +2,34 @@
 
 import json
 
+import pytest
 
+from anisoscope.base.progress import silent
+from anisoscope.cli.demo.plates import lay_out
+from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.run import inspect_part
+
+DEAD = {(3, 4): "missing", (6, 8): "missing", (9, 2): "missing"}
+
+
+def test_a_plate_with_dead_fields_fails_and_is_computed_again(tmp_path):
+    """One of the three plates of the demo, from fewer pictures."""
+    folder = lay_out(tmp_path, 1, silent)
+    recipe = folder / "recipe.toml"
+    frames = "frames_per_pose = {}\ndark_frames = {}"
+    assert frames.format(4, 8) in recipe.read_text()
+    recipe.write_text(recipe.read_text().replace(frames.format(4, 8), frames.format(2, 2)))
+    done = inspect_part(recipe, folder / "bench" / "dead-fields" / "rig.toml", "P-1", folder / "out")
+    details = done.record.details
+    assert done.record.verdict == "FAIL"
+    assert details.code.readings[:2] == ("A17", "A17")
+    assert {(one.row, one.col): one.looks_like for one in details.fields} == DEAD
+    page = done.report.read_text(encoding="utf-8")
+    assert all(place in page for place in ("plate-contrasts", "plate-grades"))
+    assert recompute(done.folder).differences == ()
+
+
+@pytest.mark.soak
 def test_every_plate_gets_its_verdict_and_its_code_is_read(anisoscope, tmp_path):
     done = anisoscope("demo", "--kind", "plates", "--out", tmp_path / "demo", "--json")
     assert done.code == 0, done.out + done.err
@@ -21,7 +48,7 @@ def test_every_plate_gets_its_verdict_and_its_code_is_read(anisoscope, tmp_path)
         assert details["alike"] > 0.95
         dead = {(one["row"], one["col"]): one["looks_like"] for one in details["fields"]}
         if "dead" in folder.name:
-            assert dead == {(3, 4): "missing", (6, 8): "missing", (9, 2): "missing"}
+            assert dead == DEAD
         else:
             assert dead == {}
         page = (folder / "report.html").read_text()

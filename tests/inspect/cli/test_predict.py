@@ -74,7 +74,7 @@ def test_a_pitch_that_the_map_does_not_have_is_refused(anisoscope, tmp_path):
 def test_surface_without_ridges_is_predicted_with_a_warning(anisoscope, tmp_path):
     rng = np.random.default_rng(1)
     write_height_map(HeightMap(0.05 * rng.normal(size=(80, 90)), 1.0, 1.0), tmp_path / "rough.x3p")
-    done = anisoscope("predict", tmp_path / "rough.x3p", "--json")
+    done = anisoscope("predict", tmp_path / "rough.x3p", "--bounces", 1, "--json")
     assert done.code == 0, done.err
     assert "no ridges" in done.json["warning"]
 

@@ -201,8 +201,8 @@ def test_the_nearest_lobe_is_that_of_a_search_over_the_tail_and_all_inputs(rng):
     covariance = np.diag(np.full(6, 0.02**2))
     for u in (np.inf, 0.3):
         lobes = LobeDoubt(tails, shifts, responses, 0.2, u)
-        deviations = 0.05 * rng.normal(size=(4, 6))
-        together = nearest_lobe(lobes, deviations, np.broadcast_to(covariance, (4, 6, 6)))
+        deviations = 0.05 * rng.normal(size=(2, 6))
+        together = nearest_lobe(lobes, deviations, np.broadcast_to(covariance, (2, 6, 6)))
         assert nearest_lobe(lobes, deviations[:0], np.zeros((0, 6, 6))).shape == (0,)
         for deviation, found in zip(deviations, together, strict=True):
 
@@ -215,6 +215,6 @@ def test_the_nearest_lobe_is_that_of_a_search_over_the_tail_and_all_inputs(rng):
             options = {"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000}
             least = min(
                 minimize(distance, [start, 0.0, 0.0], method="Nelder-Mead", options=options).fun
-                for start in np.linspace(0.05, 0.95, 7)
+                for start in np.linspace(0.05, 0.95, 4)
             )
             assert found == pytest.approx(least, rel=2e-4, abs=2e-4)

@@ -122,7 +122,7 @@ def test_an_interval_beyond_what_was_looked_at_is_open_and_one_from_nil_is_not(r
     assert interval(one, Evidence(0.0 * slope, V), fit_extent(one, Evidence(0.0 * slope, V))) == (0.0, None)
 
 
-@pytest.mark.parametrize("truth", [0.0, 0.15, 0.6])
+@pytest.mark.parametrize("truth", [0.15, *(pytest.param(one, marks=pytest.mark.soak) for one in (0.0, 0.6))])
 def test_intervals_hold_the_truth_where_a_signature_bends(truth):
     """A change with the square of the extent, one-sided: a part may look good though it has some of the defect."""
     rng, V = np.random.default_rng(3), 1e-4 * np.eye(len(POSES))

@@ -28,7 +28,7 @@ from anisoscope.study.detection.surrogate import SurrogateTask, direct_of, state
 
 GOLDEN, PARTS = 25, 5
 CAUSES = ("incomplete-filling", "wear", "ridge-angle", "seating-y", "colour")
-CLASSES = ("height-loss", "wear")
+CLASSES = ("height-loss", pytest.param("wear", marks=pytest.mark.soak))
 
 
 @pytest.fixture(scope="module")

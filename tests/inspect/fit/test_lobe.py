@@ -80,8 +80,12 @@ def test_what_a_scan_does_not_determine_is_said():
 
 @pytest.mark.parametrize(
     "truth",
-    [Material(tail=1.0), Material(tail=0.5), Material(tail=1.0 / 0.7), Material()],
-    ids=["GGX", "½", "1/.7", "Beckmann"],
+    [
+        pytest.param(Material(tail=1.0), id="GGX"),
+        pytest.param(Material(tail=0.5), marks=pytest.mark.soak, id="½"),
+        pytest.param(Material(tail=1.0 / 0.7), marks=pytest.mark.soak, id="1/.7"),
+        pytest.param(Material(), id="Beckmann"),
+    ],
 )
 @pytest.mark.parametrize(("specimen", "poses"), [(coupon(), coupon_poses()), (PART, part_poses())])
 def test_a_lobe_of_the_family_is_found(truth, specimen, poses):
@@ -99,8 +103,8 @@ def test_a_lobe_of_the_family_is_found(truth, specimen, poses):
     ("second", "specimen", "poses"),
     [
         ((0.15, 2.5), coupon(), coupon_poses()),
-        ((0.15, 2.5), PART, part_poses()),
-        ((0.05, 4.0), PART, part_poses()),
+        pytest.param((0.15, 2.5), PART, part_poses(), marks=pytest.mark.soak),
+        pytest.param((0.05, 4.0), PART, part_poses(), marks=pytest.mark.soak),
     ],
 )
 def test_a_lobe_of_two_scales_is_warned_of_and_fitted_by_the_other_family(second, specimen, poses):

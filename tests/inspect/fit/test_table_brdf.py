@@ -65,7 +65,7 @@ def test_azimuths_count_from_x_where_the_facets_lean(table):
 
 def test_material_and_ridge_angle_come_back_with_true_uncertainties(table, rng):
     truth = {"ridge_angle_deg": 7.0, "alpha_along": 0.08, "alpha_across": 0.12, "albedo": 0.3}
-    angles = angles_near_the_mirror(rng, 30)
+    angles = angles_near_the_mirror(rng, 14)
     value = ridged(angles, 7.0, Material(0.08, 0.12, 0.3))
     u = 0.01 * value
     noisy = value + u * rng.standard_normal(value.size)

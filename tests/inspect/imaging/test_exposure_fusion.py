@@ -174,7 +174,9 @@ def frame_folder(rig, inspected):
 QUICK = {"acquisition": {"brackets": [2.0]}}
 
 
-@pytest.mark.parametrize("after", [3, 10])  # of 2 × 2 dark frames and 4 × 2 × 2 at poses
+@pytest.mark.parametrize(
+    "after", [pytest.param(3, marks=pytest.mark.soak), 10]
+)  # of 2 × 2 dark frames and 4 × 2 × 2 at poses
 def test_an_interrupted_bracket_goes_on(virtual_rig, monkeypatch, plain, after):
     rig = virtual_rig(recipe=QUICK)
     folder = rig.break_off(monkeypatch, after)

@@ -259,10 +259,10 @@ def test_a_replay_that_was_interrupted(taken, monkeypatch, replay):
         resume_part(left)
 
 
-def test_the_own_map_of_a_part_may_be_measured_at_any_rotation(virtual_rig, plain):
+def test_the_own_map_of_a_part_may_be_measured_at_any_rotation(virtual_rig, plain, undiagnosed):
     """Facets of the map lean toward 217°: it is placed on the pictures to a pixel, and the part agrees with it."""
     rig = virtual_rig(bench={"sample": {"resolved_alpha": 0.03}})
-    live = rig.inspect()
+    live = rig.inspect(methods=undiagnosed)
     frames, folder = (
         [read_frame(live.folder / entry.name) for entry in live.record.frames],
         rig.out.parent / "frames",

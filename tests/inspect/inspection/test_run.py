@@ -194,7 +194,7 @@ def lying(azimuth_deg):
 
 @pytest.mark.parametrize(
     "azimuth",  # two of them, and what is said wrongly, are all that can be said
-    [pytest.param(0, marks=pytest.mark.soak), 90, 180, pytest.param(270, marks=pytest.mark.soak)],
+    [90, *(pytest.param(azimuth, marks=pytest.mark.soak) for azimuth in (0, 180, 270))],
 )
 def test_a_part_that_lies_turned_in_the_fixture_passes_where_the_recipe_says_so(
     virtual_rig, undiagnosed, tmp_path, azimuth
@@ -379,7 +379,7 @@ def test_no_process_outlives_a_failed_inspection(virtual_rig, reference_map, mon
     assert started[0].poll() is not None
 
 
-@pytest.mark.parametrize("tilt", [-15.0, 15.0])
+@pytest.mark.parametrize("tilt", [pytest.param(-15.0, marks=pytest.mark.soak), 15.0])
 def test_a_tilted_arm_sees_the_part_foreshortened_and_judges_it_all_the_same(virtual_rig, tmp_path, tilt):
     geometry = {"tilt_deg": tilt}
     tile = virtual_rig(

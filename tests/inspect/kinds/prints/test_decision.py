@@ -16,13 +16,13 @@ from anisoscope.sim.materials.inks import synthetic_ink
 
 LISTED = [
     (State(alpha=np.log(1.10)), "roughness", 0.10),
-    (State(alpha=np.log(0.30 / 0.19)), "roughness", 0.30 / 0.19 - 1.0),
+    pytest.param(State(alpha=np.log(0.30 / 0.19)), "roughness", 0.30 / 0.19 - 1.0, marks=pytest.mark.soak),
     (State(missing=0.10), "missing-ink", 0.10),
     (State(ratio=np.log(1.15)), "brushing", 0.15),
     (State(tilt_x_deg=0.6, tilt_y_deg=-0.8), "lean", 1.0),
     (State(shift_nm=10.0), "film-thickness", 10.0),
     (State(other=0.05), "wrong-ink-synthetic red", 0.05),
-    (State(other=1.0), "wrong-ink-synthetic red", 1.0),
+    pytest.param(State(other=1.0), "wrong-ink-synthetic red", 1.0, marks=pytest.mark.soak),
     (State(red=np.log(1.12), green=np.log(1.12), blue=np.log(1.12)), "bright-ink", 0.12),
 ]
 

@@ -99,7 +99,10 @@ def test_the_record_and_the_report_say_which_optics_and_why(inspected):
 
 @pytest.mark.parametrize(
     ("name", "cause", "true", "rel", "tied"),
-    [("deep", "over-etch", 20.0, 0.05, "under-etch"), ("wide", "width-bias", 640.0, 0.15, "width-loss")],
+    [
+        ("deep", "over-etch", 20.0, 0.05, "under-etch"),
+        pytest.param("wide", "width-bias", 640.0, 0.15, "width-loss", marks=pytest.mark.soak),
+    ],
 )
 def test_wrong_etching_fails_and_is_named_with_its_size(inspected, name, cause, true, rel, tied):
     record = inspected(name).record
