@@ -2,7 +2,7 @@
 
 import functools
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 
 from anisoscope.base.errors import AnisoscopeError
@@ -14,20 +14,20 @@ def installed(group: str) -> Mapping[str, EntryPoint]:
 
 
 @functools.cache
-def _everything(_path: tuple[str, ...]) -> EntryPoints:
+def _selection(_path: tuple[str, ...]) -> Callable[..., EntryPoints]:
     """Looked up once for a search path: reading the metadata of all packages takes as long as opening a port."""
-    return entry_points()
+    return entry_points().select
 
 
 @functools.cache
 def _installed(group: str, path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
-    return {entry.name: entry for entry in sorted(_everything(path).select(group=group))}
+    return {entry.name: entry for entry in sorted(_selection(path)(group=group))}
 
 
 @functools.cache
 def _rivals(group: str, name: str, path: tuple[str, ...]) -> tuple[str, ...]:
     """Packages that install different plug-ins under one name; empty where there is one plug-in."""
-    found = _everything(path).select(group=group, name=name)
+    found = _selection(path)(group=group, name=name)
     if len({entry.value for entry in found}) < 2:
         return ()
     return tuple(sorted({"an unnamed package" if entry.dist is None else entry.dist.name for entry in found}))

@@ -25,6 +25,7 @@ pitch_um = 100.0
 reflections = "direct"
 [surface.design]
 ridge_angle_deg = 10.0
+edge_radius_um = 0.0
 [material]
 alpha_along = 0.06
 alpha_across = 0.1

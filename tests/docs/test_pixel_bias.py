@@ -17,8 +17,17 @@ def find_pixel_bias(pixel_bias_script):
     return pixel_bias_script.find_pixel_bias
 
 
-@pytest.mark.parametrize("pitch_um", [50.0, 100.0])
-@pytest.mark.parametrize("angle_deg", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize(
+    ("angle_deg", "pitch_um"),
+    [
+        (5.0, 50.0),
+        (20.0, 100.0),
+        *(
+            pytest.param(*one, marks=pytest.mark.soak)
+            for one in ((5.0, 100.0), (10.0, 50.0), (10.0, 100.0), (20.0, 50.0))
+        ),
+    ],
+)
 def test_the_uncertainty_covers_the_bias(find_pixel_bias, pitch_um, angle_deg):
     pixels = np.array([0.3, 1.0, 2.0, 3.0, 4.0])
     found = find_pixel_bias(RidgeDesign(pitch_um, angle_deg), pixels, Material(), POSES, Convention())

@@ -71,7 +71,7 @@ def _load() -> None:
     from numba.core.registry import cpu_target
 
     from anisoscope.base import plugins
-    from anisoscope.cli import progress
+    from anisoscope.cli import app, progress
     from anisoscope.cli.cache import warm
     from anisoscope.rig import transport
     from anisoscope.sim.light import material
@@ -87,7 +87,15 @@ def _load() -> None:
     warm._read_sources()
     plugins.installed("anisoscope.kinds")  # reads what is said of every package that is installed
     transport.register_handlers()
+    _resolve(app)
     assert threading.active_count() == 1
+
+
+def _resolve(group) -> None:
+    """Look up the functions of all commands of a group, which a command would do for those that it may mean."""
+    for name in group:
+        if name not in (*group.help_flags, *group.version_flags):
+            _resolve(group[name])
 
 
 def serve(address: str) -> None:

@@ -9,7 +9,7 @@ from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 DESIGN = RidgeDesign(100.0, 10.0)
 
 
-@pytest.mark.parametrize("pixel", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize("pixel", [pytest.param(0.5, marks=pytest.mark.soak), 1.0, 4.0])
 @pytest.mark.parametrize("coverage", [0.01, 0.1, 0.25])
 def test_burrs_reach_their_coverage_and_only_add(pixel, coverage):
     side = round(1000.0 / pixel)

@@ -68,7 +68,9 @@ def test_direction_is_undefined_where_there_is_none(picture, rng):
     assert ridge_direction(picture(rng).astype(np.float32))[0] is None
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 30.0, 90.0])
+@pytest.mark.parametrize(
+    "angle_deg", [30.0, *(pytest.param(one, marks=pytest.mark.soak) for one in (0.0, 90.0))]
+)
 def test_direction_is_the_angle_of_the_sample_on_the_virtual_rig(virtual_rig, angle_deg):
     from anisoscope.sim.bench.camera import SimulatedCamera
 

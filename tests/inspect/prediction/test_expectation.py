@@ -129,6 +129,7 @@ def test_a_spread_that_is_not_stated_is_in_nothing(make_recipe):
     assert [c.source for c in kept] == [c.source for c in plain.components]
 
 
+@pytest.mark.statistics
 def test_the_whole_covariance_is_that_of_material_drawn_from_its_uncertainty(make_recipe):
     recipe = make_recipe()
     part = recipe.material

@@ -56,9 +56,7 @@ def agrees(found, limit):
 
 
 def test_the_covariance_of_a_design_is_that_of_the_draws():
-    found = predict_design(
-        DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(1000)
-    )
+    found = predict_design(DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(512))
     assert agrees(found, 0.15)
     for kind in KINDS:
         stated = contrast_covariance(POSES, found.radiance, found.budget.covariance(), kind)

@@ -1,4 +1,5 @@
 import importlib.util
+import itertools
 import os
 import sys
 from dataclasses import replace
@@ -63,8 +64,16 @@ def test_noise_above_the_slopes_is_taken_off():
     assert 0.0 < smooth.alpha_across.at_most < 0.02
 
 
-@pytest.mark.parametrize("direction", [0.0, 3.0, 45.0, 90.0, -70.0])
-@pytest.mark.parametrize("lean", [-1, 1])
+EACH_RUN = {(0.0, 1), (3.0, -1), (45.0, 1), (90.0, -1), (-70.0, 1)}
+
+
+@pytest.mark.parametrize(
+    ("direction", "lean"),
+    [
+        pytest.param(*pair, marks=() if pair in EACH_RUN else pytest.mark.soak)
+        for pair in itertools.product([0.0, 3.0, 45.0, 90.0, -70.0], [-1, 1])
+    ],
+)
 def test_direction_and_lean_of_clean_ridges(direction, lean):
     truth = Truth(direction=direction, lean=lean, shape=(500, 600), pixel=(1.3, 1.0), pitch=61.7, **CLEAN)
     found = measure_ridges(truth.surface(1))

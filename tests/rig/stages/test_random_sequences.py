@@ -97,8 +97,8 @@ def run(case, examples):
     )
 
 
-def test_eighty_sequences(case):
-    run(case, 80)
+def test_forty_sequences(case):
+    run(case, 40)
 
 
 @pytest.mark.soak

@@ -61,7 +61,12 @@ def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
     ("defects", "failing", "cause"),
     [
         ({"anisotropy": 1.15, "brush_deg": 30.0}, "ratio", "brushing"),
-        ({"wrong_ink": "synthetic-red", "wrong_share": 0.05}, "chromaticity", "wrong-ink-synthetic red"),
+        pytest.param(
+            {"wrong_ink": "synthetic-red", "wrong_share": 0.05},
+            "chromaticity",
+            "wrong-ink-synthetic red",
+            marks=pytest.mark.soak,
+        ),
     ],
 )
 def test_a_defect_fails_and_its_cause_is_named(print_rig, defects, failing, cause):
