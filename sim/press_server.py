@@ -38,11 +38,14 @@ class PressServer:
 
     Args:
         port: TCP port at 127.0.0.1.
+        server: not yet initialised, with its security; None: one without encryption.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, server: Server | None = None) -> None:
         self.address = f"opc.tcp://127.0.0.1:{port}/press"
-        self._server, self._cycles, self._seconds = Server(), 0, 0.0
+        self._server, self._cycles, self._seconds = server or Server(), 0, 0.0
+        if server is None:
+            self._server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
 
     async def __aenter__(self) -> Self:
         for name in ("asyncua", "opcua"):
@@ -50,7 +53,6 @@ class PressServer:
         server = self._server
         await server.init()
         server.set_endpoint(self.address)
-        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         for name in NODESETS:  # that of the general types names a child twice: the second one is left out
             await server.import_xml(DATA / f"Opc.Ua.{name}.NodeSet2.xml", strict_mode=False)
         general, imm, di = [

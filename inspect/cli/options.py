@@ -13,6 +13,20 @@ TrustFile = Annotated[
     Path | None,
     Parameter(name="--trust", help="Trust file: one of its keys has to have signed (`anisoscope key`)."),
 ]
+OwnCertificate = Annotated[
+    Path | None,
+    Parameter(
+        name="--certificate", help="Own certificate (`anisoscope line certificate`): sign and encrypt."
+    ),
+]
+OwnKey = Annotated[Path | None, Parameter(name="--key", help="Its key.")]
+PeersFolder = Annotated[
+    Path | None,
+    Parameter(
+        name="--peers",
+        help="Folder of the certificates that are trusted; its folder rejected receives those that are not.",
+    ),
+]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 

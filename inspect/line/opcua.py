@@ -30,6 +30,7 @@ from asyncua.common.instantiate_util import instantiate
 from anisoscope.base.crash import crash_line
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.line.jobs import Job, Jobs, Kind, Refused, order_of, result_of
+from anisoscope.line.opcua_security import Security
 from anisoscope.line.opcua_types import (
     NODESET,
     WRONG,
@@ -171,6 +172,7 @@ class VisionServer:
         port: TCP port.
         name: of the vision system in the address space.
         nodeset: file of the NodeSet; another one than that of the specification is refused.
+        security: its certificate, and the clients that are trusted; None: everybody, without encryption.
 
     Raises:
         UsageError: on entering: the port is taken, or the NodeSet is not that of OPC 40100-1.
@@ -184,12 +186,14 @@ class VisionServer:
         port: int = 4840,
         name: str = NAME,
         nodeset: Path = NODESET,
+        security: Security | None = None,
     ) -> None:
         self._jobs, self._recipes, self._name, self._nodeset = jobs, recipes, name, nodeset
         self._host, self._port = host, port
         self.address = f"opc.tcp://{host}:{port}{PATH}"
         self.state = PREOPERATIONAL
-        self._server = Server()
+        self._security = security
+        self._server = Server() if security is None else security.server()
         self._prepared: _Prepared | None = None
         self._lock = asyncio.Lock()
         self._heard: asyncio.Queue[tuple[Kind, Job, Record | None]] = asyncio.Queue()
@@ -233,11 +237,13 @@ class VisionServer:
     async def _lay_out(self) -> None:
         server = self._server
         for name in ("asyncua", "opcua"):
-            logging.getLogger(name).setLevel(logging.ERROR)
+            logging.getLogger(name).setLevel(logging.ERROR if self._security is None else logging.CRITICAL)
         await server.init()
         server.set_endpoint(self.address)
         server.set_server_name("anisoscope")
-        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        if self._security is None:
+            server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+            server.set_identity_tokens([ua.AnonymousIdentityToken])  # a password would not be looked at
         await server.set_build_info(
             "anisoscope", "anisoscope", "anisoscope", version("anisoscope"), "", datetime.now(UTC)
         )

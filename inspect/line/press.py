@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,6 +20,7 @@ from asyncua.ua.uaerrors import UaError
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.history.covariates import CycleData
+from anisoscope.line.opcua_security import Security
 from anisoscope.line.opcua_types import subtypes
 
 GENERAL_TYPES = "http://opcfoundation.org/UA/PlasticsRubber/GeneralTypes/"
@@ -59,6 +60,23 @@ def cycle_of(event: Event, wanted: Sequence[str], source: str) -> tuple[CycleDat
     return cycle, [name for name in wanted if name not in numbers]
 
 
+@contextlib.asynccontextmanager
+async def _connected(client: Client) -> AsyncIterator[Client]:
+    """A session of a client, which ends it.
+
+    Raises:
+        UaError: also where the server ends the opening of the channel with an error, which asyncua takes for a bug.
+    """
+    try:
+        await client.connect()
+    except AssertionError:
+        raise UaError("it refused the connection: it has to trust the certificate of --certificate") from None
+    try:
+        yield client
+    finally:
+        await client.disconnect()
+
+
 class PressReader:
     """Takes the cycles of a machine; `run` follows it through cuts of the connection.
 
@@ -68,6 +86,7 @@ class PressReader:
         say: takes a line for the operator.
         wanted: browse names of the fields to take; none: all that are real numbers.
         again_s: waiting times before the next tries to connect.
+        security: the own certificate, and the machines that are trusted; None: without encryption.
 
     Raises:
         UsageError: the address is none of OPC UA.
@@ -80,6 +99,7 @@ class PressReader:
         say: Callable[[str], None],
         wanted: Sequence[str] = (),
         again_s: Sequence[float] = _AGAIN_S,
+        security: Security | None = None,
     ) -> None:
         try:
             parts = urlsplit(address)
@@ -87,8 +107,11 @@ class PressReader:
         except ValueError:
             parts, host, port = urlsplit(""), None, 0
         if parts.scheme != "opc.tcp" or not host:
-            raise UsageError(f"a machine has an address such as opc.tcp://press:4840, not {address[:60]!r}")
-        self._address, self._source = address, f"{host}:{port}"
+            raise UsageError(
+                f"a machine has an address such as opc.tcp://press:4840, not {address.rpartition('@')[2][:60]!r}"
+            )
+        self._url, self._source, self._security = address, f"{host}:{port}", security
+        self._address = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()  # without a password
         self._take, self._say, self._wanted, self._again_s = take, say, tuple(wanted), again_s
         self._heard: asyncio.Queue[Event] = asyncio.Queue()
         self._waiting: list[CycleData] = []
@@ -112,20 +135,24 @@ class PressReader:
         logging.getLogger("asyncua").setLevel(
             logging.CRITICAL
         )  # what it logs of a cut is said in a line here
-        tries = 0
+        tries, said = 0, ""
         while most is None or self.taken < most:
             try:
-                async with Client(self._address, timeout=10.0) as client:
+                found = Client(self._url, timeout=10.0)
+                if self._security is not None:
+                    await self._security.secure(found)
+                async with _connected(found) as client:
                     await self._subscribe(client)
                     self._say(f"connected to {self._address}")
-                    tries = 0
+                    tries, said = 0, ""
                     while most is None or self.taken < most:
                         await client.check_connection()
                         await self._follow()
             except (OSError, UaError, TimeoutError, asyncio.IncompleteReadError) as problem:
                 why = " ".join(str(problem).split()) or type(problem).__name__
-                if not tries:
+                if why != said:
                     self._say(f"{self._address}: {why}; trying again")
+                said = why
                 await asyncio.sleep(self._again_s[min(tries, len(self._again_s) - 1)])
                 tries += 1
 

@@ -113,6 +113,7 @@ def test_asyncua_which_is_lgpl_is_imported_by_opc_ua_alone():
     ]
     assert sorted(found) == [
         "inspect/line/opcua.py",
+        "inspect/line/opcua_security.py",
         "inspect/line/opcua_types.py",
         "inspect/line/press.py",
         "sim/press_server.py",

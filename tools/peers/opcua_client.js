@@ -1,8 +1,13 @@
-// A job by node-opcua: npm install node-opcua-client; node opcua_client.js ADDRESS RECIPE SERIAL
-const { OPCUAClient, AttributeIds, Variant, DataType, VariantArrayType, coerceNodeId, TimestampsToReturn, constructEventFilter, ClientSubscription, ClientMonitoredItem, ExtensionObject } = require("node-opcua-client");
+// A job by node-opcua: npm install node-opcua-client node-opcua-certificate-manager; node opcua_client.js ADDRESS RECIPE SERIAL [PKI [POLICY]]
+// PKI: folder of its own certificate, made at the first start: it encrypts then, by Basic256Sha256 or another POLICY.
+const { OPCUAClient, AttributeIds, Variant, DataType, VariantArrayType, coerceNodeId, TimestampsToReturn, constructEventFilter, ClientSubscription, ClientMonitoredItem, ExtensionObject, MessageSecurityMode, SecurityPolicy } = require("node-opcua-client");
+const { OPCUACertificateManager } = require("node-opcua-certificate-manager");
 async function main() {
-  const [address, recipe, serial] = process.argv.slice(2);
-  const client = OPCUAClient.create({ endpointMustExist: false, connectionStrategy: { maxRetry: 1 } });
+  const [address, recipe, serial, pki, policy = "Basic256Sha256"] = process.argv.slice(2);
+  const secured = pki === undefined ? {} : {
+    clientCertificateManager: new OPCUACertificateManager({ rootFolder: pki, automaticallyAcceptUnknownCertificate: true }),
+    securityMode: MessageSecurityMode.SignAndEncrypt, securityPolicy: SecurityPolicy[policy] };
+  const client = OPCUAClient.create({ endpointMustExist: false, connectionStrategy: { maxRetry: 1 }, ...secured });
   await client.connect(address);
   const session = await client.createSession();
   const names = await session.readNamespaceArray();

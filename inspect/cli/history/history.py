@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, TrustFile, extra_packages
+from anisoscope.cli.options import Json, OwnCertificate, OwnKey, PeersFolder, TrustFile, extra_packages
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
@@ -391,6 +391,9 @@ def covariates(
         ),
     ] = None,
     cycles: Annotated[int | None, Parameter(help="With --opcua: end after so many cycles.")] = None,
+    certificate: OwnCertificate = None,
+    key: OwnKey = None,
+    peers: PeersFolder = None,
     place: Place = None,
     json_: Json = False,
 ) -> int:
@@ -408,10 +411,12 @@ def covariates(
             raise UsageError("history covariates: give files or --opcua, not both")
         if cycles is not None and cycles < 1:
             raise UsageError("history covariates: --cycles is at least 1")
-        _follow(opcua, field or [], cycles, machine.strip(), place)
+        _follow(opcua, field or [], cycles, machine.strip(), place, (certificate, key, peers))
         return 0
-    if field or cycles is not None:
-        raise UsageError("history covariates: --field and --cycles belong to --opcua")
+    if field or cycles is not None or any(one is not None for one in (certificate, key, peers)):
+        raise UsageError(
+            "history covariates: --field, --cycles, --certificate, --key and --peers belong to --opcua"
+        )
     if not files:
         with opened(place) as found:
             numbers = found.covariates().numbers
@@ -436,7 +441,14 @@ def covariates(
     return 0
 
 
-def _follow(address: str, fields: Sequence[str], cycles: int | None, machine: str, place: str | None) -> None:
+def _follow(
+    address: str,
+    fields: Sequence[str],
+    cycles: int | None,
+    machine: str,
+    place: str | None,
+    secured: tuple[Path | None, Path | None, Path | None],
+) -> None:
     """Add the cycles of a machine as they come.
 
     Raises:
@@ -448,6 +460,7 @@ def _follow(address: str, fields: Sequence[str], cycles: int | None, machine: st
     from dataclasses import replace
 
     with extra_packages("OPC UA", "line"):
+        from anisoscope.line.opcua_security import read_security
         from anisoscope.line.press import PressReader
 
     def take(news: "Sequence[CycleData]") -> None:
@@ -459,7 +472,8 @@ def _follow(address: str, fields: Sequence[str], cycles: int | None, machine: st
             added = found.add_covariates(named)
         write_line(f"{added} added, {len(news) - added} there already")
 
-    reader = PressReader(address, take, write_line, fields)
+    security = read_security(*secured, write_line)
+    reader = PressReader(address, take, write_line, fields, security=security)
     with opened(
         place, create=True
     ) as found:  # one that cannot be written is said before a cycle is waited for

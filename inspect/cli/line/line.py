@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +17,7 @@ from anisoscope.base.language import message
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember, unsigned
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
-from anisoscope.cli.options import extra_packages
+from anisoscope.cli.options import OwnCertificate, OwnKey, PeersFolder, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
@@ -60,21 +61,29 @@ def opcua(
             help="Let every computer that reaches the address order jobs: there is no encryption and no password.",
         ),
     ] = False,
+    certificate: OwnCertificate = None,
+    key: OwnKey = None,
+    peers: PeersFolder = None,
 ) -> int:
     """Serve the rig by OPC UA for Machine Vision (OPC 40100-1), until Ctrl-C.
 
     Examples:
         anisoscope line opcua --rig rig.toml --recipes recipes
+        anisoscope line opcua --rig rig.toml --recipes recipes --certificate c.der --key key.pem --peers peers
     """
     with extra_packages("OPC UA", "line"):
         from anisoscope.line.opcua import VisionServer, long_lived
-    check_open(host, open_=open_)
+        from anisoscope.line.opcua_security import read_security
+    security = read_security(certificate, key, peers, write_line)
+    if security is not None and open_:
+        raise UsageError("--open is for a server without --certificate: with it, only --peers may order jobs")
+    check_open(host, open_=open_ or security is not None)
     with jobs_at(rig, recipes, out, history, station, reports) as jobs:
 
         async def serve() -> None:
             async with contextlib.AsyncExitStack() as stack:
                 with long_lived():
-                    server = VisionServer(jobs, recipes.resolve(), host, port)
+                    server = VisionServer(jobs, recipes.resolve(), host, port, security=security)
                     await stack.enter_async_context(server)
                 _say_address(server.address)
                 await _until_signalled()
@@ -198,6 +207,37 @@ def modbus(
             handshake.step()
         with contextlib.suppress(NotConnected):
             io.write(Lines())
+    return 0
+
+
+@app.command
+def certificate(
+    *,
+    out: Annotated[Path, Parameter(help="Folder that receives certificate.der and key.pem.")],
+    name: Annotated[
+        tuple[str, ...],
+        Parameter(
+            name="--name",
+            negative="",
+            help="Name or address by which others call this computer; may be repeated.",
+        ),
+    ] = (),
+    uri: Annotated[
+        str | None, Parameter(help="URI of the application; by default urn:COMPUTER:anisoscope.")
+    ] = None,
+    days: Annotated[int, Parameter(help="Days for which it is valid.")] = 3 * 365,
+) -> int:
+    """Make a self-signed certificate and its key, by which other programs of OPC UA know this one.
+
+    Examples:
+        anisoscope line certificate --out own --name rig-1.example --name 192.168.1.20
+    """
+    with extra_packages("OPC UA", "line"):
+        from anisoscope.line.opcua_security import make_identity
+
+    here = socket.gethostname()
+    made, secret = make_identity(out, uri or f"urn:{here}:anisoscope", name or (here,), days)
+    print(f"{made} for others to trust, {secret} for this computer alone", flush=True)  # noqa: T201
     return 0
 
 

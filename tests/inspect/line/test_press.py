@@ -3,6 +3,7 @@
 import asyncio
 import importlib.util
 import socket
+import struct
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -14,6 +15,7 @@ from asyncua.common.events import Event
 from anisoscope.base.errors import UsageError
 from anisoscope.history.problems import HistoryError
 from anisoscope.history.store import open_history
+from anisoscope.line.opcua_security import make_identity, read_security
 from anisoscope.line.press import PressReader, cycle_of
 from anisoscope.sim.press_server import FIELDS, PressServer
 
@@ -65,9 +67,9 @@ async def cut(press):
 class Reading:
     """A reader at work, with what it said and what it took."""
 
-    def __init__(self, address, loop, most=None, fields=(), failures=0):
+    def __init__(self, address, loop, most=None, fields=(), failures=0, security=None):
         self.loop, self.lines, self.taken, self.failures = loop, asyncio.Queue(), [], failures
-        self.reader = PressReader(address, self.take, self.say, fields, again_s=(0.01,))
+        self.reader = PressReader(address, self.take, self.say, fields, again_s=(0.01,), security=security)
         self.task = asyncio.run_coroutine_threadsafe(self.reader.run(most), loop.loop)
 
     def take(self, news):
@@ -157,6 +159,64 @@ def test_a_machine_that_is_not_there_is_tried_again_and_said_once(loop):
     one.task.cancel()
 
 
+def test_with_a_certificate_no_machine_is_followed_without_encryption_and_no_password_is_shown(
+    press, loop, tmp_path
+):
+    security = read_security(*make_identity(tmp_path / "own", "urn:rig", ["rig"]), tmp_path, list)
+    one = Reading(press.address.replace("//", "//setter:geheim@"), loop, security=security)
+    line = one.said("neither Basic256Sha256 nor Aes256Sha256RsaPss with encryption")
+    assert line.startswith(f"{press.address}: ")
+    one.task.cancel()
+
+
+BAD = ua.StatusCodes.BadSecurityChecksFailed
+
+
+def refusal_as_error(_):
+    return b"ERRF" + struct.pack("<III", 16, BAD, 0xFFFFFFFF)
+
+
+def refusal_as_fault(asked):
+    """A fault in place of the answer, with the header of the question (OPC 10000-6, 6.7.2)."""
+    length = (
+        4 + 4 + struct.unpack_from("<i", asked, 4)[0] + 8 + 8
+    )  # channel, policy, no certificates, numbers
+    fault = b"\x01\x00" + struct.pack("<HqIIBi", 397, 0, 1, BAD, 0, -1) + b"\x00\x00\x00"
+    return b"OPNF" + struct.pack("<I", 8 + length + len(fault)) + asked[:length] + fault
+
+
+@pytest.mark.parametrize(
+    ("refusal", "words"),
+    [
+        (refusal_as_error, "An error occurred verifying security"),
+        (refusal_as_fault, "it refused the connection"),
+    ],
+)
+def test_a_server_that_refuses_the_channel_is_tried_again(loop, refusal, words):
+    async def answer(reader, writer):
+        while head := await reader.read(8):
+            asked = await reader.readexactly(struct.unpack("<I", head[4:])[0] - 8)
+            if head[:3] == b"HEL":
+                writer.write(b"ACKF" + struct.pack("<6I", 28, 0, 65536, 65536, 0, 0))
+            else:
+                writer.write(refusal(asked))
+                break
+        writer.close()
+
+    server = loop(asyncio.start_server(answer, "127.0.0.1", 0))
+    try:
+        one = Reading("opc.tcp://127.0.0.1:{1}".format(*server.sockets[0].getsockname()), loop)
+        assert words in one.said("trying again")
+        one.task.cancel()
+    finally:
+        loop(ended(server))
+
+
+async def ended(server):
+    server.close()
+    await server.wait_closed()
+
+
 def test_cycles_that_cannot_be_written_are_given_again(press, loop, reading):
     one = reading(most=1, failures=2)
     loop(press.cycle(SETTINGS, "W-1", BEGIN))
@@ -225,7 +285,7 @@ def test_the_command_adds_each_cycle_once(press, loop, anisoscope, tmp_path):
     ("arguments", "words"),
     [
         (("cycles.csv", "--opcua", "opc.tcp://a"), "give files or --opcua"),
-        (("--cycles", "3"), "--field and --cycles belong to --opcua"),
+        (("--cycles", "3"), "--field, --cycles, --certificate, --key and --peers belong to --opcua"),
         (("--opcua", "opc.tcp://a", "--cycles", "0"), "--cycles is at least 1"),
         (("--opcua", "http://a"), "opc.tcp://press:4840"),
     ],
