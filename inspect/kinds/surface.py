@@ -694,6 +694,7 @@ def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> G
             DirectionRecord(
                 defect=one.defect,
                 score=one.score,
+                p_value=one.p_value,
                 separation=one.separation,
                 power=one.power,
                 detectable=one.detectable if np.isfinite(one.detectable) else None,

@@ -331,7 +331,8 @@ class DirectionRecord(_Part):
 
     ``score`` in standard deviations of good parts, ``separation`` its mean for a part with the smallest interesting
     defect, ``power`` the probability of finding that one, ``detectable`` the multiple of its size that is found in 9 of
-    10 parts, null where none is.
+    10 parts, null where none is. ``p_value`` is that of the score for a good part, over this direction's share of the
+    level; null in older records.
     """
 
     defect: str
@@ -339,13 +340,14 @@ class DirectionRecord(_Part):
     separation: float
     power: float
     detectable: float | None
+    p_value: float | None = None
 
 
 class GoldenRecord(_Part):
     """The golden parts that decided what deviates: ln ratios to the first pose, one row a part.
 
     ``birge`` is the variance among the golden parts over the stated one; ``p_distance`` and ``p_direction`` are the
-    p values of the squared distance and of the largest score of ``directions``; ``test`` is the one that decided,
+    p values of the squared distance and of the scores of ``directions``; ``test`` is the one that decided,
     "predictive" by the stated scatter or "hotelling" by that of the golden parts.
     """
 

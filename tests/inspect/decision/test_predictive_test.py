@@ -4,16 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from scipy.stats import chi2, kstest
 
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency_test import contrast_scatter, from_prediction
 from anisoscope.decision.predictive_test import (
+    Direction,
+    PredictiveTest,
     Scatter,
+    _null_of,
+    _shares,
     birge_ratio,
     detectable,
     predictive_test,
+    separations,
     suggested_scatter,
 )
 from anisoscope.imaging.pose_radiance import Measured
@@ -239,6 +245,28 @@ def test_a_directed_test_finds_small_turns_that_the_distance_alone_misses(tilted
     found = [predictive_test(scatter, golden, value, 0.01) for value in made(8, rules, rng, turned=1.0)]
     directed = np.mean([one.p_direction < 0.01 for one in found])
     assert directed > np.mean([one.p_distance < 0.01 for one in found])
+
+
+def test_a_defect_that_is_found_anyway_leaves_its_level_to_others(tilted):
+    scatter, _ = tilted
+    shares = dict(zip(scatter.defects, _shares(scatter, 3, 0.01), strict=True))
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["height loss 10%"] == pytest.approx(0.2 / len(shares), abs=1e-3)  # what all have alike
+    assert shares["roughness across the ridges +20%"] > 2.0 / len(shares)
+    even = _null_of(scatter, 3).score_limits(0.5 * 0.01 / len(shares) * np.ones(len(shares)))
+    found = separations(scatter, 3, 0.01)
+    before = ndtr([one.separation - limit for one, limit in zip(found, even, strict=True)])
+    assert sum(one.power for one in found) > before.sum() + 0.2
+    assert all(one.power > old - 0.03 for one, old in zip(found, before, strict=True))
+
+
+def test_the_named_defect_is_the_least_probable_one_not_the_largest_score():
+    """Both at their shares of the level: a large score along skewed scatter may be likelier than a small one."""
+    likely = Direction("likely", 4.0, 0.02, 5.0, 0.9, 0.8)
+    rare = replace(likely, defect="rare", score=3.5, p_value=0.002)
+    test = PredictiveTest(20.0, 3, 0.003, 0.001, 0.002, (likely, rare), None)
+    assert test.strongest is rare
+    assert replace(test, p_distance=0.0008).strongest is None
 
 
 def test_more_golden_parts_show_smaller_defects(tilted):

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency_test import contrast_scatter
-from anisoscope.decision.predictive_test import predictive_test
+from anisoscope.decision.predictive_test import _null_of, predictive_test, separations
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.study.detection.chunk import FRAME_NOISE, LAMP_NOISE, MEASURED_SOURCES
@@ -71,6 +72,37 @@ def test_p_is_uniform_where_the_errors_of_the_model_are_drawn_as_well(name, shar
     assert np.mean(exact < 0.01) < 0.01
 
 
+def scatter_and_noise(name):
+    """Scatter of good parts with the errors of one measurement, those left out that all parts of a rig share."""
+    recipe, _, own = judged(name)
+    basis = log_basis(own.shape[1])
+    single = np.delete(
+        own, [MEASURED_SOURCES.index(s) for s in ("stray light", "linearity of the camera")], 0
+    )
+    usual = contrast_scatter(part_scatter(recipe, LIGHT_DEG), 1.0)
+    return replace(usual, errors=basis @ np.diag((single**2).sum(axis=0)) @ basis.T)
+
+
+@pytest.mark.parametrize(
+    ("name", "defect", "alike", "by_need"),
+    [
+        ("tilted", "ridge angle +0.5°", 0.28, 0.52),
+        ("tilted", "ridge angle −0.5°", 0.34, 0.49),
+        ("suggested", "ridge angle +0.5°", 0.40, 0.57),
+        ("suggested", "ridge angle −0.5°", 0.39, 0.55),
+        ("standard", "edges worn to 5 µm", 0.40, 0.54),
+    ],
+)
+def test_what_is_found_by_sharing_the_level_by_need(name, defect, alike, by_need):
+    """Three golden parts at 1 %: powers with equal shares of half the level, and as decided."""
+    scatter = scatter_and_noise(name)
+    found = next(one for one in separations(scatter, 3, 0.01) if one.defect == defect)
+    assert found.power == pytest.approx(by_need, abs=0.03)
+    equal = np.full(len(scatter.defects), 0.5 * 0.01 / len(scatter.defects))
+    limit = _null_of(scatter, 3).score_limits(equal)[list(scatter.defects).index(defect)]
+    assert ndtr(found.separation - limit) == pytest.approx(alike, abs=0.03)
+
+
 @pytest.mark.parametrize(
     ("defects", "expected_areas"),
     [
@@ -81,13 +113,7 @@ def test_p_is_uniform_where_the_errors_of_the_model_are_drawn_as_well(name, shar
 )
 def test_what_a_test_loses_that_is_not_given_the_defect(defects, expected_areas):
     """Areas under the curve: ideal, the defect's own direction, the best of all directions, and both tests."""
-    recipe, _, own = judged("tilted")
-    rng, basis = np.random.default_rng(6), log_basis(own.shape[1])
-    single = np.delete(
-        own, [MEASURED_SOURCES.index(s) for s in ("stray light", "linearity of the camera")], 0
-    )
-    usual = contrast_scatter(part_scatter(recipe, LIGHT_DEG), 1.0)
-    scatter = replace(usual, errors=basis @ np.diag((single**2).sum(axis=0)) @ basis.T)
+    scatter, rng = scatter_and_noise("tilted"), np.random.default_rng(6)
     nominal = np.zeros((1, len(scatter.own)))
     sets = scatter.drawn(np.repeat(nominal, SETS, axis=0), GOLDEN, rng)
 
