@@ -178,19 +178,20 @@ LEVELS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 """Probabilities at which p values are counted."""
 
 
-def calibrated(p_values: FloatArray, drawn: FloatArray) -> FloatArray:
+def calibrated(p_values: FloatArray, drawn: FloatArray, levels: FloatArray = LEVELS) -> FloatArray:
     """Calibrated p values: the share of good parts whose normal-theory p value is as small.
 
     Between and below the counted levels ln p is interpolated and extrapolated linearly in ln p.
 
     Args:
         p_values: p values by the normal theory.
-        drawn: those of drawn good parts, ascending.
+        drawn: those of drawn good parts.
+        levels: ascending probabilities at which they are counted, 0.1 among them and 1 the last.
     """
-    at = np.append(np.quantile(drawn, LEVELS[:-1]), 1.0)
+    at = np.append(np.quantile(drawn, levels[:-1]), 1.0)
     small = np.log(np.maximum(p_values, 1e-300))
-    found = np.interp(small, np.log(at), np.log(LEVELS))
-    low, high = 0, int(np.flatnonzero(LEVELS == 0.1)[0])
-    slope = np.log(LEVELS[high] / LEVELS[low]) / np.log(at[high] / at[low])
-    beyond = np.log(LEVELS[low]) + slope * (small - np.log(at[low]))
+    found = np.interp(small, np.log(at), np.log(levels))
+    low, high = 0, int(np.flatnonzero(levels == 0.1)[0])
+    slope = np.log(levels[high] / levels[low]) / np.log(at[high] / at[low])
+    beyond = np.log(levels[low]) + slope * (small - np.log(at[low]))
     return np.asarray(np.exp(np.where(p_values < at[low], beyond, found)))

@@ -150,6 +150,7 @@ def _contrast_scatter(parts: PartScatter, errors: bytes) -> Scatter:
         basis @ own.reshape(basis.shape[1], -1) @ basis.T,
         {name: basis @ change for name, change in parts.defects.items()},
         tuple(one.within(basis) for one in parts.lobes),
+        parts.states,
     )
 
 

@@ -12,18 +12,20 @@ defects, sᵀV⁻¹d/√(sᵀV⁻¹s), each the likelihood ratio of this defect 
 The distribution of T² and of each score is simulated: golden sets and parts drawn from the same model. The scores share
 their part of the level so that the sum of the powers is greatest (Spjøtvoll, Ann. Math. Statist. 43 (1972) 398): a
 defect that is found anyway leaves its share to one that is not. The shares depend on what is stated and on the number
-of golden parts, not on the part (Genovese, Roeder and Wasserman, Biometrika 93 (2006) 509).
+of golden parts, not on the part (Genovese, Roeder and Wasserman, Biometrika 93 (2006) 509). The least p value over its
+share is counted among the drawn parts as well, so that p is uniform and the level used up although the tests depend on
+each other (Westfall and Young, Resampling-Based Multiple Testing, 1993, 2.3).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import calibrated
+from anisoscope.base.significance import LEVELS, calibrated
 from anisoscope.prediction.second_order import Response
 
 PRIOR_PARTS = 30
@@ -33,6 +35,7 @@ MAX_BIRGE = 3.0
 NAMED_SHARE = 0.7
 """Share of the level for the named defects; the squared distance, which finds any other, has the rest."""
 _EVEN = 0.2  # share of that level which the named defects have alike; the rest goes where it finds most
+_COUNTED = np.concatenate([LEVELS[:-2], np.arange(0.3, 1.0, 0.1), [0.99, 0.999, 1.0]])
 _PORTIONS = 100  # in which the rest is given away
 _MATERIALS, _PARTS = 60, 300  # draws of what all parts share, and parts for each
 _SETS, _NEW = 150, 60  # golden sets, and new parts for each
@@ -57,6 +60,8 @@ class Scatter:
         defects: (m,) change of the contrasts by every named defect at its smallest interesting size.
         lobes: responses with every tail that the lobe may as likely have; all parts of a rig have the same. Without
             any it is known, and ``response`` is that of its parts.
+        states: of the defects that are a state of one input, the input and how far it is off in the response's units:
+            parts with a defect scatter as the response bends there.
     """
 
     response: Response
@@ -65,6 +70,7 @@ class Scatter:
     errors: FloatArray
     defects: Mapping[str, FloatArray]
     lobes: tuple[Response, ...] = ()
+    states: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     def drawn(self, shared: FloatArray, parts: int, rng: np.random.Generator) -> FloatArray:
         """(N, parts, m) contrasts of good parts, for (N, K) states of what all parts share; the lobes take turns."""
@@ -88,6 +94,16 @@ class Scatter:
         off = parts - parts.mean(axis=1, keepdims=True)
         return np.asarray(np.einsum("npi,npj->ij", off, off) / (_MATERIALS * (_PARTS - 1.0)))
 
+    def covariance_with(self, defect: str) -> FloatArray:
+        """(m, m) covariance of parts with a defect, by the tangents in its state; of good parts where it is none."""
+        if defect not in self.states:
+            return self.covariance
+        source, extent = self.states[defect]
+        state = extent * (np.array(self.response.sources) == source)
+        lobes = self.lobes or (self.response,)
+        tangents = np.array([lobe.tangent(state) for lobe in lobes]) * self.own
+        return np.asarray(np.mean(tangents @ tangents.transpose(0, 2, 1), axis=0) + self.errors)
+
 
 @dataclass(frozen=True)
 class Direction:
@@ -96,10 +112,11 @@ class Direction:
     Attributes:
         defect: its name.
         score: of the part in its direction, in standard deviations of good parts.
-        p_value: of the score for a good part, divided by this direction's share of the level.
+        p_value: of the score for a good part, adjusted for the other directions and the distance.
         separation: mean score of a part with this defect at its smallest interesting size.
         power: probability that a part with this defect is significant.
-        detectable: multiple of the smallest interesting size that is significant in 9 of 10 parts.
+        detectable: multiple of the smallest interesting size that is significant in 9 of 10 parts, which scatter as
+            those of that size.
     """
 
     defect: str
@@ -119,7 +136,7 @@ class PredictiveTest:
         dof: number of contrasts.
         p_value: of both statistics together, for a good part.
         p_distance: of the squared distance alone.
-        p_direction: of the scores alone: the least of the directions; None without named defects.
+        p_direction: the least of the directions; None without named defects.
         directions: one a named defect.
         birge: ratio of the golden parts' scatter to the stated one; None for a single golden part.
         decides: whether this test decides; not where many golden parts contradict the stated scatter.
@@ -136,11 +153,8 @@ class PredictiveTest:
 
     @property
     def strongest(self) -> Direction | None:
-        """The named defect that the part is most like, where its score is less probable than the distance.
-
-        Both at their shares of the level.
-        """
-        if self.p_direction is None or _together(self.p_distance, 1.0) < _together(1.0, self.p_direction):
+        """The named defect that the part is most like, where its score decides and not the distance."""
+        if self.p_direction is None or self.p_direction > self.p_value:
             return None
         return min(self.directions, key=lambda one: (one.p_value, -one.score))
 
@@ -184,17 +198,16 @@ def predictive_test(scatter: Scatter, golden: FloatArray, value: FloatArray, alp
     shifts = np.array([scatter.defects[name] for name in names])
     separation = np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts))
     scores = shifts @ inverse @ d / np.maximum(separation, 1e-12)
-    shares = _shares(scatter, count, alpha)
-    chances = np.minimum(null.score_chances(scores) / shares, 1.0)
+    levels = _levels(scatter, count, alpha)
+    chances = levels.adjusted(null.score_chances(scores) / levels.shares)
     p_direction = float(chances.min())
-    limits = null.score_limits(NAMED_SHARE * alpha * shares)
     return PredictiveTest(
         t2,
         len(d),
-        _together(p_distance, p_direction),
+        min(p_direction, float(levels.adjusted(np.array([p_distance / levels.of_distance]))[0])),
         p_distance,
         p_direction,
-        _directions(names, scores, chances, separation, limits),
+        _directions(names, scores, chances, separation, levels),
         birge_ratio(golden, stated),
     )
 
@@ -207,9 +220,9 @@ def separations(scatter: Scatter, count: int, alpha: float) -> tuple[Direction, 
         count: golden parts, 1 or more.
         alpha: level of significance of the verdict.
     """
-    limits = _null_of(scatter, count).score_limits(NAMED_SHARE * alpha * _shares(scatter, count, alpha))
-    none = np.zeros(len(limits))
-    return _directions(tuple(scatter.defects), none, none + 1.0, _stated_separation(scatter, count), limits)
+    levels = _levels(scatter, count, alpha)
+    none, separation = np.zeros(len(levels.limits)), _stated(scatter, count)[0]
+    return _directions(tuple(scatter.defects), none, none + 1.0, separation, levels)
 
 
 def detectable(scatter: Scatter, count: int, alpha: float) -> dict[str, float]:
@@ -345,7 +358,7 @@ def _directions(
     scores: FloatArray,
     chances: FloatArray,
     separation: FloatArray,
-    limits: FloatArray,
+    levels: "_Levels",
 ) -> tuple[Direction, ...]:
     from scipy.special import ndtr, ndtri  # noqa: PLC0415 - start-up time
 
@@ -355,10 +368,12 @@ def _directions(
             float(score),
             float(chance),
             float(mean),
-            float(ndtr(mean - limit)),
-            float((limit + ndtri(0.9)) / mean) if mean > 0.0 else float("inf"),
+            float(ndtr((mean - limit) / spread)),
+            float((limit + spread * ndtri(0.9)) / mean) if mean > 0.0 else float("inf"),
         )
-        for name, score, chance, mean, limit in zip(names, scores, chances, separation, limits, strict=True)
+        for name, score, chance, mean, limit, spread in zip(
+            names, scores, chances, separation, levels.limits, levels.spreads, strict=True
+        )
     )
 
 
@@ -385,7 +400,7 @@ def _predictive(stated: FloatArray, squares: FloatArray, count: int) -> FloatArr
 
 @dataclass(frozen=True, eq=False)
 class _Null:
-    """Distribution of both statistics for good parts, as p values of a simple theory, ascending.
+    """Distribution of both statistics for good parts, as p values of a simple theory, one for each drawn part.
 
     Attributes:
         m: number of contrasts.
@@ -424,33 +439,71 @@ class _Null:
         return np.stack([np.interp(-levels[..., k], -one, _SCORES) for k, one in enumerate(chances)], axis=-1)
 
 
-def _together(p_distance: float, p_direction: float) -> float:
-    """P value of both statistics, each at its share of the level."""
-    return min(1.0, p_distance / (1.0 - NAMED_SHARE), p_direction / NAMED_SHARE)
-
-
-def _stated_separation(scatter: Scatter, count: int) -> FloatArray:
-    """(C,) mean scores of parts with each named defect at its smallest interesting size, by the stated scatter."""
+def _stated(scatter: Scatter, count: int) -> tuple[FloatArray, FloatArray]:
+    """(C,) means and standard deviations of the scores of parts with the named defects, by the stated scatter."""
     inverse = np.linalg.inv(scatter.covariance * (1.0 + 1.0 / count))
     shifts = np.array(list(scatter.defects.values()))
-    return np.asarray(np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts)))
+    separation = np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts))
+    unit = shifts @ inverse / np.maximum(separation, 1e-12)[:, None]
+    of_parts = (
+        np.array([scatter.covariance_with(name) for name in scatter.defects]) + scatter.covariance / count
+    )
+    return separation, np.sqrt(np.einsum("ci,cij,cj->c", unit, of_parts, unit))
+
+
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """How the tests share the level.
+
+    Attributes:
+        of_distance: share of the squared distance.
+        shares: (C,) of each named defect; the sum of all is 1.
+        least: (N,) least p value over its share of drawn good parts, times ``scale``, which makes it at most 1.
+        scale: the smallest share.
+        limits: (C,) scores beyond which a part is significant.
+        spreads: (C,) standard deviations of the scores of parts with the defects.
+    """
+
+    of_distance: float
+    shares: FloatArray
+    least: FloatArray
+    scale: float
+    limits: FloatArray
+    spreads: FloatArray
+
+    def adjusted(self, over_share: FloatArray) -> FloatArray:
+        """P values over their shares as p values of all tests together."""
+        return calibrated(np.minimum(self.scale * over_share, 1.0), self.least, _COUNTED)
 
 
 @lru_cache(maxsize=16)
-def _shares(scatter: Scatter, count: int, alpha: float) -> FloatArray:
+def _levels(scatter: Scatter, count: int, alpha: float) -> _Levels:
+    null = _null_of(scatter, count)
+    rest = 1.0 - NAMED_SHARE
+    separation, spreads = _stated(scatter, count)
+    shares = NAMED_SHARE * _shares(separation, spreads, null, alpha)
+    drawn = [null.distances, *null.scores]
+    over_share = [calibrated(one, one) / share for one, share in zip(drawn, (rest, *shares), strict=True)]
+    scale = min(rest, float(shares.min()))
+    found = _Levels(rest, shares, scale * np.min(over_share, axis=0), scale, shares, spreads)
+    tried = np.geomspace(alpha, min(20.0 * alpha, 1.0 / scale), _PORTIONS)
+    level = np.interp(np.log(alpha), np.log(found.adjusted(tried)), np.log(tried))
+    return replace(found, limits=null.score_limits(np.exp(level) * shares))
+
+
+def _shares(separation: FloatArray, spreads: FloatArray, null: _Null, alpha: float) -> FloatArray:
     """(C,) shares that the directions of the named defects have of their level; the sum is 1.
 
     Portion by portion to the direction whose power gains most: the greatest sum, as powers are concave in the level.
     """
     from scipy.special import ndtr  # noqa: PLC0415 - start-up time
 
-    separation = _stated_separation(scatter, count)
     directions = np.arange(len(separation))
     shares = _EVEN / len(separation) + (1.0 - _EVEN) * np.arange(_PORTIONS + 1.0) / _PORTIONS
-    limits = _null_of(scatter, count).score_limits(
-        NAMED_SHARE * alpha * np.broadcast_to(shares[:, None], (len(shares), len(separation)))
+    limits = null.score_limits(NAMED_SHARE * alpha * np.repeat(shares[:, None], len(separation), axis=1))
+    gains = np.vstack(
+        [np.diff(ndtr((separation - limits) / spreads), axis=0), np.full(len(separation), -1.0)]
     )
-    gains = np.vstack([np.diff(ndtr(separation - limits), axis=0), np.full(len(separation), -1.0)])
     portions = np.zeros(len(separation), dtype=int)
     for _ in range(_PORTIONS):
         portions[np.argmax(gains[portions, directions])] += 1
@@ -471,14 +524,14 @@ def _null_of(scatter: Scatter, count: int) -> _Null:
     t2 = np.einsum("spi,sij,spj->sp", d, inverse, d).ravel()
     freedom = PRIOR_PARTS + count - 1.0
     bare = _Null(m, freedom, np.empty(0), ())
-    distances = np.sort(bare.distance_theory(t2))
+    distances = bare.distance_theory(t2)
     if not scatter.defects:
         return _Null(m, freedom, distances, ())
     shifts = np.array([scatter.defects[name] for name in scatter.defects])
     weighed = np.einsum("ci,sij->scj", shifts, inverse)
     norm = np.sqrt(np.einsum("scj,cj->sc", weighed, shifts))
     scores = np.einsum("scj,spj->csp", weighed, d) / norm.T[:, :, None]
-    drawn_scores = tuple(np.sort(bare.score_theory(found.ravel())) for found in scores)
+    drawn_scores = tuple(bare.score_theory(found.ravel()) for found in scores)
     return _Null(m, freedom, distances, drawn_scores)
 
 

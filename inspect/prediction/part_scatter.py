@@ -46,6 +46,7 @@ class PartScatter:
         common: (K,) u in that unit.
         own: (K,) s in that unit.
         defects: (P,) change of ln L by every named defect at its smallest interesting size, the mean over the lobes.
+        states: of those that are a state of one input, the input and how far it is off, in that unit.
     """
 
     response: Response
@@ -53,6 +54,7 @@ class PartScatter:
     common: FloatArray
     own: FloatArray
     defects: Mapping[str, FloatArray]
+    states: Mapping[str, tuple[str, float]]
 
 
 def part_scatter(
@@ -121,7 +123,32 @@ def _computed(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOpti
     lobes = known[1:]
     names = [name for name in lobes[0][1] if all(name in changes for _, changes, _ in lobes)]
     defects = {name: np.mean([changes[name] for _, changes, _ in lobes], axis=0) for name in names}
-    return PartScatter(response, tuple(one for one, _, _ in lobes), shares[:, 0], shares[:, 1], defects)
+    return PartScatter(
+        response,
+        tuple(one for one, _, _ in lobes),
+        shares[:, 0],
+        shares[:, 1],
+        defects,
+        {
+            name: state
+            for name, state in _states_of_defects(recipe, both).items()
+            if name in defects and state[0] in response.sources
+        },
+    )
+
+
+def _states_of_defects(recipe: SurfaceRecipe, both: InputUncertainty) -> dict[str, tuple[str, float]]:
+    """Input of every named defect that is a state of one, and how far it is off in the unit of the response."""
+    turned, back, _, along, across, *_ = (one.name for one in named_defects(recipe))
+    size, states = recipe.defects, {}
+    if both.ridge_angle_deg > 0.0:
+        turn = size.ridge_angle_deg / both.ridge_angle_deg
+        states |= {turned: (RIDGE_ANGLE, turn), back: (RIDGE_ANGLE, -turn)}
+    if both.alpha_share > 0.0:
+        rougher = size.roughness_share / both.alpha_share
+        states[along] = ("roughness along the ridges", rougher)
+        states[across] = ("roughness across the ridges", rougher)
+    return states
 
 
 def _of_tail(nominal: State, tail: float) -> State:
@@ -315,6 +342,7 @@ def _packed(found: PartScatter | None) -> bytes:
         else {
             "sources": found.response.sources,
             "defects": list(found.defects),
+            "states": found.states,
         }
     )
     arrays: dict[str, np.ndarray[Any, Any]] = {
@@ -343,4 +371,5 @@ def _unpacked(content: bytes) -> PartScatter | None:
             for slope, bend in zip(arrays["slope"], arrays["bend"], strict=True)
         )
         defects = dict(zip(header["defects"], arrays["changes"], strict=True))
-        return PartScatter(response, tuple(lobes), arrays["common"], arrays["own"], defects)
+        states = {name: (source, extent) for name, (source, extent) in header["states"].items()}
+        return PartScatter(response, tuple(lobes), arrays["common"], arrays["own"], defects, states)

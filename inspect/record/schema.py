@@ -331,8 +331,8 @@ class DirectionRecord(_Part):
 
     ``score`` in standard deviations of good parts, ``separation`` its mean for a part with the smallest interesting
     defect, ``power`` the probability of finding that one, ``detectable`` the multiple of its size that is found in 9 of
-    10 parts, null where none is. ``p_value`` is that of the score for a good part, over this direction's share of the
-    level; null in older records.
+    10 parts, null where none is. ``p_value`` is that of the score for a good part, adjusted for the other
+    tests; null in older records.
     """
 
     defect: str

@@ -14,8 +14,8 @@ from anisoscope.decision.predictive_test import (
     Direction,
     PredictiveTest,
     Scatter,
+    _levels,
     _null_of,
-    _shares,
     birge_ratio,
     detectable,
     predictive_test,
@@ -249,24 +249,38 @@ def test_a_directed_test_finds_small_turns_that_the_distance_alone_misses(tilted
 
 def test_a_defect_that_is_found_anyway_leaves_its_level_to_others(tilted):
     scatter, _ = tilted
-    shares = dict(zip(scatter.defects, _shares(scatter, 3, 0.01), strict=True))
-    assert sum(shares.values()) == pytest.approx(1.0)
-    assert shares["height loss 10%"] == pytest.approx(0.2 / len(shares), abs=1e-3)  # what all have alike
-    assert shares["roughness across the ridges +20%"] > 2.0 / len(shares)
+    levels = _levels(scatter, 3, 0.01)
+    shares = dict(zip(scatter.defects, levels.shares, strict=True))
+    assert sum(shares.values()) + levels.of_distance == pytest.approx(1.0)
+    assert shares["height loss 10%"] == pytest.approx(
+        0.7 * 0.2 / len(shares), abs=1e-3
+    )  # what all have alike
+    assert shares["roughness across the ridges +20%"] > 0.7 * 2.0 / len(shares)
     even = _null_of(scatter, 3).score_limits(0.5 * 0.01 / len(shares) * np.ones(len(shares)))
     found = separations(scatter, 3, 0.01)
-    before = ndtr([one.separation - limit for one, limit in zip(found, even, strict=True)])
+    before = ndtr((np.array([one.separation for one in found]) - even) / levels.spreads)
     assert sum(one.power for one in found) > before.sum() + 0.2
     assert all(one.power > old - 0.03 for one, old in zip(found, before, strict=True))
 
 
+def test_p_values_of_good_parts_of_a_golden_set_are_uniform(tilted):
+    """Both tests together, by parts of the stated scatter itself; the level is used up."""
+    scatter, _ = tilted
+    rng = np.random.default_rng(12)
+    parts = scatter.drawn(scatter.shared(60, rng), 3 + 10, rng)
+    found = np.array(
+        [predictive_test(scatter, one[:3], value, 0.01).p_value for one in parts for value in one[3:]]
+    )
+    assert kstest(found, "uniform").statistic < 0.07  # 60 golden sets of ten parts each
+    assert 0.001 < np.mean(found < 0.01) < 0.025
+
+
 def test_the_named_defect_is_the_least_probable_one_not_the_largest_score():
-    """Both at their shares of the level: a large score along skewed scatter may be likelier than a small one."""
     likely = Direction("likely", 4.0, 0.02, 5.0, 0.9, 0.8)
     rare = replace(likely, defect="rare", score=3.5, p_value=0.002)
-    test = PredictiveTest(20.0, 3, 0.003, 0.001, 0.002, (likely, rare), None)
+    test = PredictiveTest(20.0, 3, 0.002, 0.001, 0.002, (likely, rare), None)
     assert test.strongest is rare
-    assert replace(test, p_distance=0.0008).strongest is None
+    assert replace(test, p_value=0.0008).strongest is None  # the distance decides
 
 
 def test_more_golden_parts_show_smaller_defects(tilted):
