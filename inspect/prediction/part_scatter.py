@@ -140,7 +140,8 @@ def _computed(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOpti
 def _states_of_defects(recipe: SurfaceRecipe, both: InputUncertainty) -> dict[str, tuple[str, float]]:
     """Input of every named defect that is a state of one, and how far it is off in the unit of the response."""
     turned, back, _, along, across, *_ = (one.name for one in named_defects(recipe))
-    size, states = recipe.defects, {}
+    size = recipe.defects
+    states: dict[str, tuple[str, float]] = {}
     if both.ridge_angle_deg > 0.0:
         turn = size.ridge_angle_deg / both.ridge_angle_deg
         states |= {turned: (RIDGE_ANGLE, turn), back: (RIDGE_ANGLE, -turn)}
