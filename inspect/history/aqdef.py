@@ -5,6 +5,9 @@ A description (K1xxx of the part, K2xxx of its characteristics, K4xxx catalogues
 fields by DC4 (20): value, attribute, time, events, batch, nest, operator, machine. An attribute of 256 marks a missing
 value and 255 an invalid one. ``K0014/0`` and ``K0061/0`` before a line are serial number and verdict of its part.
 
+Limits are K2110 and K2111, or allowances K2112 and K2113 from the nominal value K2101; where K2120 or K2121 is 2, a
+limit is a natural one, such as 0 of a distance, and no tolerance. ``K2xxx/0`` holds for all characteristics.
+
 Operators, stations (machines), cavities (nests) and verdicts are numbers of catalogues: K4092, K4063, K4252 and, free
 for the user, K4273. Times have no zone: those of this computer.
 """
@@ -24,6 +27,7 @@ CHARACTERISTIC, FIELD = "\x0f", "\x14"
 MISSING, INVALID_VALUE = 256, 255
 SUFFIXES = (".dfq", ".dfd", ".dfx")
 TIME = "%d.%m.%Y/%H:%M:%S"
+NATURAL = "2"
 Limits = tuple[float | None, float | None]
 CATALOGUES = {"operator": "K4092", "station": "K4063", "cavity": "K4252", "verdict": "K4273"}
 _FIELDS = {"cavity": 5, "operator": 6, "station": 7}
@@ -166,6 +170,7 @@ class _Reader:
         self.path = path
         self.part: dict[str, str] = {}
         self.characteristics: dict[int, dict[str, str]] = {}
+        self.common: dict[str, str] = {}
         self.catalogues: dict[str, dict[int, str]] = {column: {} for column in CATALOGUES}
         self.count: int | None = None
         self.rows: list[tuple[list[float], dict[str, str]]] = []
@@ -197,7 +202,7 @@ class _Reader:
                 raise UsageError(f"{place}: a second part: write one part a file")
             self.part[key] = value
         elif key.startswith("K2"):
-            self.characteristics.setdefault(index, {})[key] = value
+            (self.characteristics.setdefault(index, {}) if index else self.common)[key] = value
 
     def _values(self, line: str, place: str) -> None:
         portions = line.split(CHARACTERISTIC)
@@ -245,7 +250,7 @@ class _Reader:
             raise UsageError(
                 f"{self.path}: K0100 says {self.count} characteristics, {len(order)} are described"
             )
-        described = [self.characteristics[index] for index in order]
+        described = [self.common | self.characteristics[index] for index in order]
         names = [
             one.get("K2002") or one.get("K2001") or str(index)
             for index, one in zip(order, described, strict=True)
@@ -254,14 +259,30 @@ class _Reader:
             double = next(name for name in names if names.count(name) > 1)
             raise UsageError(f"{self.path}: two characteristics are named {double!r}")
 
-        def limit(one: Mapping[str, str], key: str) -> float | None:
+        def number(one: Mapping[str, str], key: str) -> float | None:
             return _number(one[key], f"{self.path}, {key}") if one.get(key) else None
 
+        def limit(name: str, one: Mapping[str, str], key: str, allowance: str, sort: str) -> float | None:
+            nominal, given, distance = number(one, "K2101"), number(one, key), number(one, allowance)
+            if one.get(sort) == NATURAL:
+                return None
+            if given is not None or distance is None:
+                return given
+            if nominal is None:
+                raise UsageError(
+                    f"{self.path}: {name!r} has the allowance {allowance} and no nominal value (K2101) it counts from"
+                )
+            return nominal + distance
+
+        characteristics = list(zip(names, described, strict=True))
         pairs = {
-            name: (limit(one, "K2110"), limit(one, "K2111"))
-            for name, one in zip(names, described, strict=True)
+            name: (
+                limit(name, one, "K2110", "K2112", "K2120"),
+                limit(name, one, "K2111", "K2113", "K2121"),
+            )
+            for name, one in characteristics
         }
-        nominal = {name: limit(one, "K2101") for name, one in zip(names, described, strict=True)}
+        nominal = {name: number(one, "K2101") for name, one in characteristics}
         words: Sequence[str] = ("time", "lot", *_FIELDS, *_KEYS.values())
         texts = {one: tuple(row.get(one, "") for _, row in self.rows) for one in words}
         table = np.array([values for values, _ in self.rows], dtype=np.float64).reshape(-1, len(names))

@@ -47,7 +47,7 @@ POLICIES = (
 REJECTED = "rejected"
 MOST_REJECTED = 50
 ENDS_SOON = timedelta(days=30)
-DAYS = 3 * 365
+DAYS, MOST_DAYS = 3 * 365, 36_500
 SERVER, CLIENT = Checks.PEER_SERVER, Checks.PEER_CLIENT
 _LEAST_BITS, _MOST_BITS = 2048, 4096
 _ANONYMOUS = User()
@@ -138,6 +138,13 @@ def read_identity(certificate: Path, key: Path, say: Say) -> Identity:
     return Identity(own, secret, uris[0])
 
 
+def _general_name(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
+
 def make_identity(folder: Path, uri: str, names: Sequence[str], days: int = DAYS) -> tuple[Path, Path]:
     """Make a self-signed certificate of an application (OPC 10000-6, 6.2.2) and its key, for server and client alike.
 
@@ -151,18 +158,20 @@ def make_identity(folder: Path, uri: str, names: Sequence[str], days: int = DAYS
         The files of certificate and key.
 
     Raises:
-        UsageError: there are such files, or they cannot be written.
+        UsageError: there are such files, they cannot be written, or a name or number of days that cannot be used.
     """
     place = folder / "certificate.der", folder / "key.pem"
     taken = next((one for one in place if one.exists()), None)
     if taken is not None:
         raise UsageError(f"{taken} exists: give another --out, or remove certificate and key")
-    known: list[x509.GeneralName] = [x509.UniformResourceIdentifier(uri)]
-    for name in dict.fromkeys(names):
-        try:
-            known.append(x509.IPAddress(ip_address(name)))
-        except ValueError:
-            known.append(x509.DNSName(name))
+    if not 1 <= days <= MOST_DAYS:
+        raise UsageError(f"--days is from 1 to {MOST_DAYS}, not {days}")
+    try:
+        known = [x509.UniformResourceIdentifier(uri), *map(_general_name, dict.fromkeys(names))]
+    except ValueError:
+        raise UsageError(
+            "--uri and --name take letters of ASCII only: in certificates names have no others"
+        ) from None
     key = cert_gen.generate_private_key()
     uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
     made = cert_gen.generate_self_signed_app_certificate(

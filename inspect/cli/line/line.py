@@ -249,8 +249,8 @@ def check_open(host: str, *, open_: bool) -> None:
     """
     if not (is_loopback(host) or open_):
         raise UsageError(
-            f"--host {host} can be reached from other computers, each of which may then move the rig: put it into a "
-            "network of its own and add --open"
+            f"--host {host} can be reached from other computers, each of which may then move the rig: trust some with "
+            "--certificate, --key and --peers, or put it into a network of its own and add --open"
         )
 
 

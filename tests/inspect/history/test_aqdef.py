@@ -120,6 +120,27 @@ def test_files_of_other_programs(tmp_path):
     assert found.texts == {"time": ("2026-01-02 03:04:05", ""), "lot": ("L1", ""), "operator": ("7", "")}
 
 
+def test_limits_as_other_programs_write_them(tmp_path):
+    """Allowances, natural limits, what holds for all characteristics, letters of Windows, keys that are not used."""
+    path = tmp_path / "p.dfd"
+    lines = (
+        *("K0100 4", "K0101 2", "K1001/1 0 433 171 914", "K1002/1 Gehäuse", "K1053/1 20181030", "K2022/0 3"),
+        *("K2142/0 mm", "K2001/1 1", "K2002/1 Länge", "K2101/1 152,019", "K2112/1 -,02", "K2113/1 0.2"),
+        *("K2001/2 2", "K2002/2 Ebenheit", "K2110/2 0", "K2111/2 0.05", "K2120/2 2", "K2121/2 1"),
+        *("K2001/3 3", "K2101/3 50.45", "K2110/3 50.30", "K2111/3 5.06E+01", "K2112/3 -0.15", "K5001/1 0"),
+        *("K2001/4 D67 H9", "K2101/4 67", "K2111/4 67.074"),
+    )
+    path.write_bytes("\r\n".join(lines).encode("cp1252"))
+    found = read_aqdef(path)
+    assert found.product == "0 433 171 914"
+    assert found.limits == {
+        "Länge": (pytest.approx(151.999, abs=1e-9), pytest.approx(152.219, abs=1e-9)),
+        "Ebenheit": (None, 0.05),
+        "3": (50.30, 50.6),
+        "D67 H9": (None, 67.074),
+    }
+
+
 HEAD = "K0100 1\nK1001 p\nK2002/1 a\n"
 
 
@@ -145,6 +166,7 @@ HEAD = "K0100 1\nK1001 p\nK2002/1 a\n"
         (HEAD + "K1001/2 q\n", "line 4: a second part"),
         (HEAD + "K0001/1 1.5\n", "line 4: values by keys"),
         (HEAD + "Kilo 1\n", "line 4: 'Kilo' is no key"),
+        (HEAD + "K2112/1 -0.1\n", "'a' has the allowance K2112 and no nominal value"),
         (HEAD + "K2110/1 low\n", "K2110: 'low' is not a finite number"),
     ],
 )

@@ -343,6 +343,12 @@ def test_the_certificate_that_is_made_is_one_of_an_application(own, tmp_path):
     assert (days, found.key.key_size, own[1].stat().st_mode & 0o777) == (1095, 2048, 0o600)
     with pytest.raises(UsageError, match="exists: give another --out"):
         make_identity(own[0].parent, "urn:x", ["x"])
+    for changes, words in {
+        ("urn:x", "größe", 9): "letters of ASCII",
+        ("urn:x", "x", 0): "--days is from 1",
+    }.items():
+        with pytest.raises(UsageError, match=words):
+            make_identity(tmp_path / "new", changes[0], [changes[1]], changes[2])
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="--out"):
         make_identity(tmp_path / "file" / "own", "urn:x", ["x"])
