@@ -51,6 +51,9 @@ def test_tool_and_part_as_a_table(anisoscope, maps):
     recipe = maps / "recipe.toml"
     made = anisoscope("recipe", "new", "--ridge-angle", 10, "--pitch", 40, "--out", recipe)
     assert made.code == 0, made.err
+    text = recipe.read_text(encoding="utf-8")
+    assert text.count("[surface]\n") == 1
+    recipe.write_text(text.replace("[surface]\n", '[surface]\nreflections = "direct"\n'), encoding="utf-8")
     page = maps / "replication.html"
     arguments = ("profile", "compare", maps / "tool.x3p", maps / "new.x3p", "--mirrored", "--recipe", recipe)
     done = anisoscope(*arguments, "--out", page)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from statsmodels.stats.proportion import proportion_confint
 
 from anisoscope.base.errors import UsageError
 from anisoscope.decision.certificate import certificate
@@ -21,6 +20,10 @@ def test_no_alarm_among_299_certifies_one_percent():
 
 @pytest.mark.parametrize(("alarms", "count"), [(1, 40), (7, 300), (40, 40)])
 def test_the_limit_is_that_of_an_independent_library(alarms, count):
+    from statsmodels.stats.proportion import (
+        proportion_confint,
+    )  # a second, which no other test of this file needs
+
     verdicts = ["FAIL"] * alarms + ["INCONCLUSIVE"] * (count - alarms)
     found = certificate(verdicts, [None] * count, confidence=0.9)
     assert found.highest == pytest.approx(proportion_confint(alarms, count, 0.2, "beta")[1], abs=1e-9)

@@ -28,7 +28,7 @@ from anisoscope.study.detection.surrogate import SurrogateTask, direct_of, state
 
 GOLDEN, PARTS = 25, 5
 CAUSES = ("incomplete-filling", "wear", "ridge-angle", "seating-y", "colour")
-CLASSES = ("height-loss", pytest.param("wear", marks=pytest.mark.soak))
+CLASSES = ("height-loss", "wear")
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +103,7 @@ def measured(log_radiance, recipe, expected):
     return Measured(radiance, components, (), cells, np.full(len(radiance), 0.001), grid, 0.0)
 
 
+@pytest.mark.statistics  # how many of five parts of each class; inspections with golden parts are in every run
 @pytest.mark.parametrize("kind", CLASSES)
 def test_golden_parts_of_another_world_name_what_the_prediction_cannot(recipe, expected, golden, few, kind):
     said = Counter()

@@ -217,6 +217,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say_because_of_the_tangents(r
     assert held(replace(sure, tangents=None), recipe, parts[:60]) < 0.7
 
 
+@pytest.mark.statistics
 def test_intervals_hold_the_truth_of_parts_whose_ridge_angle_spreads_where_that_is_stated(
     recipe, spread, found, turned
 ):

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from statsmodels.stats.inter_rater import aggregate_raters, cohens_kappa, fleiss_kappa
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import as_json
@@ -105,20 +104,30 @@ def random_decisions(rng, parts=60, appraisers=3, trials=3, hit=0.9):
     return np.where(right, reference[:, None, None], 1 - reference[:, None, None]), reference
 
 
-def test_kappas_are_those_of_an_independent_library(rng):
+@pytest.fixture(scope="module")
+def library():
+    """Kappas of others; importing them takes a second, which tests of other things need not wait for."""
+    from statsmodels.stats import inter_rater
+
+    return inter_rater
+
+
+def test_kappas_are_those_of_an_independent_library(rng, library):
     decisions, _ = random_decisions(rng, 40, 4, 1)
     raters = decisions[:, :, 0]
-    assert fleiss(raters) == pytest.approx(fleiss_kappa(aggregate_raters(raters)[0]), abs=1e-12)
+    assert fleiss(raters) == pytest.approx(
+        library.fleiss_kappa(library.aggregate_raters(raters)[0]), abs=1e-12
+    )
     table = np.array([[20, 5], [10, 15]])
-    assert cohen(table) == pytest.approx(cohens_kappa(table).kappa, abs=1e-12)
+    assert cohen(table) == pytest.approx(library.cohens_kappa(table).kappa, abs=1e-12)
 
 
-def test_intervals_of_single_trials_approach_the_asymptotic_ones(rng):
+def test_intervals_of_single_trials_approach_the_asymptotic_ones(rng, library):
     """Of 4000 parts judged once, the jackknife has the standard error of Fleiss, Cohen and Everitt (1969)."""
     decisions, reference = random_decisions(rng, 4000, 1, 1, 0.85)
     study = attribute_study(data_of(decisions, reference))
     pair = study.appraisers[0].with_reference
-    other = cohens_kappa(np.array(pair.table).reshape(2, 2))
+    other = library.cohens_kappa(np.array(pair.table).reshape(2, 2))
     assert (pair.kappa.low, pair.kappa.high) == pytest.approx((other.kappa_low, other.kappa_upp), abs=1e-3)
 
 

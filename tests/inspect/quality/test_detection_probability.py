@@ -5,16 +5,18 @@ import math
 import numpy as np
 import pytest
 from scipy.special import expit
-from statsmodels.genmod import families
-from statsmodels.genmod.generalized_linear_model import GLM
-from statsmodels.regression.linear_model import OLS
-from statsmodels.tools.tools import add_constant
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import as_json
 from anisoscope.quality.detection_probability import Trials, hit_miss, read_trials, signal_over_size
 
-LINKS = {"logit": families.links.Logit(), "probit": families.links.Probit()}
+
+@pytest.fixture(scope="module")
+def sm():
+    """An independent library of regressions; importing it takes a second, which other tests need not wait for."""
+    import statsmodels.api
+
+    return statsmodels.api
 
 
 @pytest.fixture(scope="module")
@@ -25,15 +27,16 @@ def example(published):
 
 @pytest.mark.parametrize("link", ["logit", "probit"])
 @pytest.mark.parametrize("scale", ["log", "linear"])
-def test_hits_and_misses_of_the_handbook_are_fitted_as_by_an_independent_library(example, link, scale):
+def test_hits_and_misses_of_the_handbook_are_fitted_as_by_an_independent_library(example, sm, link, scale):
+    links = {"logit": sm.families.links.Logit(), "probit": sm.families.links.Probit()}
     found = hit_miss(example, scale, link)
     x = np.log(example.size) if scale == "log" else example.size
-    other = GLM(example.hit.astype(float), add_constant(x), families.Binomial(LINKS[link])).fit()
+    other = sm.GLM(example.hit.astype(float), sm.add_constant(x), sm.families.Binomial(links[link])).fit()
     assert [found.parameters[name] for name in ("intercept", "slope")] == pytest.approx(
         other.params, rel=1e-5
     )
     assert found.deviance == pytest.approx(-2.0 * other.llf, abs=1e-8)
-    curve = other.predict(add_constant(np.log(found.grid) if scale == "log" else found.grid))
+    curve = other.predict(sm.add_constant(np.log(found.grid) if scale == "log" else found.grid))
     assert found.probability == pytest.approx(curve, abs=1e-6)
     assert (found.count, found.found, found.false_calls) == (134, 92, None)
     for one, quantile in zip(found.sizes, (0.5, 0.9), strict=True):
@@ -41,7 +44,7 @@ def test_hits_and_misses_of_the_handbook_are_fitted_as_by_an_independent_library
         assert other.predict([1.0, at])[0] == pytest.approx(quantile, abs=1e-6)
 
 
-def test_limits_are_those_of_the_profile_likelihood(example):
+def test_limits_are_those_of_the_profile_likelihood(example, sm):
     """At the ends of an interval an independent fit with the curve fixed there is worse by χ² of 95 or 90 %."""
     found = hit_miss(example)
     top = found.deviance
@@ -49,7 +52,7 @@ def test_limits_are_those_of_the_profile_likelihood(example):
         for at, drop in ((one.low, 3.841459), (one.high, 3.841459), (one.bound, 2.705543)):
             x = np.log(example.size / at)
             offset = np.full(len(x), math.log(one.probability / (1.0 - one.probability)))
-            fixed = GLM(example.hit.astype(float), x, families.Binomial(), offset=offset).fit()
+            fixed = sm.GLM(example.hit.astype(float), x, sm.families.Binomial(), offset=offset).fit()
             assert -2.0 * fixed.llf - top == pytest.approx(drop, abs=1e-4)
     assert found.sizes[1].size < found.sizes[1].bound < found.sizes[1].high
 
@@ -59,10 +62,10 @@ def signals(rng, count=80):
     return size, np.exp(0.3 + 1.2 * np.log(size) + 0.25 * rng.normal(size=count))
 
 
-def test_signals_are_fitted_as_by_an_independent_library(rng):
+def test_signals_are_fitted_as_by_an_independent_library(rng, sm):
     size, signal = signals(rng)
     found = signal_over_size(size, signal, 2.0)
-    other = OLS(np.log(signal), add_constant(np.log(size))).fit()
+    other = sm.OLS(np.log(signal), sm.add_constant(np.log(size))).fit()
     assert [found.parameters[name] for name in ("intercept", "slope")] == pytest.approx(
         other.params, rel=1e-7
     )
@@ -80,7 +83,7 @@ def test_limits_of_many_signals_are_those_of_normal_theory(rng):
     size, signal = signals(rng, 2000)
     found = signal_over_size(size, signal, 2.0, points=2)
     x, slope, sigma = np.log(size), found.parameters["slope"], found.parameters["sigma"]
-    design = add_constant(x)
+    design = np.column_stack([np.ones(len(x)), x])
     v = np.linalg.inv(design.T @ design) * sigma**2
     at = math.log(found.sizes[1].size)
     gradient = np.array([1.0, at]) / slope
