@@ -188,7 +188,7 @@ def reopen(folder: Path, channel: str | None = None) -> tuple[Manifest, Job]:
     if missing:
         raise RecordError(f"{folder / JOB} is damaged: it names no {min(missing)}")
     kind = kind_of(paths["recipe"])
-    recipe = kind.read_recipe(paths["recipe"])
+    recipe = kind.read_copy(paths["recipe"], paths)
     here = Path(manifest.rig_folder)
     channel = channel or recipe.acquisition.light_channel
     rig = (

@@ -237,6 +237,15 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         here = {"here": str(path.resolve().parent)}
         return read_toml_model(path, self.recipe, error=RecipeError, substitutions=here)
 
+    def read_copy(self, path: Path, copies: Mapping[str, Path]) -> RecipeT:
+        """Read the copy of a recipe in an inspection folder, where the files that it names are copies, by role.
+
+        Raises:
+            RecipeError: as `read_recipe`.
+        """
+        del copies
+        return self.read_recipe(path)
+
     def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
         """Check that recipe and rig fit each other; nothing moves.
 

@@ -106,6 +106,15 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
         found.check_plan(path)
         return found
 
+    def read_copy(self, path: Path, copies: Mapping[str, Path]) -> PlateRecipe:
+        """Read the copy of a recipe with the copy of its plan, wherever the plan was."""
+        found = super().read_recipe(path)
+        if PLAN in copies:
+            plan = found.plan.model_copy(update={"file": copies[PLAN]})
+            found = found.model_copy(update={"plan": plan})
+        found.check_plan(path)
+        return found
+
     def sources(self, recipe: PlateRecipe, rig: RigFile) -> Mapping[str, Path]:
         """The files of plan, height map and material.
 
@@ -127,10 +136,7 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
     def from_copies(
         self, recipe: PlateRecipe, rig: RigFile, copies: Mapping[str, Path]
     ) -> tuple[PlateRecipe, RigFile]:
-        """The recipe with the copies of its plan and height map."""
-        if PLAN in copies:
-            plan = recipe.plan.model_copy(update={"file": copies[PLAN]})
-            recipe = recipe.model_copy(update={"plan": plan})
+        """The recipe with the copy of its height map."""
         if HEIGHT_MAP in copies:
             surface = recipe.surface.model_copy(update={"height_map": copies[HEIGHT_MAP]})
             recipe = recipe.model_copy(update={"surface": surface})

@@ -65,6 +65,8 @@ def test_a_trial_reads_the_code_on_the_virtual_rig(anisoscope, tmp_path):
     assert done.json["trial"]["verdict"] == "PASS"
     (record,) = (tmp_path / "code" / "trial" / "inspections").glob("TRIAL-*")
     assert read_record(record).details.code.readings[:2] == ("A17", "A17")
+    again = anisoscope("recompute", record)  # its recipe names the plan of another folder
+    assert again.code == 0, again.out + again.err
 
 
 def test_a_qr_code_with_draft_is_read_in_its_predicted_picture(anisoscope, tmp_path):
