@@ -16,7 +16,7 @@ from pathlib import Path
 from asyncua import Client, Server, ua
 from asyncua.common.utils import ServiceError
 from asyncua.crypto import cert_gen
-from asyncua.crypto.permission_rules import User
+from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.crypto.security_policies import SECURITY_POLICY_TYPE_MAP
 from asyncua.crypto.uacrypto import CertProperties, der_from_x509, pem_from_key, x509_from_der
 from asyncua.crypto.validator import CertificateValidator
@@ -31,7 +31,7 @@ from cryptography.hazmat.primitives.serialization import load_der_private_key, l
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from anisoscope.base.atomic_write import write_bytes
-from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 
 ENCRYPTING = (
     ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
@@ -51,9 +51,13 @@ DAYS, MOST_DAYS = 3 * 365, 36_500
 SERVER, CLIENT = Checks.PEER_SERVER, Checks.PEER_CLIENT
 _LEAST_BITS, _MOST_BITS = 2048, 4096
 _ANONYMOUS = User()
+_BROKEN = "http://www.w3.org/2001/04/xmlenc#rsa-1_5"
+"""A way to encrypt passwords whose errors give them away (Bleichenbacher 1998)."""
 _PEM = b"-----BEGIN "
 
 Say = Callable[[str], None]
+LogIn = Callable[[str, str, str], bool]
+"""Whether a person may order jobs, by name, password and address."""
 
 
 def _certificate_of(path: Path) -> x509.Certificate:
@@ -279,10 +283,11 @@ class Peers:
 
 @dataclass(frozen=True)
 class Security:
-    """The own certificate, and who is trusted."""
+    """The own certificate, who is trusted, and whether a name and password may order jobs; None asks for neither."""
 
     own: Identity
     peers: Peers
+    log_in: LogIn | None = None
 
     async def secure(self, client: Client) -> None:
         """Let a client, before it connects, sign and encrypt with a server that is trusted.
@@ -312,11 +317,13 @@ class Security:
 
     def server(self) -> Server:
         """A server, not yet initialised, that takes sessions of trusted clients only, signed or encrypted too."""
-        server = _NamedServer(_GuardedServer(self.peers))
+        server = _NamedServer(_GuardedServer(self.peers, self.log_in))
         server.uri = self.own.uri
         server.iserver.certificate, server.iserver.private_key = self.own.certificate, self.own.key
         server.set_security_policy(list(POLICIES))
-        server.set_identity_tokens([ua.AnonymousIdentityToken])
+        server.set_identity_tokens(
+            [ua.AnonymousIdentityToken if self.log_in is None else ua.UserNameIdentityToken]
+        )
         return server
 
 
@@ -349,10 +356,21 @@ class _NamedServer(Server):  # type: ignore[misc]
 class _GuardedServer(InternalServer):  # type: ignore[misc]
     """What asyncua's server has inside, with sessions that are bound to the certificate of their connection."""
 
-    def __init__(self, peers: Peers) -> None:
-        super().__init__()
-        self._peers = peers
-        self.allow_remote_admin = False
+    def __init__(self, peers: Peers, log_in: LogIn | None) -> None:
+        super().__init__(user_manager=self)
+        self._peers, self._log_in, self.asking = peers, log_in, ""
+
+    def get_user(
+        self,
+        _server: object,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: object = None,  # noqa: ARG002 - as asyncua calls it
+    ) -> User | None:
+        """The user of a session, as asyncua asks its manager of users; None is refused."""
+        if self._log_in is None or self._log_in(username or "", password or "", self.asking):
+            return User(UserRole.User, username)
+        return None
 
     def create_session(
         self, name: str, user: User = _ANONYMOUS, external: bool = False
@@ -373,7 +391,7 @@ class _GuardedSession(InternalSession):  # type: ignore[misc]
     def __init__(
         self,
         peers: Peers,
-        server: InternalServer,
+        server: "_GuardedServer",
         name: str,
         user: User,
         *,
@@ -382,7 +400,7 @@ class _GuardedSession(InternalSession):  # type: ignore[misc]
         super().__init__(
             server, server.aspace, server.subscription_service, name, user=user, external=external
         )
-        self._peers, self._admitted = peers, b""
+        self._peers, self._server, self._admitted = peers, server, b""
         self._from = name[0]  # an address and a port, whatever asyncua calls it
 
     async def create_session(
@@ -406,7 +424,23 @@ class _GuardedSession(InternalSession):  # type: ignore[misc]
         if not self._admitted or peer_certificate != self._admitted:
             code = ua.StatusCodes.BadSecurityChecksFailed
             raise self._refused(code, "it names another certificate than its connection has")
-        return super().activate_session(params, peer_certificate)
+        token = params.UserIdentityToken
+        if getattr(token, "EncryptionAlgorithm", None) == _BROKEN:
+            raise self._refused(
+                ua.StatusCodes.BadIdentityTokenInvalid, "its password is encrypted by RSA PKCS 1.5"
+            )
+        self._server.asking = self._from
+        try:
+            return super().activate_session(params, peer_certificate)
+        except ServiceError as refused:
+            if refused.code == ua.StatusCodes.BadUserAccessDenied:
+                name = str(getattr(token, "UserName", ""))[:80]
+                raise self._refused(
+                    refused.code, f"{name!r} gave a wrong password, or may not operate"
+                ) from None
+            raise
+        except AnisoscopeError as problem:
+            raise self._refused(ua.StatusCodes.BadInternalError, " ".join(str(problem).split())) from None
 
     def _refused(self, code: int, why: str) -> ServiceError:
         self._peers.say(f"refused {self._from}: {why}")

@@ -6,6 +6,7 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +15,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember, unsigned
 from anisoscope.cli.inspect.inspection import explained
 from anisoscope.cli.inspect.lot_mates import lot_mates
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from anisoscope.history.signs import Doing
     from anisoscope.line.jobs import Job, Jobs, Kind
     from anisoscope.line.mqtt import Broker
+    from anisoscope.line.opcua_security import LogIn
 
 app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA, MQTT or Modbus/TCP.")
 Recipes = Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")]
@@ -43,6 +46,10 @@ INSPECTIONS = Path("inspections")
 
 
 @app.command
+@everyday(
+    *("rig", "recipes", "out", "history", "station", "host", "port", "open_"),
+    *("certificate", "key", "peers", "users"),
+)
 def opcua(
     *,
     rig: RigPath,
@@ -64,6 +71,9 @@ def opcua(
     certificate: OwnCertificate = None,
     key: OwnKey = None,
     peers: PeersFolder = None,
+    users: Annotated[
+        Path | None, Parameter(help="With --certificate: file of users, who log in by name and password.")
+    ] = None,
 ) -> int:
     """Serve the rig by OPC UA for Machine Vision (OPC 40100-1), until Ctrl-C.
 
@@ -75,6 +85,10 @@ def opcua(
         from anisoscope.line.opcua import VisionServer, long_lived
         from anisoscope.line.opcua_security import read_security
     security = read_security(certificate, key, peers, write_line)
+    if users is not None:
+        if security is None:
+            raise UsageError("--users goes with --certificate: a password is never sent without encryption")
+        security = replace(security, log_in=log_in_of(users))
     if security is not None and open_:
         raise UsageError("--open is for a server without --certificate: with it, only --peers may order jobs")
     check_open(host, open_=open_ or security is not None)
@@ -90,6 +104,38 @@ def opcua(
 
         asyncio.run(serve())
     return 0
+
+
+def log_in_of(users: Path) -> "LogIn":
+    """Log in by the accounts of the console: with its tries and audit trail, for those who may operate there.
+
+    Raises:
+        UsageError: the console is not installed, or the file has no accounts.
+        ConfigError: it cannot be read.
+    """
+    with extra_packages("--users", "console"):
+        from fastapi import HTTPException
+
+        from anisoscope.console.access import Access
+    from anisoscope.console.accounts import Accounts
+    from anisoscope.console.trail import trail_of
+
+    accounts = Accounts(users)
+    if not accounts.read():
+        raise UsageError(f"--users {users}: has no accounts; `anisoscope user add` makes the first")
+    access = Access(accounts, trail_of(users.resolve()))
+
+    def log_in(name: str, password: str, address: str) -> bool:
+        try:
+            session = access.log_in(name, password, address)
+        except HTTPException:  # too many tries
+            return False
+        if session is None:
+            return False
+        access.end(session)
+        return session.may("operate")
+
+    return log_in
 
 
 @app.command

@@ -2,6 +2,7 @@
 
 import importlib.util
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.line.line import log_in_of
+from anisoscope.console.accounts import Accounts
+from anisoscope.console.trail import trail_of
 from anisoscope.inspection.work import WorkerHere
 from anisoscope.line.jobs import Jobs
 from anisoscope.line.opcua import VisionServer
@@ -283,6 +287,46 @@ def test_the_server_is_no_directory_of_other_servers(served, loop):
     assert refused(loop, register()) == ua.StatusCodes.BadServiceUnsupported
 
 
+def test_users_log_in_by_the_accounts_of_the_console(trusted, keys, own, loop, tmp_path):
+    users, lines = tmp_path / "users.json", []
+    with pytest.raises(UsageError, match="has no accounts"):
+        log_in_of(users)
+    accounts = Accounts(users)
+    for name, role in (("anna", "operator"), ("ada", "auditor")):
+        accounts.put(name, role, "correct horse")
+    (tmp_path / "peers").mkdir()
+    (tmp_path / "peers" / "plc.der").write_bytes(der(trusted))
+    security = replace(read_security(*own, tmp_path / "peers", lines.append), log_in=log_in_of(users))
+    server = security.server()
+
+    async def begin():
+        await server.init()
+        server.set_endpoint(f"opc.tcp://127.0.0.1:{free_port()}/users")
+        await server.start()
+
+    async def read(name, password, mode):
+        client = await client_of(server.endpoint.geturl(), trusted, keys[0], own, mode=mode)
+        if name:
+            client.set_user(name)
+            client.set_password(password)
+        async with client:
+            return await client.nodes.server_state.read_value()
+
+    loop(begin())
+    try:
+        for mode in (MODE.Sign, MODE.SignAndEncrypt):
+            assert loop(read("anna", "correct horse", mode)) == ua.ServerState.Running
+        for name, password in (("anna", "wrong horse"), ("ada", "correct horse")):
+            assert refused(loop, read(name, password, MODE.Sign)) == ua.StatusCodes.BadUserAccessDenied
+            assert lines[-1] == f"refused 127.0.0.1: {name!r} gave a wrong password, or may not operate"
+        with pytest.raises(UaError):
+            loop(read("", "", MODE.SignAndEncrypt))
+    finally:
+        loop(server.stop())
+    trail = [(one["who"], one["what"]) for one in trail_of(users).lines()]
+    assert trail == [("anna", "login"), ("anna", "login"), ("anna", "login refused"), ("ada", "login")]
+
+
 def test_refused_certificates_are_kept_up_to_a_number_and_the_same_line_is_said_once(keys, tmp_path, loop):
     lines, client = [], ua.ApplicationDescription(ApplicationUri=URI)
     peers = Peers(tmp_path, lines.append)
@@ -468,6 +512,8 @@ def test_the_commands(anisoscope, tmp_path, keys, trusted):
         assert (done.code, done.err.count("\n")) == (64, 1), done.err
         assert "it is not the key of --certificate" in done.err
     good = ("--certificate", tmp_path / "own" / "certificate.der", "--key", tmp_path / "own" / "key.pem")
+    done = anisoscope(*serve, "--users", tmp_path / "users.json")
+    assert "--users goes with --certificate" in done.err
     done = anisoscope(*serve, *good, "--peers", tmp_path, "--open")
     assert "--open is for a server without --certificate" in done.err
     assert not (tmp_path / "h").exists()
