@@ -242,6 +242,7 @@ class VisionServer:
         server.set_endpoint(self.address)
         server.set_server_name("anisoscope")
         if self._security is None:
+            await server.set_application_uri(f"urn:{socket.gethostname()}:anisoscope")
             server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
             server.set_identity_tokens([ua.AnonymousIdentityToken])  # a password would not be looked at
         await server.set_build_info(

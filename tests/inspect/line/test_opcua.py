@@ -615,6 +615,11 @@ def test_a_job_whose_record_is_damaged_ends_all_the_same(server, controller, loo
     assert loop(controller.next(READY)).JobId.Id == "M-damaged"
 
 
+def test_the_server_calls_itself_by_its_computer(controller, loop):
+    (found,) = {one.Server.ApplicationUri for one in loop(controller.client.get_endpoints())}
+    assert found == f"urn:{socket.gethostname()}:anisoscope"
+
+
 def test_a_port_that_is_taken_is_named(place_of, server, loop):
     place, recipes = place_of("taken")
     port = int(server.address.rpartition(":")[2].partition("/")[0])
