@@ -137,7 +137,7 @@ async def order_all(server, jobs, rng, counts):
                 known = controller.known
                 while number < jobs:
                     at = time.monotonic()
-                    if at - began > 60 * MINUTES:
+                    if at - began > 60 * MINUTES and not again:  # no job was ordered before a break
                         return number
                     disturbing = asyncio.create_task(disturb(server, controller, rng, counts))
                     try:
