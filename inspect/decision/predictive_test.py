@@ -178,7 +178,7 @@ def predictive_test(scatter: Scatter, golden: FloatArray, value: FloatArray, alp
         scatter: of good parts on this rig.
         golden: (n, m) contrasts of the golden parts, n ≥ 1.
         value: (m,) of the part.
-        alpha: level of significance, of which powers are computed.
+        alpha: level of significance at which powers are computed, and for which the tests share the level.
 
     Raises:
         MeasurementError: there is no golden part, or the stated scatter is zero in some direction.
@@ -453,11 +453,11 @@ def _stated(scatter: Scatter, count: int) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class _Levels:
-    """How the tests share the level.
+    """Shares of the level that the tests have.
 
     Attributes:
         of_distance: share of the squared distance.
-        shares: (C,) of each named defect; the sum of all is 1.
+        shares: (C,) share of each named defect; the sum of all shares is 1.
         least: (N,) least p value over its share of drawn good parts, times ``scale``, which makes it at most 1.
         scale: the smallest share.
         limits: (C,) scores beyond which a part is significant.
@@ -494,7 +494,7 @@ def _levels(scatter: Scatter, count: int, alpha: float) -> _Levels:
 def _shares(separation: FloatArray, spreads: FloatArray, null: _Null, alpha: float) -> FloatArray:
     """(C,) shares that the directions of the named defects have of their level; the sum is 1.
 
-    Portion by portion to the direction whose power gains most: the greatest sum, as powers are concave in the level.
+    Portion by portion to the direction whose power gains most: the greatest sum where powers are concave in the level.
     """
     from scipy.special import ndtr  # noqa: PLC0415 - start-up time
 
