@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 import threading
 
 from asyncua import Client, ua
@@ -15,6 +16,13 @@ FOLDERS = {
     "VisionStateMachine": ("SelectModeAutomatic", "Halt", "Reset"),
     "VisionStateMachine/AutomaticModeStateMachine": ("StartSingleJob", "StartContinuous", "Stop", "Abort"),
 }
+
+
+def free_port():
+    """A port of this computer that is free at the moment."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
 
 
 class Loop:

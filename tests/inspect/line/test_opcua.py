@@ -104,12 +104,6 @@ def place(place_of):
     return place_of("opcua")
 
 
-def free_port():
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
 def server(place, loop, gate, stopping):
     journal = place[0].out / "line" / "jobs.jsonl"
@@ -118,7 +112,7 @@ def server(place, loop, gate, stopping):
     line = {"line": "accepted", "at": "2026-01-01T00:00:00+00:00", "job": "K-1", "order": order}
     journal.write_text(json.dumps(line) + "\n")  # of a server that was killed
     jobs = Jobs(*place, WorkerHere(place[0]), lambda: dict(stopping), "S1")
-    made = VisionServer(jobs, place[1], port=free_port())
+    made = VisionServer(jobs, place[1], port=CONTROLLER.free_port())
     gate.hold()
     loop(made.__aenter__())
     assert gate.reached.wait(600)

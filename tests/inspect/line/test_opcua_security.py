@@ -1,7 +1,6 @@
 """Security of OPC UA: the server of a rig and the reader of a press, asyncua at the other end, and attacks."""
 
 import importlib.util
-import socket
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,12 +53,6 @@ MODE = ua.MessageSecurityMode
 CYCLE = dict.fromkeys(FIELDS, 30.5)
 
 
-def free_port():
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
 def loop():
     made = CONTROLLER.Loop()
@@ -90,7 +83,7 @@ class Served:
         self.peers, self.lines = folder, []
         self.security = read_security(*own, folder, self.lines.append)
         jobs = Jobs(place, recipes, WorkerHere(place), dict, "S1")
-        self.server = VisionServer(jobs, recipes, port=free_port(), security=self.security)
+        self.server = VisionServer(jobs, recipes, port=CONTROLLER.free_port(), security=self.security)
         self.address = self.server.address
 
 
@@ -301,7 +294,7 @@ def test_users_log_in_by_the_accounts_of_the_console(trusted, keys, own, loop, t
 
     async def begin():
         await server.init()
-        server.set_endpoint(f"opc.tcp://127.0.0.1:{free_port()}/users")
+        server.set_endpoint(f"opc.tcp://127.0.0.1:{CONTROLLER.free_port()}/users")
         await server.start()
 
     async def read(name, password, mode):
@@ -469,7 +462,7 @@ def test_a_press_is_followed_encrypted_when_it_is_trusted_and_not_before(keys, o
     there = read_security(*machine, tmp_path / "theirs", list)
 
     async def begin():
-        press = PressServer(free_port(), there.server())
+        press = PressServer(CONTROLLER.free_port(), there.server())
         await press.__aenter__()
         return press
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import importlib.util
-import socket
 import struct
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -31,12 +30,6 @@ SETTINGS = {
 BEGIN = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
 
 
-def free_port():
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
 def loop():
     made = CONTROLLER.Loop()
@@ -52,7 +45,7 @@ async def cancel_others():
 
 @pytest.fixture(scope="module")
 def press(loop):
-    made = PressServer(free_port())
+    made = PressServer(CONTROLLER.free_port())
     loop(made.__aenter__())
     yield made
     loop(made.__aexit__())
@@ -154,7 +147,7 @@ def test_after_a_cut_cycles_are_read_again_and_missing_ones_counted(press, loop,
 
 
 def test_a_machine_that_is_not_there_is_tried_again_and_said_once(loop):
-    one = Reading(f"opc.tcp://127.0.0.1:{free_port()}", loop)
+    one = Reading(f"opc.tcp://127.0.0.1:{CONTROLLER.free_port()}", loop)
     assert "trying again" in one.said("127.0.0.1")
     one.task.cancel()
 
@@ -233,7 +226,7 @@ def test_other_servers_and_unknown_fields_are_refused(press, loop):
     async def other():
         server = Server()
         await server.init()
-        server.set_endpoint(f"opc.tcp://127.0.0.1:{free_port()}")
+        server.set_endpoint(f"opc.tcp://127.0.0.1:{CONTROLLER.free_port()}")
         server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         async with server:
             await PressReader(server.endpoint.geturl(), list, str).run()
