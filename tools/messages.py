@@ -180,6 +180,8 @@ FURTHER = (
     "no two measured values of the baseline follow each other: there is no moving range",
     "all values of the baseline are the same: there is nothing to draw limits from; is the number rounded?",
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
+    *("ridge angle +{size}", "ridge angle −{size}", "height loss {size}", "edges worn to {size}"),
+    *("roughness along the ridges +{size}", "roughness across the ridges +{size}"),
 )
 """Names that reach the page or the console from data."""
 HEADER = (

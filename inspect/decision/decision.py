@@ -15,7 +15,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import contrast_name, p_value_text, quantity_name
 from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency_test import from_prediction, golden_test, scatter_of
-from anisoscope.decision.predictive_test import PredictiveTest
+from anisoscope.decision.predictive_test import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
@@ -143,9 +143,8 @@ def decide(
     where = "; ".join(_where(pairs, rule.alpha)) or ", ".join(
         deviating_between_tilts(expected, measured, rule.alpha)
     )
-    if predictive is not None and predictive.decides and (like := predictive.strongest) is not None:
-        where = f"the kind that {like.defect} makes (score {like.score:.1f})"
-    verdict, reasons = _combine(pairs, p_value, area, rule, number, where)
+    like = predictive.strongest if predictive is not None and predictive.decides else None
+    verdict, reasons = _combine(pairs, p_value, area, rule, number, where, like)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
     tolerances = recipe.tolerances()
@@ -274,10 +273,11 @@ def _combine(
     rule: DecisionPart,
     golden: int,
     where: str,
+    like: Direction | None,
 ) -> tuple[Verdict, tuple[str, ...]]:
     """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that contributes.
 
-    ``where`` names the individually significant contrasts.
+    ``where`` names the individually significant contrasts, ``like`` is the named defect whose score decides.
     """
     findings = [(pair.verdict, _of_tolerance(pair, rule)) for pair in pairs if pair.tolerance is not None]
     if area is not None:
@@ -288,10 +288,14 @@ def _combine(
     tests = [p_value] if area is None or area.p_value is None else [p_value, area.p_value]
     significant = bool(holm(np.array(tests))[0] < rule.alpha)
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
-    alike = f"like the {counted(golden, 'golden part')}" if golden else "as predicted"
+    alike = "as predicted"
+    if golden:
+        alike = "like the golden part" if golden == 1 else f"like the {golden} golden parts"
     level = f"level {rule.alpha:g}, shared with the area" if len(tests) > 1 else f"level {rule.alpha:g}"
     line = f"all contrasts together: p {p_value_text(p_value)} for a part {alike} ({level})"
-    if significant:
+    if significant and like is not None:
+        line = f"{line}, a significant deviation like that of {like.defect} (score {like.score:.1f})"
+    elif significant:
         off = where or "several together, of none by itself"
         line = f"{line}, a significant deviation of {off}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))

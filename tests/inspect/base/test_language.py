@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope.base.language import decimal, message, of_locale, speaking, translated, use
+from anisoscope.prediction.part_scatter import named_defects
 
 ROOT = Path(__file__).resolve().parents[3]
 PLACE = re.compile(r"\{(\w+)\}")
@@ -55,6 +56,10 @@ SIGNIFICANT = (
     "all contrasts together: p < 1e-9 for a part as predicted (level 0.01), a significant deviation of "
     "0° / 90°, tilt 0°; 0° / 180°, tilt 0°"
 )
+LIKE_A_DEFECT = (
+    "all contrasts together: p = 0.00028 for a part like the golden part (level 0.001), a significant deviation like "
+    "that of ridge angle −0.5° (score 4.4)"
+)
 DARK = (
     "The part was not judged: the part is darker than the dark frames: check light, exposure and dark frames."
 )
@@ -70,6 +75,10 @@ DARK = (
         ),
         (SIGNIFICANT, ("p < 1e-9", "wie vorhergesagt", "0,01", "0° / 180°, Neigung 0°")),
         (DARK, ("nicht beurteilt", "Dunkelbilder prüfen.")),
+        (
+            LIKE_A_DEFECT,
+            ("0,00028", "wie das Gutteil", "wie bei „Rippenwinkel −0,5°“ (Score 4,4)"),
+        ),
         (
             "ridge angle, off; cannot be distinguished from: pitch, off and 2 more",
             ("Rippenwinkel", "Teilung und 2 weitere"),
@@ -89,6 +98,13 @@ def test_a_recorded_sentence_is_translated_with_its_numbers(text, wanted):
         said = translated(text)
     assert [part for part in wanted if part not in said] == []
     assert translated(text) == text
+
+
+@pytest.mark.parametrize("name", ["de", "da"])
+def test_every_named_defect_has_its_translation(name, make_recipe):
+    defects = named_defects(make_recipe(defects={"wear_um": 5.0}))
+    with speaking(name):
+        assert [one.name for one in defects if translated(one.name) == decimal(one.name)] == []
 
 
 def test_what_the_catalogue_does_not_know_stays_as_it_is():
