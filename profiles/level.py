@@ -155,9 +155,11 @@ class _Folded:
         self.halves = slice(odd, None), slice(odd)
         self.count = np.bincount(self.bin, minlength=FORM_BINS)
         self.z = surface.height_um.ravel()[known]
-        at = np.linspace(-1.0, 1.0, cols)[j], np.linspace(-1.0, 1.0, rows)[i]
-        legendre = np.polynomial.legendre
-        right, up = (legendre.legval(one, np.eye(FORM_ORDERS[-1] + 1)) for one in at)
+        legendre, every = np.polynomial.legendre, np.eye(FORM_ORDERS[-1] + 1)
+        right, up = (
+            legendre.legval(np.linspace(-1.0, 1.0, count), every).take(place, axis=1)
+            for count, place in ((cols, j), (rows, i))
+        )
         self.lines = np.empty((1 + len(_powers(FORM_ORDERS[-1])), self.z.size))
         self.lines[0] = self.z
         for number, (a, b) in enumerate(_powers(FORM_ORDERS[-1]), start=1):
