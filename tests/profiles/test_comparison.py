@@ -131,7 +131,7 @@ def test_a_shallow_pit_in_a_rough_surface():
 
 
 def test_a_part_has_the_relief_of_its_tool_as_far_as_it_was_filled():
-    shape = (100, 260)
+    shape = (70, 260)
     tool = ridged(shape, seed=1)
     part = turned_over(ridged(shape, (5.2, 1.1), seed=2, scale=0.9))
     found = compare_maps(tool, part, mirrored=True)
@@ -154,10 +154,10 @@ PART_FACET = FACET - np.radians(LOWER_DEG)
 @pytest.fixture(scope="module")
 def moulded():
     """A tool, and its part: facets less steep, crests round, smaller by its shrinkage, and a patch that sank in."""
-    shape = (150, 330)
+    shape = (110, 330)
     part = ridged(shape, (4.6, 2.3), FILLED, seed=2, facet=PART_FACET)
     z = part.height_um.copy()
-    z[:75] = np.where(np.arange(shape[1]) > 200, 0.85 * z[:75], z[:75])
+    z[:55] = np.where(np.arange(shape[1]) > 200, 0.85 * z[:55], z[:55])
     shrunk = HeightMap(z, 1.0 - SHRINKAGE, 1.0 - SHRINKAGE)
     return compare_maps(turned_over(ridged(shape, seed=1)), shrunk, mirrored=True)
 
@@ -189,7 +189,7 @@ def test_replication_of_every_ridge(moulded):
 
 def test_the_map_of_the_relief_shows_where_the_part_sank_in(moulded):
     relief = moulded.relief
-    good, sunk = np.nanmedian(relief[:, 30:160]), np.nanmedian(relief[10:50, 215:260])
+    good, sunk = np.nanmedian(relief[:, 30:160]), np.nanmedian(relief[10:35, 215:260])
     assert good == pytest.approx(relief_of_a_ridge(), abs=0.01)
     assert sunk / good == pytest.approx(0.85, abs=0.02)
     assert np.isfinite(relief).mean() > 0.6

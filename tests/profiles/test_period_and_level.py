@@ -36,7 +36,7 @@ def oblique(direction, pitch=97.3, slope=(0.02, -0.01)):
     return HeightMap(z, 1.1, 1.7)
 
 
-@pytest.mark.parametrize("pitch", [50.0, 100.0, 150.0])
+@pytest.mark.parametrize("pitch", [50.0, pytest.param(100.0, marks=pytest.mark.soak), 150.0])
 @pytest.mark.parametrize("angle", [5.0, 10.0])
 def test_pitch_direction_and_tilt_of_a_measured_part(pitch, angle):
     slope = np.tan(np.radians([0.3, -0.2]))

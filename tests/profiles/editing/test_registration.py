@@ -39,7 +39,11 @@ def view(surface, shape, pixel, centre, angle_deg=0.0, scale=1.0, noise=0.02, se
 
 @pytest.mark.parametrize(
     ("centre", "angle", "pixel"),
-    [((7.3, -4.6), 0.0, (1.0, 1.0)), ((-31.2, 18.4), 5.3, (1.0, 1.0)), ((11.1, 2.2), -2.0, (1.4, 0.8))],
+    [
+        pytest.param((7.3, -4.6), 0.0, (1.0, 1.0), marks=pytest.mark.soak),
+        ((-31.2, 18.4), 5.3, (1.0, 1.0)),
+        ((11.1, 2.2), -2.0, (1.4, 0.8)),
+    ],
 )
 def test_position_within_a_hundredth_of_a_pixel(centre, angle, pixel):
     surface = Waves()
@@ -80,7 +84,9 @@ def rough_ridges(shape, phase, shift_y, seed, noise=0.03):
     return HeightMap(z + noise * np.random.default_rng(seed).standard_normal(shape), 1.0, 1.0)
 
 
-@pytest.mark.parametrize("moved", [(0.37, 0.62), (13.25, -7.5), (52.6, 20.1)])
+@pytest.mark.parametrize(
+    "moved", [(0.37, 0.62), pytest.param((13.25, -7.5), marks=pytest.mark.soak), (52.6, 20.1)]
+)
 def test_ridges_are_found_at_their_own_place_not_pitches_away(moved):
     first, second = rough_ridges((150, 260), 0.0, 0.0, 1), rough_ridges((150, 260), moved[0], moved[1], 2)
     found = register(first, second)

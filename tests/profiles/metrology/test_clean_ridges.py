@@ -68,7 +68,7 @@ def statements(truth, found):
         yield name, abs(error) / quantity.u
 
 
-@pytest.mark.parametrize("pitch", [60.0, 80.0, 100.0])
+@pytest.mark.parametrize("pitch", [60.0, pytest.param(80.0, marks=pytest.mark.soak), 100.0])
 @pytest.mark.parametrize(
     ("angle", "wall", "radius"), [(12.0, 78.0, 0.0), (8.0, 82.0, 2.0), (8.0, 82.0, 0.0), (5.0, 85.0, 2.0)]
 )

@@ -40,7 +40,10 @@ def flat():
     return truth, surface, measure_ridges(surface)
 
 
-@pytest.mark.parametrize("name", ["sphere of 5 mm", "sphere of 20 mm", "wave along", "wave across"])
+@pytest.mark.parametrize(
+    "name",
+    ["sphere of 5 mm", pytest.param("sphere of 20 mm", marks=pytest.mark.soak), "wave along", "wave across"],
+)
 def test_form_beneath_the_ridges_is_no_roughness(flat, name):
     truth, surface, plain = flat
     curved = form(name)
