@@ -267,11 +267,11 @@ def test_p_values_of_good_parts_of_a_golden_set_are_uniform(tilted):
     """Both tests together, by parts of the stated scatter itself; the level is used up."""
     scatter, _ = tilted
     rng = np.random.default_rng(12)
-    parts = scatter.drawn(scatter.shared(60, rng), 3 + 10, rng)
+    parts = scatter.drawn(scatter.shared(30, rng), 3 + 10, rng)
     found = np.array(
         [predictive_test(scatter, one[:3], value, 0.01).p_value for one in parts for value in one[3:]]
     )
-    assert kstest(found, "uniform").statistic < 0.07  # 60 golden sets of ten parts each
+    assert kstest(found, "uniform").statistic < 0.1  # 30 golden sets of ten parts each
     assert 0.001 < np.mean(found < 0.01) < 0.025
 
 

@@ -78,11 +78,16 @@ angle_deg = 10.0
 TILTED = "stage_and_tilt_deg = [[0, 0], [90, 0], [180, 0], [90, -15], [90, -5], [0, -10]]"
 
 
+def text_of_recipe():
+    """Text of a new recipe; direct light alone, which is quick, and whose inputs scatter as those of all light."""
+    text = new_recipe("part", 100.0, ridge_angle_deg=10.0, height_map=None, u_ridge_angle_deg=0.1)
+    return text.replace("[surface]\n", '[surface]\nreflections = "direct"\n')
+
+
 @pytest.fixture(scope="module")
 def tilted():
     """Text of a recipe with tilted poses, and its scatter as stated."""
-    text = new_recipe("part", 100.0, ridge_angle_deg=10.0, height_map=None, u_ridge_angle_deg=0.1)
-    text = text.replace("u_ridge_angle_deg", "edge_radius_um = 0.5, u_ridge_angle_deg")
+    text = text_of_recipe().replace("u_ridge_angle_deg", "edge_radius_um = 0.5, u_ridge_angle_deg")
     changed = "\n".join(TILTED if line.startswith("angles_deg") else line for line in text.splitlines())
     changed = "\n".join(line for line in changed.splitlines() if not line.startswith("tilts_deg"))
     recipe = RidgeRecipe.model_validate(tomllib.loads(changed))
@@ -99,8 +104,7 @@ def two_recipes(tmp_path, tilted):
         true = replace(stated, own=own)
         rows = true.drawn(np.zeros((1, len(own))), count, np.random.default_rng(7))[0]
         paths = tmp_path / "upright.toml", tmp_path / "tilted.toml"
-        upright = new_recipe("part", 100.0, ridge_angle_deg=10.0, height_map=None, u_ridge_angle_deg=0.1)
-        for path, content in zip(paths, (upright, text), strict=True):
+        for path, content in zip(paths, (text_of_recipe(), text), strict=True):
             path.write_text(content, encoding="utf-8")
         recipe = RidgeRecipe.model_validate(tomllib.loads(text))
         known = GoldenSet(

@@ -121,7 +121,7 @@ def test_thresholds_of_a_design_are_said_to_be_unknown_and_those_of_a_map_are_it
     assert "not known yet, because a design has no texture" in line
     assumed, even = (float(one) for one in re.findall(r"burrs from ([0-9.]+) %", line))
     assert even <= assumed
-    smooth = ridges(RidgeDesign(100.0, 10.0), (201, 601), (2.0, 2.0))
+    smooth = ridges(RidgeDesign(100.0, 10.0), (101, 401), (2.0, 2.0))
     rough = add_facet_roughness(smooth, 0.04, 0.04, 8.0, np.random.default_rng(3))
     write_height_map(rough, tmp_path / "rough.x3p")
     of_map = {"height_map": tmp_path / "rough.x3p", "design": None, "reflections": "direct"}

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from anisoscope.prediction.contrast_change import contrast_change
 from anisoscope.prediction.predict import predict_design
-from anisoscope.profiles.comparison import compare_maps, turned_over
+from anisoscope.profiles.comparison import compare_maps
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -28,7 +28,7 @@ def mapped(design, seed, moved=0):
 
 @pytest.fixture(scope="module")
 def changed(surface_recipe):
-    found = compare_maps(turned_over(mapped(TOOL, 1)), mapped(PART, 2, moved=5), mirrored=True)
+    found = compare_maps(mapped(TOOL, 1), mapped(PART, 2, moved=5))
     return found, contrast_change(found, surface_recipe)
 
 

@@ -56,7 +56,7 @@ def agrees(found, limit):
 
 
 def test_the_covariance_of_a_design_is_that_of_the_draws():
-    found = predict_design(DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(512))
+    found = predict_design(DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(300))
     assert agrees(found, 0.15)
     for kind in KINDS:
         stated = contrast_covariance(POSES, found.radiance, found.budget.covariance(), kind)
@@ -133,7 +133,7 @@ def test_additional_contributions_are_drawn_with_their_covariance(correlation, r
         POSES,
         Convention(),
         none(),
-        3000,
+        1500,
         np.random.default_rng(1),
         additional=[part],
     )

@@ -24,7 +24,7 @@ def test_design_and_height_map_agree_on_ideal_ridges(angle):
     assert "warning" not in relief.notes
 
 
-@pytest.mark.parametrize("direction", [90.0, 180.0, -90.0])
+@pytest.mark.parametrize("direction", [90.0, 180.0, pytest.param(-90.0, marks=pytest.mark.soak)])
 def test_quarter_turns_of_a_map_change_nothing(direction):
     design = RidgeDesign(100.0, 10.0)
     turned = turned_ridges(design, (401, 401), 1.0, direction_deg=direction, phase=0.2)

@@ -138,7 +138,7 @@ def test_the_choice_is_kept_with_the_prediction(make_recipe, waves):
 @pytest.fixture
 def textured(make_recipe, tmp_path):
     """``textured(**surface)`` is the recipe of a map of rough ridges; its material is stated with one table."""
-    plain = ridges(RidgeDesign(100.0, 10.0), (161, 401), (2.0, 2.0))
+    plain = ridges(RidgeDesign(100.0, 10.0), (101, 401), (2.0, 2.0))
     rough = add_facet_roughness(plain, 0.03, 0.04, 16.0, np.random.default_rng(3))
     write_height_map(rough, tmp_path / "map.npz")
     table = {"height_map": str(tmp_path / "map.npz"), "design": None}

@@ -108,9 +108,21 @@ def test_the_light_of_a_groove_does_not_depend_on_its_size_and_turns_with_its_fa
 
 
 @pytest.mark.parametrize(
-    ("angle", "wall"), [(6.0, "perpendicular"), (10.0, "vertical"), (20.0, "perpendicular")]
+    ("angle", "wall", "rough"),
+    [
+        (6.0, "perpendicular", 0.03),
+        (10.0, "vertical", 0.0),
+        (20.0, "perpendicular", 0.03),
+        *(
+            pytest.param(*design, rough, marks=pytest.mark.soak)
+            for *design, rough in (
+                (6.0, "perpendicular", 0.0),
+                (10.0, "vertical", 0.03),
+                (20.0, "perpendicular", 0.0),
+            )
+        ),
+    ],
 )
-@pytest.mark.parametrize("rough", [0.0, 0.03])
 def test_the_groove_of_a_map_is_that_of_its_ridges(angle, wall, rough):
     surface = ridges(RidgeDesign(100.0, angle, wall), (160, 601), 1.0)
     surface = add_facet_roughness(surface, rough, rough, 8.0, np.random.default_rng(1))

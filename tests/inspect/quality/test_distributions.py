@@ -65,7 +65,7 @@ def test_the_best_family_is_that_of_the_values(rng):
 
 
 @pytest.mark.parametrize(
-    ("studies", "low"), [(15, 0.73), pytest.param(300, 0.9, marks=pytest.mark.statistics)]
+    ("studies", "low"), [(8, 0.73), pytest.param(300, 0.9, marks=pytest.mark.statistics)]
 )
 def test_intervals_of_the_bootstrap_hold(rng, studies, low):
     law, z = stats.lognorm(0.4, 0.0, 1.0), ndtri(0.99865)

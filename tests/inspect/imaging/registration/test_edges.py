@@ -145,7 +145,7 @@ def test_what_cannot_be_aligned_is_refused(scene, known_axis):
     make, other, changes = HOPELESS[scene]
     if scene in {"slipped", "half outside"} and not known_axis:
         changes = {"slip": (changes["slip"][0] + 0.6, 0.4, 0.0)}  # without an axis small slips pass for one
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng([3, seed])
         axis, kinds = middle(rng, 1.0), make(rng)
         first, _ = photograph(kinds, rng, 0.0, axis)

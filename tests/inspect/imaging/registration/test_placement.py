@@ -72,7 +72,9 @@ def worst_px(found, expected):
     return np.linalg.norm(corners @ (found - expected).T, axis=1).max()
 
 
-@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize(
+    "angle", [0.0, 17.3, *(pytest.param(angle, marks=pytest.mark.soak) for angle in ANGLES[2:4]), ANGLES[4]]
+)
 def test_turn_scale_and_shift_come_back(angle):
     matrix = truth(angle, PIXEL_UM, (5.4, -3.7))
     place = locate(paint(matrix, noise=0.004), FIXTURE)
