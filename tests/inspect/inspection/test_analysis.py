@@ -204,7 +204,8 @@ def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recomput
 
     monkeypatch.setattr("anisoscope.prediction.cache.expectation", counted)
     forget()
-    records = [rig.inspect(serial).record for serial in ("K-1", "K-2")]
+    found = [rig.inspect(serial) for serial in ("K-1", "K-2")]
+    records = [one.record for one in found]
     assert sorted(predicted) == ["design", "height_map"]
     for record in records:
         assert [one.surface for one in record.details.comparisons] == ["design", "height_map"]
@@ -214,9 +215,8 @@ def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recomput
     assert geometry.agrees
     ridge_angle = next(one for one in geometry.numbers if one.name == "ridge angle")
     assert ridge_angle.value == pytest.approx(10.0, abs=0.05)
-    last = rig.inspect("K-3").folder
     del predicted[:]
-    assert recompute(last).differences == ()
+    assert recompute(found[-1].folder).differences == ()
     assert predicted == []
 
 
@@ -229,7 +229,7 @@ def test_a_surface_that_cannot_be_read_is_a_note(make_recipe, tmp_path):
 
 
 def test_the_fit_over_tilts_finds_the_ridge_angle_and_refuses_what_it_cannot(make_recipe):
-    poses = {"angles_deg": [0.0, 90.0, 180.0, 270.0], "tilts_deg": [0.0, 10.0, 20.0]}
+    poses = {"angles_deg": [0.0, 90.0, 180.0, 270.0], "tilts_deg": [0.0, 20.0]}
     recipe = make_recipe(poses=poses)
     true = RidgeRecipe.model_validate(
         recipe.model_dump(by_alias=True)

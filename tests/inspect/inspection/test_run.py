@@ -59,10 +59,10 @@ def same_record(record):
     return record.model_dump(exclude={"created_at", "files", "frames", "inputs", "rig"})
 
 
-def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, reference_map):
+def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, reference_map, plain):
     recipe = {"surface": from_map(reference_map)["surface"] | REFLECTING["surface"]}
     rig = virtual_rig(recipe=recipe, bench={"sample": {"resolved_alpha": 0.03, "reflections": True}})
-    inspected = rig.inspect("A 1", Methods())
+    inspected = rig.inspect("A 1", Methods(start_renderer=plain.start_renderer))
     record = inspected.record
     assert record.verdict == "PASS"
     assert read_record(inspected.folder) == record
@@ -172,8 +172,14 @@ def test_an_unfit_measurement_is_invalid_and_says_why(virtual_rig, case):
     assert not rig.bench.light_on
 
 
-@pytest.mark.parametrize("turns", ["ccw", "cw"])
-@pytest.mark.parametrize("backlash", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("turns", "backlash"),
+    [
+        ("ccw", 1.0),
+        ("cw", 1.0),
+        *(pytest.param(turns, 0.0, marks=pytest.mark.soak) for turns in ("ccw", "cw")),
+    ],
+)
 def test_neither_the_sense_of_the_stage_nor_backlash_matters_where_the_rig_file_is_right(
     virtual_rig, turns, backlash
 ):

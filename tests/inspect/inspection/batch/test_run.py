@@ -181,7 +181,9 @@ def test_a_scanned_code_is_compared_with_the_list(tray_of, run, scripted):
     assert recompute(folder).differences == ()
 
 
-@pytest.mark.parametrize("kind", ["datamatrix", "code128", "qr"])
+@pytest.mark.parametrize(
+    "kind", ["datamatrix", *(pytest.param(kind, marks=pytest.mark.soak) for kind in ("code128", "qr"))]
+)
 def test_the_camera_reads_the_code_on_the_part(tray_of, run, kind):
     code = coded("A17", kind=kind, turned_deg=25.0, white=0.4, black=0.15, width_mm=1.1)
     found = run(tray_of("slot,serial\n1,\n", Look(), bench=code))

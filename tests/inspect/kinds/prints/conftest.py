@@ -1,5 +1,6 @@
 """Prints without a rig (channels from the model), and a small colour rig: 448 × 448 pixels of 9 µm."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo import prints as demo_print
-from anisoscope.inspection.run import Methods, inspect_part
+from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import expect_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
@@ -16,6 +17,8 @@ from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrint, GoldenPrints, ViewingConditions
 from anisoscope.kinds.prints.sources import of_each
+from anisoscope.record.schema import read_record
+from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
 EXPOSURE_S = 0.004
@@ -194,18 +197,34 @@ def small_recipe():
     )
 
 
-@pytest.fixture(scope="session")
-def colour_flat(tmp_path_factory):
+def colour_white_reference(folder):
     """White reference of the small colour rig."""
-    folder = tmp_path_factory.mktemp("colour-flat")
     sample = {"kind": "white-tile", "reflectance": 0.99}
     (folder / "bench.toml").write_text(tomli_w.dumps(small_bench(sample, 3)))
     (folder / "rig.toml").write_text(tomli_w.dumps(small_rig()))
     take_flat(folder / "rig.toml", folder / "flat.tif", exposure_s=0.006, frames=8)
-    return folder / "flat.tif"
+
+
+@pytest.fixture(scope="session")
+def colour_flat(made_once):
+    """White reference of the small colour rig; not to be written to."""
+    return made_once("colour flat", colour_white_reference) / "flat.tif"
 
 
 @pytest.fixture
 def print_rig(tmp_path, colour_flat, plain):
     """A small colour rig: ``print_rig.inspect({"alpha_share": 0.1})``."""
     return PrintRig(tmp_path, colour_flat, 12, plain)
+
+
+@pytest.fixture
+def good_print(print_rig, made_once):
+    """A good print on the rig of `print_rig`, inspected with its report drawn: a copy of one that is made once."""
+
+    def make(folder):
+        PrintRig(folder, print_rig.flat, print_rig.seed).inspect({}, drawn=True)
+
+    shutil.copytree(made_once("good print", make), print_rig.folder, dirs_exist_ok=True)
+    (record,) = (print_rig.folder / "inspections").glob("*/record.json")
+    folder = record.parent
+    return Inspected(read_record(folder), folder, folder / REPORT_NAME)

@@ -22,8 +22,8 @@ def quantity(record, name):
     return next(one for one in record.details.quantities if one.name == name)
 
 
-def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
-    done = print_rig.inspect({}, drawn=True)
+def test_a_good_print_passes_and_its_folder_explains_itself(good_print, capsys):
+    done = good_print
     record = done.record
     assert record.verdict == "PASS", record.reasons
     assert record.model == "ink"

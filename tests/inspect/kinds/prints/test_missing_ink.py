@@ -72,9 +72,10 @@ def test_the_substrate_may_be_off_by_what_the_recipe_says_of_it(few, seen):
             lambda expected: diffuse(expected, 0.85),
             r"grey and dull of reflectance 0\.85.*substrate has 0\.04",
         ),
-        (
+        pytest.param(
             lambda expected: diffuse(expected, [0.055, 0.04, 0.025]),
             "cannot be fitted: is this the recipe's ink",
+            marks=pytest.mark.soak,
         ),
         (lambda expected: diffuse(expected, 0.04) * np.linspace(0.7, 1.4, 9)[:, None], "cannot be fitted"),
     ],

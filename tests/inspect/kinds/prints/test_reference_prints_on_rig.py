@@ -66,8 +66,8 @@ def check_that_they_teach(recipe_path, rig_path, capsys):
     assert prepare(recipe_path, rig_path, "P-3").reference.lacking is None
 
 
-def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
-    done = print_rig.inspect({})
+def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, good_print, capsys):
+    done = good_print
     recipe_path, rig_path = (print_rig.folder / "print" / f"{name}.toml" for name in ("recipe", "rig"))
     path, recipe = golden_path(recipe_path), read_print_recipe(recipe_path)
     assert command.add(done.folder, recipe=recipe_path) == 0
