@@ -71,7 +71,7 @@ def test_a_wrong_sense_is_named(virtual_rig):
 @pytest.mark.parametrize(
     ("bench", "wrong"),
     [
-        ({"stage": {"zero_deg": 10.6}}, {"markers.angle"}),
+        pytest.param({"stage": {"zero_deg": 10.6}}, {"markers.angle"}, marks=pytest.mark.soak),
         ({"optics": {"lens_cap": True}}, {"light.on", "light.off", "markers.residual"}),
         ({"optics": {"electrons": 6e8}}, {"camera.saturated"}),
         (
