@@ -13,6 +13,7 @@ from anisoscope.base.errors import (
     Saturated,
     UsageError,
 )
+from anisoscope.commissioning.angles import Assumed
 from anisoscope.commissioning.commissioning import (
     changes_of,
     commission,
@@ -40,6 +41,7 @@ from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_gri
 from anisoscope.sim.light.material import Material
 
 EXPOSURE_S = 0.0015
+DIRECT = Assumed(bounces=1)  # quick; two rigs are found with all reflections
 PART = RidgedPart(100.0, 10.0, u_alpha_share=0.03)
 PORT = "sim://elliptec?bench=${here}/bench.toml"
 TILT = {
@@ -168,11 +170,12 @@ def test_without_markers_the_ridges_give_sense_and_zero(lay_out):
             "stage": {"turns": "cw", "zero_deg": 77.0},
             "fixture": None,
             "optics": {"axis_px": [0.0, 0.0]},
+            "sample": {"reflections": False},
         },
         rig={"fixture": None},
         calibrated=True,
     )
-    record = commission(rig.rig, PART, Series(EXPOSURE_S, step_deg=60.0)).record
+    record = commission(rig.rig, PART, Series(EXPOSURE_S, step_deg=60.0), DIRECT).record
     assert record["stage.turns"].value == "cw"
     assert abs(wrapped(record["stage.zero_deg"].value - 77.0)) < 0.1  # and not 257°: by brightness
     assert record["stage.zero_deg"].u < 0.05
@@ -253,8 +256,8 @@ TURN = np.arange(0.0, 360.0, 30.0) + 7.0
 def test_light_side_and_sign_of_a_random_rig_are_found(half, sign):
     few, tilts = TURN[::2], (-15.0, 0.0, 15.0)
     poses = np.concatenate([few] * 3), np.repeat(tilts, len(few))
-    seen, light = truth(np.random.default_rng(103), half=half, sign=sign, poses=poses)
-    found = fit_light(PART, seen)
+    seen, light = truth(np.random.default_rng(103), half=half, sign=sign, poses=poses, bounces=1)
+    found = fit_light(PART, seen, bounces=1)
     assert (found.half_turn, found.sign) == (half, sign)
     assert min(found.side_chi2, found.sign_chi2) > 100.0
     assert found["light_deg"].u < 0.1
@@ -262,8 +265,9 @@ def test_light_side_and_sign_of_a_random_rig_are_found(half, sign):
 
 
 def test_one_turn_leaves_the_light_to_what_is_known_of_the_part():
-    seen, light = truth(np.random.default_rng(104), half=True, sign=1, poses=(TURN, np.zeros(len(TURN))))
-    found = fit_light(PART, seen)
+    poses = TURN, np.zeros(len(TURN))
+    seen, light = truth(np.random.default_rng(104), half=True, sign=1, poses=poses, bounces=1)
+    found = fit_light(PART, seen, bounces=1)
     assert found.half_turn
     assert found.sign is None
     one = found["light_deg"]
@@ -290,8 +294,9 @@ def test_a_fit_of_direct_light_takes_reflections_for_another_light_angle():
 def test_a_dull_flat_part_does_not_tell_its_sides_apart():
     dull = replace(PART, ridge_angle_deg=0.6, alpha_along=0.5, alpha_across=0.5, albedo=0.8)
     rng = np.random.default_rng(105)
-    seen, _ = truth(rng, half=False, sign=1, poses=(TURN, np.zeros(len(TURN))), part=dull, noise=0.03)
-    found = fit_light(dull, seen)
+    poses = TURN, np.zeros(len(TURN))
+    seen, _ = truth(rng, half=False, sign=1, poses=poses, part=dull, noise=0.03, bounces=1)
+    found = fit_light(dull, seen, bounces=1)
     assert found.side_chi2 < 13.8
     with pytest.raises(UsageError, match="alike"):
         replace(PART, ridge_angle_deg=0.1)

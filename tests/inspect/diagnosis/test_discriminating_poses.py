@@ -42,7 +42,8 @@ def differing(poses):
 
 
 def test_the_pose_is_the_one_in_which_the_causes_differ(make_recipe):
-    recipe, best = make_recipe(), cause("colour", 0.3, 0.03)
+    direct = {"reflections": "direct"}
+    recipe, best = make_recipe(surface=direct), cause("colour", 0.3, 0.03)
     model = differing({"roughness-across": Pose(180.0, 10.0), "wear": Pose(45.0, 0.0)})
     rougher, worn = cause("roughness-across", 0.3, 0.03), cause("wear", 5.0, 0.3)
     assert advice(recipe, best, rougher, model=model) == "a picture at stage angle 180°, tilt 10°"
@@ -51,7 +52,7 @@ def test_the_pose_is_the_one_in_which_the_causes_differ(make_recipe):
         "roughness-across: a picture at stage angle 180°, tilt 10°",
         "wear: a picture at stage angle 45°, tilt 0°",
     ]
-    taken = make_recipe(poses={"tilts_deg": [0.0, 10.0]})
+    taken = make_recipe(poses={"tilts_deg": [0.0, 10.0]}, surface=direct)
     assert advice(taken, best, rougher, model=differing({})).startswith("no single further picture")
 
 

@@ -230,10 +230,11 @@ def test_a_surface_that_cannot_be_read_is_a_note(make_recipe, tmp_path):
 
 def test_the_fit_over_tilts_finds_the_ridge_angle_and_refuses_what_it_cannot(make_recipe):
     poses = {"angles_deg": [0.0, 90.0, 180.0, 270.0], "tilts_deg": [0.0, 20.0]}
-    recipe = make_recipe(poses=poses)
+    direct = {"reflections": "direct"}
+    recipe = make_recipe(poses=poses, surface=direct)
     true = RidgeRecipe.model_validate(
         recipe.model_dump(by_alias=True)
-        | {"surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 9.0}}}
+        | {"surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 9.0}, **direct}}
     )
     expected = expectation(recipe, 10.0)
     shape, note = fit_shape(recipe, expected, seen(expectation(true, 10.0).radiance))

@@ -129,4 +129,5 @@ def test_thresholds_of_a_design_are_said_to_be_unknown_and_those_of_a_map_are_it
     first, second = (float(one) for one in re.findall(r"0\.\d\d", line)[:2])
     assert 0.1 < second < first < 0.8
     assert "burrs from" in line
-    assert check_recipe(make_recipe(), 10.0, model=BURRS).thresholds is None
+    stated = make_recipe(surface={"reflections": "direct"})
+    assert check_recipe(stated, 10.0, model=BURRS).thresholds is None

@@ -16,7 +16,7 @@ from anisoscope.sim.light.geometry import Convention, directions, seating_rotati
 
 DESIGN = RidgeDesign(100.0, 10.0)
 SPREAD = {"design": {"u_ridge_angle_deg": 0.2}}
-ZS = 0.1 * norm.ppf((np.arange(12) + 0.5) / 12)  # small, so that the first order is all there is
+ZS = 0.1 * norm.ppf((np.arange(4) + 0.5) / 4)  # small, so that the first order is all there is
 PAIRS = np.array([[1, -1, 0], [0, 1, -1]])
 
 

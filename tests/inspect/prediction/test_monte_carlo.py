@@ -56,7 +56,9 @@ def agrees(found, limit):
 
 
 def test_the_covariance_of_a_design_is_that_of_the_draws():
-    found = predict_design(DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(300))
+    found = predict_design(
+        DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(300), bounces=1
+    )
     assert agrees(found, 0.15)
     for kind in KINDS:
         stated = contrast_covariance(POSES, found.radiance, found.budget.covariance(), kind)
@@ -81,7 +83,7 @@ def test_the_covariance_of_a_height_map_is_that_of_the_draws(surface):
         ridges_seen=9,
     )
     found = predict_height_map(
-        surface, Material(), POSES, Convention(), inputs=inputs, monte_carlo=MonteCarlo(300)
+        surface, Material(), POSES, Convention(), inputs=inputs, monte_carlo=MonteCarlo(300), bounces=1
     )
     assert agrees(found, 0.3)
     assert np.abs(disagreement(found.budget, found.drawn)).max() < 4.0 * found.drawn.u_error_share
@@ -92,11 +94,15 @@ def test_a_smooth_part_seated_badly_breaks_the_first_order():
     poses = pose_grid((0.0, 180.0))
     mirror = RidgeDesign(100.0, 5.0)  # the facets throw the light into the camera: top of the lobe
     inputs = InputUncertainty(alpha_share=0.0, index=0.0, light_angle_deg=0.0, seating_tilt_deg=1.5)
-    found = predict_design(mirror, smooth, poses, Convention(), inputs=inputs, monte_carlo=MonteCarlo(400))
+    found = predict_design(
+        mirror, smooth, poses, Convention(), inputs=inputs, monte_carlo=MonteCarlo(400), bounces=1
+    )
     assert found.budget.not_linear()[0]
     assert disagreement(found.budget, found.drawn)[0] > 0.5
     assert found.drawn.radiance[:, 0].mean() < 0.8 * found.radiance[0]
-    fine = predict_design(mirror, smooth, poses, Convention(), inputs=InputUncertainty(seating_tilt_deg=0.02))
+    fine = predict_design(
+        mirror, smooth, poses, Convention(), inputs=InputUncertainty(seating_tilt_deg=0.02), bounces=1
+    )
     assert not fine.budget.not_linear().any()
 
 
