@@ -64,7 +64,11 @@ class Compared:
 
 
 def compare(
-    recipe: SurfaceRecipe, expected: Expectation, measured: Measured, predict: Predict = expectation
+    recipe: SurfaceRecipe,
+    expected: Expectation,
+    measured: Measured,
+    predict: Predict = expectation,
+    known: tuple[float, int, float] | None = None,
 ) -> Compared:
     """Compare with both surfaces of a recipe.
 
@@ -73,9 +77,10 @@ def compare(
         expected: the prediction from the surface that decides.
         measured: the measurement.
         predict: predicts the surface that does not decide.
+        known: what `from_prediction` gives for the surface that decides, where the decision found it already.
     """
     decides = recipe.surface.decides
-    mine = _one(decides, expected, measured, recipe, decides=True)
+    mine = _one(decides, expected, measured, recipe, decides=True, known=known)
     if not recipe.surface.both:
         return Compared((mine,))
     other: Surface = "design" if decides == "height_map" else "height_map"
@@ -283,9 +288,15 @@ def _chance(d2: float, dof: int) -> float:
 
 
 def _one(
-    surface: Surface, expected: Expectation, measured: Measured, recipe: SurfaceRecipe, *, decides: bool
+    surface: Surface,
+    expected: Expectation,
+    measured: Measured,
+    recipe: SurfaceRecipe,
+    *,
+    decides: bool,
+    known: tuple[float, int, float] | None = None,
 ) -> ComparisonRecord:
-    d2, dof, p_value = from_prediction(expected, measured)
+    d2, dof, p_value = known or from_prediction(expected, measured)
     return ComparisonRecord(
         surface=surface,
         decides=decides,

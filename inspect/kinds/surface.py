@@ -308,7 +308,9 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         del sitting
         golden = cast("GoldenSet | None", usable(reference)) if decided.golden else None
         diagnosis, unexplained = explain(recipe, expected, measured, decided, advance, golden, self.causes)
-        compared = compare(recipe, expected, measured, self._predict(cached=cached))
+        # against golden parts the decision has other numbers
+        known = None if decided.golden else (decided.d2, decided.dof, decided.p_value)
+        compared = compare(recipe, expected, measured, self._predict(cached=cached), known)
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
         lacking = reference and reference.lacking
