@@ -17,7 +17,9 @@ from anisoscope.record.schema import read_record
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 
 
-@pytest.mark.parametrize("after", [1, 4, 9])  # of 2 dark frames and 4 × 2 at poses
+@pytest.mark.parametrize(
+    "after", [1, 4, pytest.param(9, marks=pytest.mark.soak)]
+)  # of 2 dark frames and 4 × 2 at poses
 def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypatch, plain, after):
     rig = virtual_rig()
     folder = rig.break_off(monkeypatch, after)

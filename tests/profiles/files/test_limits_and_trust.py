@@ -57,7 +57,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_without_unpacking(tmp_p
 
 def test_a_long_list_of_heights_in_main_xml_is_read_and_a_longer_one_refused(tmp_path, monkeypatch):
     rng = np.random.default_rng(1)
-    surface = HeightMap(np.round(rng.normal(size=(400, 400)), 6), 1.0, 1.0)
+    surface = HeightMap(np.round(rng.normal(size=(250, 250)), 6), 1.0, 1.0)
     write_x3p(surface, tmp_path / "a.x3p", text=True)
     found = read_x3p(tmp_path / "a.x3p")
     np.testing.assert_array_equal(found.height_um, surface.height_um)
