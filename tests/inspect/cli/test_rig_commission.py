@@ -9,7 +9,7 @@ from anisoscope.rig.rigfile import read_rig
 BENCH = {
     "schema": 1,
     "seed": 3,
-    "sample": {"kind": "ridges", "size_mm": 1.2, "resolved_alpha": 0.0},
+    "sample": {"kind": "ridges", "size_mm": 1.2, "resolved_alpha": 0.0, "reflections": False},
     "sensor": {"rows": 512, "cols": 512},
     "optics": {"pixel_um": 8.0, "blur_um": 5.0, "electrons": 2.4e7},
     "stage": {"time_scale": 0.0, "turns": "cw", "zero_deg": 350.0},
