@@ -35,7 +35,7 @@ EXPOSURE_S = 0.0015
 RECIPE = {
     "schema": 1,
     "product": "ridged test plate",
-    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}, "reflections": "direct"},
     "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5, "u_tail": 0.0},
     "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 2, "dark_frames": 2, "settle_s": 0.1},
     "region": {"size_mm": [1.0, 1.0]},
@@ -48,8 +48,9 @@ BENCH = {
     "sample": {
         "kind": "ridges",
         "size_mm": 1.2,
-        "resolved_alpha": 0.0,
-    },  # all roughness is in the lobe, as predicted
+        "resolved_alpha": 0.0,  # all roughness is in the lobe, as predicted
+        "reflections": False,
+    },
     "sensor": {"rows": 512, "cols": 512},
     "optics": {"pixel_um": 8.0, "blur_um": 5.0, "electrons": 2.4e7},
     "stage": {"time_scale": 0.3},
