@@ -109,6 +109,7 @@ class SourceDigests:
         followed = {OWN, *(name.partition(".")[0] for name in modules)}
         found: dict[str, Path] = {}
         seen: set[str] = set()
+        searched: set[tuple[str, Path]] = set()
         waiting = list(modules)
         while waiting:
             name = waiting.pop()
@@ -122,18 +123,19 @@ class SourceDigests:
             if file is None:  # an object in a module, or a package without __init__.py
                 continue
             found[name] = file
-            found.update(self._data_files(name, file))
             base = name if file.name == "__init__.py" else parent
+            if (base, file.parent) not in searched:  # by a module beside this one
+                searched.add((base, file.parent))
+                found.update(self._data_files(base, file.parent))
             waiting += [importlib.util.resolve_name(one, base) for one in self._source(file).imports]
         return found
 
-    def _data_files(self, name: str, file: Path) -> Iterator[tuple[str, Path]]:
-        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+    def _data_files(self, package: str, place: Path) -> Iterator[tuple[str, Path]]:
         for folder in DATA_FOLDERS:
-            if folder in self._listing(file.parent):
-                for path in sorted((file.parent / folder).rglob("*")):
+            if folder in self._listing(place):
+                for path in sorted((place / folder).rglob("*")):
                     if path.is_file() and "__pycache__" not in path.parts:
-                        yield f"{package}/{path.relative_to(file.parent).as_posix()}", path
+                        yield f"{package}/{path.relative_to(place).as_posix()}", path
 
     def _file_of(self, name: str) -> Path | None:
         parent, _, leaf = name.rpartition(".")

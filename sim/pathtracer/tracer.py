@@ -16,8 +16,7 @@ not 0, and go on likewise where it is. Unknown heights block nothing.
 """
 
 import math
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar, cast
@@ -28,6 +27,7 @@ from numba import get_num_threads, njit
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.base.parallel import for_each
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.pathtracer.plastic import Plastic
 
@@ -689,7 +689,7 @@ class PathTracer:
         def render(band: tuple[int, int]) -> None:
             direct(*given, self._near, self.seed, *band, out)
 
-        _in_threads(render, _runs(rendered, 4 * _threads()))
+        for_each(render, _runs(rendered, 4 * _threads()), _threads())
         for first in range(rendered, rows - 1, rendered):
             out[first : first + rendered] = out[: min(rendered, rows - 1 - first)]
         return out
@@ -715,7 +715,7 @@ class PathTracer:
 
         traced, error, means = 0, math.inf, np.zeros(1)
         while traced < _BATCHES and error > enough:
-            _in_threads(trace, batches[traced : traced + _BATCHES // 4])
+            for_each(trace, batches[traced : traced + _BATCHES // 4], _threads())
             traced += _BATCHES // 4
             means = sums[:traced].sum(axis=1) / counts[:traced]
             error = float(np.std(means, ddof=1) / np.sqrt(traced))
@@ -762,8 +762,3 @@ def _threads() -> int:
 def _runs(length: int, most: int) -> list[tuple[int, int]]:
     parts = max(1, min(length, most))
     return [(n * length // parts, (n + 1) * length // parts) for n in range(parts)]
-
-
-def _in_threads(function: Callable[[Any], None], items: Iterable[Any]) -> None:
-    with ThreadPoolExecutor(_threads(), "anisoscope-tracer") as pool:
-        list(pool.map(function, items))
