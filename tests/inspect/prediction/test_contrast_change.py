@@ -18,11 +18,11 @@ TOOL, PART = RidgeDesign(60.0, 10.0), RidgeDesign(60.0, 9.0, edge_radius_um=5.0)
 
 def mapped(design, seed, moved=0):
     """A map of a design with its own noise and one mark by which its place is found."""
-    made = ridges(design, (110, 420), 0.75)
+    made = ridges(design, (60, 420), 0.75)
     rng = np.random.default_rng(seed)
     z = made.height_um + 0.002 * rng.standard_normal(made.shape)
     y, x = np.mgrid[: made.shape[0], : made.shape[1]]
-    z -= 1.5 * np.exp(-((x - 170.0) ** 2 + (y - 60.0) ** 2) / 60.0)
+    z -= 1.5 * np.exp(-((x - 170.0) ** 2 + (y - 30.0) ** 2) / 60.0)
     return HeightMap(z[:, moved:], 0.75, 0.75)
 
 

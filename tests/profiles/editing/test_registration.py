@@ -85,7 +85,8 @@ def rough_ridges(shape, phase, shift_y, seed, noise=0.03):
 
 
 @pytest.mark.parametrize(
-    "moved", [(0.37, 0.62), pytest.param((13.25, -7.5), marks=pytest.mark.soak), (52.6, 20.1)]
+    "moved",
+    [*(pytest.param(moved, marks=pytest.mark.soak) for moved in ((0.37, 0.62), (13.25, -7.5))), (52.6, 20.1)],
 )
 def test_ridges_are_found_at_their_own_place_not_pitches_away(moved):
     first, second = rough_ridges((150, 260), 0.0, 0.0, 1), rough_ridges((150, 260), moved[0], moved[1], 2)
