@@ -98,7 +98,7 @@ def test_uncertainties_are_as_large_as_the_errors():
     assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.6
 
 
-@pytest.mark.parametrize("bend", [0.02, 0.06, -0.03])
+@pytest.mark.parametrize("bend", [pytest.param(0.02, marks=pytest.mark.soak), 0.06, -0.03])
 def test_a_bent_response_shows_as_linearity_error(bend):
     found = analysed(8, nonlinearity=bend, prnu=0.0, dsnu_e=0.0, dark_current_e_s=0.0, rows=128, cols=128)
     # the same line through the response without any noise

@@ -97,7 +97,7 @@ def test_light_in_the_dark_is_out_of_limits(small, tmp_path):
     assert "does light reach the camera" in record.remarks[0]
 
 
-@pytest.mark.parametrize("truth", [0.0, 0.0002, 0.002])
+@pytest.mark.parametrize("truth", [0.0, pytest.param(0.0002, marks=pytest.mark.soak), 0.002])
 def test_the_stray_light_of_the_bench_comes_back(small, small_flat, tmp_path, truth):
     rig = {"calibration": {"flat": str(small_flat)}}
     black = small("black", rig=rig, sample=BLACK_GLASS, optics={"stray_radiance": truth})
@@ -169,7 +169,10 @@ def test_a_clipped_or_dark_start_is_refused(small, tmp_path):
         calibrate_linearity(rig.rig, tmp_path / "l.json", Taking(0.002), steps=3)
 
 
-@pytest.mark.parametrize(("axis_px", "filters"), [((3.4, -2.2), "mono"), ((-11.3, 7.9), "rggb")])
+@pytest.mark.parametrize(
+    ("axis_px", "filters"),
+    [pytest.param((3.4, -2.2), "mono", marks=pytest.mark.soak), ((-11.3, 7.9), "rggb")],
+)
 def test_rotation_centre_and_pixel_size_of_the_bench_come_back(small, tmp_path, axis_px, filters):
     rig = small(optics={"axis_px": list(axis_px)}, sensor={"filters": filters})
     record = calibrate_rotation(rig.rig, tmp_path / "rotation.json", Taking(0.006, frames=2), angles=8)

@@ -29,7 +29,7 @@ POSES = tuple(Pose(angle) for angle in (0.0, 90.0, 180.0))
 DESIGN = RidgeDesign(100.0, 10.0)
 
 
-@pytest.mark.parametrize("step_um", [2.0, 2.5])
+@pytest.mark.parametrize("step_um", [pytest.param(2.0, marks=pytest.mark.soak), 2.5])
 def test_a_board_of_two_directions_is_as_bright_after_a_quarter_turn(step_um):
     """Small fields, at 2 µm and 2.5 µm: one direction at 0° is the other at 90°, within .2 %."""
     surface = checkerboard(DESIGN, (round(500 / step_um), round(500 / step_um)), step_um, 250.0)

@@ -18,7 +18,9 @@ SPEC.loader.exec_module(boards)
 turned_board = boards.turned_board
 
 
-@pytest.mark.parametrize("turn_deg", [pytest.param(0.0, marks=pytest.mark.soak), 37.0, 90.0])
+@pytest.mark.parametrize(
+    "turn_deg", [37.0, *(pytest.param(turn, marks=pytest.mark.soak) for turn in (0.0, 90.0))]
+)
 def test_fields_of_a_board_are_found_however_it_lies_on_the_grid(turn_deg):
     surface, second = turned_board(turn_deg, 500, 4.0, 500.0)
     found = direction_regions(surface)

@@ -34,7 +34,7 @@ def real(name):
     [
         (50.0, 5.0, 30.0, 0.02),
         pytest.param(100.0, 10.0, 0.0, 0.15, marks=pytest.mark.soak),
-        (150.0, 20.0, -70.0, 0.05),
+        pytest.param(150.0, 20.0, -70.0, 0.05, marks=pytest.mark.soak),
         pytest.param(100.3, 5.0, 3.0, 0.02, marks=pytest.mark.soak),
     ],
 )
@@ -88,7 +88,7 @@ def test_direction_and_lean_of_clean_ridges(direction, lean):
 @pytest.mark.parametrize(
     ("angle", "wall"),
     [
-        (10.0, None),
+        pytest.param(10.0, None, marks=pytest.mark.soak),
         pytest.param(20.0, None, marks=pytest.mark.soak),
         (20.0, 55.0),
         pytest.param(15.0, 80.0, marks=pytest.mark.soak),

@@ -33,7 +33,9 @@ def as_counts(share, *, contrast, rng, noise=10.0):
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-@pytest.mark.parametrize(("module_px", "contrast"), [(4, 1.0), (4, 0.12), (2.5, 0.5)])
+@pytest.mark.parametrize(
+    ("module_px", "contrast"), [pytest.param(4, 1.0, marks=pytest.mark.soak), (4, 0.12), (2.5, 0.5)]
+)
 def test_turned_pale_and_small_codes_are_read(kind, module_px, contrast, rng):
     for angle_deg in (0, 301):
         share = draw("A17-0042", kind, module_px=module_px, angle_deg=angle_deg)
