@@ -15,9 +15,9 @@ from anisoscope.profiles.heightmap import HeightMap
 
 
 @pytest.fixture(scope="module")
-def laid_out(tmp_path_factory):
-    """The demo's files before anything is inspected."""
-    return lay_out(tmp_path_factory.mktemp("demo"), 5, silent)
+def laid_out(made_once):
+    """The demo's files before anything is inspected, laid out by one worker for all of them."""
+    return made_once("demo before it is inspected", lambda folder: lay_out(folder, 5, silent))
 
 
 @pytest.fixture
