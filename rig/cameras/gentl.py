@@ -8,6 +8,7 @@ GenTL 1.6.
 
 import contextlib
 import os
+import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -223,7 +224,7 @@ class GentlCamera(GenicamCamera):
         try:
             with _as_ours("the camera"):
                 device = _find(shared.harvester, serial)
-                acquirer = shared.harvester.create(device)
+                acquirer = _acquirer_of(shared.harvester, device)
                 settings = GenApiFeatures(acquirer.remote_device.node_map)
                 used = prepare(settings, pixel_format, (height, width), features, triggered=triggered)
                 if not exposure_s and not any(map(settings.readable, ("ExposureTime", "ExposureTimeAbs"))):
@@ -307,6 +308,19 @@ class GentlCamera(GenicamCamera):
             return None, f"a picture of {part.width} × {part.height} came"
         size = shape[0] * FORMATS[self._pixel_format].size(shape[1])
         return counts_of(memoryview(buffer.raw_buffer)[start : start + size], shape, self._pixel_format), ""
+
+
+def _acquirer_of(harvester: Any, device: Any) -> Any:
+    """The image acquirer of a device, without the handler of Ctrl-C that Harvesters installs with it.
+
+    That handler gives the camera up and lets the program go on: no measurement could be broken off.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        return harvester.create(device)
+    finally:
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, before)
 
 
 def _find(harvester: Any, serial: str) -> Any:

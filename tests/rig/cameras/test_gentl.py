@@ -5,6 +5,7 @@ implementation of GenApi, with the description and the registers of the camera i
 """
 
 import importlib.util
+import signal
 import struct
 import subprocess
 import sys
@@ -94,6 +95,15 @@ def test_a_camera_has_one_user_and_is_closed_once(opened):
     camera.close()
     with pytest.raises(NotConnected, match="is closed: open it again"):
         camera.grab()
+
+
+def test_ctrl_c_interrupts_the_program_and_leaves_the_camera_to_it(opened):
+    """Harvesters installs a handler of its own, which gives the camera up and lets the program go on."""
+    camera = opened(retries=50)
+    camera.configure(0.02, 1.0)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert camera.grab().shape == (camera.info.rows, camera.info.cols)
 
 
 def test_without_harvesters_the_remedy_is_named():
