@@ -343,6 +343,7 @@ class _Run:
             return set()
         for shot in self.darks.shots:
             self.writer.put(shot)
+            self._report(f"dark frame at {shot.frame.stage_deg:.3f}° of an earlier inspection")
         return set(own) | {shot.step for shot in self.darks.shots if shot.step is not None}
 
     def _expose_for(self, exposure_s: float) -> None:

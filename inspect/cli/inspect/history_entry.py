@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.errors import AnisoscopeError, RecordError
 
 if TYPE_CHECKING:
     from anisoscope.history.rows import NewRow
@@ -66,7 +66,8 @@ def remember(inspected: "Inspected", place: str | Path | None) -> None:
         _retry_at.pop(key, None)
     except Exception as error:  # noqa: BLE001 - record and verdict stand, whatever goes wrong here
         problem = " ".join(str(error).split()) or type(error).__name__
-        _retry_at[key] = time.monotonic() + RETRY_S, problem
+        if not isinstance(error, RecordError):  # of this part alone: the history is not away
+            _retry_at[key] = time.monotonic() + RETRY_S, problem
         _put_aside(new, inspected.folder, place, problem)
 
 

@@ -54,7 +54,9 @@ def test_a_day(page, station):
     assert not verdict.is_visible()
     station[0]._busy.join()
     page.get_by_role("link", name="Fleet").click()
-    assert "Inspections: 1" in page.inner_text("main")
+    fleet = page.inner_text("main")
+    assert re.search(r"Inspections: [1-9]", fleet)
+    assert "D-1" in fleet
     with open_history(station[0].place.history) as history:
         history.dispose(1, reviewer="Q. Quast", decision="hold", comment="decided elsewhere")
     page.get_by_text("decided elsewhere").wait_for(timeout=120_000)  # without being loaded anew

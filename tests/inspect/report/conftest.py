@@ -61,7 +61,7 @@ class Page:
         os.close(from_browser_write)
         self._ids = itertools.count(1)
         self._rest = b""
-        self._session = None
+        self._session = self._page = None
         self.events = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -106,7 +106,6 @@ class Page:
             self.events.append(answer)
 
     def open(self, url, width=1100, height=1400):
-        self.events.clear()
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -114,12 +113,20 @@ class Page:
             deviceScaleFactor=1,
             mobile=False,
         )
+        page = url.partition("#")[0]
+        if page == self._page:  # to another place in the same page nothing would be loaded
+            self._load("about:blank")
+        self._page = page
+        self._load(url)
+        self.evaluate("new Promise(done => setTimeout(done, 200))")
+
+    def _load(self, url):
+        self.events.clear()
         self.call("Page.navigate", url=url)
         deadline = time.monotonic() + 180
         while not any(event.get("method") == "Page.loadEventFired" for event in self.events):
             assert time.monotonic() < deadline, "the page did not load"
             self.events.append(self._read())
-        self.evaluate("new Promise(done => setTimeout(done, 200))")
 
     def screenshot(self, selector):
         """PNG of an element, as it stands in the page."""
