@@ -198,3 +198,15 @@ def test_what_waits_for_a_history_enters_with_the_next_inspection(judged, inspec
     rows = rows_in(place)
     assert len(rows) == len({row.seal for row in rows}) == 4
     assert not list((judged.out / "history-waiting").iterdir())
+
+
+def test_a_damaged_record_keeps_no_other_inspection_from_the_history(judged, inspect_on, monkeypatch, capsys):
+    monkeypatch.setattr(history_entry, "_retry_at", {})
+    place = judged.out / "mine.sqlite"
+    _, _, folder = inspect_on(judged, "--history", "none")
+    record = read_record(folder)
+    (folder / "record.json").write_text("{", encoding="utf-8")
+    history_entry.remember(inspection.Inspected(record, folder, folder / "report.html"), place)
+    assert "record.json is damaged" in capsys.readouterr().err
+    _, _, other = inspect_on(judged, "--history", str(place))
+    assert str(other) in {row.folder for row in rows_in(place)}
