@@ -6,8 +6,9 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 SEED   ?= 1
-# two more than there are cores: many tests wait for simulated devices, terminals and browsers
-WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 2)
+# one more than there are cores: some tests wait for simulated devices, terminals and browsers; every worker collects
+# all tests and reads all kernels
+WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
