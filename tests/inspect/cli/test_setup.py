@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 
+from anisoscope.base import signature
 from anisoscope.base.language import language
 from anisoscope.cli import app, run
 from anisoscope.cli.setup import project_place
@@ -18,6 +19,7 @@ def job(tmp_path, monkeypatch, capsys):
     """A job folder as ``init`` writes it, with the user's settings out of reach; the working folder is inside it."""
     monkeypatch.setattr(project_place, "user_path", lambda: tmp_path / "user.toml")
     monkeypatch.delenv("ANISOSCOPE_HISTORY", raising=False)
+    monkeypatch.setattr(signature, "_chosen", None)  # the project file names a key, which stays in use
     folder = tmp_path / "job"
     assert run(["init", str(folder), "--ridge-angle", "8", "--station", "rig 2"]) == 0
     capsys.readouterr()
