@@ -97,10 +97,10 @@ def test_a_photographed_hologram_is_compared_with_its_unit(anisoscope, hologram,
     photo = on_a_screen(layout, 300.0, 0.6, 260)
     cv2.imwrite(str(folder / "photo.png"), photo)
     scale = ("--distance", 300, "--pixel-mm", 0.6)
-    done = anisoscope(*design, *scale, "--json", "--png", "lobe.png", cwd=folder)
+    done = anisoscope(*design, *scale, "--json", "--png", "compared.png", cwd=folder)
     assert done.code == 0, done.err
     assert done.json["correlation"] > 0.98
-    assert cv2.imread(str(folder / "lobe.png")) is not None
+    assert cv2.imread(str(folder / "compared.png")) is not None
     marks = ";".join(
         f"{129.5 - x / 0.6},{129.5 - y / 0.6}={x},{y}"
         for x, y in ((-50, -40), (45, -50), (50, 50), (-40, 45))
