@@ -273,6 +273,15 @@ def make_recipe() -> Callable[..., RidgeRecipe]:
     return lambda **changes: RidgeRecipe.model_validate(merged(RECIPE, changes))
 
 
+@pytest.fixture(scope="session")
+def chromium_program() -> str:
+    """Program of the browser: Chromium without windows takes a fifth of the time of the whole one for a new page."""
+    found = shutil.which("chromium-headless-shell") or shutil.which("chromium")
+    if found is None:
+        pytest.skip("no chromium found (apt-get install chromium-headless-shell or chromium)")
+    return found
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A generator of its own for every test."""

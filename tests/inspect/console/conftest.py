@@ -102,14 +102,11 @@ def small_app(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def chromium():
-    """Debian's chromium, driven by Playwright, whose loop would be in the way of tests that run one."""
+def chromium(chromium_program):
+    """Debian's Chromium, driven by Playwright, whose loop would be in the way of tests that run one."""
     playwright = pytest.importorskip("playwright.sync_api")
-    executable = shutil.which("chromium")
-    if executable is None:
-        pytest.skip("no chromium found (apt-get install chromium)")
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=executable, args=["--no-sandbox"])
+        browser = driver.chromium.launch(executable_path=chromium_program, args=["--no-sandbox"])
         yield browser
         browser.close()
 

@@ -4,7 +4,6 @@ import itertools
 import json
 import os
 import select
-import shutil
 import subprocess
 import sys
 import time
@@ -29,6 +28,7 @@ os.dup2(aside[1], 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
 SILENT_S = 180.0
+DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 30))))"
 
 
 class Page:
@@ -118,7 +118,13 @@ class Page:
             self._load("about:blank")
         self._page = page
         self._load(url)
-        self.evaluate("new Promise(done => setTimeout(done, 200))")
+        self.evaluate(DRAWN)
+
+    def leave(self):
+        """Go to an empty page."""
+        if self._page is not None:
+            self._page = None
+            self._load("about:blank")
 
     def _load(self, url):
         self.events.clear()
@@ -189,25 +195,29 @@ class Page:
 
 
 @contextlib.contextmanager
-def browser(profile, *options):
-    executable = shutil.which("chromium")
-    if executable is None:
-        pytest.skip("no chromium found (apt-get install chromium)")
-    found = Page(executable, profile, *options)
+def browser(program, profile, *options):
+    found = Page(program, profile, *options)
     yield found
     found.close()
 
 
 @pytest.fixture(scope="session")
-def page(tmp_path_factory):
-    with browser(tmp_path_factory.mktemp("chromium")) as found:
+def only_page(chromium_program, tmp_path_factory):
+    with browser(chromium_program, tmp_path_factory.mktemp("chromium")) as found:
         yield found
 
 
 @pytest.fixture
-def flat_page(tmp_path):
+def page(only_page):
+    """The page of the one browser of a worker; between tests it is empty, as a scene would be drawn on and on."""
+    yield only_page
+    only_page.leave()
+
+
+@pytest.fixture
+def flat_page(chromium_program, tmp_path):
     """A browser that has no WebGL."""
-    with browser(tmp_path / "profile", "--disable-3d-apis") as found:
+    with browser(chromium_program, tmp_path / "profile", "--disable-3d-apis") as found:
         yield found
 
 

@@ -277,13 +277,8 @@ def test_a_print_too_large_for_the_driver_is_told(page, proof, tmp_path):
 
 
 @pytest.mark.browser
-def test_without_webgl_the_page_says_so(proof, tmp_path):
-    import shutil
-
-    executable = shutil.which("chromium")
-    if executable is None:
-        pytest.skip("no chromium found (apt-get install chromium)")
-    command = [executable, "--headless", "--no-sandbox", "--disable-gpu", "--disable-3d-apis", "--no-first-run",
+def test_without_webgl_the_page_says_so(chromium_program, proof, tmp_path):
+    command = [chromium_program, "--headless", "--no-sandbox", "--disable-gpu", "--disable-3d-apis", "--no-first-run",
                "--disable-background-networking", "--disable-dev-shm-usage", f"--user-data-dir={tmp_path}",
                "--dump-dom", proof[0].as_uri()]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
