@@ -134,6 +134,7 @@ def serve(address: str) -> None:
         sidebyside.share()
     gc.enable()
     gc.freeze()  # nothing of this is looked at again, least of all at every child's end
+    gc.set_threshold(20_000)  # as in the workers
     _use_large_pages()
     with socket.socket(socket.AF_UNIX) as listener, selectors.DefaultSelector() as ready:
         Path(address).unlink(missing_ok=True)
