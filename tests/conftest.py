@@ -33,10 +33,6 @@ def beside(name):
 # for it while another one makes it, and no minute of waiting is left for the end of the run.
 LONG = ("studied", "demo", "start")
 
-OBJECTS = (
-    20_000  # garbage is looked for among so many new ones; among Python's 700 it takes a twentieth of the run
-)
-
 CACHE = "ANISOSCOPE_CACHE"
 RUN = "ANISOSCOPE_TEST_RUN"
 OWN_CACHE = pytest.StashKey[str]()
@@ -75,8 +71,10 @@ def take_over_sources(folder):
 
 def trust_one_authority(folder):
     """Nothing outside is asked; and each client of a server, with TLS or without, reads all authorities: 15 ms."""
-    import certifi
-
+    try:
+        import certifi
+    except ImportError:  # the fast tests run without clients of servers
+        return
     file, end = folder / "authority.pem", "-----END CERTIFICATE-----"
     file.write_text(
         Path(certifi.where()).read_text(encoding="utf-8").partition(end)[0] + end + "\n", encoding="utf-8"
@@ -88,7 +86,8 @@ def trust_one_authority(folder):
 def pytest_unconfigure(config):
     if OWN_RUN in config.stash:
         beside("postgresql").stop_server_of(config.stash[OWN_RUN])
-        os.environ.pop(RUN, None)
+        for name in (RUN, "SSL_CERT_FILE", "SSL_CERT_DIR"):
+            os.environ.pop(name, None)
         shutil.rmtree(config.stash[OWN_RUN], ignore_errors=True)
     if OWN_CACHE in config.stash:
         os.environ.pop(CACHE, None)
@@ -126,7 +125,11 @@ def pytest_collection_finish(session):
     """What the collected tests imported is set up for workers side by side."""
     gc.enable()
     gc.freeze()  # thousands of tests and all that they imported stay: looking through them takes a twentieth of the run
-    gc.set_threshold(OBJECTS)
+    from anisoscope.__main__ import COLLECTED_AFTER
+
+    gc.set_threshold(
+        COLLECTED_AFTER, 10, 10
+    )  # as in commands; at Python's 700 it takes a twentieth of the run
     if SIDE_BY_SIDE and "numba" in sys.modules:
         import numba
 

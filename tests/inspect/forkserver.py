@@ -124,6 +124,7 @@ def serve(address: str) -> None:
     Ends when the last client has left.
     """
     gc.disable()  # what is imported stays
+    from anisoscope.__main__ import COLLECTED_AFTER
     from anisoscope.cli import main
 
     _load()
@@ -134,7 +135,7 @@ def serve(address: str) -> None:
         sidebyside.share()
     gc.enable()
     gc.freeze()  # nothing of this is looked at again, least of all at every child's end
-    gc.set_threshold(20_000)  # as in the workers
+    gc.set_threshold(COLLECTED_AFTER, 10, 10)
     _use_large_pages()
     with socket.socket(socket.AF_UNIX) as listener, selectors.DefaultSelector() as ready:
         Path(address).unlink(missing_ok=True)
