@@ -1,4 +1,4 @@
-"""``anisoscope history``, ``show``, ``compare``, ``export``: inspections of the past and their dispositions."""
+"""``anisoscope history``, ``show``, ``compare``: past inspections, their dispositions, covariates, and proofs."""
 
 import math
 import unicodedata
