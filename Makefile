@@ -127,4 +127,4 @@ lock:
 	sh tools/lock.sh $(PYTHON)
 
 clean:
-	rm -rf $(VENV) build dist site docs/reference *.egg-info demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist site docs/reference *.egg-info demo-output .*_cache* .hypothesis
