@@ -6,7 +6,7 @@ FROM python:3.11-slim-bookworm
 RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends libegl1 libgl1 libxrender1 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
-COPY requirements.lock pyproject.toml README.md LICENSE ./
+COPY requirements.lock pyproject.toml setup.py README.md LICENSE ./
 RUN pip install --no-cache-dir --no-compile -r requirements.lock
 COPY inspect inspect
 COPY rig rig

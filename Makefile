@@ -63,7 +63,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 
 # mypy and import-linter follow packages only where they lie as a wheel lays them.
-build/wheel: $(VENV)/.dev $(shell find inspect rig profiles sim -name '*.py' -o -name '*.html' -o -name '*.js') pyproject.toml
+build/wheel: $(VENV)/.dev $(shell find inspect rig profiles sim -name '*.py' -o -name '*.html' -o -name '*.js') pyproject.toml setup.py
 	rm -rf build
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --target build/wheel .
 	@touch $@
@@ -101,7 +101,7 @@ $(VENV)/.venv:
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-$(VENV)/.run: $(VENV)/.venv requirements.lock pyproject.toml
+$(VENV)/.run: $(VENV)/.venv requirements.lock pyproject.toml setup.py
 	@echo "Installing packages into $(VENV) (1.6 GB on disk, about a minute) ..."
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
 	rm -rf anisoscope.egg-info # of an earlier build: its list of plug-ins would count in this folder

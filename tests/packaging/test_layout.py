@@ -20,8 +20,8 @@ FOLDERS = {
 
 
 @pytest.fixture(scope="module")
-def setuptools_table():
-    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
 def python(*arguments):
@@ -40,14 +40,45 @@ def test_tests_have_no_init_files():
     assert list((ROOT / "tests").rglob("__init__.py")) == []
 
 
-def test_listed_packages_are_those_in_the_tree(setuptools_table):
+def test_packages_are_the_folders_with_modules(project):
+    """As setup.py hands them over, without building anything."""
+    script = (
+        "import runpy, setuptools\n"
+        "setuptools.setup = lambda packages: print(*packages)\n"
+        "runpy.run_path('setup.py', run_name='__main__')"
+    )
     found = {"anisoscope"}
     for package, folder in FOLDERS.items():
-        for init in (ROOT / folder).rglob("__init__.py"):
-            parts = init.parent.relative_to(ROOT / folder).parts
-            found.add(".".join([package, *parts]))
-    assert set(setuptools_table["packages"]) == found
-    assert setuptools_table["package-dir"] == FOLDERS
+        for module in (ROOT / folder).rglob("*.py"):
+            found.add(".".join([package, *module.parent.relative_to(ROOT / folder).parts]))
+    packages = python("-c", script).split()
+    assert sorted(packages) == sorted(found)
+    assert project["tool"]["setuptools"]["package-dir"] == FOLDERS
+
+
+def test_the_contract_of_kinds_names_all_kinds(project):
+    folders = {path.parent.name for path in (ROOT / "inspect" / "kinds").glob("*/__init__.py")}
+    modules = {
+        module
+        for contract in project["tool"]["importlinter"]["contracts"]
+        if contract["type"] == "independence"
+        for module in contract["modules"]
+    }
+    points = project["project"]["entry-points"]["anisoscope.kinds"].values()
+    assert modules == {f"anisoscope.kinds.{name}" for name in folders}
+    assert modules == {point.partition(":")[0].rpartition(".")[0] for point in points}
+
+
+def test_every_file_beside_modules_gets_into_the_wheel(project):
+    """From a checkout a command would find it all the same, and only users would miss it."""
+    patterns = project["tool"]["setuptools"]["package-data"]["*"]
+    files, taken = set(), set()
+    for folder in (ROOT / name for name in FOLDERS.values()):
+        files |= {path for path in folder.rglob("*") if path.is_file() and path.suffix not in {".py", ".pyc"}}
+        packages = {folder, *(init.parent for init in folder.rglob("__init__.py"))}
+        taken |= {path for package in packages for pattern in patterns for path in package.glob(pattern)}
+    # the sketch is for the board, by the Arduino IDE
+    assert files - taken == {ROOT / "rig" / "firmware" / "light" / "light.ino"}
 
 
 def test_no_folder_with_modules_lacks_an_init():

@@ -12,7 +12,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "layout.md"
-PAGES = (PAGE, ROOT / "CONTRIBUTING.md")
 DESCRIPTION = "{http://purl.org/dc/elements/1.1/}description"
 
 
@@ -26,15 +25,27 @@ def tools():
         sys.path.remove(str(ROOT / "tools"))
 
 
-def floors_of(page):
-    table = page.read_text(encoding="utf-8").split("<!-- floors: the layers of pyproject.toml -->")[1]
+@pytest.fixture(scope="module")
+def table_of_floors():
+    """Rows of the table: the names of a floor, and what is said of it."""
+    table = PAGE.read_text(encoding="utf-8").split("<!-- floors: the layers of pyproject.toml -->")[1]
     lines = table.split("<!-- end of floors -->")[0].strip().splitlines()
-    return [re.findall(r"`([^`]+)`", line.split("|")[1]) for line in lines[2:]]
+    return [(named(line.split("|")[1]), line.split("|")[2]) for line in lines[2:]]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_table_of_floors_is_the_import_contract(page, tools):
-    assert floors_of(page) == tools["house"].contract_layers(ROOT)
+def named(text):
+    return re.findall(r"`([^`]+)`", text)
+
+
+def test_the_table_of_floors_is_the_import_contract(table_of_floors, tools):
+    assert [names for names, _ in table_of_floors] == tools["house"].contract_layers(ROOT)
+
+
+def test_the_floors_within_the_simulation_are_its_contract(table_of_floors, tools):
+    [text] = [said for names, said in table_of_floors if names == ["sim"]]
+    assert [named(floor) for floor in text.split(" over ")] == tools["house"].contract_layers(
+        ROOT, "anisoscope.sim"
+    )
 
 
 def test_modules_that_a_frame_passes_exist():
