@@ -13,7 +13,7 @@ WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all fast rewritten soak statistics types lint contracts docs docs-check benchmark benchmark-record lock clean help
+.PHONY: demo test test-all fast rewritten soak statistics evidence types lint contracts docs docs-check benchmark benchmark-record lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
@@ -22,6 +22,7 @@ help:
 	@echo "make test-all   the same, then the fast tests on Python 3.12 and 3.13"
 	@echo "make soak       the long test campaigns"
 	@echo "make statistics rates over many draws: coverage, false alarms, power of the studies"
+	@echo "make evidence   the detection study (docs/detection.md); options of it in STUDY"
 	@echo "make benchmark  speed against named alternatives"
 	@echo "make clean      remove what make made"
 
@@ -54,6 +55,11 @@ soak: $(VENV)/.dev
 statistics: $(VENV)/.dev
 	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal -m statistics
 
+# How often good parts fail and bad ones pass, on virtual rigs: docs/detection.md. make evidence STUDY="--world ggx --rigs 4"
+STUDY ?= --world same --rigs 2
+evidence: $(VENV)/.dev
+	$(BIN)/python tests/evidence/detection.py $(STUDY)
+
 # One process rewrites the assertions of all tests while types are checked; otherwise each worker does it for itself.
 rewritten: $(VENV)/.dev
 	@$(BIN)/python -Im pytest --collect-only -q >/dev/null 2>&1 & echo $$! >$(VENV)/.rewriting
@@ -72,7 +78,7 @@ contracts: build/wheel
 	PYTHONPATH=build/wheel $(BIN)/lint-imports
 
 types: build/wheel
-	MYPYPATH=build/wheel $(BIN)/mypy -p anisoscope
+	MYPYPATH=build/wheel:tests/evidence $(BIN)/mypy -p anisoscope -p detection_study -m detection
 
 # The docs as a site. Every warning is an error: missing links, anchors, pictures, pages without a place in the navigation.
 SPHINX = $(BIN)/python -Im sphinx -W --keep-going -q -d site/.doctrees

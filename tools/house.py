@@ -33,8 +33,9 @@ FRAGMENT_LINES = 120
 TABLES = {
     "anisoscope.bsdf.formats",
     "anisoscope.cli.line.line",
+    "anisoscope.cli.study.papers",
     "anisoscope.profiles.files.formats",
-}  # modules that list plug-ins, each in a module of its own: file formats, protocols of a line with their libraries
+}  # modules that list plug-ins, each in a module of its own: formats, papers, protocols of a line with their libraries
 KERNELS = re.compile(r"kernels$")
 _LAYOUT = {
     tokenize.COMMENT,

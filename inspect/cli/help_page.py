@@ -207,7 +207,6 @@ FORMER_OPTIONS: dict[tuple[str, ...], dict[str, str]] = {
     ("profile", "rotate"): {"--field": "--extent"},
     ("profile", "texture"): {"--uncertainty": "--draws"},
     ("fit", "ridges"): {"--covariance": "--covariance-file", "--kind": "--quantity"},
-    ("research", "detection"): {"--recipe": "--pose-set"},
     ("research", "experiment"): {"--csv": "--as-csv"},
     ("research", "findings"): {"--grid": "--grid-points"},
 }

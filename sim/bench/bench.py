@@ -43,9 +43,9 @@ from anisoscope.sim.bench.firmware.coolled import CoolLedFirmware
 from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.fw102c import PLACES, WheelFirmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
-from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import (
     PLATE,
+    Lamp,
     defocused,
     image_of_fixture,
     image_of_surface,

@@ -4,9 +4,11 @@ import re
 import shlex
 from pathlib import Path
 
+from cyclopts import App
 from cyclopts.exceptions import CycloptsError
 
 from anisoscope.cli import app
+from detection import detection_command
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -19,6 +21,8 @@ IN_LINE = re.compile(r"`(anisoscope [^`]+)`")
 OF_ALL = {"--verbose", "-v", "--quiet", "-q", "--debug"}
 """Options of every command, which are taken off before a command sees them."""
 OF_ALL_WITH_VALUE = re.compile(r" --(?:csv-style|lang|log-file)[= ]\S+")
+STUDY = "python tests/evidence/detection.py "
+"""The command of the detection study, which is not installed."""
 PLACEHOLDER = re.compile(r"…|\.\.\.|\bNAME\b")
 
 
@@ -26,7 +30,7 @@ def commands(text):
     """Command lines of the blocks of a page, and those in its start pages' tables."""
     for block in BLOCK.findall(text):
         for line in block.replace("\\\n", " ").splitlines():
-            if line.startswith("anisoscope "):
+            if line.startswith(("anisoscope ", STUDY)):
                 yield line
     if "## Every day" in text or "## What you can do" in text:
         yield from (line for line in IN_LINE.findall(text) if not PLACEHOLDER.search(line))
@@ -43,12 +47,15 @@ def shown():
 def test_commands_of_the_pages_can_be_parsed():
     wrong = {}
     lines = shown()
+    study = App(default_command=detection_command)
+    assert sum(line.startswith(STUDY) for line in lines) == 4
     assert len(lines) > 150
     for line, page in lines.items():
-        words = shlex.split(OF_ALL_WITH_VALUE.sub("", line), comments=True)[1:]
+        parser, start = (study, STUDY) if line.startswith(STUDY) else (app, "anisoscope ")
+        words = shlex.split(OF_ALL_WITH_VALUE.sub("", line).removeprefix(start), comments=True)
         words = words[: min((words.index(sign) for sign in "|>" if sign in words), default=len(words))]
         try:
-            app.parse_args(
+            parser.parse_args(
                 [word for word in words if word not in OF_ALL], exit_on_error=False, print_error=False
             )
         except CycloptsError as error:

@@ -74,7 +74,8 @@ def test_every_file_beside_modules_gets_into_the_wheel(project):
     patterns = project["tool"]["setuptools"]["package-data"]["*"]
     files, taken = set(), set()
     for folder in (ROOT / name for name in FOLDERS.values()):
-        files |= {path for path in folder.rglob("*") if path.is_file() and path.suffix not in {".py", ".pyc"}}
+        beside = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".py")
+        files |= {path for path in beside if path.parent.name != "__pycache__"}  # of Python and numba
         packages = {folder, *(init.parent for init in folder.rglob("__init__.py"))}
         taken |= {path for package in packages for pattern in patterns for path in package.glob(pattern)}
     # the sketch is for the board, by the Arduino IDE

@@ -229,8 +229,7 @@ app = App(
 )
 app.command("anisoscope.cli.experiment.experiment:experiment", name="experiment")
 app.command("anisoscope.cli.experiment.experiment:findings", name="findings")
-app.command("anisoscope.cli.study.detection:detection_command", name="detection")
-app.command("anisoscope.cli.study.detection:pod_command", name="pod")
+app.command("anisoscope.cli.study.pod:pod_command", name="pod")
 app.command("anisoscope.cli.study.papers:papers", name="papers")
 
 

@@ -118,7 +118,7 @@ def test_usage_errors_say_the_remedy_and_where_to_read_on(arguments, words, caps
 
 def test_words_of_the_version_before_are_understood():
     assert of_today(["experiment", "ridges", "--json"])[0] == ["research", "experiment", "--json"]
-    assert of_today(["study", "detection"])[0] == ["research", "detection"]
+    assert of_today(["study", "pod"])[0] == ["research", "pod"]
     assert of_today(["code", "picture.png"]) == (["read-code", "picture.png"], ["`code` is `read-code` now"])
     assert of_today(["inspect", "code"]) == (["inspect", "code"], [])
     assert of_today(["rig", "live", "--frames=3", "--rig", "r"])[0] == [

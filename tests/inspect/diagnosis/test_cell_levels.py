@@ -20,7 +20,7 @@ from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.recipe.surface import AreaPart
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
-from anisoscope.study.detection.product import LIGHT_DEG, Size, recipe_of
+from detection_study.product import LIGHT_DEG, Size, recipe_of
 
 ALPHA, TEXTURE, ANGLE_DEG, PITCH_UM, PIXEL_UM = 0.095, 0.03, 15.0, 100.0, 2.5
 CELL_ROWS, CELL_COLS, CELL_POINTS = 32, 80, 10

@@ -14,7 +14,7 @@ from anisoscope.diagnosis.signatures import signatures
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Component, expectation
-from anisoscope.study.detection.product import (
+from detection_study.product import (
     BY_NAME,
     GOOD,
     LIGHT_DEG,
@@ -24,7 +24,7 @@ from anisoscope.study.detection.product import (
     draw_rig,
     recipe_of,
 )
-from anisoscope.study.detection.surrogate import SurrogateTask, direct_of, state_of
+from detection_study.surrogate import SurrogateTask, direct_of, state_of
 
 GOLDEN, PARTS = 25, 5
 CAUSES = ("incomplete-filling", "wear", "ridge-angle", "seating-y", "colour")

@@ -13,7 +13,7 @@ from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.quality_gates import measured_pitch
 from anisoscope.kinds.kind import Explanation, usable
-from anisoscope.study.detection.mitsuba import ARCHIVE, CAUSES, GOOD, TILTED, UPRIGHT, Inspector, Parts
+from detection_study.mitsuba import ARCHIVE, CAUSES, GOOD, TILTED, UPRIGHT, Inspector, Parts
 
 GROSS = ("angle-1", "angle+1", "rough+20", "rough+60", "height-loss", "burrs-10")
 

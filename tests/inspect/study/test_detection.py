@@ -15,8 +15,6 @@ from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.report.detection_page import tables_of, write_detection_page
-from anisoscope.report.detection_text import BEGIN, END, RULES, numbers_of, with_results, write_results
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -24,17 +22,20 @@ from anisoscope.sim.light.geometry import Convention, directions, seating_rotati
 from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.light.shine import shine_in
 from anisoscope.sim.pathtracer.tracer import PathTracer
-from anisoscope.study.detection import sheets as detection_sheets
-from anisoscope.study.detection import surrogate as detection_surrogate
-from anisoscope.study.detection.chunk import (
+from anisoscope.study.statistics import rate
+from anisoscope.study.sweep import Workers
+from detection_study import sheets as detection_sheets
+from detection_study import surrogate as detection_surrogate
+from detection_study.chunk import (
     MEASURED_SOURCES,
     Window,
     new_cameras,
     photograph,
     radiance_of_part,
 )
-from anisoscope.study.detection.lobes import lobes_of, plastic_of, quick_shine
-from anisoscope.study.detection.product import (
+from detection_study.lobes import lobes_of, plastic_of, quick_shine
+from detection_study.page import tables_of, write_detection_page
+from detection_study.product import (
     BY_NAME,
     CHOSEN,
     CLASSES,
@@ -56,7 +57,7 @@ from anisoscope.study.detection.product import (
     recipe_of,
     rendered_as,
 )
-from anisoscope.study.detection.run import (
+from detection_study.run import (
     Plan,
     calibration_of,
     collect,
@@ -65,8 +66,9 @@ from anisoscope.study.detection.run import (
     study_results,
     true_extents,
 )
-from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
-from anisoscope.study.detection.surrogate import (
+from detection_study.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
+from detection_study.statistics import area_under_curve, ideal_scores, nearest_curves, uniformity
+from detection_study.surrogate import (
     UNITS,
     Surrogate,
     SurrogateTask,
@@ -77,8 +79,7 @@ from anisoscope.study.detection.surrogate import (
     state_of,
     surrogate_of,
 )
-from anisoscope.study.statistics import area_under_curve, ideal_scores, nearest_curves, rate, uniformity
-from anisoscope.study.sweep import Workers
+from detection_study.text import BEGIN, END, RULES, numbers_of, with_results, write_results
 
 SMALL = Size(ridges=7, pitches=5, sheets=1, golden=3, good=4, bad=2, causes=())
 TILTED = POSES["tilted"]

@@ -11,10 +11,10 @@ from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.predictive_test import _levels, _null_of, predictive_test, separations
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.part_scatter import part_scatter
-from anisoscope.study.detection.chunk import FRAME_NOISE, LAMP_NOISE, MEASURED_SOURCES
-from anisoscope.study.detection.product import LIGHT_DEG, Size, recipe_of
-from anisoscope.study.detection.run import calibration_of, covariance_of_measurement, from_prediction
-from anisoscope.study.statistics import area_under_curve, ideal_scores, uniformity
+from detection_study.chunk import FRAME_NOISE, LAMP_NOISE, MEASURED_SOURCES
+from detection_study.product import LIGHT_DEG, Size, recipe_of
+from detection_study.run import calibration_of, covariance_of_measurement, from_prediction
+from detection_study.statistics import area_under_curve, ideal_scores, uniformity
 
 pytestmark = pytest.mark.statistics
 

@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.study.detection.mitsuba import ARCHIVE, CAUSES, GOLDEN, GOOD, QUIET, UPRIGHT, Inspector, Parts
+from detection_study.mitsuba import ARCHIVE, CAUSES, GOLDEN, GOOD, QUIET, UPRIGHT, Inspector, Parts
 
 
 @pytest.fixture(scope="module")

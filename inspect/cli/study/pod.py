@@ -1,7 +1,8 @@
-"""``anisoscope research detection`` and ``research pod``: how often good parts fail and bad ones pass."""
+"""``anisoscope research pod``: how probably a defect is found, over its size."""
 
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -14,120 +15,8 @@ from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOptio
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
-    from anisoscope.study.detection.product import RecipeName, World
-
-
-@everyday(
-    "world", "rigs", "recipe", "poses", "diagnose", "jobs", "seed", "folder", "json_", "html", "markdown"
-)
-def detection_command(
-    *,
-    world: Annotated[
-        tuple[
-            Literal[
-                "same",
-                "reflections",
-                "ggx",
-                "student",
-                "two-scale",
-                "camera",
-                "lamp",
-                "other",
-                "mitsuba",
-                "all",
-            ],
-            ...,
-        ],
-        Parameter(
-            help="How parts are rendered, repeatable; light reflects between facets and walls in all. By the "
-            "predictor's own model (same); by a path tracer that shares nothing with it, with the predictor's lobe "
-            "(reflections), other lobes (ggx, student, two-scale), a non-linear camera or a near lamp (camera, lamp), "
-            "or GGX lobes with both (other); mitsuba judges stored frames of parts that Mitsuba 3 rendered. "
-            "All leaves out other.",
-            negative=(),
-        ),
-    ] = ("all",),
-    rigs: Annotated[
-        int,
-        Parameter(
-            help="Rigs of every world, each with its own golden and judged parts; 2 give a quick look."
-        ),
-    ] = 24,
-    pictured: Annotated[
-        int,
-        Parameter(
-            help="Of these, how many are photographed (in the worlds same, reflections, ggx and two-scale): of the "
-            "others only the means of the poses are computed, which local defects need more than."
-        ),
-    ] = 4,
-    recipe: Annotated[
-        Literal["standard", "tilted", "suggested", "all"],
-        Parameter(
-            name="--pose-set",
-            help="Poses: 0/90/180° upright, the same at tilts of -10, 0 and 10°, six of quarter turns as suggested by "
-            "`recipe suggest`, or all three.",
-        ),
-    ] = "all",
-    diagnose: Annotated[
-        bool, Parameter(help="Also diagnose bad parts; takes half a minute more per world.")
-    ] = False,
-    archive: Annotated[
-        Path | None,
-        Parameter(
-            help="Parts that Mitsuba rendered, for the world mitsuba; tests/data/mitsuba/parts.tar.xz."
-        ),
-    ] = None,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    seed: Annotated[int, Parameter(help="Seed of parts, rigs and cameras.")] = 1,
-    folder: Annotated[
-        Path | None, Parameter(help="Folder for surfaces and parts, so that a study can continue.")
-    ] = None,
-    json_: Json = False,
-    html: HtmlOption = None,
-    markdown: Annotated[
-        Path | None,
-        Parameter(
-            help="Markdown page with marks for the results; the numbers are written next to it as JSON."
-        ),
-    ] = None,
-) -> int:
-    """Inspect thousands of good and bad parts on virtual rigs: false alarms, power, diagnosis, coverage.
-
-    Stored rigs are not simulated again: the same call continues where it stopped.
-
-    Examples:
-        anisoscope research detection --world same --rigs 2
-    """
-    from anisoscope.report.detection_page import tables_of, write_detection_page
-    from anisoscope.report.detection_text import write_results
-    from anisoscope.study.detection.mitsuba import ARCHIVE
-    from anisoscope.study.detection.product import RECIPES
-    from anisoscope.study.detection.run import Plan, study_results
-    from anisoscope.study.sweep import Workers
-
-    usual = ("same", "reflections", "ggx", "student", "two-scale", "camera", "lamp", "mitsuba")
-    named = tuple(dict.fromkeys(name for one in world for name in (usual if one == "all" else (one,))))
-    worlds = cast("tuple[World, ...]", tuple(name for name in named if name != "mitsuba"))
-    recipes: tuple[RecipeName, ...] = RECIPES if recipe == "all" else (recipe,)
-    folder_option: dict[str, Any] = {} if folder is None else {"folder": folder.resolve()}
-    plan = Plan(worlds, recipes, rigs, pictured, seed, diagnose, **folder_option)
-    rendered = (archive or ARCHIVE) if "mitsuba" in named else None
-    with progress("detection", quiet=json_) as advance:
-        found = study_results(plan, Workers(jobs, scheduler), advance, rendered)
-    if html is not None:
-        write_detection_page(html, found)
-    if markdown is not None:
-        write_results(markdown, found)
-    if json_:
-        print_json(found)
-        return 0
-    for table in tables_of(found):
-        print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)
-    for note in found["notes"]:
-        console().print(note, markup=False, highlight=False, soft_wrap=True)
-    return 0
-
+    from anisoscope.quality.detection_probability import DetectionCurve
+    from anisoscope.report.study_page import Table
 
 Scaled = Literal["linear", "log"]
 
@@ -192,7 +81,6 @@ def pod_command(
         anisoscope research pod --csv scratches.csv
     """
     from anisoscope.quality.detection_probability import Trials, hit_miss, read_trials, signal_over_size
-    from anisoscope.report.detection_page import detection_curve_tables, write_detection_curve
 
     if (recipe is None) == (csv is None):
         raise UsageError("name the parts: --recipe FILE for simulated ones, or --csv FILE for master parts")
@@ -224,12 +112,58 @@ def pod_command(
         reference = f"{golden_parts} golden parts" if golden_parts else "the prediction"
         name, what = defect, f"{recipe.name}: simulated parts, each on a rig of its own, against {reference}"
     if html is not None:
-        write_detection_curve(html, name, what, found)
+        _write_page(html, name, what, found)
     if json_:
         print_json(found)
         return 0
-    for table in detection_curve_tables(found):
+    for table in _tables(found):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)
     for line in (what, f"{name}: {found.verdict}"):
         console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0
+
+
+def _write_page(path: Path, defect: str, source: str, found: "DetectionCurve") -> None:
+    from anisoscope.report.study_page import Chart, Curve, write_study_page
+
+    curve = Curve("probability of detection", found.grid, found.probability, found.low, found.high)
+    chart = Chart(
+        found.verdict, f"size of {defect}", "probability of detection [1]", (curve,),
+        mark_x=found.sizes[1].size, points=False,
+    )  # fmt: skip
+    note = f"Band and limits: profile likelihood ratio, {found.confidence:.0%}; the line marks a90."
+    tables = _tables(found)
+    write_study_page(
+        path, f"Probability of detection: {defect}", source, [chart], tables, [found.verdict, note]
+    )
+
+
+def _tables(found: "DetectionCurve") -> "list[Table]":
+    from anisoscope.report.study_page import Table
+
+    level = f"{found.confidence:.0%}"
+
+    def text(value: float) -> str:
+        return f"{value:.4g}" if isfinite(value) else "none"
+
+    rows = tuple(
+        (
+            f"a{100 * one.probability:.0f}",
+            *(text(value) for value in (one.size, one.low, one.high, one.bound)),
+        )
+        for one in found.sizes
+    )
+    note = f"{found.method}: {found.found} of {found.count} defects found"
+    if found.false_calls is not None:
+        hits, of, low, high = found.false_calls
+        note += f"; false calls: {hits} of {of} parts without one ({low:.1%} to {high:.1%})"
+    columns = ("size found", "estimate", f"{level} from", "to", f"upper {level} limit")
+    fit = tuple((name, f"{value:.6g}") for name, value in found.parameters.items())
+    return [
+        Table("Sizes", columns, rows, note),
+        Table(
+            f"Fit over the {'logarithm of the ' if found.size_scale == 'log' else ''}size",
+            ("parameter", "value"),
+            fit,
+        ),
+    ]

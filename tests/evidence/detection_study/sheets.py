@@ -2,7 +2,7 @@
 
 A sheet holds the radiance of the nominal part in every view, with its roughness and local marks resolved. Cuts at
 different positions give parts with different surfaces. Changes that are uniform along a ridge (angle, worn or missing
-crests, roughness of the lobe, seating, lamp) are applied afterwards (`anisoscope.study.detection.chunk`).
+crests, roughness of the lobe, seating, lamp) are applied afterwards (`detection_study.chunk`).
 """
 
 import io
@@ -21,8 +21,8 @@ from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.pathtracer.tracer import PathTracer
-from anisoscope.study.detection.lobes import lobes_of, plastic_of, quick_shine
-from anisoscope.study.detection.product import (
+from detection_study.lobes import lobes_of, plastic_of, quick_shine
+from detection_study.product import (
     BURRS_ON_GOOD,
     BY_NAME,
     CLASSES,
@@ -191,7 +191,7 @@ def bounces_of(which: tuple[World, str]) -> FloatArray:
     """(P,) radiance of light that reflects more than once on good parts or a local class in a traced world, 1/sr.
 
     Smooth over the picture: traced on a few ridges of the class. Their mesh cuts corners, so that only the ratio of two
-    classes is used (`anisoscope.study.detection.chunk`).
+    classes is used (`detection_study.chunk`).
     """
     world, kind = which
     sides = directions(SEEN, Convention(LIGHT_DEG))

@@ -263,7 +263,7 @@ def _table(first: str, columns: list[str], rows: list[list[str]]) -> str:
     return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def _by_class(cases: list[Results], shown: Any) -> list[list[str]]:  # noqa: ANN401 - a function
+def _by_class(cases: list[Results], shown: Any) -> list[list[str]]:
     return [
         [one["title"], *(shown(case["classes"][number]) for case in cases)]
         for number, one in enumerate(cases[0]["classes"])

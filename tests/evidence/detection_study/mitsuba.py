@@ -140,7 +140,7 @@ class Inspector:
             )
 
     def _write(self, path: Path, surface: dict[str, Any]) -> None:
-        import tomli_w  # noqa: PLC0415 - start-up time
+        import tomli_w
 
         alpha = ALPHA if self.own_map else WHOLE_ALPHA
         table = {

@@ -59,10 +59,12 @@ from anisoscope.recipe.material_file import (
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.pathtracer.tracer import PathTracer
-from anisoscope.study.detection.chunk import MEASURED_SOURCES, Bounces, ChunkTask, Columns, inspect_chunk
-from anisoscope.study.detection.lobes import lobes_of, plastic_of
-from anisoscope.study.detection.mitsuba import judged
-from anisoscope.study.detection.product import (
+from anisoscope.study.statistics import Rate, rate
+from anisoscope.study.sweep import Workers, sweep
+from detection_study.chunk import MEASURED_SOURCES, Bounces, ChunkTask, Columns, inspect_chunk
+from detection_study.lobes import lobes_of, plastic_of
+from detection_study.mitsuba import judged
+from detection_study.product import (
     ALBEDO_SPREAD,
     ALPHA_SPREAD,
     BURRS_ON_GOOD,
@@ -87,18 +89,9 @@ from anisoscope.study.detection.product import (
     recipe_of,
     rendered_as,
 )
-from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_tasks
-from anisoscope.study.detection.surrogate import SurrogateTask, bases_of, curves_of, prepare_surrogate
-from anisoscope.study.statistics import (
-    Area,
-    Rate,
-    area_under_curve,
-    ideal_scores,
-    nearest_curves,
-    rate,
-    uniformity,
-)
-from anisoscope.study.sweep import Workers, sweep
+from detection_study.sheets import bounces_of, prepare_sheet, sheet_tasks
+from detection_study.statistics import Area, area_under_curve, ideal_scores, nearest_curves, uniformity
+from detection_study.surrogate import SurrogateTask, bases_of, curves_of, prepare_surrogate
 
 Results = dict[str, Any]
 Curves = Mapping[str, tuple[FloatArray, FloatArray]]
@@ -702,7 +695,7 @@ def notes_of(plan: Plan) -> list[str]:
     ]
 
 
-def without_nan(value: Any) -> Any:  # noqa: ANN401 - any JSON
+def without_nan(value: Any) -> Any:
     """The same with None for a number that is not finite."""
     if isinstance(value, dict):
         return {key: without_nan(item) for key, item in value.items()}

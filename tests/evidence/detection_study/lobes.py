@@ -13,7 +13,7 @@ from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, tran
 from anisoscope.sim.light.shine import Shine, lobe_shape, vector
 from anisoscope.sim.pathtracer.plastic import LobeName, Plastic
 from anisoscope.sim.pathtracer.tracer import PathTracer
-from anisoscope.study.detection.product import (
+from detection_study.product import (
     LIGHT_DEG,
     LOBE,
     PITCH_UM,
@@ -95,7 +95,7 @@ def plastic_of(world: World, material: Material) -> Plastic:
 
 @lru_cache(maxsize=4)
 def _matched(lobe: LobeName) -> Lobes:
-    from scipy.optimize import least_squares  # noqa: PLC0415 - 0.3 s
+    from scipy.optimize import least_squares
 
     sides = directions(POSES["tilted"], Convention(LIGHT_DEG))
     design = RidgeDesign(PITCH_UM, RIDGE_ANGLE_DEG)

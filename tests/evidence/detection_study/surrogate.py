@@ -23,8 +23,8 @@ from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.pathtracer.tracer import PathTracer
-from anisoscope.study.detection.lobes import lobes_of, plastic_of, quick_shine
-from anisoscope.study.detection.product import (
+from detection_study.lobes import lobes_of, plastic_of, quick_shine
+from detection_study.product import (
     ALBEDO_SPREAD,
     ALPHA_SPREAD,
     BY_NAME,
@@ -43,7 +43,7 @@ from anisoscope.study.detection.product import (
     nominal,
     rendered_as,
 )
-from anisoscope.study.detection.sheets import POINTS
+from detection_study.sheets import POINTS
 
 TRACED_ROWS, FINE = 12, 1000
 """Rows of a profile that is traced, and its points a pitch for direct light: corners between two points are cut."""

@@ -1,14 +1,12 @@
-"""Pages of detection: the study of all worlds and recipes, and the probability of detection over a size."""
+"""The page of the study of all worlds and recipes."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from anisoscope.quality.detection_probability import DetectionCurve
-from anisoscope.report.detection_text import COVERED, RULES
-from anisoscope.report.page import write_page
-from anisoscope.report.study_page import Chart, Curve, Table, chart_uri, write_study_page
+from anisoscope.report.study_page import Chart, Curve, Table, write_study_page
+from detection_study.text import COVERED, RULES
 
 Results = dict[str, Any]
 
@@ -31,14 +29,9 @@ def write_detection_page(path: Path, found: Results) -> None:
         f"{plan['rigs']} rigs in every world, each with {size['golden']} golden parts, {size['good']} good ones and "
         f"{size['bad']} of each class of defects, seed {plan['seed']}"
     )
-    content = {
-        "title": "How often good parts fail and bad ones pass",
-        "subtitle": subtitle,
-        "tables": tables_of(found),
-        "groups": [(f"Found, {where}", _powers(results)) for where, results in _cases(found)],
-        "notes": found["notes"],
-    }
-    write_page(path, "detection.html", content)
+    charts = [_power(where, results) for where, results in _cases(found)]
+    title = "How often good parts fail and bad ones pass"
+    write_study_page(path, title, subtitle, charts, tables_of(found), found["notes"])
 
 
 def _cases(found: Results) -> list[tuple[str, Results]]:
@@ -148,7 +141,7 @@ def _rendered(rows: list[Results]) -> Table:
     return Table("Parts rendered by Mitsuba", columns, found)
 
 
-def _powers(results: Results) -> list[tuple[str, str]]:
+def _power(where: str, results: Results) -> Chart:
     lines = [
         Curve(
             one["title"],
@@ -158,53 +151,4 @@ def _powers(results: Results) -> list[tuple[str, str]]:
         for one in results["classes"]
         if one["parts"] > 0
     ]
-    chart = Chart("by the means at nominal 1 %", "golden parts [1]", "found [1]", tuple(lines))
-    return [(chart_uri(chart), "power by the number of golden parts")]
-
-
-def write_detection_curve(path: Path, defect: str, source: str, found: DetectionCurve) -> None:
-    """Write the page of a probability of detection, atomically.
-
-    Raises:
-        RecordError: the file cannot be written.
-    """
-    curve = Curve("probability of detection", found.grid, found.probability, found.low, found.high)
-    chart = Chart(
-        found.verdict, f"size of {defect}", "probability of detection [1]", (curve,),
-        mark_x=found.sizes[1].size, points=False,
-    )  # fmt: skip
-    note = f"Band and limits: profile likelihood ratio, {found.confidence:.0%}; the line marks a90."
-    tables = detection_curve_tables(found)
-    write_study_page(
-        path, f"Probability of detection: {defect}", source, [chart], tables, [found.verdict, note]
-    )
-
-
-def detection_curve_tables(found: DetectionCurve) -> list[Table]:
-    """Sizes found with a probability, and the fit."""
-    level = f"{found.confidence:.0%}"
-
-    def text(value: float) -> str:
-        return f"{value:.4g}" if np.isfinite(value) else "none"
-
-    rows = tuple(
-        (
-            f"a{100 * one.probability:.0f}",
-            *(text(value) for value in (one.size, one.low, one.high, one.bound)),
-        )
-        for one in found.sizes
-    )
-    note = f"{found.method}: {found.found} of {found.count} defects found"
-    if found.false_calls is not None:
-        hits, of, low, high = found.false_calls
-        note += f"; false calls: {hits} of {of} parts without one ({low:.1%} to {high:.1%})"
-    columns = ("size found", "estimate", f"{level} from", "to", f"upper {level} limit")
-    fit = tuple((name, f"{value:.6g}") for name, value in found.parameters.items())
-    return [
-        Table("Sizes", columns, rows, note),
-        Table(
-            f"Fit over the {'logarithm of the ' if found.size_scale == 'log' else ''}size",
-            ("parameter", "value"),
-            fit,
-        ),
-    ]
+    return Chart(f"{where}: found by the means at nominal 1 %", "golden parts [1]", "found [1]", tuple(lines))

@@ -7,7 +7,7 @@ the rigs of a smaller one.
 A part is cut from its sheet, gets its own shape, plastic and seating, and is photographed through the rig's lamp, lens
 and sensor. A change that is uniform along the ridges acts on the radiance as on smooth ridges with the whole roughness
 in the lobe. It is applied as the ratio of one profile in this state to the nominal one, column by column, from
-polynomials (`anisoscope.study.detection.surrogate`). A test compares this product with the radiance of the rough
+polynomials (`detection_study.surrogate`). A test compares this product with the radiance of the rough
 surface in that state.
 """
 
@@ -31,12 +31,11 @@ from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReferenc
 from anisoscope.imaging.pose_radiance import Measured, drift_error, measure
 from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.rig.frame import Frame, FrameKind
-from anisoscope.sim.bench.lamp import Lamp
-from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
+from anisoscope.sim.bench.optics import Lamp, image_of_surface, pixel_from_mm, vignette
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose
-from anisoscope.study.detection.product import (
+from detection_study.product import (
     BY_NAME,
     CHOSEN,
     EXPOSURE_S,
@@ -63,14 +62,14 @@ from anisoscope.study.detection.product import (
     whole_expectation,
     whole_recipe,
 )
-from anisoscope.study.detection.sheets import (
+from detection_study.sheets import (
     POINTS,
     SheetTask,
     cut,
     sheet_of,
     sheets_of,
 )
-from anisoscope.study.detection.surrogate import (
+from detection_study.surrogate import (
     UNITS,
     Surrogate,
     SurrogateTask,
@@ -113,10 +112,10 @@ class Window(Sensor):
     def __init__(self, whole: Sensor, shape: tuple[int, int]) -> None:
         rows, cols = _middle(shape, (whole.part.rows, whole.part.cols))
         self.part = whole.part.model_copy(update={"rows": shape[0], "cols": shape[1]})
-        self._rng = whole._rng  # noqa: SLF001 - it is the same sensor
-        self._response = whole._response[rows, cols]  # noqa: SLF001
-        self._offset_e = whole._offset_e[rows, cols]  # noqa: SLF001
-        self._dark_e_s = whole._dark_e_s[rows, cols]  # noqa: SLF001
+        self._rng = whole._rng
+        self._response = whole._response[rows, cols]
+        self._offset_e = whole._offset_e[rows, cols]
+        self._dark_e_s = whole._dark_e_s[rows, cols]
 
 
 def _middle(shape: tuple[int, int], whole: tuple[int, int]) -> tuple[slice, slice]:
@@ -368,8 +367,8 @@ def _unpacked(content: bytes) -> Columns:
 
 def _one_thread() -> None:
     """Chunks share the machine, not their kernels."""
-    import cv2  # noqa: PLC0415 - start-up time
-    import numba  # noqa: PLC0415 - start-up time
+    import cv2
+    import numba
 
     cv2.setNumThreads(1)
     numba.set_num_threads(1)

@@ -1,1 +1,0 @@
-"""The detection study: false alarms, power, and coverage of severities."""
