@@ -13,11 +13,12 @@ WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all fast rewritten soak statistics evidence types lint contracts docs docs-check benchmark benchmark-record lock clean help
+.PHONY: demo test test-all fast rewritten soak statistics evidence types lint contracts tree quick docs docs-check benchmark benchmark-record lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
 	@echo "make test       formatting, lint, types, import contracts, links of the docs, tests"
+	@echo "make quick      one module and its tests, in seconds: FILE=inspect/decision/decision.py"
 	@echo "make docs       the docs as a site; open site/index.html"
 	@echo "make test-all   the same, then the fast tests on Python 3.12 and 3.13"
 	@echo "make soak       the long test campaigns"
@@ -68,17 +69,28 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-# mypy and import-linter follow packages only where they lie as a wheel lays them.
-build/wheel: $(VENV)/.dev $(shell find inspect rig profiles sim -name '*.py' -o -name '*.html' -o -name '*.js') pyproject.toml setup.py
-	rm -rf build
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --target build/wheel .
-	@touch $@
+# One module and the tests that mirror it, in seconds: make quick FILE=inspect/decision/decision.py
+MIRROR = tests/$(dir $(FILE))test_$(basename $(notdir $(FILE)))
+TESTS ?= $(wildcard $(if $(filter tests/%,$(FILE)),$(FILE),$(MIRROR).py $(MIRROR)_*.py))
+quick: $(VENV)/.dev
+	@test -f "$(FILE)" || { echo "quick: no file '$(FILE)'; say FILE=inspect/decision/decision.py" >&2; exit 1; }
+	@$(BIN)/ruff format --check --quiet --diff $(FILE) && $(BIN)/ruff check --quiet $(FILE)
+	@test -n "$(TESTS)" || { echo "quick: no test mirrors $(FILE): write $(MIRROR).py, or say TESTS=tests/..." >&2; exit 1; }
+	$(BIN)/python -Im pytest -q $(TESTS)
 
-contracts: build/wheel
-	PYTHONPATH=build/wheel $(BIN)/lint-imports
+# What checks without importing finds the packages where links lay them as a wheel does (docs/decisions/0037). Links of
+# folders show it new modules at once; a new package gets its link here, and a link that leads nowhere goes.
+tree:
+	@mkdir -p build/tree/anisoscope && find build/tree -ignore_readdir_race -xtype l -delete
+	@for entry in $(filter-out %/__pycache__,$(wildcard inspect/*)) rig profiles sim; do \
+	  test -e build/tree/anisoscope/$${entry##*/} || ln -sfn ../../../$$entry build/tree/anisoscope/; \
+	done
 
-types: build/wheel
-	MYPYPATH=build/wheel:tests/evidence $(BIN)/mypy -p anisoscope -p detection_study -m detection
+contracts: $(VENV)/.dev tree
+	PYTHONPATH=build/tree $(BIN)/lint-imports
+
+types: $(VENV)/.dev tree
+	$(BIN)/mypy -p anisoscope -p detection_study -m detection
 
 # The docs as a site. Every warning is an error: missing links, anchors, pictures, pages without a place in the navigation.
 SPHINX = $(BIN)/python -Im sphinx -W --keep-going -q -d site/.doctrees
