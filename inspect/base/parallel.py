@@ -153,6 +153,10 @@ def one_blas_thread() -> Iterator[None]:
 
     Many small products in a row cost twice the processor time with two threads, and on a machine that does something
     else as well several times the time on the clock. The limit holds for the process while any caller is inside.
+
+    OpenBLAS splits large products among its threads, and the sum of their sums rounds otherwise than one sum: with
+    another number of threads, as with another processor, results differ in their last digits (1e-15 of the largest
+    term). Outside, a product has the threads of the process; no result may rest on such digits (`base.covariance`).
     """
     _blas_threads.enter()
     try:

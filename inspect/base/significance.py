@@ -7,6 +7,7 @@ facts. All deviations together are weighed in the basis ln L − ln L of the fir
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import rank, whitening
 from anisoscope.base.errors import MeasurementError
 
 
@@ -57,16 +58,13 @@ def mahalanobis(deviation: FloatArray, covariance: FloatArray) -> tuple[float, i
     Raises:
         MeasurementError: V is zero: nothing would be uncertain.
     """
-    values, vectors = np.linalg.eigh(covariance)
-    significant = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
-    if not significant.any():
+    dof = rank(covariance)
+    if not dof:
         raise MeasurementError(
             "no source of uncertainty is left, so that no deviation can be weighed: "
             "state some under [uncertainty] in the recipe"
         )
-    return float(np.sum((deviation @ vectors[:, significant]) ** 2 / values[significant])), int(
-        significant.sum()
-    )
+    return float(np.sum((whitening(covariance) @ deviation) ** 2)), dof
 
 
 def hotelling(value: FloatArray, sample: FloatArray) -> tuple[float, float]:

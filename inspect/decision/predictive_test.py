@@ -24,6 +24,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import ROUNDING, positive_part, root
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import LEVELS, calibrated
 from anisoscope.prediction.second_order import Response
@@ -76,7 +77,7 @@ class Scatter:
         """(N, parts, m) contrasts of good parts, for (N, K) states of what all parts share; the lobes take turns."""
         count, k = shared.shape
         states = shared[:, None] + self.own * rng.standard_normal((count, parts, k))
-        errors = rng.standard_normal((count, parts, len(self.errors))) @ _root(self.errors).T
+        errors = rng.standard_normal((count, parts, len(self.errors))) @ root(self.errors)
         lobes = self.lobes or (self.response,)
         for turn, lobe in enumerate(lobes):
             errors[turn :: len(lobes)] += lobe.change(states[turn :: len(lobes)])
@@ -340,8 +341,7 @@ def _linear(scatter: Scatter) -> tuple[FloatArray, FloatArray]:
     """
     varies = np.flatnonzero(scatter.own > 0.0)
     slope = scatter.response.slope[:, varies] * scatter.own[varies]
-    values, vectors = np.linalg.eigh(scatter.covariance - slope @ slope.T - scatter.errors)
-    return slope, scatter.errors + (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return slope, scatter.errors + positive_part(scatter.covariance - slope @ slope.T - scatter.errors)
 
 
 def _expected(
@@ -384,7 +384,7 @@ def _checked(scatter: Scatter, golden: FloatArray) -> FloatArray:
         )
     stated = scatter.covariance
     values = np.linalg.eigvalsh(stated)
-    if not values[0] > 1e-12 * max(values[-1], 1e-300):
+    if not values[0] > ROUNDING * max(values[-1], 1e-300):
         raise MeasurementError(
             "some contrast of good parts is stated without any uncertainty or scatter: state some under [uncertainty] "
             "or [scatter] in the recipe"
@@ -533,8 +533,3 @@ def _null_of(scatter: Scatter, count: int) -> _Null:
     scores = np.einsum("scj,spj->csp", weighed, d) / norm.T[:, :, None]
     drawn_scores = tuple(bare.score_theory(found.ravel()) for found in scores)
     return _Null(m, freedom, distances, drawn_scores)
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -13,6 +13,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
+from anisoscope.base.covariance import whitening
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, bare_title
@@ -187,7 +188,8 @@ def _further_poses(recipe: SurfaceRecipe) -> tuple[Pose, ...]:
 
 def _given_own(covariance: FloatArray, own: int) -> tuple[FloatArray, FloatArray]:
     """(Q, own) weights that predict ln L in further poses from the first ``own`` ones, and (Q,) variances about it."""
-    weights = covariance[own:, :own] @ np.linalg.pinv(covariance[:own, :own], hermitian=True)
+    white = whitening(covariance[:own, :own])
+    weights = covariance[own:, :own] @ white @ white
     return weights, np.asarray(np.diag(covariance)[own:] - np.sum(weights * covariance[own:, :own], axis=1))
 
 

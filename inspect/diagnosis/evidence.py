@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import ROUNDING, root
 from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.imaging.defect_regions import MarkForm
 from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
@@ -83,8 +84,8 @@ class Learnt:
     leave it as it is, many replace it. What a cause makes of the stated one it makes of theirs.
 
     Attributes:
-        scatter: (P, P) covariance of the distance of a good part from the mean of the golden ones, in units of a root
-            of the stated covariance.
+        scatter: (P, P) covariance of the distance of a good part from the mean of the golden ones, in units of the
+            root of the stated covariance.
         freedom: degrees of freedom to which it is known.
         misfit: (P,) relative doubt of every change of ln L: by how much the mean of the golden parts lies off the
             prediction in that pose, and on average over the poses, the scale aside. A model that misses L by a share
@@ -97,8 +98,8 @@ class Learnt:
 
     def applied(self, stated: FloatArray) -> FloatArray:
         """(…, P, P) covariances of the deviation from golden parts, from (…, P, P) stated ones."""
-        root = root_of(stated)
-        return np.asarray(root @ self.scatter @ np.swapaxes(root, -1, -2))
+        half = root(stated, least=ROUNDING)
+        return np.asarray(half @ self.scatter @ half)
 
 
 def against(evidence: Evidence, golden: FloatArray, scale_share: float) -> Evidence:
@@ -111,25 +112,15 @@ def against(evidence: Evidence, golden: FloatArray, scale_share: float) -> Evide
     """
     count, poses = golden.shape
     mean, stated = golden.mean(axis=0), evidence.stated()
-    root = root_of(stated)
-    own = (np.cov(golden, rowvar=False) if count > 1 else np.zeros_like(root)) + scale_share**2
-    whitened = np.linalg.solve(root, np.linalg.solve(root, own).T)
+    half = root(stated, least=ROUNDING)
+    own = (np.cov(golden, rowvar=False) if count > 1 else np.zeros_like(half)) + scale_share**2
+    whitened = np.linalg.solve(half, np.linalg.solve(half, own).T)
     known = float(poses + count - 1)
     scatter = (poses * np.eye(poses) + (count - 1) * whitened) / known * (1.0 + 1.0 / count)
     freedom = max(known, poses + 1.0)  # a share of the area is one value more than there are poses
     off = mean - np.median(mean)
     learnt = Learnt(scatter, freedom, np.hypot(off, np.sqrt(np.mean(off**2))))
     return replace(evidence, deviation=evidence.deviation - mean, learnt=learnt)
-
-
-def root_of(covariance: FloatArray) -> FloatArray:
-    """(…, P, P) R with R Rᵀ the covariances (…, P, P); zero variances are regularised."""
-    try:
-        return np.asarray(np.linalg.cholesky(covariance))
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(covariance)
-        least = values[..., -1:] * values.shape[-1] * np.finfo(np.float64).eps
-        return np.asarray(vectors * np.sqrt(np.maximum(values, least))[..., None, :])
 
 
 def covariance_of(components: tuple[Component, ...], scale_share: float, poses: int) -> FloatArray:
@@ -230,13 +221,6 @@ def background_of_parts(shares: Sequence[float]) -> tuple[float, float]:
     found, count = np.asarray(shares, dtype=np.float64), len(shares)
     squares = 2.0 * SHARE_FLOOR**2 + float(np.sum((found - found.mean()) ** 2))
     return float(found.mean()), float(np.sqrt(squares / (count + 1.0) * (1.0 + 1.0 / count)))
-
-
-def whitening(covariance: FloatArray) -> FloatArray:
-    """W with WᵀW = V⁻¹ within the range of V: (rank, P)."""
-    values, vectors = np.linalg.eigh(covariance)
-    selected = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
-    return np.asarray((vectors[:, selected] / np.sqrt(values[selected])).T)
 
 
 def share_variance(

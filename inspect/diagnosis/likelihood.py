@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import ROUNDING, root, whitening
 from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.signatures import Signature, Signatures
 
@@ -137,7 +138,8 @@ def _information(
     _, shares, covariance = _joint(acts, evidence, as_input=as_input)
     slopes = [signature.slope(extent) for signature, extent in acting]
     change = np.stack([slope for slope, _ in slopes])
-    found = change @ np.linalg.pinv(covariance[0], hermitian=True) @ change.T
+    white = change @ whitening(covariance[0])
+    found = white @ white.T
     if evidence.share is not None:
         share = np.array([slope for _, slope in slopes])
         counted = sum(float(one.share_scatter(extent)) for one, extent in acting)
@@ -410,16 +412,13 @@ def _minus_two_ln(chi2: FloatArray, evidence: Evidence) -> FloatArray:
 def _quadratic(covariances: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(E,) dᵀV⁻¹d and (E,) ln |V| of deviations (E, P) with covariances (E, P, P)."""
     try:
-        root = np.linalg.cholesky(covariances)
-    except (
-        np.linalg.LinAlgError
-    ):  # singular covariance: avoids division by zero along directions without uncertainty
-        values, vectors = np.linalg.eigh(covariances)
-        values = np.maximum(values, values[:, -1:] * values.shape[-1] * np.finfo(np.float64).eps)
-        along = np.einsum("epk,ep->ek", vectors, off)
-        return np.sum(along**2 / values, axis=1), np.sum(np.log(values), axis=1)
+        factor = np.linalg.cholesky(covariances)
+    except np.linalg.LinAlgError:  # some direction is without uncertainty
+        half = root(covariances, least=ROUNDING)
+        covariances = half @ half
+        factor = np.linalg.cholesky(covariances)
     chi2 = np.einsum("ep,ep->e", off, np.linalg.solve(covariances, off[..., None])[..., 0])
-    return chi2, 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+    return chi2, 2.0 * np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
 
 
 @dataclass(frozen=True)
@@ -484,7 +483,8 @@ def _with_tail(
         if evidence.learnt is not None:
             covariance = covariance + np.diag((evidence.learnt.misfit * change) ** 2)
         left = evidence.deviation - change
-        weighted = slopes @ np.linalg.pinv(covariance, hermitian=True)
+        weight = whitening(covariance)
+        weighted = slopes @ weight @ weight
         return left, covariance, weighted @ left - prior @ extents, weighted @ slopes.T + prior
 
     extents = np.zeros(len(acting))

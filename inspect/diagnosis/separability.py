@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import whitening
 from anisoscope.base.json_fields import in_json, json_field
-from anisoscope.diagnosis.evidence import Inputs, covariance_of, inputs_of, share_variance, whitening
+from anisoscope.diagnosis.evidence import Inputs, covariance_of, inputs_of, share_variance
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -130,9 +131,9 @@ def separability(
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """A signature in units of σ: S extents, (S, r) whitened changes, (S,) shares of cells.
+    """A signature in units of σ: S extents, (S, P) whitened changes, (S,) shares of cells.
 
-    ``scaled`` (S, r, r), ``variance`` (S,) and ``size`` (S,) are what the likelihood of every point needs: the root of
+    ``scaled`` (S, P, P), ``variance`` (S,) and ``size`` (S,) are what the likelihood of every point needs: the root of
     its weight, the variance of the share (None without a map), and ln of the determinant.
     """
 
@@ -169,11 +170,11 @@ def _doubted(
         signature: of the cause.
         extents: (E,) extents.
         changes: (E, P) changes of ln L there.
-        whitener: (r, P) whitening of V.
+        whitener: (P, P) whitening of V.
         inputs: the uncertain inputs, or None.
 
     Returns:
-        (E, r, r) L with LᵀL the inverse of their covariance, and (E,) its ln determinant.
+        (E, P, P) L with LᵀL the inverse of their covariance, and (E,) its ln determinant.
     """
     own = (signature.cause.doubt * changes) ** 2
     covariance = np.eye(len(whitener)) + np.einsum("ip,ep,jp->eij", whitener, own, whitener, optimize=True)
@@ -187,10 +188,10 @@ def _doubted(
 
 def _good_part(whitener: FloatArray, u_background: float | None) -> _Curve:
     """A good part, as a curve of one point."""
-    zero, rank = np.zeros(1), len(whitener)
+    zero, poses = np.zeros(1), len(whitener)
     variance = None if u_background is None else share_variance(zero, 0.0, u_background)
     size = zero if variance is None else np.log(variance)
-    return _Curve(zero, np.zeros((1, rank)), zero, np.eye(rank)[None], variance, size)
+    return _Curve(zero, np.zeros((1, poses)), zero, np.eye(poses)[None], variance, size)
 
 
 def _lead(curve: _Curve, other: _Curve) -> FloatArray:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import rank, whitening
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.base.progress import Advance, silent
@@ -25,7 +26,6 @@ from anisoscope.fit.identifiability import (
     information,
     limits,
     scaled_covariance,
-    whitening,
 )
 from anisoscope.fit.parameters import OPTICS, PARAMETERS
 from anisoscope.fit.problem import Problem, interface_alpha
@@ -190,9 +190,9 @@ def minimise(problem: Problem, start: Values, weight: FloatArray, *, fine: bool 
 
 def rivals_of(problem: Problem, found: list[Minimum]) -> tuple[Mapping[str, float], ...]:
     """Minima whose chi2 exceeds that of the first by less than `RIVAL_CHI2`, as values of the free parameters."""
-    rank = len(whitening(problem.readings.covariance))
     least = found[0][1]
-    unit = 1.0 if problem.readings.noise_known else least / max(rank - len(problem.free), 1)
+    free = rank(problem.readings.covariance) - len(problem.free)
+    unit = 1.0 if problem.readings.noise_known else least / max(free, 1)
     return tuple(
         {name: values[name] for name in problem.free}
         for values, cost in found[1:]
@@ -408,7 +408,7 @@ def _result(
     readings = problem.readings
     fitted = problem.predicted(values, interface_alpha(values))
     chi2 = float(np.sum((weight @ (readings.value - fitted)) ** 2))
-    dof = len(weight) - len(problem.free)
+    dof = rank(readings.covariance) - len(problem.free)
     factor = 1.0 if readings.noise_known else chi2 / max(dof, 1)
     noise = factor * readings.covariance
     known = information(problem, values, noise) if problem.free else None

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import signed, whitening
 from anisoscope.fit.parameters import PARAMETERS
 from anisoscope.fit.problem import Problem, Readings, interface_alpha
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -18,7 +19,6 @@ from anisoscope.sim.light.geometry import Pose, directions, pose_grid
 
 MODEL_SHARE = 0.01  # of every radiance; a lobe that scatters once loses 2 to 3 % of it at alpha up to 0.1
 QUIETER = 0.1
-_RANK = 1e-12  # of a covariance matrix
 _FINITE = 1e-7  # singular values below this share of the largest are finite-difference noise
 _VISIBLE = 0.1  # least weight in a combination that is named
 
@@ -65,13 +65,6 @@ class Information:
     def undetermined(self) -> tuple[str, ...]:
         """Names of the parameters that are not determined."""
         return tuple(n for n, u in zip(self.names, self.uncertainty, strict=True) if u > 1.0)
-
-
-def whitening(covariance: FloatArray) -> FloatArray:
-    """(R, N) matrix W with W·V·Wᵀ = 1 over the R directions in which V is not zero."""
-    values, vectors = np.linalg.eigh(covariance)
-    significant = values > _RANK * max(float(values[-1]), 0.0)
-    return np.asarray((vectors[:, significant] / np.sqrt(values[significant])).T)
 
 
 def derivatives(problem: Problem, values: Mapping[str, float], interface: float | None = None) -> FloatArray:
@@ -134,8 +127,8 @@ def _information_of(names: tuple[str, ...], sensitivity: FloatArray) -> Informat
     lacking = []
     for strength, vector in sorted(zip(size, turn, strict=True), key=lambda pair: float(pair[0])):
         if strength < 1.0 and np.any(uncertainty > 1.0):
-            vector = vector * np.sign(vector[np.argmax(np.abs(vector))])  # noqa: PLW2901 - the sign is free
-            parts = tuple((n, float(w)) for n, w in zip(names, vector, strict=True) if abs(w) > _VISIBLE)
+            weights = signed(vector)
+            parts = tuple((n, float(w)) for n, w in zip(names, weights, strict=True) if abs(w) > _VISIBLE)
             lacking.append(Combination(parts, float(1.0 / strength)))
     return Information(names, uncertainty, correlation, tuple(lacking))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import root
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.prediction.contrast_uncertainty import contrast_values
@@ -169,9 +170,7 @@ def _deviation(contribution: Contribution, draws: int, rng: np.random.Generator)
     """(N, P) deviations in 1/sr."""
     u = contribution.absolute
     if contribution.matrix is not None:
-        values, vectors = np.linalg.eigh(contribution.matrix)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        return np.asarray(rng.standard_normal((draws, u.size)) @ root.T)
+        return np.asarray(rng.standard_normal((draws, u.size)) @ root(contribution.matrix))
     size = (draws, 1 if contribution.correlation == "shared" else u.size)
     if contribution.rectangular:
         return np.asarray(u * np.sqrt(3.0) * rng.uniform(-1.0, 1.0, size))

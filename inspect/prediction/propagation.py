@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import principal
 from anisoscope.base.progress import Advance, silent
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
@@ -267,8 +268,8 @@ def calibrated_material(
 
     names, values = file.covariance.parameters, file.values()
     _, covariance = file.covariance.given_tail()
-    size, vectors = np.linalg.eigh(covariance)
-    moves = (np.sqrt(np.maximum(size, 0.0)) * vectors).T[size > _ROUNDING * size[-1]]
+    size, directions = principal(covariance)
+    moves = (np.sqrt(np.maximum(size, 0.0))[:, None] * directions)[size > _ROUNDING * size[-1]]
     moves[:, [name == "tail" for name in names]] = 0.0
 
     def at(moved: FloatArray) -> State:

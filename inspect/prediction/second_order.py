@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import root
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
@@ -69,8 +70,7 @@ class Response:
 
     def draw(self, covariance: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
         """(count, P) random errors: of normal inputs, plus independent ones with a covariance."""
-        values, vectors = np.linalg.eigh(covariance)
-        alone = rng.standard_normal((count, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        alone = rng.standard_normal((count, len(covariance))) @ root(covariance)
         return np.asarray(alone + self.change(rng.standard_normal((count, len(self.sources)))))
 
 

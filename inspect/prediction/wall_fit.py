@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import principal
 from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign
 
 DRAFT_U_DEG = 6.0
@@ -142,8 +143,8 @@ def fitted_wall(
     mean = weight.ravel() @ points
     covariance = (points - mean).T @ ((points - mean) * weight.reshape(-1, 1))
     scale = np.array([pixel, DRAFT_U_DEG, RADIUS_U_UM])
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
+    squares, directions = principal(covariance / np.outer(scale, scale))
+    steps = np.sqrt(np.maximum(squares, 0.0))[:, None] * directions * scale
     best = [float(grid[index]) for grid, index in zip(grids, at, strict=True)]
     left = height - with_wall(plain, best[1], best[2]).profile(place - best[0])
     return WallFit(plain, mean, np.asarray(steps), float(np.std(left)), float(misfit.min()))

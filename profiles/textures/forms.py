@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import principal
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
@@ -145,9 +146,9 @@ def _round(surface: HeightMap, form: str) -> FittedForm:
         raise HeightMapError(f"the measured points do not determine the form {form!r}; take --form none")
     c = np.linalg.solve(normal, design.T @ pz)
     bend = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
-    values, vectors = np.linalg.eigh(bend)
+    values, directions = principal(bend)
     strong = int(np.argmax(np.abs(values)))
-    axis = np.arctan2(vectors[1, 1 - strong], vectors[0, 1 - strong])
+    axis = np.arctan2(*directions[1 - strong, ::-1])
     curvature = -float(np.mean(values)) if form == "sphere" else -float(values[strong])
     start = np.array([c[0], -c[1], -c[2], curvature, *((axis,) if form == "cylinder" else ())])
     shape = _Round(px, py)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import principal, root, signed
 from anisoscope.kinds.prints.model import Scene, State
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point, xyz_weights
@@ -129,7 +130,5 @@ def worst_direction(covariance: FloatArray, metric: FloatArray) -> FloatArray:
         covariance: (3, 3) of ln of the channels.
         metric: (3, 3) G of `Eye.metric`.
     """
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    squares, inner = np.linalg.eigh(root.T @ metric @ root)
-    return np.asarray(root @ inner[:, int(np.argmax(squares))])
+    half = root(covariance)
+    return signed(half @ principal(half @ metric @ half)[1][-1])

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import rank, whitening
 from anisoscope.base.errors import MeasurementError, ModelError, RecipeError
 from anisoscope.kinds.prints.model import Scene, State
 from anisoscope.kinds.prints.record import LobeRecord, triple
@@ -30,6 +31,8 @@ _TITLES = {
     "tilt_x_deg": "tilt toward +x", "tilt_y_deg": "tilt toward +y", "red": "level of red", "green": "level of green",
     "blue": "level of blue", "lobe": "form of the lobe",
 }  # fmt: skip
+
+_DETERMINED = 1e-7  # share of the largest singular value
 
 
 class NoLobe(MeasurementError):
@@ -96,34 +99,29 @@ def fit_print(
         NoLobe: the fit does not settle, or settles where the width of the lobe is undetermined.
     """
     covariance = total(sources, len(log_channels))
-    try:
-        root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
-    except np.linalg.LinAlgError:
+    if rank(covariance) < len(covariance):
         raise MeasurementError(
             "no source of uncertainty is left for some channel, so that nothing can be weighed: "
             "state some under [uncertainty] in the recipe"
-        ) from None
+        )
+    weight = whitening(covariance)
     state, before = start or State(), np.inf
     for turn in range(_ROUNDS):
         off, slopes = log_channels - scene.log_channels(state), _slopes(scene, state)
-        white, white_off = _whitened(root, slopes), _whitened(root, off)
+        white, white_off = weight @ slopes, weight @ off
         chi2 = float(white_off @ white_off)
-        step, rank = _solved(white, white_off)
-        if rank < len(PARAMETERS):
+        step, determined = _solved(white, white_off)
+        if determined < len(PARAMETERS):
             raise NoLobe(_NO_FIT) if turn else MeasurementError(_undetermined(white))
         if abs(before - chi2) < _SETTLED * (1.0 + chi2):
-            found = _fitted(state, white, root, chi2, slopes)
+            found = _fitted(state, white, weight, chi2, slopes)
             if found.u("alpha") > _VAGUE:
                 break
             return found
-        state, before = _moved(scene, state, step, log_channels, root, chi2), chi2
+        state, before = _moved(scene, state, step, log_channels, weight, chi2), chi2
         if any(abs(getattr(state, name)) > most for name, most in _WILDEST.items()):
             break
     raise NoLobe(_NO_FIT)
-
-
-def _whitened(root: FloatArray, values: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.solve(root, values), dtype=np.float64)
 
 
 def _slopes(scene: Scene, state: State) -> FloatArray:
@@ -133,12 +131,12 @@ def _slopes(scene: Scene, state: State) -> FloatArray:
 def _solved(white: FloatArray, off: FloatArray) -> tuple[FloatArray, int]:
     scale = np.linalg.norm(white, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    found, _, rank, _ = np.linalg.lstsq(white / scale, off, rcond=1e-7)
+    found, _, rank, _ = np.linalg.lstsq(white / scale, off, rcond=_DETERMINED)
     return np.asarray(found / scale), int(rank)
 
 
 def _moved(
-    scene: Scene, state: State, step: FloatArray, target: FloatArray, root: FloatArray, chi2: float
+    scene: Scene, state: State, step: FloatArray, target: FloatArray, weight: FloatArray, chi2: float
 ) -> State:
     """A step of Gauss and Newton, shortened until it helps."""
     limits = np.array([_STEP_LIMIT.get(name, 1.0) for name in PARAMETERS])
@@ -148,7 +146,7 @@ def _moved(
         trial = _at(state, step)
         step = 0.5 * step
         try:
-            off = _whitened(root, target - scene.log_channels(trial))
+            off = weight @ (target - scene.log_channels(trial))
         except ModelError:  # leans so far that no flake reflects into some pose
             continue
         best = trial
@@ -166,10 +164,10 @@ def _at(state: State, step: FloatArray) -> State:
     )
 
 
-def _fitted(state: State, white: FloatArray, root: FloatArray, chi2: float, slopes: FloatArray) -> PrintFit:
+def _fitted(state: State, white: FloatArray, weight: FloatArray, chi2: float, slopes: FloatArray) -> PrintFit:
     covariance = np.asarray(np.linalg.inv(white.T @ white), dtype=np.float64)
-    gain = covariance @ white.T @ np.linalg.inv(root)
-    return PrintFit(state, covariance, gain, chi2, len(root) - len(PARAMETERS), slopes)
+    gain = covariance @ white.T @ weight
+    return PrintFit(state, covariance, gain, chi2, len(weight) - len(PARAMETERS), slopes)
 
 
 def check_poses(scene: Scene) -> None:
@@ -186,8 +184,10 @@ def check_poses(scene: Scene) -> None:
 def _undetermined(white: FloatArray) -> str:
     """Message that names the parameter that the poses do not determine."""
     scale = np.linalg.norm(white, axis=0)
-    _, _, vectors = np.linalg.svd(white / np.where(scale > 0.0, scale, 1.0))
-    name = PARAMETERS[int(np.argmax(np.abs(vectors[-1])))]
+    _, size, directions = np.linalg.svd(white / np.where(scale > 0.0, scale, 1.0))
+    strength = np.pad(size, (0, len(directions) - len(size)))
+    lost = directions[strength <= max(_DETERMINED * strength[0], strength[-1])]
+    name = PARAMETERS[int(np.argmax(np.sum(lost**2, axis=0)))]
     return (
         f"the poses of the recipe do not determine the {_TITLES[name]} of a print: add tilts of both signs and stage "
         "angles 90° and 180° apart"

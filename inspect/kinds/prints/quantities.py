@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import principal
 from anisoscope.decision.decision import guarded
 from anisoscope.kinds.prints.colour_map import PrintMap
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -163,8 +164,8 @@ class Judge:
         """The length of a vector that should be as of the good print."""
         off = function(self.fit.state) - function(State())
         size, slopes = float(np.linalg.norm(off)), self._slopes(function)
-        vectors = np.linalg.eigh(slopes @ self.fit.covariance @ slopes.T)[1]
-        u, rows = self._spread(vectors[:, -1] @ slopes, own)
+        widest = principal(slopes @ self.fit.covariance @ slopes.T)[1][-1]
+        u, rows = self._spread(widest @ slopes, own)
         return self._guarded(name, title, unit, size, 0.0, size, u, limit, rows)
 
     def _spread(

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from anisoscope.base.covariance import root
 from anisoscope.base.errors import MeasurementError, RecipeError
 from anisoscope.base.json_fields import in_json
 from anisoscope.base.progress import Advance
@@ -206,9 +207,9 @@ def _colours_passing(recipe: PrintRecipe, expected: PrintExpectation, decision: 
     """Share of good prints, drawn from all that is uncertain, with ΔE2000 below its limit in every pose."""
     count, metric = 3 * len(expected.poses), expected.eye.metric(expected.channels)
     assert decision.fit is not None  # what is predicted has a lobe
-    values, vectors = np.linalg.eigh(without_lean(decision.fit, total(decision.sources, count)))
+    spread = root(without_lean(decision.fit, total(decision.sources, count)))
     normal = np.random.default_rng(_SEED).standard_normal((_DRAWS, count))
-    off = (normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).reshape(_DRAWS, -1, 3)
+    off = (normal @ spread).reshape(_DRAWS, -1, 3)
     delta_e = np.sqrt(np.einsum("npi,pij,npj->np", off, metric, off, optimize=True))
     guard = recipe.decision.coverage * np.array([one.u_delta_e for one in decision.colours])
     return float(np.mean(np.all(delta_e + guard <= recipe.tolerances.delta_e, axis=1)))

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from scipy.stats import kstest, rankdata
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import whitening
 
 FOLDS = 5
 PRIOR_PARTS = 30
@@ -91,10 +92,10 @@ def nearest_curves(
     Returns:
         (N,) numbers of the curves: the causes of maximum posterior probability.
     """
-    root = np.linalg.inv(np.linalg.cholesky(scatter))
-    at = values @ root.T
+    weight = whitening(scatter)
+    at = values @ weight
     least = [
-        np.min(np.sum((at[:, None] - (curve @ root.T)[None]) ** 2, axis=-1) + cost, axis=1)
+        np.min(np.sum((at[:, None] - (curve @ weight)[None]) ** 2, axis=-1) + cost, axis=1)
         for curve, cost in zip(curves, costs, strict=True)
     ]
     return np.asarray(np.argmin(least, axis=0))

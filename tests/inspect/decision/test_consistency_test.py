@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
+from anisoscope.base.covariance import root
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import calibrated, hotelling, log_basis, mahalanobis
 from anisoscope.decision.consistency_test import from_golden, from_prediction, golden_chances, nearest_lobe
@@ -138,9 +139,9 @@ def plastic_part(recipe, rng):
     normal, part, file = rng.standard_normal, recipe.stated_scatter, recipe.material.calibrated
     covariance = file.covariance.array()
     count = len(covariance)
-    mean = file.values() + rng.multivariate_normal(np.zeros(count), covariance)
+    mean = file.values() + root(covariance) @ normal(count)
     while not 0.0 <= mean[3:].sum() <= LONGEST_TAIL:  # no lobe has such a tail
-        mean = file.values() + rng.multivariate_normal(np.zeros(count), covariance)
+        mean = file.values() + root(covariance) @ normal(count)
     spread = np.array([part.alpha_share, part.alpha_share, part.albedo_share, 0.0])[:count]
     moved = mean + spread * normal(count)
     index = {"index": recipe.material.index + recipe.material.u_index * normal()}

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from anisoscope.base.covariance import root
 from anisoscope.diagnosis.causes import Cause
 from anisoscope.diagnosis.evidence import (
     SHARE_FLOOR,
@@ -12,7 +13,6 @@ from anisoscope.diagnosis.evidence import (
     Inputs,
     against,
     background_of_parts,
-    root_of,
 )
 from anisoscope.diagnosis.likelihood import PITCH, fit_extent
 from anisoscope.diagnosis.ranking import BELIEVABLE, NOTHING, OTHER, diagnose
@@ -57,7 +57,7 @@ def test_where_golden_parts_scatter_as_stated_a_cause_keeps_its_own_covariance()
     """What changes the stated covariance at an extent changes the learnt one alike."""
     rng = np.random.default_rng(2)
     parts, there = spread(rng, 0.05), spread(rng, 0.08)
-    golden = rng.normal(size=(4000, P)) @ root_of(parts).T
+    golden = rng.normal(size=(4000, P)) @ root(parts)
     found = against(Evidence(np.zeros(P), parts + 0.01**2), golden, 0.01)
     np.testing.assert_allclose(found.learnt.applied(there), there, atol=0.12 * np.abs(there).max())
 
@@ -66,12 +66,12 @@ def test_good_parts_are_explained_by_nothing_as_often_as_the_level_says():
     """Parts that scatter five times as stated: the budget alone calls most of them unexplained."""
     rng = np.random.default_rng(3)
     stated, true = spread(rng, 0.01), spread(rng, 0.05)
-    root, offset = root_of(true), 0.3 * rng.normal(size=P)
+    half, offset = root(true), 0.3 * rng.normal(size=P)
     slope = 0.1 * rng.normal(size=P)
     low = {"golden": 0, "budget": 0}
     for _ in range(150):
-        golden = offset + rng.normal(size=(15, P)) @ root.T
-        part = Evidence(offset + root @ rng.normal(size=P), stated)
+        golden = offset + rng.normal(size=(15, P)) @ half
+        part = Evidence(offset + half @ rng.normal(size=P), stated)
         low["golden"] += diagnose(known(), against(part, golden, 0.0)).unexplained_p < 0.1
         low["budget"] += diagnose(known(line(slope)), part).unexplained_p < 0.1
     assert 0.01 <= low["golden"] / 150 <= 0.25
@@ -82,7 +82,7 @@ def test_an_error_of_the_model_is_no_cause_against_golden_parts():
     rng = np.random.default_rng(4)
     stated, slope = spread(rng, 0.02), 0.3 * rng.normal(size=P)
     model_error = np.array([0.3, -0.2, 0.0, 0.1, 0.0, 0.25])
-    golden = model_error + rng.normal(size=(20, P)) @ root_of(stated).T
+    golden = model_error + rng.normal(size=(20, P)) @ root(stated)
     real = Evidence(model_error + 0.6 * slope, stated)
     assert diagnose(known(line(slope)), real).unexplained_p < 1e-6
     told = diagnose(known(line(slope)), against(real, golden, SCALE))
@@ -111,14 +111,6 @@ def test_a_scale_is_not_taken_for_misfit():
     golden = 0.4 + 0.01 * np.random.default_rng(6).normal(size=(20, P))
     found = against(Evidence(np.zeros(P), 1e-4 * np.eye(P)), golden, SCALE)
     assert found.learnt.misfit.max() < 0.02
-
-
-def test_roots_of_singular_covariances():
-    half = np.array([[2.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
-    root = root_of(half @ half.T)
-    np.testing.assert_allclose(root @ root.T, half @ half.T, atol=1e-12)
-    stack = root_of(np.stack([np.eye(3), 4.0 * np.eye(3)]))
-    assert stack[1, 2, 2] == pytest.approx(2.0)
 
 
 def test_a_position_far_beyond_its_stated_uncertainty_ranks_behind_a_defect_that_explains_as_well():

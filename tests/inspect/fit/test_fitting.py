@@ -6,7 +6,7 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.experiment.experiment import Setup, absolute_contrasts
 from anisoscope.fit.fitting import fit
-from anisoscope.fit.identifiability import information, whitening
+from anisoscope.fit.identifiability import information
 from anisoscope.fit.parameters import GEOMETRY, PARAMETERS, USUAL, checked_values, parse_free
 from anisoscope.fit.problem import Problem, Readings, Scene, interface_alpha
 from anisoscope.fit.table import experiment_problem
@@ -315,14 +315,6 @@ def test_names_of_parameters():
         parse_free("k,pitch")
     with pytest.raises(UsageError, match=r"albedo: 1\.5 lies outside 0 to 1"):
         checked_values({"albedo": 1.5})
-
-
-def test_whitening_leaves_out_what_has_no_variance(rng):
-    """Differences around a closed loop add up to zero."""
-    loop = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0], [-1.0, 0.0, 1.0]])
-    weight = whitening(loop @ loop.T)
-    assert weight.shape == (2, 3)
-    np.testing.assert_allclose(weight @ loop @ loop.T @ weight.T, np.eye(2), atol=1e-12)
 
 
 @pytest.mark.parametrize("model", ["printed", "corrected"])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from anisoscope.base.covariance import root
 from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.predictive_test import _levels, _null_of, predictive_test, separations
@@ -62,8 +63,8 @@ def test_p_is_uniform_where_the_errors_of_the_model_are_drawn_as_well(name, shar
 
     inputs = rng.standard_normal((PARTS, len(expected.response.sources)))
     shown = np.log(expected.radiance) + expected.response.change(inputs)
-    shown = shown + rng.multivariate_normal(np.zeros(len(rest)), rest, PARTS)
-    errors = rng.multivariate_normal(np.zeros(len(rest)), of_model, PARTS)
+    shown = shown + rng.standard_normal((PARTS, len(rest))) @ root(rest)
+    errors = rng.standard_normal((PARTS, len(rest))) @ root(of_model)
     every = np.broadcast_to(own, (PARTS, *own.shape))
     drawn, exact = (from_prediction(expected, parts, every) for parts in (shown + errors, shown))
     assert uniformity(drawn)[0] < 0.035
