@@ -32,6 +32,9 @@ SPEC = importlib.util.spec_from_file_location("forkserver", Path(__file__).with_
 FORKSERVER = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(FORKSERVER)
 ForkServer = FORKSERVER.ForkServer
+SPEC = importlib.util.spec_from_file_location("guard", Path(__file__).with_name("guard.py"))
+GUARD = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(GUARD)
 ONE_THREAD = FORKSERVER.ONE_THREAD
 LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
 EXPOSURE_S = 0.0015
@@ -302,13 +305,38 @@ class Done:
 
 
 @pytest.fixture(scope="session")
-def anisoscope():
+def guard():
+    """Options and keys of JSON that users know."""
+    return GUARD
+
+
+@pytest.fixture(scope="session")
+def json_watch():
+    """Looks at the JSON of all commands that the tests run."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        yield GUARD.watch(monkeypatch)
+
+
+@pytest.fixture(autouse=True)
+def _no_key_comes_unseen(json_watch):
+    yield
+    json_watch.check()
+
+
+@pytest.fixture(scope="session")
+def anisoscope(json_watch):
     """Runs the real command line in a process of its own, which begins with everything imported.
 
     ``path`` are folders in which other packages are installed.
     """
     server = ForkServer(Path(os.environ["ANISOSCOPE_TEST_RUN"]))
-    yield lambda *arguments, cwd=None, timeout=400, path=(): Done(*server.run(arguments, cwd, timeout, path))
+
+    def run(*arguments, cwd=None, timeout=400, path=()):
+        done = Done(*server.run(arguments, cwd, timeout, path))
+        json_watch.printed(arguments, done.out)
+        return done
+
+    yield run
     server.close()
 
 
