@@ -12,9 +12,9 @@ import skimage.data
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.design.plates import design_pictures
-from anisoscope.sim.light.material import Material
 
 FIELDS = 96
 

@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles import patterns
 from anisoscope.profiles.defect_injection import DEFECTS, inject_defect
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 SEVERITY = 0.5
 TO_LIGHT = np.array([0.55, 0.35, 0.76])  # x, y, z; the facets lean toward +x

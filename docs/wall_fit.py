@@ -12,14 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_bias, relief_model
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.patterns import turned_ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 
 POSES = (Pose(0.0), Pose(90.0), Pose(180.0))
 PLASTIC = Material(0.08, 0.08, 0.1)

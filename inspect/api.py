@@ -29,13 +29,16 @@ if TYPE_CHECKING:
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.run import Inspected
     from anisoscope.live_view.autofocus import Autofocus
+    from anisoscope.parameters.geometry import Convention, Pose
+    from anisoscope.parameters.material import Material
+    from anisoscope.parameters.optics import Optics
+    from anisoscope.parameters.ridges import RidgeDesign
+    from anisoscope.parameters.uncertainty import InputUncertainty
     from anisoscope.prediction.predicted import Predicted
-    from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.comparison import Comparison, compare_maps
     from anisoscope.profiles.editing.steps import edit_map
     from anisoscope.profiles.files.load import read_height_map, write_height_map
     from anisoscope.profiles.heightmap import HeightMap
-    from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.profiles.lines import line_parameters
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
     from anisoscope.profiles.metrology.ridges import measure_ridges
@@ -54,14 +57,11 @@ if TYPE_CHECKING:
     from anisoscope.sim.design.lobe import LobeTask, design_lobe
     from anisoscope.sim.light.colour.spaces import encode as srgb
     from anisoscope.sim.light.contrasts import contrasts
-    from anisoscope.sim.light.geometry import Convention, Pose
     from anisoscope.sim.light.ink.ink import Ink
     from anisoscope.sim.light.ink.model import brdf_at_angles as ink_brdf
     from anisoscope.sim.light.ink.shading import Light as InkLight
     from anisoscope.sim.light.ink.shading import picture as ink_picture
     from anisoscope.sim.light.ink.shapes import sphere
-    from anisoscope.sim.light.material import Material
-    from anisoscope.sim.light.optics import Optics
     from anisoscope.sim.materials.inks import find_ink
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.press import Change as MachineChange
@@ -239,7 +239,8 @@ def ideal_ridges(
     """
     import numpy as np
 
-    from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+    from anisoscope.parameters.ridges import RidgeDesign
+    from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
     shape = (round(size_um[0] / pixel_um), round(size_um[1] / pixel_um))
     surface = ridges(RidgeDesign(pitch_um, ridge_angle_deg, wall, height_loss), shape, pixel_um)
@@ -305,15 +306,16 @@ def predict(
         ModelError: a pose that sees the surface from below, or a number outside its range.
     """
     from anisoscope.base.errors import UsageError
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.material import Material
+    from anisoscope.parameters.optics import POINT_LIKE
+    from anisoscope.parameters.ridges import RidgeDesign
+    from anisoscope.parameters.uncertainty import InputUncertainty
     from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
     from anisoscope.prediction.predict import predict_design
     from anisoscope.prediction.region_prediction import predict_map
-    from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.heightmap import HeightMap
-    from anisoscope.profiles.ideal import RidgeDesign
-    from anisoscope.sim.light.geometry import Convention, pose_grid
-    from anisoscope.sim.light.material import Material
-    from anisoscope.sim.light.optics import POINT_LIKE
+    from anisoscope.sim.light.geometry import pose_grid
 
     if not isinstance(surface, HeightMap | RidgeDesign):
         raise UsageError(f"predict takes a HeightMap or a RidgeDesign, not {type(surface).__name__}")
@@ -377,8 +379,9 @@ def fit_ridges(
     from anisoscope.fit.parameters import USUAL, checked_values, parse_free
     from anisoscope.fit.problem import Problem, Scene
     from anisoscope.fit.table import read_readings
-    from anisoscope.sim.light.geometry import Convention, directions
-    from anisoscope.sim.light.material import Material
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.material import Material
+    from anisoscope.sim.light.geometry import directions
 
     plastic, counted = material or Material(), convention or Convention()
     poses, readings = read_readings(Path(table), kind)

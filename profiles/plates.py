@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap, sealed
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.patterns import pattern_map
 
 FLAT = "."

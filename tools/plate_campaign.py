@@ -34,6 +34,8 @@ from anisoscope.kinds.plates.decision import PlateDecision, decide_plate, predic
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
 from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate
 from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
 from anisoscope.prediction.region_prediction import FieldGrid, predict_fields
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.bench.bench import plastic
@@ -41,8 +43,7 @@ from anisoscope.sim.bench.benchfile import MaterialPart, OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
 from anisoscope.sim.bench.plate import FieldDefectPart, PlatePart, PlateSample
 from anisoscope.sim.bench.sensor import Sensor
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, seating_rotation
 
 LOT = 25
 KINDS = (

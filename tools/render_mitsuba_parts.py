@@ -40,14 +40,16 @@ import tomli_w
 
 from anisoscope.calibration.white_reference import make_reference, write_reference
 from anisoscope.imaging.linearisation import stack
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defect_injection import inject_defect
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import image_of_fixture, pixel_from_mm
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 
 VARIANT = "llvm_ad_mono"
 SEED = 20

@@ -28,10 +28,10 @@ from render_mitsuba_parts import EXPOSURE_S, Eye, Shot, Tracer, pack, write_fram
 
 from anisoscope.cli.demo import plates as demo
 from anisoscope.cli.demo.folder import FIXTURE
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Pose
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan, height_of_field
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
-from anisoscope.sim.light.geometry import Pose
 
 SEED = 21
 NODE_UM = 2.0

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 VARIANT = "llvm_ad_mono"
 SEED, BATCHES = 21, 16

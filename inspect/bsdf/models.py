@@ -10,11 +10,11 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, hemisphere, refuse_huge, shuffled
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected, relief
 from anisoscope.sim.light.ink import model as ink_model
 from anisoscope.sim.light.ink.ink import Ink
-from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.wave.claims import mean_phase
 from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of

@@ -26,8 +26,9 @@ from anisoscope.calibration.white_reference import (
     write_reference,
 )
 from anisoscope.imaging.linearisation import Stack, WhiteReference, check_size
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.rig.rigfile import read_rig
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import directions
 
 TOO_BRIGHT_STRAY = 0.05
 

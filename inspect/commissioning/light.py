@@ -22,8 +22,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
 from anisoscope.commissioning.model import RigModel
 from anisoscope.commissioning.part import RidgedPart
+from anisoscope.parameters.material import LONGEST_TAIL
 from anisoscope.prediction.reflections import AMPLITUDE_U, OF_INDIRECT
-from anisoscope.sim.light.material import LONGEST_TAIL
 
 Model = Callable[[dict[str, float]], FloatArray]
 

@@ -4,11 +4,11 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.commissioning.part import RidgedPart
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.reflections import StandIn, groove_of_design
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import seating_rotation
-from anisoscope.sim.light.material import Material
 
 
 def lab_directions(

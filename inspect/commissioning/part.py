@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import Wall
-from anisoscope.sim.light.material import InternalReflection
+from anisoscope.parameters.material import InternalReflection
+from anisoscope.parameters.ridges import Wall
 
 
 @dataclass(frozen=True)

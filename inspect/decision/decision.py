@@ -20,6 +20,7 @@ from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.part_scatter import PartScatter
 from anisoscope.recipe.surface import ContrastKind, DecisionPart, SurfaceRecipe
@@ -32,7 +33,6 @@ from anisoscope.record.schema import (
 )
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
-from anisoscope.sim.light.geometry import Pose
 
 Pairs = Sequence[tuple[int, int]]
 

@@ -19,10 +19,10 @@ from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, bare_title
 from anisoscope.diagnosis.separability import SIGMAS, planned_covariance
 from anisoscope.diagnosis.signature_cache import cached_changes
+from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import CauseRecord
-from anisoscope.sim.light.geometry import Pose
 
 KINDS = ("angles", "tilt", "lamp")
 

@@ -27,6 +27,9 @@ from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.defect_regions import MarkForm, form_of
 from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_thresholds
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import nominal_shape, part_uncertainty
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.reflections import (
@@ -43,11 +46,10 @@ from anisoscope.prediction.sensitivity import Model, Shape, State, Surface, eval
 from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.relief import Relief, radiance_maps, radiance_of_cells
 from anisoscope.sim.light.threads import each
 from anisoscope.sim.light.unresolved import resolve

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, input_slopes
-from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface
-from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.prediction.sensitivity import DARK, State, Surface
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator

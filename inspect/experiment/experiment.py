@@ -14,11 +14,12 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.contrasts import fit_scale
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.printed import ShadowFrame
 
 Model = Literal["printed", "corrected"]

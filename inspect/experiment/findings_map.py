@@ -14,8 +14,8 @@ from anisoscope.experiment.experiment import (
     contrast_table,
     findings,
 )
+from anisoscope.parameters.material import Material
 from anisoscope.sim.light.geometry import directions, pose_grid
-from anisoscope.sim.light.material import Material
 
 BoolArray = npt.NDArray[np.bool_]
 

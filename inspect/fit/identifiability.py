@@ -14,8 +14,9 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import signed, whitening
 from anisoscope.fit.parameters import PARAMETERS
 from anisoscope.fit.problem import Problem, Readings, interface_alpha
+from anisoscope.parameters.geometry import Pose
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Pose, directions, pose_grid
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 MODEL_SHARE = 0.01  # of every radiance; a lobe that scatters once loses 2 to 3 % of it at alpha up to 0.1
 QUIETER = 0.1

@@ -17,12 +17,14 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.fit.problem import DARK, Plastic
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import LONGEST_TAIL, Material
+from anisoscope.parameters.optics import POINT_LIKE, Optics
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.recipe.material_file import Parameter, half_angles_deg, material_at, parameter_values
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import LONGEST_TAIL, Material
-from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
+from anisoscope.sim.light.optics import through
 
 POSE_NOISE = 0.003
 """Relative standard uncertainty of the radiance of a pose besides its noise: lamp, angles, region."""

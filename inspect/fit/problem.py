@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign, Wall
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import InternalReflection, Material
+from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.bounces import NODES, interreflection
-from anisoscope.sim.light.geometry import Convention, Pose, seating_rotation
-from anisoscope.sim.light.material import InternalReflection, Material
+from anisoscope.sim.light.geometry import seating_rotation
 
 IntArray = npt.NDArray[np.intp]
 Model = Literal["printed", "corrected"]

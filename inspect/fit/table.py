@@ -17,8 +17,9 @@ from anisoscope.bsdf.directions_table import COLUMNS, STEEPEST_DEG, sampled
 from anisoscope.bsdf.formats import is_reflectance_file, read_reflectance
 from anisoscope.experiment.experiment import PAIRS_DEG, RIDGE_ANGLES_DEG, STAGE_DEG, TILTS_DEG, combinations
 from anisoscope.fit.problem import RATIOS, Kind, Problem, Readings, Scene
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 Errors = Literal["shared", "independent"]
 

@@ -11,11 +11,11 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import holm
 from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
+from anisoscope.parameters.geometry import Pose
 from anisoscope.recipe.surface import AreaPart
 from anisoscope.record.schema import AreaRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Pose
 
 MAX_CELL_NOISE = 0.25
 

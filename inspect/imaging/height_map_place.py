@@ -25,13 +25,14 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import LIBRARIES, Cache
 from anisoscope.base.errors import AnisoscopeError, RegistrationError
 from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import MapPlaceRecord
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
 
 Image = npt.NDArray[np.float32]

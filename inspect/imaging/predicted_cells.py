@@ -19,10 +19,11 @@ from anisoscope.imaging.height_map_place import (
     ridge_phase,
 )
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Image, Measured
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.relief import Relief
 

@@ -18,10 +18,10 @@ from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReferenc
 from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
 from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
 from anisoscope.imaging.registration.placement import Placement, View, locate
+from anisoscope.parameters.geometry import Pose as LightPose
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame, FrameKind
-from anisoscope.sim.light.geometry import Pose as LightPose
 
 Guide = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
 MAX_SATURATED_PICTURE = 0.02

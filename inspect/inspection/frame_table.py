@@ -9,12 +9,13 @@ from anisoscope.calibration.white_reference import make_reference
 from anisoscope.decision.equipment import UNKNOWN
 from anisoscope.imaging.exposure_fusion import MIN_FRAMES
 from anisoscope.imaging.linearisation import stack
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.geometry import Pose as LightPose
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder
-from anisoscope.sim.light.geometry import Convention, directions
-from anisoscope.sim.light.geometry import Pose as LightPose
+from anisoscope.sim.light.geometry import directions
 
 
 @dataclass(frozen=True, eq=False)

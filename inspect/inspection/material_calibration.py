@@ -38,13 +38,16 @@ from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import Manifest, begin
 from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.kinds.registry import kind_of
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import Optics
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.recipe_models import read_surface
 from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.material_file import (
     CovariancePart,
@@ -61,9 +64,7 @@ from anisoscope.record.schema import Particulars
 from anisoscope.rig.acquisition.runner import Progress, check_plan, open_rig, run_plan
 from anisoscope.rig.rigfile import RigFile, read_rig
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
-from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.optics import Optics
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 SERIAL = "material"
 VALID_DAYS = 365.0

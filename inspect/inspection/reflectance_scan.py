@@ -39,11 +39,12 @@ from anisoscope.inspection.frames import check_frames, missing_frames
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import Manifest, begin, reopen
 from anisoscope.inspection.material_calibration import Setup, measure_scan, photograph, setup_of
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
 from anisoscope.record.schema import Particulars
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 from anisoscope.rig.rigfile import check_arm
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 
 LAMPS = "lamps.json"
 TABLE, READINGS, BUDGET, GONIOMETER = "brdf.csv", "readings.csv", "budget.json", "goniometer.csv"

@@ -30,6 +30,7 @@ from anisoscope.imaging.pose_radiance import drift_error
 from anisoscope.imaging.views import Guide, Views
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.logo import check_logo
@@ -42,7 +43,6 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.report.conclusion import OUTCOMES, concluded
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile, check_arm, read_replay_rig
-from anisoscope.sim.light.geometry import Convention, Pose
 
 
 class Expected(Protocol):

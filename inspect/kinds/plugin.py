@@ -27,6 +27,7 @@ from anisoscope.kinds.kind import (
     usable,
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
@@ -41,7 +42,6 @@ from anisoscope.record.schema import (
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
-from anisoscope.sim.light.geometry import Convention, Pose
 
 __all__ = [
     "Advance",

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from anisoscope.base.cache import Cache
+from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.expectation import (
     PLASTIC,
     Component,
@@ -29,7 +30,6 @@ from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention
 
 MAX_IN_MEMORY = 4
 _memory: OrderedDict[str, Expectation] = OrderedDict()

@@ -13,6 +13,8 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.ridges import STEEPEST_DRAFT_DEG, RidgeDesign, Wall
 from anisoscope.prediction.contrast_uncertainty import contrast_values
 from anisoscope.prediction.predict import predict_design
 from anisoscope.prediction.recipe_models import rig_of
@@ -20,13 +22,11 @@ from anisoscope.prediction.region_prediction import predict_map
 from anisoscope.profiles.comparison import Comparison, RidgeChange
 from anisoscope.profiles.editing.registration import centred_axes
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign, Wall
 from anisoscope.profiles.metrology.quantity import Quantity
 from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Convention, Pose
 
 LIGHT_ANGLE_DEG = 10.0
 CAUSES = {"ridge angle": "ridge_angle_deg", "height loss": "height_loss", "edge radius": "edge_radius_um"}

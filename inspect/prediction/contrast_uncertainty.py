@@ -4,9 +4,9 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.sensitivity import DARK
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Pose
 
 KINDS = ("difference", "michelson", "log_ratio")
 

@@ -11,13 +11,14 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
 from anisoscope.prediction.recipe_models import rig_of
 from anisoscope.prediction.reflections import added, groove_of_design
 from anisoscope.prediction.sensitivity import DARK, Model
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.ridge_profile import chord_polyline
 

@@ -8,6 +8,9 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.crest_edges import crest_edges
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_error
 from anisoscope.prediction.lobe_doubt import LobeDoubt, lobe_doubt
@@ -23,23 +26,13 @@ from anisoscope.prediction.propagation import (
 from anisoscope.prediction.recipe_models import Models, models_of
 from anisoscope.prediction.reflections import reflections_contributions
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
-from anisoscope.prediction.sensitivity import (
-    DARK,
-    Budget,
-    Contribution,
-    InputUncertainty,
-    Shape,
-    State,
-    evaluate,
-    fixed,
-)
+from anisoscope.prediction.sensitivity import DARK, Budget, Contribution, Shape, State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.material_file import MaterialFile, material_at
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import contrasts
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 
 SCATTER = "scatter of parts: "
 """Begin of the name of an input in the budget whose uncertainty is the scatter between good parts alone."""

@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import STEEPEST_DRAFT_DEG, RidgeDesign
 from anisoscope.prediction.ridge_edges import RidgeEdges, across_um, step_um, with_other_tops
 from anisoscope.prediction.wall_fit import (
     FEWEST_PLACES,
@@ -25,9 +27,7 @@ from anisoscope.prediction.wall_fit import (
     with_wall,
 )
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance_maps
 
 MARGIN, LEAST_DEEP, CLEAR_PIXELS = 5, 0.4, 2.5

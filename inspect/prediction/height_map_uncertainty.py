@@ -6,10 +6,12 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import POINT_LIKE, Optics
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.ridge_edges import RidgeEdges
-from anisoscope.prediction.sensitivity import DARK, Contribution, InputUncertainty, Model, Shape, Surface
-from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.prediction.sensitivity import DARK, Contribution, Model, Shape, Surface
+from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 

@@ -15,10 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import LONGEST_TAIL, Material
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.second_order import Response, RowResponses, response_of
-from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
-from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import LONGEST_TAIL, Material
+from anisoscope.prediction.sensitivity import DARK, State, Surface, evaluate
 
 UNKNOWN_TAILS = (0.0, 1.0)
 """Shortest and longest tail of a plastic with an unmeasured lobe: Beckmann's and GGX."""

@@ -9,6 +9,9 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import root
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import LONGEST_TAIL, Material
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.contrast_uncertainty import contrast_values
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
@@ -16,14 +19,11 @@ from anisoscope.prediction.sensitivity import (
     SHAPE_RANGE,
     Budget,
     Contribution,
-    InputUncertainty,
     Shape,
     State,
     Surface,
     evaluate,
 )
-from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import LONGEST_TAIL, Material
 
 MIN_DRAWS = 10
 _NODES = ((-0.774596669241, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774596669241, 5.0 / 18.0))  # Gauss-Legendre

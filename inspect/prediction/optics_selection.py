@@ -9,6 +9,12 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.light import LightSpectrum
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import POINT_LIKE, Optics
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.height_map_uncertainty import relief_model
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import with_indirect, with_uncertainty
@@ -23,23 +29,14 @@ from anisoscope.prediction.reflections import (
 )
 from anisoscope.prediction.relief_preparation import Levelling, prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
-from anisoscope.prediction.sensitivity import (
-    Contribution,
-    InputUncertainty,
-    Model,
-    Shape,
-    State,
-    Surface,
-    fixed,
-)
+from anisoscope.prediction.sensitivity import Contribution, Model, Shape, State, Surface, fixed
 from anisoscope.prediction.wave import WavePredictor, design_surface, wave_surface, window_of
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.contrasts import contrasts
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material, fresnel
-from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.material import fresnel
+from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.wave.choice import (
     NUMERICAL_ERROR,
     SHARP_ERROR,
@@ -48,7 +45,7 @@ from anisoscope.sim.light.wave.choice import (
     effective_coherence_um,
 )
 from anisoscope.sim.light.wave.halfvectors import HalfVector, half_vector
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.reflectance import radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Window
 
@@ -216,7 +213,7 @@ def _halves(rig: Rig) -> tuple[HalfVector, ...]:
 def _window(rig: Rig) -> Window:
     to_light, to_camera = directions(rig.poses, rig.convention)
     rough = 0.5 * np.diag([rig.material.alpha_across**2, rig.material.alpha_along**2])
-    return window_of(to_light[0], to_camera[0], replace(rig.optics, light_distance_mm=None), rough)
+    return window_of(to_light[0], to_camera[0], replace(rig.optics, lamp_distance_mm=None), rough)
 
 
 def _by_waves(
@@ -228,7 +225,7 @@ def _by_waves(
     levelling: Levelling,
     on_progress: Advance,
 ) -> Predicted:
-    if rig.optics.light_distance_mm is not None:
+    if rig.optics.lamp_distance_mm is not None:
         raise ModelError("waves need a lamp far away: leave --lamp-distance out, or take --model geometric")
     on_progress("waves", 0, 1)
     source: Groove | Followed | None

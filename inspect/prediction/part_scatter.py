@@ -15,6 +15,8 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.cache import prediction_key
 from anisoscope.prediction.crest_edges import CrestEdges, crest_edges, worn_edges
 from anisoscope.prediction.expectation import (
@@ -31,9 +33,8 @@ from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
-from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
+from anisoscope.prediction.sensitivity import DARK, State, Surface, evaluate
 from anisoscope.recipe.surface import DesignPart, SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose
 
 
 @dataclass(frozen=True, eq=False)

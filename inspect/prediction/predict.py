@@ -7,6 +7,11 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import POINT_LIKE, Optics
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.height_map_uncertainty import (
     best_band,
     map_contributions,
@@ -27,22 +32,14 @@ from anisoscope.prediction.reflections import (
 )
 from anisoscope.prediction.relief_preparation import Levelling, map_notes, prepare_relief
 from anisoscope.prediction.ridge_edges import LARGEST_ANGLE_DEG, check_one_direction, ridge_edges
-from anisoscope.prediction.sensitivity import (
-    Contribution,
-    InputUncertainty,
-    Model,
-    Shape,
-    State,
-    Surface,
-)
+from anisoscope.prediction.sensitivity import Contribution, Model, Shape, State, Surface
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.census import Facets
 from anisoscope.sim.light.contrasts import contrasts
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material, lobe_albedo
-from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.material import lobe_albedo
+from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.relief import MAX_MISSING_SHARE
 from anisoscope.sim.light.relief_paths import interreflection
 from anisoscope.sim.light.unresolved import resolve

@@ -13,11 +13,11 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.contrast_uncertainty import contrast_covariance
 from anisoscope.prediction.monte_carlo import Drawn
 from anisoscope.prediction.sensitivity import Budget, Contribution
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
-from anisoscope.sim.light.geometry import Convention, Pose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,6 +9,9 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import principal
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import LONGEST_TAIL
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
     DARK,
@@ -16,13 +19,10 @@ from anisoscope.prediction.sensitivity import (
     Budget,
     Contribution,
     Correlation,
-    InputUncertainty,
     State,
     Surface,
     evaluate,
 )
-from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import LONGEST_TAIL
 
 if TYPE_CHECKING:
     from anisoscope.recipe.material_file import MaterialFile

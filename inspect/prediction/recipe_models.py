@@ -9,6 +9,11 @@ from typing import Any
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError, RecipeError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.light import LightSpectrum
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import POINT_LIKE, Optics
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.optics_selection import (
     OpticsRequest,
@@ -33,16 +38,13 @@ from anisoscope.prediction.ridge_edges import RidgeEdges, check_one_direction, r
 from anisoscope.prediction.sensitivity import Model, Shape, Surface, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.unresolved import Resolved, resolve
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR, OpticsChoice
-from anisoscope.sim.light.wave.reflectance import LightSpectrum
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,9 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.material import SHORTEST_TAIL, Material
+from anisoscope.parameters.optics import Optics
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.ridge_edges import (
     LARGEST_ANGLE_DEG,
     LEAST_ANGLE_DEG,
@@ -23,10 +26,8 @@ from anisoscope.prediction.ridge_edges import (
     measured_ridges,
 )
 from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, Contribution, Model, Shape, Surface
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.bounces import NODES, interreflection
-from anisoscope.sim.light.material import SHORTEST_TAIL, Material
-from anisoscope.sim.light.optics import Optics, through
+from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief_paths import interreflection as followed_paths
 from anisoscope.sim.light.ridge_profile import sharp_groove

@@ -17,6 +17,11 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import POINT_LIKE, Optics
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.field_edges import FieldEdges, field_edges
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_bias
 from anisoscope.prediction.monte_carlo import MonteCarlo
@@ -29,17 +34,15 @@ from anisoscope.prediction.ridge_edges import (
     LEAST_ANGLE_DEG,
     SeveralDirectionsError,
 )
-from anisoscope.prediction.sensitivity import Budget, Contribution, InputUncertainty
+from anisoscope.prediction.sensitivity import Budget, Contribution
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.level import level
 from anisoscope.profiles.period import Period, find_period
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.census import Facets
 from anisoscope.sim.light.contrasts import contrasts
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.relief import MAX_MISSING_SHARE, Relief, radiance_maps
 from anisoscope.sim.light.unresolved import resolve
 

@@ -18,6 +18,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.sensitivity import ALPHA_RANGE
 from anisoscope.prediction.wall_fit import (
     DEEP,
@@ -31,11 +33,9 @@ from anisoscope.prediction.wall_fit import (
     with_wall,
 )
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
 from anisoscope.profiles.period import MIN_SCORE, Period
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 

@@ -13,17 +13,10 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import root
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.propagation import RIDGE_ANGLE
-from anisoscope.prediction.sensitivity import (
-    ALPHA_RANGE,
-    DARK,
-    SHAPE_RANGE,
-    InputUncertainty,
-    State,
-    Surface,
-    evaluate,
-)
-from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, SHAPE_RANGE, State, Surface, evaluate
 
 INDEX_RANGE = (1.0, 4.0)
 _LEAST_STEP = 0.2  # in u; an input nearer to its physical limit than that is taken as linear

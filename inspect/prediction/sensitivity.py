@@ -7,7 +7,7 @@ material. All states with the same material and shape are evaluated in one call 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,8 +16,9 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.sim.light.geometry import directions, seating_rotation
 
 Correlation = Literal["shared", "independent", "partial"]
 Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
@@ -31,67 +32,6 @@ SHAPE_RANGE = {
 }
 _CURVED = 0.3  # share of the linear u above which the second order is reported
 _ROUGHLY_LINEAR = 0.3  # relative u of one source, likewise
-
-
-@dataclass(frozen=True)
-class InputUncertainty:
-    """Standard uncertainties of all inputs of a prediction; the defaults are the recipe's.
-
-    Attributes:
-        alpha_share: relative, of both roughnesses independently.
-        albedo: of the diffuse albedo.
-        index: of the refractive index.
-        tail: of the tail of the lobe.
-        light_angle_deg: of the angle between light and camera.
-        light_field_deg: half-width by which the light angle varies over the field of view.
-        stage_deg: of the stage angle, independent in every pose.
-        stage_zero_deg: of the stage's zero against the ridges, the same in all poses.
-        tilt_deg: of the tilt, independent in every pose.
-        tilt_zero_deg: of the zero of the tilt, the same in all poses.
-        seating_tilt_deg: of the seating, about x and about y of the part, each.
-        ridge_angle_deg: of the ridge angle of a design.
-        height_loss: of the height loss of a design, a share.
-        height_noise_um: standard deviation of the noise of a height map, independent in every point.
-        height_scale_share: relative, of the amplification of the heights of a map.
-        pixel_size_share: relative, of the pixel size of a map, both axes together.
-        height_map_share: relative, of the radiance of a pose, for all other errors of a map.
-        reflections_share: relative, of the amplitude of the light that reflects more than once.
-        ridges_seen: number of ridges in the camera's field of view; None counts no scatter for them.
-
-    Raises:
-        ModelError: a negative or infinite value, or fewer than one ridge.
-    """
-
-    alpha_share: float = 0.05
-    albedo: float = 0.01
-    index: float = 0.01
-    tail: float = 0.0
-    light_angle_deg: float = 0.1
-    light_field_deg: float = 0.0
-    stage_deg: float = 0.05
-    stage_zero_deg: float = 0.05
-    tilt_deg: float = 0.05
-    tilt_zero_deg: float = 0.05
-    seating_tilt_deg: float = 0.1
-    ridge_angle_deg: float = 0.0
-    height_loss: float = 0.0
-    height_noise_um: float = 0.0
-    height_scale_share: float = 0.0
-    pixel_size_share: float = 0.0
-    height_map_share: float = 0.01
-    reflections_share: float = 0.1
-    ridges_seen: int | None = None
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None and not 0.0 <= value < float("inf"):
-                name = field.name.replace("_", " ")
-                raise ModelError(
-                    f"the uncertainty {name!r} must be a finite number, 0 or more, not {value:g}"
-                )
-        if self.ridges_seen is not None and self.ridges_seen < 1:
-            raise ModelError(f"the camera sees one ridge or more, not {self.ridges_seen}")
 
 
 @dataclass(frozen=True)

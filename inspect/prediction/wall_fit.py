@@ -6,7 +6,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import principal
-from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign
+from anisoscope.parameters.ridges import STEEPEST_DRAFT_DEG, RidgeDesign
 
 DRAFT_U_DEG = 6.0
 """Of a wall of which the map shows nothing, about the perpendicular one: walls stand within 0° and 20°."""

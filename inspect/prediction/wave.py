@@ -15,14 +15,16 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
+from anisoscope.parameters.light import LightSpectrum
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import Optics
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.sensitivity import Model
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material, fresnel, smith
-from anisoscope.sim.light.optics import Optics
+from anisoscope.sim.light.material import fresnel, smith
 from anisoscope.sim.light.wave.correlation import Correlation, correlation_of, reach_um
 from anisoscope.sim.light.wave.halfvectors import HalfVector, across_beam, half_vector
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.reflectance import radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Extent, Window
 
@@ -146,12 +148,12 @@ def window_of(
     Raises:
         ModelError: a lamp at a finite distance, whose angle varies over the field.
     """
-    if optics.light_distance_mm is not None and max(optics.field_mm) > 0.0:
+    if optics.lamp_distance_mm is not None and max(optics.field_mm) > 0.0:
         raise ModelError(
             "wave optics takes a lamp far away: leave the distance of the lamp out, or go geometric"
         )
-    source = 2.0 * np.sin(np.radians(optics.light_half_angle_deg))
-    aperture = 2.0 * np.sin(np.radians(optics.camera_half_angle_deg))
+    source = 2.0 * np.sin(np.radians(optics.lamp_half_angle_deg))
+    aperture = 2.0 * np.sin(np.radians(optics.aperture_half_angle_deg))
     return Window(
         Extent("disc", float(source), across_beam(to_light)),
         Extent("disc", float(aperture), across_beam(to_camera)),

@@ -31,8 +31,9 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import ModelError, RecipeError
 from anisoscope.base.toml_file import NotNegative, Part, Positive, read_toml_model
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import InternalReflection, Material
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import InternalReflection, Material
+from anisoscope.sim.light.geometry import directions
 
 Parameter = Literal[
     "ln_alpha_along", "ln_alpha_across", "tail", "ln_albedo", "ln_second_weight", "ln_second_width"

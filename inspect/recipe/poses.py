@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 
 from anisoscope.base.errors import ModelError, RecipeError
 from anisoscope.base.toml_file import Part
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 
 class PosesPart(Part):

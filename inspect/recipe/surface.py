@@ -8,13 +8,13 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from anisoscope.base.errors import HeightMapError, ModelError, RecipeError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
-from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import LONGEST_TAIL, Material
+from anisoscope.parameters.ridges import STEEPEST_DRAFT_DEG, RidgeDesign
 from anisoscope.recipe.base import CommonUncertainty, DecisionBase, RecipeBase
 from anisoscope.recipe.material_file import MaterialFile, MaterialLightPart, read_material_file
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Convention
-from anisoscope.sim.light.material import LONGEST_TAIL, Material
 
 WIDEST = 0.4
 """Largest full width of a lamp's spectrum, by its wavelength: the bench's lamps are no wider."""

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from anisoscope.experiment.experiment import Experiment, Mean, combinations
 from anisoscope.experiment.findings_map import FindingsMap
+from anisoscope.parameters.geometry import Convention
 from anisoscope.report.figures import BLUE, GREEN, GRID, INK, MUTED, ORANGE, RED, new_figure, svg_uri
 from anisoscope.report.page import Filters, write_page
-from anisoscope.sim.light.geometry import Convention
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,15 +15,17 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan, inner_share
 from anisoscope.report.page import packed, scripted, write_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import SRGB_TO_XYZ, XYZ_TO_SRGB
 from anisoscope.sim.light.corrected import outline_for
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.material import diffuse_scale, transmittance_table
 
 FLAT_CLASS = 0xFFFF
 LINES_NM = tuple(float(nm) for nm in range(400, 701, 20))

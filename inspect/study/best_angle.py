@@ -23,11 +23,12 @@ from anisoscope.experiment.experiment import (
     Findings,
     findings,
 )
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 from anisoscope.study.convergence import PITCH_UM, Sampling, ideal_map, signed_contrasts

@@ -18,6 +18,7 @@ from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.predictive_test import separating_areas, separations
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import PLASTIC, nominal_shape
 from anisoscope.prediction.part_scatter import (
     PartScatter,
@@ -29,7 +30,7 @@ from anisoscope.prediction.part_scatter import (
 from anisoscope.prediction.propagation import propagate
 from anisoscope.prediction.sensitivity import DARK, State, evaluate
 from anisoscope.recipe.surface import RecipeT, SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 FREE_LEVEL = 25.0
 """Variance of ln L of a level that all poses share: the scale is never used."""

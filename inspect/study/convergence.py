@@ -16,13 +16,15 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.experiment.experiment import STAGE_DEG, TILTS_DEG
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs, ridge_angle_error
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.profiles.period import Period
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 from anisoscope.study.sweep import Workers, sweep

@@ -25,6 +25,7 @@ from anisoscope.diagnosis.separability import planned_components
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds.registry import kind_of
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.cache import cached_expectation, prediction_key
 from anisoscope.prediction.crest_edges import crest_edges, edge_radius_model
 from anisoscope.prediction.expectation import (
@@ -41,16 +42,7 @@ from anisoscope.prediction.part_scatter import PartScatter, part_scatter, scatte
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, TAIL
 from anisoscope.prediction.recipe_models import models_of
 from anisoscope.prediction.second_order import INDEX_RANGE
-from anisoscope.prediction.sensitivity import (
-    ALPHA_RANGE,
-    DARK,
-    SHAPE_RANGE,
-    InputUncertainty,
-    Shape,
-    State,
-    Surface,
-    evaluate,
-)
+from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, SHAPE_RANGE, Shape, State, Surface, evaluate
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs

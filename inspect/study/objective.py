@@ -16,10 +16,11 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.prediction.reflections import Groove
-from anisoscope.profiles.ideal import RidgeDesign, Wall
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.study.ridges import RidgedParts, ridge_radiances, rounded_polyline
 
 Kind = Literal["difference", "michelson", "log_ratio"]

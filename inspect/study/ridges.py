@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
-from anisoscope.profiles.ideal import RidgeDesign, Wall
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.sim.light.material import (
     TABLE_SIZE,
-    Material,
     diffuse_scale,
     fresnel,
     slope_density,

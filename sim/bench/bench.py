@@ -23,10 +23,12 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.clock import clock_of
 from anisoscope.base.errors import HeightMapError, RigFileError, UsageError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.bench.benchfile import (
     BenchFile,
     CodePart,
@@ -56,7 +58,7 @@ from anisoscope.sim.bench.plate import PlateSample
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.prints import PrintSample
 from anisoscope.sim.bench.sensor import Mosaic, Sensor
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.pathtracer.plastic import Plastic
 
 Image = npt.NDArray[np.float32]

@@ -20,8 +20,9 @@ from pydantic import Field, model_validator
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.toml_file import NotNegative, Part, Positive, Share
+from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, Wall, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.profiles.plates import FLAT, Plan
 
 if TYPE_CHECKING:

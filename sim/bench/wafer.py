@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, HeightMapError, RigFileError
+from anisoscope.parameters.light import LightSpectrum
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.light.wave.halfvectors import across_beam, half_vector
 from anisoscope.sim.light.wave.orders import Orders, level_phases
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.reflectance import radiance_scale
 
 Image = npt.NDArray[np.float32]
 

@@ -21,12 +21,13 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import MOST_FIELDS, Plan, inner_share
 from anisoscope.sim.design.toolpath import Tool
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 
 Symbology = Literal["datamatrix", "qr"]
 QUIET = {"datamatrix": 1, "qr": 4}

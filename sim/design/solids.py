@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.images import STL_HEADER_BYTES, TRIANGLE
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import FLAT, LAND_SHARE, Plan
 from anisoscope.sim.light.ridge_profile import chord_polyline, ridge_polyline
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import FLAT, LAND_SHARE
 from anisoscope.sim.design.solids import Body
 

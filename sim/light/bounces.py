@@ -23,8 +23,9 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.base.parallel import one_blas_thread
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import SHORTEST_TAIL, Material, Rays, brdf, brdf_table, rays, rays_to
+from anisoscope.parameters.material import SHORTEST_TAIL, Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.sim.light.material import Rays, brdf, brdf_table, rays, rays_to
 from anisoscope.sim.light.ridge_profile import ridge_polyline, sharp_groove, visible_shares
 
 FieldArray = npt.NDArray[np.float32]

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.material import Material
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.horizon import Horizon
-from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.shine import Shine
 
 Floats = npt.NDArray[np.float32]

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.geometry import Pose
+from anisoscope.parameters.geometry import Pose
 
 
 @dataclass(frozen=True)

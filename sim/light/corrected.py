@@ -8,9 +8,10 @@ two are added, because the groove's share of indirect light is not that of a pro
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light.bounces import interreflection
-from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.material import facet_brdf
 from anisoscope.sim.light.ridge_profile import (
     Outline,
     outline_of,

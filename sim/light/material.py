@@ -15,23 +15,18 @@ an albedo of .2.
 """
 
 import sys
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from math import log, pi
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import ModelError
+from anisoscope.parameters.material import SHORTEST_TAIL, Material
 from anisoscope.sim.light.shadowing import UNSHADOWED, beckmann_lambda
-
-InternalReflection = Literal["nonlinear", "linear"]
 
 TABLE_SIZE = 513
 _ACROSS, _ALONG = 32, 16  # Gauss-Legendre nodes for facet slopes in and across the plane of incidence
-LONGEST_TAIL = 1.6  # the shadowing of a tail of 2 and more is infinite
-SHORTEST_TAIL = 1e-4  # a tail below it is none: the lobe is Beckmann's
 SHADOWING_ENDS = 0.005, 1000.0  # α·tan θ between which shadowing is tabulated
 SHADOWING_SIZE = 513
 SLANTS_PER_E_FOLD = (SHADOWING_SIZE - 1) / log(SHADOWING_ENDS[1] / SHADOWING_ENDS[0])
@@ -57,78 +52,6 @@ def _gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
         x = x - value / slope
     weight = 2.0 / ((1.0 - x * x) * slope * slope)
     return np.concatenate([-x, x[::-1]]), np.concatenate([weight, weight[::-1]])
-
-
-@dataclass(frozen=True)
-class Material:
-    """Optical properties of the plastic.
-
-    Attributes:
-        alpha_along: Beckmann roughness α_u along the ridges (√2 · rms slope), dimensionless.
-        alpha_across: Beckmann roughness α_v across the ridges.
-        albedo: diffuse albedo ρ_d of the plastic's interior, 0 to 1.
-        index: refractive index η of the plastic.
-        internal_reflection: "nonlinear": x = ρ·F_dr, light sent back inside is coloured again (physical).
-            "linear": x = F_dr.
-        tail: τ of the lobe, 0 (Beckmann) to 1.6; 1 is GGX. Roughness is then no rms slope, but the width of the lobe's
-            core.
-        second_lobe: weight w and width factor s of a Beckmann lobe that is mixed in: slopes of
-            (1 − w)·P(r²) + w/s²·exp(−r²/s²)/π; None without.
-
-    Raises:
-        ModelError: a value outside the range in which the model means anything.
-    """
-
-    alpha_along: float = 0.06
-    alpha_across: float = 0.10
-    albedo: float = 0.2
-    index: float = 1.5
-    internal_reflection: InternalReflection = "nonlinear"
-    tail: float = 0.0
-    second_lobe: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        for name, alpha in (("along", self.alpha_along), ("across", self.alpha_across)):
-            if not 0.001 <= alpha <= 1.0:
-                raise ModelError(
-                    f"roughness alpha {name} the ridges must lie between 0.001 and 1, not {alpha}"
-                )
-        if not 0.0 <= self.albedo <= 1.0:
-            raise ModelError(f"the albedo must lie between 0 and 1, not {self.albedo}")
-        if not 1.0 < self.index <= 4.0:
-            raise ModelError(f"the refractive index must lie above 1 and up to 4, not {self.index}")
-        if self.internal_reflection not in ("nonlinear", "linear"):
-            raise ModelError(
-                f"internal reflection is 'nonlinear' or 'linear', not {self.internal_reflection!r}"
-            )
-        if not 0.0 <= self.tail <= LONGEST_TAIL:
-            raise ModelError(f"the tail of the lobe must lie between 0 and {LONGEST_TAIL:g}, not {self.tail}")
-        if self.second_lobe is not None:
-            weight, width = self.second_lobe
-            if not (0.0 < weight < 1.0 and 0.1 <= width <= 10.0):
-                raise ModelError(
-                    "a second lobe has a weight between 0 and 1 and a width of .1 to 10 times the first, not "
-                    f"{weight:g} and {width:g}"
-                )
-
-    @property
-    def is_beckmann(self) -> bool:
-        """Whether the lobe has neither a tail nor a second lobe."""
-        return self.tail < SHORTEST_TAIL and self.second_lobe is None
-
-    @property
-    def narrowest_alpha(self) -> float:
-        """The smallest width of the lobe or of a second one."""
-        _, width = self.second_lobe or (0.0, 1.0)
-        return min(self.alpha_along, self.alpha_across) * min(1.0, width)
-
-    @property
-    def alpha_mean(self) -> float:
-        """√(α_u·α_v), the isotropic roughness used for the transmittance of the interface.
-
-        Rounded to 12 digits, so that a table is computed once for all pairs with the same product.
-        """
-        return float(f"{np.sqrt(self.alpha_along * self.alpha_across):.12g}")
 
 
 def fresnel(cosine: FloatArray, index: float) -> FloatArray:

@@ -13,58 +13,12 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import Optics
 
 Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
 
 _FIELD_NODES = 3  # Gauss-Legendre, on each axis of the field
-
-
-@dataclass(frozen=True)
-class Optics:
-    """Apertures, and where the lamp stands.
-
-    Attributes:
-        light_half_angle_deg: half of the angle that the lamp subtends at the sample.
-        camera_half_angle_deg: half of the angle of the lens's aperture; arcsin of its numerical aperture.
-        light_distance_mm: from the middle of the field to the lamp; None is far away.
-        field_mm: width (along the line from camera to light) and height of the field on the sample; the camera
-            itself is telecentric: it sees all places under the same angle.
-        rings: rings of directions that stand for a disc; 1 is exact for polynomials of degree 5 over the disc, n > 1
-            of degree 4n − 1.
-
-    Raises:
-        ModelError: a value that no rig has.
-    """
-
-    light_half_angle_deg: float = 0.0
-    camera_half_angle_deg: float = 0.0
-    light_distance_mm: float | None = None
-    field_mm: tuple[float, float] = (0.0, 0.0)
-    rings: int = 1
-
-    def __post_init__(self) -> None:
-        for name, angle in (("light", self.light_half_angle_deg), ("camera", self.camera_half_angle_deg)):
-            if not 0.0 <= angle < 60.0:
-                raise ModelError(f"the half angle of the {name} must lie between 0° and 60°, not {angle}°")
-        if min(self.field_mm) < 0.0 or not np.isfinite(self.field_mm).all():
-            raise ModelError(f"the field must have a size of 0 mm or more, not {self.field_mm}")
-        if self.light_distance_mm is not None and not self.light_distance_mm > max(self.field_mm):
-            raise ModelError(
-                f"the light must stand further away than the field is wide ({max(self.field_mm):g} mm), not "
-                f"{self.light_distance_mm:g} mm"
-            )
-        if self.rings < 1:
-            raise ModelError(f"a disc of directions needs at least one ring, not {self.rings}")
-
-    @property
-    def is_point_like(self) -> bool:
-        """Every pose has one direction to the light and one to the camera."""
-        near = self.light_distance_mm is not None and max(self.field_mm) > 0.0
-        return not near and self.light_half_angle_deg == 0.0 and self.camera_half_angle_deg == 0.0
-
-
-POINT_LIKE = Optics()
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +49,10 @@ def bundle(to_light: FloatArray, to_camera: FloatArray, optics: Optics) -> Bundl
         ModelError: some direction lies at or below the horizon of the sample.
     """
     place, place_weight = _places(optics)
-    light_disc, light_weight = _disc(optics.light_half_angle_deg, optics.rings)
-    camera_disc, camera_weight = _disc(optics.camera_half_angle_deg, optics.rings)
+    light_disc, light_weight = _disc(optics.lamp_half_angle_deg, optics.disc_rings)
+    camera_disc, camera_weight = _disc(optics.aperture_half_angle_deg, optics.disc_rings)
     light_cosine = np.sqrt(1.0 - np.sum(light_disc**2, axis=-1))
-    near = _from_places(to_light, to_camera, place, optics.light_distance_mm)  # (P, F, 3)
+    near = _from_places(to_light, to_camera, place, optics.lamp_distance_mm)  # (P, F, 3)
     lamps = _around(near[:, :, None], light_disc)  # (P, F, L, 3)
     lenses = _around(to_camera[:, None], camera_disc)  # (P, C, 3)
     shape = (len(to_light), len(place), len(light_disc), len(camera_disc), 3)
@@ -130,7 +84,7 @@ def through(model: Model, optics: Optics) -> Model:
 
 def _places(optics: Optics) -> tuple[FloatArray, FloatArray]:
     """(F, 2) places in the field in mm, and their weights."""
-    if optics.light_distance_mm is None or max(optics.field_mm) == 0.0:
+    if optics.lamp_distance_mm is None or max(optics.field_mm) == 0.0:
         return np.zeros((1, 2)), np.ones(1)
     node, weight = np.polynomial.legendre.leggauss(_FIELD_NODES)
     x, y = np.meshgrid(0.5 * optics.field_mm[0] * node, 0.5 * optics.field_mm[1] * node, indexing="ij")

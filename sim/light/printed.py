@@ -12,8 +12,9 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material, distribution, fresnel
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.sim.light.material import distribution, fresnel
 
 ShadowFrame = Literal["pitch-normal", "half-vector"]
 

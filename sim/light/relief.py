@@ -17,6 +17,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.material import Material
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import (
@@ -30,7 +31,6 @@ from anisoscope.sim.light.census import (
     take_census,
 )
 from anisoscope.sim.light.horizon import Horizon, SharesOfSmallMap, bands
-from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.shine import Shine, shine_in, turn_of
 
 ShareArray = npt.NDArray[np.float32]

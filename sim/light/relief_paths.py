@@ -17,10 +17,10 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.material import Material
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import FACETS
 from anisoscope.sim.light.horizon import Horizon
-from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.shine import plastic_of, turn_of, vector
 

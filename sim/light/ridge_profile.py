@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.ridges import RidgeDesign
 
 MOST_SHORTENED = 0.9  # share of a groove that a rounded crest may take
 ROUNDED = 0.8

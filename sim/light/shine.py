@@ -5,14 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.material import (
-    SHORTEST_TAIL,
-    Material,
-    diffuse_scale,
-    fresnel,
-    shadowing_table,
-    transmittance_table,
-)
+from anisoscope.parameters.material import SHORTEST_TAIL, Material
+from anisoscope.sim.light.material import diffuse_scale, fresnel, shadowing_table, transmittance_table
 
 Vector = tuple[float, float, float]
 

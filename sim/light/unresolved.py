@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.shine import turn_of
 

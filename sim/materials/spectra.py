@@ -8,10 +8,10 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.csv_table import Table, read_table
 from anisoscope.base.errors import ModelError, UsageError
+from anisoscope.parameters.material import Material
 from anisoscope.sim.light.colour.illuminant import NEEDED_NM, Illuminant, standard, standard_names
 from anisoscope.sim.light.colour.lamps import LED_WHITE, synthetic_white_led
 from anisoscope.sim.light.colour.vision import Sensitivities, synthetic_bayer, synthetic_silicon
-from anisoscope.sim.light.material import Material
 
 COLUMNS = ("wavelength_nm", "power")
 FILTER_COLUMNS = ("wavelength_nm", "red", "green", "blue")

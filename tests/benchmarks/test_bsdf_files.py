@@ -14,8 +14,8 @@ from anisoscope.bsdf.models import of_ridges
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, hemisphere, shuffled
 from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
 from anisoscope.bsdf.tensor_tree import write_tensor_tree
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 
 try:
     import mitsuba

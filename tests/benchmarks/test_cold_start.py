@@ -16,8 +16,9 @@ from anisoscope.base.progress import silent
 from anisoscope.cli.demo.ridges import lay_out
 from anisoscope.cli.predict.predict import CACHED
 from anisoscope.inspection.run import inspect_part
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder

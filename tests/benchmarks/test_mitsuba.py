@@ -13,13 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.geometry import directions, pose_grid
+from anisoscope.sim.light.material import facet_brdf
 from anisoscope.sim.light.relief import Relief, radiance
 from anisoscope.sim.light.relief_paths import interreflection
 from anisoscope.sim.light.ridge_profile import ridge_polyline

@@ -12,10 +12,10 @@ import pyvista
 import skimage.data
 from skimage.metrics import structural_similarity
 
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.design.plates import design_pictures
 from anisoscope.sim.design.solids import Body, write_body
-from anisoscope.sim.light.material import Material
 
 try:
     import mitsuba

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.sim.bench.printpart import DentPart, PrintPart
 from anisoscope.sim.bench.prints import PrintSample
 from anisoscope.sim.light.colour.lamps import synthetic_white_led
 from anisoscope.sim.light.colour.vision import Vision, synthetic_bayer
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.ink.model import brdf
 
 pytestmark = pytest.mark.benchmark

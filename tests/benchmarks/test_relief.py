@@ -6,9 +6,12 @@ import sys
 import numpy as np
 import pytest
 
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, smith_lambda, transmittance
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import directions, pose_grid
+from anisoscope.sim.light.material import diffuse_scale, fresnel, smith_lambda, transmittance
 from anisoscope.sim.light.relief import Relief, radiance
 
 pytestmark = pytest.mark.benchmark

@@ -9,12 +9,12 @@ from anisoscope.bsdf.mitsuba_scene import write_classes_scene, write_normals_sce
 from anisoscope.bsdf.models import of_ink, of_ridges
 from anisoscope.bsdf.textures import write_height_textures
 from anisoscope.cli.bsdf.sources import design_reflectance
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.design.designfile import DesignFile
 from anisoscope.sim.design.models import LobeModel, MirrorModel
-from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.picture import Plate, plate_picture, view_of
 from anisoscope.sim.light.relief import Relief, radiance_maps
 from anisoscope.sim.materials.inks import find_ink

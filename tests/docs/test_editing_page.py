@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.editing.operations import OPERATIONS
 from anisoscope.profiles.editing.steps import Step, edit_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "height-maps.md"
 PLACE = re.compile(r"(<!-- steps: .*? -->\n).*?(<!-- end of steps -->)", re.DOTALL)

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.predict import predict_height_map
 from anisoscope.prediction.relief_preparation import MIN_PIXELS_A_PITCH
-from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.sim.light.geometry import Convention, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.profiles.ideal import ridges
+from anisoscope.sim.light.geometry import pose_grid
 
 POSES = pose_grid((0.0, 90.0, 180.0), (-10.0, 0.0, 10.0))
 

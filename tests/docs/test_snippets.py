@@ -10,14 +10,16 @@ from anisoscope.calibration.pictures import take_flat
 from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.registry import read_recipe
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.colour.vision import Vision
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.ink.model import brdf
 from anisoscope.sim.materials.inks import synthetic_ink
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities

@@ -8,11 +8,12 @@ import pytest
 
 from anisoscope.cli.predict.output import contrast_u, radiance_u
 from anisoscope.cli.predict.predict import DEFAULTS, UncertaintyOptions, input_uncertainty
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.geometry import Convention, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import pose_grid
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "uncertainty.md").read_text(encoding="utf-8")
 POSES = pose_grid((0.0, 90.0, 180.0))

@@ -317,12 +317,6 @@ def json_watch():
         yield GUARD.watch(monkeypatch)
 
 
-@pytest.fixture(autouse=True)
-def _no_key_comes_unseen(json_watch):
-    yield
-    json_watch.check()
-
-
 @pytest.fixture(scope="session")
 def anisoscope(json_watch):
     """Runs the real command line in a process of its own, which begins with everything imported.

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs, ridge_angle_error
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 DESIGN = RidgeDesign(100.0, 10.0)
 

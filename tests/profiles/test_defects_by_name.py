@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defect_injection import DEFECTS, inject_defect, values_of
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 ADDING = {"burrs", "dust"}
 REMOVING = {"wear", "incomplete-filling", "scratches", "missing-ridges"}

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import chatter, incomplete_filling, missing_ridges, pitch_error
 from anisoscope.profiles.defects_contact import dust, edge_wear, scratches
 from anisoscope.profiles.defects_layout import ridge_layout, ridge_numbers
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.profiles.patterns import GrooveDesign, turned_ridges, v_grooves
 from anisoscope.profiles.period import find_period
 

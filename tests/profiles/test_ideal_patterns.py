@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import ridges
 from anisoscope.profiles.patterns import GrooveDesign, checkerboard, flat, turned_ridges, v_grooves
 from anisoscope.profiles.period import find_period
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.lines import line_parameters, mean_spacing, profile_parameters
 from anisoscope.profiles.patterns import turned_ridges
 

@@ -6,9 +6,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap, sampled
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.profiles.level import level
 from anisoscope.profiles.period import find_period, take_over_period
 

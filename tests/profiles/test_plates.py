@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.metrology.regions import direction_regions
 from anisoscope.profiles.plates import Plan, inner_share, plan_of_modules, plate_map, read_rows
 

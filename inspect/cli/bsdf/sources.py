@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from anisoscope.base.progress import Advance
     from anisoscope.bsdf.reflectance import Reflectance
     from anisoscope.bsdf.rgl import Resolution
+    from anisoscope.parameters.material import Material
     from anisoscope.sim.design.designfile import DesignFile
     from anisoscope.sim.design.models import AnyModel
-    from anisoscope.sim.light.material import Material
 
 SOURCE = Group(
     "Surface", help="One of --ridge-angle, --ink, --design, --height-map and --from-file.", sort_key=10
@@ -44,8 +44,8 @@ class PlasticOptions:
 
     def plastic(self) -> "Material":
         """The plastic."""
+        from anisoscope.parameters.material import Material
         from anisoscope.recipe.material_file import read_material_file
-        from anisoscope.sim.light.material import Material
 
         if self.material is not None:
             return read_material_file(self.material).material.material()
@@ -108,7 +108,7 @@ class SourceOptions(PlasticOptions):
 
     def _ridges(self) -> "Reflectance":
         from anisoscope.bsdf.models import of_ridges
-        from anisoscope.profiles.ideal import RidgeDesign
+        from anisoscope.parameters.ridges import RidgeDesign
 
         assert self.ridge_angle is not None
         if self.bounces < 1:

@@ -133,7 +133,7 @@ def _of_plate(path: Path, pixel: str | None) -> "tuple[HeightMap, Classes, list[
     from anisoscope.cli.options import parse_numbers
     from anisoscope.kinds.plates.recipe import PlateRecipe
     from anisoscope.kinds.registry import read_any_recipe
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.profiles.plates import plate_map
 
     recipe = read_any_recipe(path)

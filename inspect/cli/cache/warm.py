@@ -90,7 +90,8 @@ def _timed(name: str) -> float:
 def _small_map() -> "HeightMap":
     import numpy as np
 
-    from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+    from anisoscope.parameters.ridges import RidgeDesign
+    from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
     smooth = ridges(RidgeDesign(50.0, 10.0), (100, 200), 2.0)
     return add_facet_roughness(smooth, 0.0, 0.03, 8.0, np.random.default_rng(1))
@@ -103,9 +104,10 @@ def _measured_map() -> None:
 
 
 def _predicted_map() -> None:
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.material import Material
     from anisoscope.prediction.predict import predict_height_map
-    from anisoscope.sim.light.geometry import Convention, pose_grid
-    from anisoscope.sim.light.material import Material
+    from anisoscope.sim.light.geometry import pose_grid
 
     # poses with shadows: without them the kernels of the horizon are not called
     poses = pose_grid((0.0, 90.0, 180.0), (-40.0,))
@@ -115,7 +117,7 @@ def _predicted_map() -> None:
 def _rendered_map() -> None:
     import numpy as np
 
-    from anisoscope.sim.light.material import Material
+    from anisoscope.parameters.material import Material
     from anisoscope.sim.light.relief import Relief, radiance_maps, radiance_of_cells
 
     up, aslant = np.array([[0.0, 0.0, 1.0]]), np.array([[0.8, 0.0, 0.6]])
@@ -136,12 +138,13 @@ def _traced_scene() -> None:
 def _wave() -> None:
     import numpy as np
 
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.material import Material
     from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
     from anisoscope.prediction.predict import predict_height_map
     from anisoscope.profiles.etching import Etched
     from anisoscope.profiles.heightmap import HeightMap
-    from anisoscope.sim.light.geometry import Convention, pose_grid
-    from anisoscope.sim.light.material import Material
+    from anisoscope.sim.light.geometry import pose_grid
     from anisoscope.sim.light.wave.halfvectors import HalfVector
     from anisoscope.sim.light.wave.orders import Orders
     from anisoscope.sim.light.wave.windows import Extent, Window

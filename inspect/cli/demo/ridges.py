@@ -8,8 +8,9 @@ import tomli_w
 
 from anisoscope.base.progress import Advance
 from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 PARTS = {"good": "PASS", "burrs": "FAIL", "angle": "FAIL"}
 MEGABYTES = 90

@@ -90,7 +90,7 @@ def code(
     from anisoscope.kinds.plates.expectation import expected_plate
     from anisoscope.kinds.plates.recipe import PlateRecipe
     from anisoscope.kinds.registry import kind_named
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.profiles.plates import plan_of_modules
     from anisoscope.report.plate_page import write_plate_page
     from anisoscope.sim.design.plates import modules_of_code

@@ -9,7 +9,7 @@ from cyclopts import Group, Parameter
 from anisoscope.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.profiles.plates import Plan
 
 MOST_POINTS = 60_000_000

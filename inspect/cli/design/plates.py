@@ -95,10 +95,10 @@ def plate(
     """
     from anisoscope.cli.demo.plates import check_trial, photograph
     from anisoscope.kinds.registry import kind_named
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.material import Material
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.report.plate_page import write_plate_page
     from anisoscope.sim.design.plates import design_pictures
-    from anisoscope.sim.light.material import Material
 
     paths = (first,) if second is None else (first, second)
     stages = parse_numbers(angles, "--angles")[: len(paths)]

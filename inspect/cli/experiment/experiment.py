@@ -275,8 +275,8 @@ def experiment(
     """
     from anisoscope.experiment.experiment import Setup, run_experiment
     from anisoscope.experiment.measured_table import read_measured
-    from anisoscope.sim.light.geometry import Convention
-    from anisoscope.sim.light.material import Material
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.material import Material
 
     del recipe  # the plastic is in the other options by now
     _at_most_one({"--json": json_, "--as-csv": csv_, "--html": html is not None})
@@ -342,8 +342,8 @@ def findings(
 
     from anisoscope.experiment.experiment import Setup
     from anisoscope.experiment.findings_map import findings_share
-    from anisoscope.sim.light.geometry import Convention
-    from anisoscope.sim.light.material import Material
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.material import Material
 
     del recipe  # the plastic is in the other options by now
     _at_most_one({"--json": json_, "--html": html is not None, "--svg": svg is not None})

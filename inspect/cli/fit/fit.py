@@ -280,7 +280,8 @@ def ridges(
     from anisoscope.fit.parameters import USUAL, parse_free
     from anisoscope.fit.problem import Problem, Scene
     from anisoscope.fit.table import read_readings
-    from anisoscope.sim.light.geometry import Convention, directions
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.sim.light.geometry import directions
 
     options, angles = options or ModelOptions(), angles or PoseOptions()
     _at_most_one(json_, html)
@@ -316,7 +317,7 @@ def experiment(
     from anisoscope.experiment.measured_table import read_measured
     from anisoscope.fit.parameters import parse_free
     from anisoscope.fit.table import experiment_problem
-    from anisoscope.sim.light.geometry import Convention
+    from anisoscope.parameters.geometry import Convention
 
     options, angles = options or ModelOptions(), angles or PoseOptions()
     _at_most_one(json_, html)

@@ -15,9 +15,9 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.parameters.optics import Optics
     from anisoscope.prediction.angular import AngularReflectance
     from anisoscope.sim.light.colour.illuminant import Illuminant
-    from anisoscope.sim.light.optics import Optics
 
 MAP_GROUP = Group(
     "Angular map",
@@ -102,8 +102,8 @@ def write_angular_map(
     lamp = None if options.colour is None else find_illuminant(options.colour)
     nm = COLOUR_NM if lamp is not None else tuple(1e3 * um for um in wavelengths_um or (0.55,))
     task = AngularTask(
-        nm, light, options.reach, options.points, blur.optics.light_half_angle_deg,
-        blur.optics.camera_half_angle_deg, blur.slope_rms,
+        nm, light, options.reach, options.points, blur.optics.lamp_half_angle_deg,
+        blur.optics.aperture_half_angle_deg, blur.slope_rms,
     )  # fmt: skip
     surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
     stepped = structure_of(WaveSurface.of(surface), 1e-3 * min(nm)).stepped
@@ -146,7 +146,7 @@ def _checked(
         raise UsageError(
             f"--map-light takes inclination and azimuth in degrees, such as 10,0, not {options.light!r}"
         )
-    if blur.optics.light_distance_mm is not None:
+    if blur.optics.lamp_distance_mm is not None:
         raise UsageError("--map takes a lamp far away: leave --lamp-distance and --field out")
     return path, (light[0], light[1])
 

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from anisoscope.base.progress import Advance
+    from anisoscope.parameters.material import Material
+    from anisoscope.parameters.optics import Optics
+    from anisoscope.parameters.uncertainty import InputUncertainty
     from anisoscope.prediction.monte_carlo import MonteCarlo
     from anisoscope.prediction.optics_selection import OpticsModel, OpticsRequest
     from anisoscope.prediction.predicted import Predicted
-    from anisoscope.prediction.sensitivity import InputUncertainty
-    from anisoscope.sim.light.material import Material
-    from anisoscope.sim.light.optics import Optics
 
     PredictOne = Callable[[Material, Advance, float | None], tuple[Predicted, ...]]
 
@@ -158,7 +158,7 @@ def _check_values(options: UncertaintyOptions) -> None:
 
 def input_uncertainty(options: UncertaintyOptions) -> "InputUncertainty | None":
     """The uncertainties of the options; None with --no-uncertainty."""
-    from anisoscope.prediction.sensitivity import InputUncertainty
+    from anisoscope.parameters.uncertainty import InputUncertainty
 
     if not options.uncertainty:
         return None
@@ -257,7 +257,7 @@ def light_of(text: str | None) -> Any:  # noqa: ANN401 - a LightSpectrum, import
     Raises:
         UsageError: something that is no wavelength or no weight.
     """
-    from anisoscope.sim.light.wave.reflectance import LightSpectrum
+    from anisoscope.parameters.light import LightSpectrum
 
     if text is None:
         return LightSpectrum()
@@ -345,7 +345,7 @@ def optics_of(options: OpticsOptions) -> "Optics":
     """
     import numpy as np
 
-    from anisoscope.sim.light.optics import Optics
+    from anisoscope.parameters.optics import Optics
 
     if (options.field is None) != (options.lamp_distance is None):
         raise UsageError("--lamp-distance and --field belong together: the light angle varies over the field")
@@ -366,7 +366,7 @@ DEFAULT_ALBEDO, DEFAULT_INDEX = 0.2, 1.5
     *("recipe", "ridge_angle", "pitch", "alpha_along", "alpha_across", "albedo", "index", "light_angle"),
     *("angles", "tilts", "pixel", "json_", "waves", "sizes", "over_directions", "uncertainties"),
 )
-def predict(
+def predict(  # noqa: PLR0915
     height_map: Path | None = None,
     /,
     *,
@@ -480,13 +480,14 @@ def predict(
     )
 
     def prepared() -> "tuple[PredictOne, Material]":
+        from anisoscope.parameters.geometry import Convention
+        from anisoscope.parameters.light import LightSpectrum
+        from anisoscope.parameters.material import Material
+        from anisoscope.parameters.ridges import RidgeDesign
         from anisoscope.prediction.optics_selection import Rig, predict_with_optics
         from anisoscope.prediction.predict import predict_design
         from anisoscope.profiles.heightmap import HeightMap
-        from anisoscope.profiles.ideal import RidgeDesign
-        from anisoscope.sim.light.geometry import Convention, pose_grid
-        from anisoscope.sim.light.material import Material
-        from anisoscope.sim.light.wave.reflectance import LightSpectrum
+        from anisoscope.sim.light.geometry import pose_grid
 
         poses = pose_grid(parse_numbers(angles, "--angles"), parse_numbers(tilts, "--tilts"))
         convention = Convention(light_angle, tilt_plane, facet_azimuth)

@@ -145,8 +145,8 @@ def _pattern(
     stairs: StairOptions,
     rng: Any,  # noqa: ANN401 - numpy is imported where it is needed
 ) -> "HeightMap":
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.profiles import patterns
-    from anisoscope.profiles.ideal import RidgeDesign
 
     if pattern == "flat":
         return patterns.flat(shape, pixel_um)

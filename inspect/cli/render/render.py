@@ -23,9 +23,9 @@ from anisoscope.cli.render.scene import (
 
 if TYPE_CHECKING:
     from anisoscope.base.progress import Advance
+    from anisoscope.parameters.geometry import Convention, Pose
+    from anisoscope.parameters.material import Material
     from anisoscope.report.renderings import Heights, Rgb
-    from anisoscope.sim.light.geometry import Convention, Pose
-    from anisoscope.sim.light.material import Material
     from anisoscope.sim.light.micrograph import Lens, Micrograph
     from anisoscope.sim.light.picture import View
 from typing import TYPE_CHECKING
@@ -35,7 +35,7 @@ import numpy.typing as npt
 from anisoscope.cli.render.scene import degrees, painted, signed
 
 if TYPE_CHECKING:
-    from anisoscope.sim.light.geometry import Convention, Pose
+    from anisoscope.parameters.geometry import Convention, Pose
     from anisoscope.sim.light.picture import Plate, PlatePicture, View
 from typing import Literal
 
@@ -164,7 +164,7 @@ class Shot:
         plastic: PlasticOptions | None,
         rig: RigOptions | None,
     ) -> None:
-        from anisoscope.sim.light.geometry import Pose
+        from anisoscope.parameters.geometry import Pose
 
         self.picture, self.plastic = picture, plastic or PlasticOptions()
         self.rig, self.microscope = rig or RigOptions(), microscope or MicroscopeOptions()
@@ -489,8 +489,8 @@ def checkerboard(
         anisoscope render checkerboard --out plate.png
         anisoscope render checkerboard --pattern logo.png --plate-width 20 --out logo-on-plastic.png
     """
-    from anisoscope.profiles.ideal import RidgeDesign
-    from anisoscope.sim.light.geometry import Pose
+    from anisoscope.parameters.geometry import Pose
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.sim.light.picture import Plate, plate_picture
 
     plastic, rig = plastic or PlasticOptions(), rig or RigOptions()

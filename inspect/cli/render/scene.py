@@ -19,9 +19,9 @@ from anisoscope.cli.options import Json
 from anisoscope.cli.recipe_options import RecipeOption
 
 if TYPE_CHECKING:
+    from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.material import Material
     from anisoscope.report.renderings import Rgb
-    from anisoscope.sim.light.geometry import Convention
-    from anisoscope.sim.light.material import Material
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class PlasticOptions:
 
     def material(self) -> "Material":
         """The plastic of the options."""
-        from anisoscope.sim.light.material import Material
+        from anisoscope.parameters.material import Material
 
         return Material(self.alpha_along, self.alpha_across, self.albedo, self.index)
 
@@ -68,7 +68,7 @@ class RigOptions:
 
     def convention(self) -> "Convention":
         """Angle convention."""
-        from anisoscope.sim.light.geometry import Convention
+        from anisoscope.parameters.geometry import Convention
 
         return Convention(self.light_angle, self.tilt_plane, self.facet_azimuth)
 
@@ -303,8 +303,9 @@ class SurfaceOptions:
         return Scene(relief, name, note)
 
     def _design(self) -> "tuple[HeightMap, str]":
+        from anisoscope.parameters.ridges import RidgeDesign
         from anisoscope.profiles.defects import burrs
-        from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+        from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
         if not 0.0 <= self.burrs <= 0.5:
             raise UsageError(f"--burrs takes a share of 0 to 0.5, not {self.burrs:g}")

@@ -312,7 +312,8 @@ def _light() -> Iterator[Line]:
     import numpy as np
 
     from anisoscope.experiment.experiment import Setup, run_experiment
-    from anisoscope.sim.light.material import Material, brdf_table, fresnel
+    from anisoscope.parameters.material import Material
+    from anisoscope.sim.light.material import brdf_table, fresnel
 
     at = np.array([1.0, np.cos(np.arctan(1.5))])
     head, brewster = fresnel(at, 1.5)
@@ -376,7 +377,8 @@ def _waves() -> Iterator[Line]:
 
 
 def _surfaces() -> Iterator[Line]:
-    from anisoscope.profiles.ideal import RidgeDesign, ridges
+    from anisoscope.parameters.ridges import RidgeDesign
+    from anisoscope.profiles.ideal import ridges
     from anisoscope.profiles.metrology.ridges import measure_ridges
 
     found = measure_ridges(ridges(RidgeDesign(pitch_um=100.0, ridge_angle_deg=10.0), (400, 800), (1.0, 1.0)))

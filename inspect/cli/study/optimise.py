@@ -303,8 +303,9 @@ def optimise(
         anisoscope optimise --vary ridge_angle=3:20 --robust --scatter ridge_angle=0.3,stage=0.2
         anisoscope optimise --vary ridge_angle=3:20,alpha_across=.05:.2 --plot landscape.png
     """
+    from anisoscope.parameters.geometry import Convention
     from anisoscope.report.study_page import check_picture, write_picture, write_study_page
-    from anisoscope.sim.light.geometry import Convention, directions
+    from anisoscope.sim.light.geometry import directions
     from anisoscope.study.box import check_bounds
     from anisoscope.study.objective import Part, Scoring
     from anisoscope.study.optimum import optimum

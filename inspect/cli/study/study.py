@@ -264,9 +264,9 @@ def convergence_command(
     Examples:
         anisoscope research convergence --plot convergence.png
     """
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.material import Material
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.report.study_page import check_picture
-    from anisoscope.sim.light.material import Material
     from anisoscope.study.convergence import DEFECTS, PITCH_UM, QUALITIES, convergence
     from anisoscope.study.sweep import Workers
 
@@ -352,8 +352,8 @@ def best_angle_command(
     Examples:
         anisoscope research best-angle --step 1
     """
+    from anisoscope.parameters.material import Material
     from anisoscope.report.study_page import check_picture
-    from anisoscope.sim.light.material import Material
     from anisoscope.study.best_angle import IMPERFECTIONS, best_angle
     from anisoscope.study.convergence import QUALITIES
     from anisoscope.study.sweep import Workers

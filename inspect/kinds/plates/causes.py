@@ -25,13 +25,13 @@ from anisoscope.kinds.plates.field_judgement import TESTS
 from anisoscope.kinds.plates.measurement import MeasuredPlate
 from anisoscope.kinds.plates.recipe import PlateRecipe
 from anisoscope.kinds.plates.record import FieldRecord
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import part_uncertainty
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.region_prediction import SEATING
 from anisoscope.prediction.second_order import Response
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.record.schema import CauseRecord, ComponentRecord, DiagnosisRecord
-from anisoscope.sim.light.material import Material
 
 U_TURN_DEG = 0.1
 """Standard uncertainty of the turn of the fields against the fixture."""

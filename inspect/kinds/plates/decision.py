@@ -32,11 +32,12 @@ from anisoscope.kinds.plates.record import (
     PlateDetails,
 )
 from anisoscope.kinds.plates.reference_plates import GoldenPlates
+from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.expectation import Component
 from anisoscope.record.schema import BudgetRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Pose, directions
+from anisoscope.sim.light.geometry import directions
 
 MOST_RECORDED = 4096
 """Fields of which the offsets are recorded."""

@@ -17,15 +17,15 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.kinds.plates.field_test import class_middles
 from anisoscope.kinds.plates.plate_map import fields_by_map, plate_surface
 from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.prediction.predict import predict_design
 from anisoscope.prediction.region_prediction import SEATING
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import Plan
-from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import Material
 
 FLAT_DEG = 0.01
 """Ridge angle of a field without ridges."""

@@ -8,12 +8,12 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.region_prediction import FieldGrid, predict_fields
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.metrology.regions import field_leans
 from anisoscope.profiles.plates import FLAT, Plan
-from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.relief import MAX_MISSING_SHARE
 
 HEIGHT_MAP = "height_map"

@@ -11,10 +11,11 @@ from anisoscope.kinds.prints.lobe_fit import check_poses
 from anisoscope.kinds.prints.model import Scene, State, roughness_matrix, squared_slopes
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.sources import Source, of_channels, of_each, of_poses, shared
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.vision import Sensitivities, Vision
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.ink.angles import half_vector
 
 MODEL = "ink"

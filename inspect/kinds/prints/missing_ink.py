@@ -21,9 +21,10 @@ from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.quantities import Quantity
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.sources import of_channels, of_each, of_poses, total
+from anisoscope.parameters.geometry import Convention
 from anisoscope.record.schema import CauseRecord
 from anisoscope.record.verdict import Verdict
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import directions
 
 MISSING_INK, MISSING_TITLE = "missing-ink", "missing ink, share"
 """The cause, by name and in words."""

@@ -11,7 +11,8 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.ink.angles import half_vector, shift
 from anisoscope.sim.light.ink.ink import Ink
 

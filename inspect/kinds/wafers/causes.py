@@ -29,11 +29,12 @@ from anisoscope.kinds.wafers.etched import EtchedPredictor, NearWidths
 from anisoscope.kinds.wafers.lighting import moved_light, needed_reach, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer
 from anisoscope.kinds.wafers.states import DEPTH, EDGES, SCATTER, WIDTH, edges_u_nm, width_step_nm
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose, pose_grid
+from anisoscope.sim.light.geometry import pose_grid
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
 Changed = Callable[[EtchedPredictor, State, float], tuple[EtchedPredictor, State]]

@@ -12,15 +12,16 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, RecipeError
+from anisoscope.parameters.light import LightSpectrum
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import Optics
 from anisoscope.prediction.recipe_models import line_spectrum
 from anisoscope.prediction.wave import window_of
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.optics import Optics
 from anisoscope.sim.light.wave.halfvectors import half_vector
 from anisoscope.sim.light.wave.orders import REACH, Bands, Orders, WidthOrders
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.reflectance import radiance_scale
 
 WHOLE = 1e-3
 """How far the side of a tile may be off the pitch of the recipe, relative."""

@@ -29,12 +29,12 @@ from anisoscope.kinds.wafers.states import (
     edges_u_nm,
     width_step_nm,
 )
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
 from anisoscope.prediction.optics_selection import optics_for
 from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
 DRAWN_UM = 64.0

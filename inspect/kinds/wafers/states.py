@@ -15,9 +15,9 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.kinds.wafers.etched import EtchedPredictor, NearWidths
 from anisoscope.kinds.wafers.lighting import light_steps, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.profile_likelihood import FARTHEST
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
-from anisoscope.sim.light.geometry import Convention
 from anisoscope.sim.light.wave.choice import edge_widening_um
 
 DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"

@@ -5,13 +5,15 @@ from functools import cache
 import numpy as np
 
 from anisoscope.experiment.experiment import RIDGE_ANGLES_DEG, Experiment, Setup, run_experiment
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.report.experiment_page import AXIS_NAMES, bar_chart, level_text
 from anisoscope.report.figures import BLUE, GREEN
 from anisoscope.sim.light import printed
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.picture import Plate, checkerboard, plate_picture, view_of
 from anisoscope.study.best_angle import best_angle
 from anisoscope.study.convergence import QUALITIES

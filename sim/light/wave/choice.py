@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.wave.reflectance import LightSpectrum
+from anisoscope.parameters.light import LightSpectrum
 from anisoscope.sim.light.wave.surface import MAX_SHARE, Sampling, WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Window
 

@@ -30,11 +30,11 @@ from anisoscope.imaging.deviation_map import judge_area
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, linearise, stack
 from anisoscope.imaging.pose_radiance import Measured, drift_error, measure
 from anisoscope.imaging.registration.placement import Placement, View
+from anisoscope.parameters.geometry import Pose
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.sim.bench.optics import Lamp, image_of_surface, pixel_from_mm, vignette
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Pose
 from detection_study.product import (
     BY_NAME,
     CHOSEN,

@@ -6,10 +6,13 @@ from functools import lru_cache
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions
-from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, transmittance_table
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.material import diffuse_scale, fresnel, transmittance_table
 from anisoscope.sim.light.shine import Shine, lobe_shape, vector
 from anisoscope.sim.pathtracer.plastic import LobeName, Plastic
 from anisoscope.sim.pathtracer.tracer import PathTracer

@@ -13,12 +13,13 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.geometry import Pose
+from anisoscope.parameters.material import Material
 from anisoscope.prediction.expectation import Expectation, expectation
 from anisoscope.recipe.material_file import MaterialFile
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
-from anisoscope.sim.light.geometry import Pose, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import pose_grid
 
 World = Literal["same", "reflections", "ggx", "student", "two-scale", "camera", "lamp", "other"]
 RecipeName = Literal["standard", "tilted", "suggested"]

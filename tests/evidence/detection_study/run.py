@@ -46,6 +46,7 @@ from anisoscope.fit.lobe import POSE_NOISE, Scan, coupon, coupon_poses, fit_lobe
 from anisoscope.imaging.defect_regions import MarkForm
 from anisoscope.inspection.material_calibration import residual_test
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.prediction.propagation import TAIL
@@ -57,7 +58,7 @@ from anisoscope.recipe.material_file import (
     ValidityPart,
 )
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.pathtracer.tracer import PathTracer
 from anisoscope.study.statistics import Rate, rate
 from anisoscope.study.sweep import Workers, sweep

@@ -14,11 +14,13 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache, Entry
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defect_injection import inject_defect
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.pathtracer.tracer import PathTracer
 from detection_study.lobes import lobes_of, plastic_of, quick_shine

@@ -7,7 +7,7 @@ import pytest
 from anisoscope.api import control_chart, ideal_ridges, predict
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notebook import MOST_ROWS, data_frame, html_table
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.ridges import RidgeDesign
 
 
 def test_what_a_file_or_an_operator_wrote_is_escaped():

@@ -8,8 +8,8 @@ from anisoscope.bsdf.directions_table import DirectionsTable, interpolated, read
 from anisoscope.bsdf.formats import compared_directions
 from anisoscope.bsdf.models import of_ridges
 from anisoscope.fit.table import read_brdf
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 
 PLASTIC = of_ridges(RidgeDesign(100.0, 0.0), Material(alpha_along=0.2, alpha_across=0.25))
 GONIO = "AOI,Det,CCBRDF\n20,-20,0.1\n20,30,0.2\n20,89.5,0.3\n"

@@ -4,8 +4,8 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.bsdf.merl import RGB_NM, SHAPE, read_merl, write_merl
 from anisoscope.bsdf.models import of_ridges
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 
 COUNT = 90 * 90 * 180
 

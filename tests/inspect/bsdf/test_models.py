@@ -6,9 +6,11 @@ import pytest
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.bsdf.models import MIRROR, of_design, of_heights, of_heights_by_waves, of_ink, of_ridges
 from anisoscope.bsdf.reflectance import albedo, hemisphere
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import ridges
 from anisoscope.sim.light.ink.model import brdf, directional_albedo
-from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.material import facet_brdf
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.wave import quadratic
 from anisoscope.sim.light.wave.claims import blurred_sinc2, mean_phase

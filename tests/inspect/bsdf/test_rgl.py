@@ -6,8 +6,8 @@ from anisoscope.bsdf.models import of_ridges
 from anisoscope.bsdf.reflectance import albedo
 from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
 from anisoscope.bsdf.tensor_file import read_tensors, write_tensors
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 
 
 def fields(**changes):

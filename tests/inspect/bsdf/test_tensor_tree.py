@@ -10,8 +10,8 @@ from anisoscope.bsdf.formats import read_reflectance
 from anisoscope.bsdf.models import of_ridges
 from anisoscope.bsdf.reflectance import albedo
 from anisoscope.bsdf.tensor_tree import disk_of, read_tensor_tree, square_of, write_tensor_tree
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 
 
 @pytest.fixture(scope="module")

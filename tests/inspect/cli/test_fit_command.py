@@ -109,9 +109,9 @@ def test_the_experiment(anisoscope, tmp_path):
 
 def test_a_brdf_compared_and_fitted(anisoscope, tmp_path):
     from anisoscope.fit.table import COLUMNS, unit_vectors
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.material import Material
+    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.sim.light import corrected
-    from anisoscope.sim.light.material import Material
 
     rng = np.random.default_rng(2)
     angles = np.stack(

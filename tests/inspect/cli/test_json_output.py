@@ -13,8 +13,9 @@ from pydantic import BaseModel, Field
 
 from anisoscope.base.json_fields import LEFT_OUT, as_json, in_json, json_field
 from anisoscope.cli import run
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 
 class Colour(StrEnum):

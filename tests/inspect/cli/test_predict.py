@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from anisoscope.cli import run
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 
 
 def test_json_of_a_design(anisoscope):

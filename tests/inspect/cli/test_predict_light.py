@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from anisoscope.cli import run
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from anisoscope.cli.predict.predict import DEFAULTS, input_uncertainty
-from anisoscope.prediction.sensitivity import InputUncertainty
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.recipe.surface import MaterialPart, RigUncertainty
 
 FAST = ("--u-alpha", 0, "--u-index", 0)

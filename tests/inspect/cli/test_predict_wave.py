@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from anisoscope.cli import run
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 
 LEANING = ("--ridge-angle", "10", "--no-uncertainty")
 """Walls square to the facets: no light reaches the rig from them, and at 10° they throw no shadow."""

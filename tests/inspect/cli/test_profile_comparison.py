@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.editing.operations import OPERATIONS
 from anisoscope.profiles.editing.steps import edit_map
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "height-maps.md"
 

@@ -11,8 +11,9 @@ import pytest
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.cli.profile.many import OutOptions
 from anisoscope.cli.profile.profile import view
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import read_height_map, write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.profiles.limits import Limit, LimitsError, judge, read_limits
 from anisoscope.report import profile_page
 from anisoscope.report.surface_view import Picture3D, viewer_of

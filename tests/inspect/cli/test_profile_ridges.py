@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 KEYS = (
     "pitch_um", "direction_deg", "ridge_angle_deg", "wall_angle_deg", "height_um", "height_loss", "edge_radius_um",

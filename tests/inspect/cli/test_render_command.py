@@ -7,9 +7,10 @@ import pytest
 import tifffile
 
 from anisoscope import cli
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 MISSING_BGR, WHITE_MARGIN = (156, 33, 214), 16
 RIDGES = ("--ridge-angle", "10", "--panel", "160")

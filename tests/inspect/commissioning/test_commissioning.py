@@ -29,16 +29,18 @@ from anisoscope.commissioning.part import RidgedPart
 from anisoscope.commissioning.record import read_commissioning, write_commissioning
 from anisoscope.commissioning.series import Series, turn_readings
 from anisoscope.commissioning.turning import fit_centre, fit_foreshortening, fit_turning, wrapped
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.recipe.material_file import MaterialFile
 from anisoscope.report.commission_page import write_commission_page
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.bench.bench import _Pose, _Shine
 from anisoscope.sim.light.corrected import radiance
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 
 EXPOSURE_S = 0.0015
 DIRECT = Assumed(bounces=1)  # quick; two rigs are found with all reflections

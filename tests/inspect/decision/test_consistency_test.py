@@ -11,14 +11,15 @@ from anisoscope.base.significance import calibrated, hotelling, log_basis, mahal
 from anisoscope.decision.consistency_test import from_golden, from_prediction, golden_chances, nearest_lobe
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import LONGEST_TAIL
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.second_order import Response
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.material_file import MaterialFile, material_at
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import LONGEST_TAIL
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 
 POSES = pose_grid((0.0, 90.0, 180.0), (0.0, 10.0))
 RADIANCE = np.array([0.3, 0.05, 0.04, 0.2, 0.07, 0.1])

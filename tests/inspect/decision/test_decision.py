@@ -13,10 +13,11 @@ from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.imaging.deviation_map import cell_deviations, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import contrasts
-from anisoscope.sim.light.geometry import Convention, pose_grid
+from anisoscope.sim.light.geometry import pose_grid
 
 KINDS = ("log_ratio", "michelson", "difference")
 TABLE = np.array([0.30, 0.05, 0.04])

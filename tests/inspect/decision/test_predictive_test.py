@@ -25,14 +25,15 @@ from anisoscope.decision.predictive_test import (
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.part_scatter import named_defects, part_scatter
 from anisoscope.prediction.second_order import Response
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.surface import DefectsPart, DesignPart
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, seating_rotation
 
 M = 3
 LINEAR = Scatter(

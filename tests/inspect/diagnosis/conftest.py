@@ -5,10 +5,11 @@ import pytest
 
 from anisoscope.diagnosis.causes import all_causes, tail_cause
 from anisoscope.diagnosis.signatures import Signature, Signatures
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.sensitivity import State
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import directions
 
 LIGHT_DEG = 10.0
 

@@ -14,11 +14,12 @@ from anisoscope.diagnosis.signatures import signatures
 from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.defect_injection import inject_defect
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.recipe.surface import AreaPart
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
 from detection_study.product import LIGHT_DEG, Size, recipe_of
 

@@ -15,14 +15,16 @@ from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
 from anisoscope.imaging.defect_regions import MarkForm
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
 from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.profiles.defects_contact import edge_wear
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.bounces import interreflection
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
 
 POSES = (Pose(0.0), Pose(90.0), Pose(180.0), Pose(0.0, 10.0), Pose(90.0, 10.0), Pose(180.0, 10.0))

@@ -7,8 +7,8 @@ import numpy as np
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
 from anisoscope.diagnosis.discriminating_poses import advice_for
 from anisoscope.diagnosis.ranking import Diagnosis
+from anisoscope.parameters.geometry import Pose
 from anisoscope.record.schema import CauseRecord
-from anisoscope.sim.light.geometry import Pose
 
 
 def cause(name, severity, u, tie=True):

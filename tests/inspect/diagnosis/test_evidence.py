@@ -17,8 +17,8 @@ from anisoscope.diagnosis.evidence import (
 from anisoscope.diagnosis.likelihood import PITCH, fit_extent
 from anisoscope.diagnosis.ranking import BELIEVABLE, NOTHING, OTHER, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
+from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.second_order import Response
-from anisoscope.sim.light.geometry import Pose
 
 POSES = tuple(Pose(45.0 * k) for k in range(6))
 P = len(POSES)

@@ -6,10 +6,12 @@ import numpy as np
 
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.signatures import _Scene
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.recipe_models import models_of
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import directions
 
 
 def test_a_rougher_plastic_is_rougher_as_a_whole_not_its_lobe(make_recipe, tmp_path):

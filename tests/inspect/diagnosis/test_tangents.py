@@ -11,12 +11,13 @@ from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.signatures import DOUBTFUL, _Scene, signatures
 from anisoscope.diagnosis.tangents import A_SIDE, Tangents, looked_at, slopes_of
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import directions
 
 LOSS = 0.1
 SPREAD = 0.3

@@ -15,10 +15,12 @@ from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.separability import separability
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.defects_contact import edge_wear
-from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
+from anisoscope.profiles.ideal import ridges
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.pathtracer.plastic import Plastic
 from anisoscope.sim.pathtracer.tracer import PathTracer
 

@@ -16,10 +16,11 @@ from anisoscope.experiment.experiment import (
 )
 from anisoscope.experiment.findings_map import findings_share
 from anisoscope.experiment.measured_table import read_measured
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected, printed
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 
 IN_PLANE = Convention(tilt_plane="in-plane")
 HEADER = ",".join(COLUMNS)

@@ -10,11 +10,12 @@ from anisoscope.fit.identifiability import information
 from anisoscope.fit.parameters import GEOMETRY, PARAMETERS, USUAL, checked_values, parse_free
 from anisoscope.fit.problem import Problem, Readings, Scene, interface_alpha
 from anisoscope.fit.table import experiment_problem
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 
 TILTED = pose_grid((0.0, 90.0, 180.0, 270.0), (-15.0, 0.0, 15.0))
 ROUND = pose_grid(tuple(np.arange(0.0, 360.0, 45.0)), (-20.0, -10.0, 0.0, 10.0, 20.0))

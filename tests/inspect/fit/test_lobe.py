@@ -5,10 +5,11 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.fit.lobe import Scan, coupon, coupon_poses, fit_lobe, part_poses, planned, ridged
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 
 CONVENTION = Convention()
 DESIGN = RidgeDesign(100.0, 10.0)

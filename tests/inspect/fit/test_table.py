@@ -3,7 +3,7 @@ import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.fit.table import matrix_of_shared, read_readings
-from anisoscope.sim.light.geometry import Pose
+from anisoscope.parameters.geometry import Pose
 
 EXPOSURES = "stage_deg,tilt_deg,value"
 CONTRASTS = "from_deg,to_deg,tilt_deg,value"

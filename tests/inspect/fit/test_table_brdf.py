@@ -8,9 +8,10 @@ from anisoscope.fit.fitting import fit
 from anisoscope.fit.parameters import checked_values
 from anisoscope.fit.problem import Problem, Scene
 from anisoscope.fit.table import COLUMNS, read_brdf, reciprocity, unit_vectors
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.material import facet_brdf
 
 HEADER = ",".join(COLUMNS)
 

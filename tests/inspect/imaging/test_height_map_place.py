@@ -9,11 +9,12 @@ from anisoscope.imaging.height_map_place import match_map, render
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds import surface as surface_kind
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 PITCH_UM, STEP_UM = 100.0, 5.0
 POSES = (Pose(0.0), Pose(90.0))

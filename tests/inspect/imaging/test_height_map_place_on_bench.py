@@ -6,12 +6,14 @@ import pytest
 
 from anisoscope.imaging.height_map_place import place_rendered, render
 from anisoscope.imaging.registration.placement import Grid, Placement, resample
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
 
 PITCH_UM, PIXEL_UM = 100.0, 8.0

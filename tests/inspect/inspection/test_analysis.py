@@ -18,10 +18,11 @@ from anisoscope.inspection.recompute import recompute
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.ridges.kind import Ridges
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.cache import forget
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.record.schema import Record, read_record
 
 WRONG = {"sample": {"material": {"alpha_along": 0.09}}}

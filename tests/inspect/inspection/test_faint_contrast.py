@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from anisoscope.imaging.area_limit import KnownShares
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defect_injection import inject_defect
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.record.surface_details import surface_of
 
 ALPHA, TEXTURE, ALBEDO, ANGLE_DEG, PITCH_UM = 0.095, 0.03, 0.25, 15.0, 100.0

@@ -12,10 +12,11 @@ from anisoscope.fit.lobe import Scan, coupon_poses
 from anisoscope.inspection.material_calibration import calibrate_material, plan_scan, scan_setup
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.reflectance_scan import read_scan
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
 from anisoscope.recipe.material_file import read_material_file
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 SMALL = {
     "sensor": {"rows": 288, "cols": 320, "hot_pixel_share": 0.0},
@@ -54,7 +55,7 @@ def readings(path, material=None, poses=None, design=None):
 
 
 def scan_design(angle_deg):
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.ridges import RidgeDesign
 
     return RidgeDesign(100.0, angle_deg)
 

@@ -28,12 +28,13 @@ from anisoscope.inspection.reflectance_scan import (
     resume_scan,
     seating_slopes,
 )
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.record.schema import read_record
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 from anisoscope.sim.materials.inks import find_ink
 
 BENCH = {

@@ -25,16 +25,17 @@ from anisoscope.inspection import run as inspection
 from anisoscope.inspection.job import check_serial
 from anisoscope.inspection.run import Methods
 from anisoscope.kinds.registry import read_recipe
+from anisoscope.parameters.geometry import Pose
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.record.schema import read_record, sha256_of
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.rig.stages import manual
 from anisoscope.sim.light.contrasts import contrasts
-from anisoscope.sim.light.geometry import Pose
 
 
 @pytest.fixture(scope="module")

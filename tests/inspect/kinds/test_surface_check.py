@@ -11,8 +11,9 @@ from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.kinds import surface_check as recipecheck
 from anisoscope.kinds.surface_check import check_recipe
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.light.unresolved import resolve
 
 CAUSES = ("roughness-along", "light-angle")

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError, ModelError
+from anisoscope.parameters.light import LightSpectrum
 from anisoscope.prediction.angular import AngularTask, angular_reflectance
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.wave.correlation import DensityLadder
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, brdf
+from anisoscope.sim.light.wave.reflectance import brdf
 from anisoscope.sim.light.wave.surface import WaveSurface
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from anisoscope.diagnosis import signature_cache as remembering
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction import cache as keptprediction
 from anisoscope.prediction.cache import cached_expectation, forget, packed
 from anisoscope.prediction.expectation import PLASTIC, expectation
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 
 
 @pytest.fixture

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.contrast_change import contrast_change
 from anisoscope.prediction.predict import predict_design
 from anisoscope.profiles.comparison import compare_maps
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import pose_grid
 
 TOOL, PART = RidgeDesign(60.0, 10.0), RidgeDesign(60.0, 9.0, edge_radius_um=5.0)
 

@@ -7,12 +7,14 @@ import pytest
 from scipy.stats import norm, qmc
 
 from anisoscope.base.errors import RecipeError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
+from anisoscope.sim.light.geometry import directions, seating_rotation
 
 DESIGN = RidgeDesign(100.0, 10.0)
 SPREAD = {"design": {"u_ridge_angle_deg": 0.2}}

@@ -3,6 +3,10 @@
 import numpy as np
 import pytest
 
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.height_map_uncertainty import (
     best_band,
     height_noise,
@@ -12,10 +16,9 @@ from anisoscope.prediction.height_map_uncertainty import (
     ridge_scatter,
 )
 from anisoscope.prediction.predict import predict_height_map
-from anisoscope.prediction.sensitivity import InputUncertainty, Shape
-from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.prediction.sensitivity import Shape
+from anisoscope.profiles.ideal import ridges
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.relief import Relief, radiance
 
 POSES = pose_grid((0.0, 90.0, 180.0))

@@ -8,14 +8,15 @@ import pytest
 from anisoscope.decision.consistency_test import from_prediction
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.cache import _unpacked, packed
 from anisoscope.prediction.expectation import PLASTIC, Component, expectation
 from anisoscope.prediction.lobe_doubt import LIKELY_TAILS, likely_tails
 from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.prediction.propagation import TAIL
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import directions
 
 UNMEASURED = {"u_tail": None, "u_alpha_share": None, "u_albedo": None}
 NOISE = 0.003

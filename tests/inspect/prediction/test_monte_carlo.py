@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.contrast_uncertainty import KINDS, contrast_covariance
 from anisoscope.prediction.monte_carlo import MonteCarlo, disagreement, draw
 from anisoscope.prediction.predict import predict_design, predict_height_map
-from anisoscope.prediction.sensitivity import Contribution, InputUncertainty, State, fixed
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sim.light.geometry import Convention, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.prediction.sensitivity import Contribution, State, fixed
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import pose_grid
 
 POSES = pose_grid((0.0, 90.0, 180.0))
 DESIGN = RidgeDesign(100.0, 10.0)

@@ -2,13 +2,15 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.predict import predict_design, predict_height_map
-from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.profiles.patterns import GrooveDesign, turned_ridges, v_grooves
-from anisoscope.sim.light.geometry import Convention, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import pose_grid
 
 POSES = pose_grid((0.0, 90.0, 180.0, 270.0), (0.0, 10.0))
 MATERIAL = Material(0.08, 0.12)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.predict import lost_in_roughness, predict_design
-from anisoscope.prediction.sensitivity import InputUncertainty
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.geometry import Convention, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import pose_grid
 
 POSES = pose_grid((0.0, 90.0, 180.0), (0.0, 10.0))
 

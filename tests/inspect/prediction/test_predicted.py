@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from anisoscope import cli
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction import predicted
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design, predict_height_map
 from anisoscope.prediction.predicted import packed, unpacked
-from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.sim.light.geometry import Convention, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.profiles.ideal import ridges
+from anisoscope.sim.light.geometry import pose_grid
 
 POSES = pose_grid((0.0, 90.0, 180.0), (0.0, 10.0))
 RIDGES = RidgeDesign(100.0, 10.0)

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.monte_carlo import draw
 from anisoscope.prediction.propagation import TAIL, propagate
-from anisoscope.prediction.sensitivity import InputUncertainty, Shape, State, fixed
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.prediction.sensitivity import Shape, State, fixed
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 POSES = pose_grid((0.0, 90.0, 180.0))
 EXACT = InputUncertainty(
@@ -106,7 +108,7 @@ def test_covariances_of_all_sources_add_up():
 
 
 def corrected_of(to_light, to_camera, material):
-    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.parameters.ridges import RidgeDesign
 
     return corrected.radiance(to_light, to_camera, RidgeDesign(100.0, 10.0), material)
 

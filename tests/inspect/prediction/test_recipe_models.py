@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError, RecipeError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction import recipe_models as models
 from anisoscope.prediction.cache import _unpacked, packed
 from anisoscope.prediction.expectation import PLASTIC, expectation
@@ -15,8 +17,8 @@ from anisoscope.prediction.predict import predict_design, predict_height_map
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.sensitivity import Shape
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.unresolved import resolve
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 

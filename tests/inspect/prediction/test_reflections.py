@@ -8,6 +8,9 @@ import pytest
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.cli import run
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.height_map_uncertainty import pixel_error
 from anisoscope.prediction.reflections import (
@@ -22,10 +25,9 @@ from anisoscope.prediction.reflections import (
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief_paths import interreflection as followed_paths
 

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design
 from anisoscope.prediction.region_prediction import FieldGrid, predict_fields, predict_map
-from anisoscope.prediction.sensitivity import InputUncertainty
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.profiles.patterns import checkerboard
 from anisoscope.profiles.plates import Plan, plate_map
-from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import Material
 
 BOARDS = Path(__file__).resolve().parents[2] / "profiles" / "metrology" / "boards.py"
 SPEC = importlib.util.spec_from_file_location("boards", BOARDS)

@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, relief_model
 from anisoscope.prediction.predict import predict_height_map
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.patterns import checkerboard, turned_ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 
 DARK_PLASTIC = Material(0.08, 0.08, 0.1)
 POSES = (Pose(0.0), Pose(90.0), Pose(180.0))

@@ -7,12 +7,13 @@ import pytest
 from scipy.stats import chi2
 
 from anisoscope.base.significance import log_basis
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import SECOND_ORDER, expectation
 from anisoscope.prediction.profile_likelihood import nearest
 from anisoscope.prediction.second_order import Response
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
+from anisoscope.sim.light.geometry import directions, seating_rotation
 
 
 @pytest.fixture

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.light import LightSpectrum
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import Optics
 from anisoscope.prediction.optics_selection import Rig, _halves, _window, fine_enough
 from anisoscope.prediction.wave import WavePredictor
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.optics import Optics
-from anisoscope.sim.light.wave.reflectance import LightSpectrum
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.wave.surface import WaveSurface
 
 GREEN = LightSpectrum((0.5,))

@@ -9,10 +9,13 @@ import pytest
 from anisoscope.base.errors import CalibrationError, RecipeError
 from anisoscope.diagnosis.evidence import inputs_of
 from anisoscope.kinds.ridges.kind import RIDGES
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import SCATTER, expectation
 from anisoscope.prediction.propagation import TAIL
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.recipe.material_file import (
     MaterialFile,
     MaterialLightPart,
@@ -25,8 +28,7 @@ from anisoscope.recipe.material_file import (
 from anisoscope.recipe.surface import ScatterPart, check_material
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 
 NAMES = ("ln_alpha_along", "ln_alpha_across", "tail", "ln_albedo")
 COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.04]) ** 2

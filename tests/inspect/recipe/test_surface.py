@@ -3,10 +3,10 @@
 import pytest
 from pydantic import ValidationError
 
+from anisoscope.parameters.light import LightSpectrum
 from anisoscope.recipe.surface import WIDEST, LightPart
 from anisoscope.sim.bench.wafer import LINES
 from anisoscope.sim.bench.waferpart import WaferPart
-from anisoscope.sim.light.wave.reflectance import LightSpectrum
 
 
 @pytest.mark.parametrize("wavelength_nm", [200.0, 300.0, 450.0])

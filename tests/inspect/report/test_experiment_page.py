@@ -8,6 +8,7 @@ import pytest
 from anisoscope.base.errors import RecordError
 from anisoscope.experiment.experiment import SHAPE, Setup, run_experiment
 from anisoscope.experiment.findings_map import findings_share
+from anisoscope.parameters.geometry import Convention
 from anisoscope.report.experiment_page import (
     bar_chart,
     findings_svg,
@@ -15,7 +16,6 @@ from anisoscope.report.experiment_page import (
     write_experiment_page,
     write_findings_page,
 )
-from anisoscope.sim.light.geometry import Convention
 
 
 @pytest.fixture(scope="module")

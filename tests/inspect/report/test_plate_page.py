@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan
 from anisoscope.report.plate_page import write_plate_page
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.material import Material
 
 PLAN = Plan(
     ("ABCDD", ".ABCA", "DDABB", "CAAAA"),

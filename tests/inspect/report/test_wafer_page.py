@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from anisoscope.base.errors import UsageError
+from anisoscope.parameters.light import LightSpectrum
 from anisoscope.report.plate_page import write_layout_page
 from anisoscope.sim.design.designfile import DesignFile
 from anisoscope.sim.design.layout import Layout
@@ -16,7 +17,7 @@ from anisoscope.sim.design.pattern import PatternOptions, make_layout
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import XYZ_TO_SRGB
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance
+from anisoscope.sim.light.wave.reflectance import radiance
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window
 

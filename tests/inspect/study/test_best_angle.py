@@ -7,7 +7,7 @@ import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.experiment.experiment import Setup, absolute_contrasts, findings
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
 from anisoscope.study.best_angle import IMPERFECTIONS, best_angle, folded_mean
 from anisoscope.study.convergence import Sampling
 from anisoscope.study.sweep import Workers

@@ -13,13 +13,15 @@ from anisoscope.base.errors import UsageError
 from anisoscope.decision import consistency_test
 from anisoscope.imaging.pose_radiance import Measured, measure
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.defects_contact import edge_wear
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.light.shine import shine_in
 from anisoscope.sim.pathtracer.tracer import PathTracer

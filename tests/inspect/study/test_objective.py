@@ -7,11 +7,12 @@ import pytest
 from scipy.stats import norm, qmc
 
 from anisoscope.base.errors import UsageError
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.predict import predict_design
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 from anisoscope.study.objective import (
     Noise,
     Part,

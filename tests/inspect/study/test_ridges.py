@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 from anisoscope.study.ridges import ridge_radiance, rounded_polyline

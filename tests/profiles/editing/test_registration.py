@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RegistrationError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.editing.registration import register, registered, white_noise
 from anisoscope.profiles.editing.steps import edit_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.patterns import turned_ridges
 
 

@@ -8,11 +8,12 @@ import pytest
 from PIL import Image
 
 from anisoscope.base.errors import HeightMapError, RegistrationError, UsageError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.editing.operations import OPERATIONS
 from anisoscope.profiles.editing.steps import Step, described, edit_map
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 
 PIXEL = 2.0, 3.0  # x, y in µm
 

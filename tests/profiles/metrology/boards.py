@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 
 
 def turned_board(turn_deg, points, pixel_um, field_um, design=None, directions_deg=(0.0, -90.0)):

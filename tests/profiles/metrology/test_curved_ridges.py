@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles import patterns
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.metrology.ridges import measure_ridges
 
 SPEC = importlib.util.spec_from_file_location("ridgesurfaces", Path(__file__).with_name("ridgesurfaces.py"))

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness
+from anisoscope.profiles.ideal import add_facet_roughness
 from anisoscope.profiles.metrology.regions import direction_regions
 from anisoscope.profiles.patterns import GrooveDesign, flat, turned_ridges, v_grooves
 

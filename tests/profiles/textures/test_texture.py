@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.profiles.textures.bearing import bearing, core, volumes
 from anisoscope.profiles.textures.texture import heights, hybrid, texture
 

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness
+from anisoscope.profiles.ideal import add_facet_roughness
 from anisoscope.profiles.patterns import turned_ridges
 from anisoscope.profiles.textures.spatial import autocorrelation, spatial
 from anisoscope.profiles.textures.spectra import areal_density, lay, line_density, radial_density

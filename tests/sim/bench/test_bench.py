@@ -5,9 +5,10 @@ import pytest
 
 from anisoscope.base.errors import NotConnected, RigFileError, Stalled
 from anisoscope.imaging.registration.placement import angle_between, locate
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.ideal import ridges
 from anisoscope.rig.lights.serial import SerialLight
 from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.sim.bench.bench import Bench, shared_bench

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.predict import predict_design
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.bench.bench import plastic
 from anisoscope.sim.bench.benchfile import MaterialPart, SamplePart
 from anisoscope.sim.bench.plate import PlatePart, PlateSample
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 
 EXACT = {
     "angle_scatter_deg": 0.0,

@@ -7,12 +7,13 @@ import pytest
 
 from anisoscope.base.errors import RigFileError
 from anisoscope.imaging.registration.placement import angle_between, locate
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.rig.bayer import channel_of_pixels, grey_of
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.prints import PrintSample, printed_ink
 from anisoscope.sim.light.colour.lamps import synthetic_white_led
 from anisoscope.sim.light.colour.vision import Vision, synthetic_bayer, synthetic_silicon
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.ink.distributions import density
 from anisoscope.sim.light.ink.model import brdf
 from anisoscope.sim.materials.inks import synthetic_ink, write_ink

@@ -2,11 +2,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.bench.bench import ReliefSample, build_surface, plastic
 from anisoscope.sim.bench.benchfile import BenchFile, MaterialPart, SamplePart
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import directions
 
 
 def build(**fields):

@@ -5,6 +5,8 @@ import pytest
 import tomli_w
 
 from anisoscope.base.errors import RigFileError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.light import LightSpectrum
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import read_bench
@@ -14,10 +16,10 @@ from anisoscope.sim.design.designfile import DesignFile, write_design, write_lay
 from anisoscope.sim.design.mask import write_gds
 from anisoscope.sim.design.models import LobeModel
 from anisoscope.sim.design.pattern import PatternOptions, make_layout
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.wave import fused
 from anisoscope.sim.light.wave.halfvectors import across_beam, half_vector
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.reflectance import radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.design.plates import design_pictures, modules_of_code
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 
 PLASTIC = Material(0.06, 0.10, 0.2)
 RIDGES = RidgeDesign(50.0, 8.0, 10.0, edge_radius_um=1.0)

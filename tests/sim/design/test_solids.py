@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan, plate_map
 from anisoscope.sim.design import solids
 from anisoscope.sim.design.solids import Body, field_triangles, outline, write_body

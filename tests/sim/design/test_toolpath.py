@@ -7,7 +7,7 @@ import pytest
 from gcodeparser import parse_gcode_lines
 
 from anisoscope.base.errors import UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan
 from anisoscope.sim.design.solids import Body
 from anisoscope.sim.design.toolpath import SCALLOP_UM, Tool, insert_path, write_gcode, write_passes

@@ -2,12 +2,14 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.bounces import Groove, interreflection
 from anisoscope.sim.light.corrected import radiance
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material, brdf_table, facet_brdf
+from anisoscope.sim.light.geometry import directions, pose_grid
+from anisoscope.sim.light.material import brdf_table, facet_brdf
 
 ALONG = np.array([0.0, 1.0, 0.0])
 TABLE = directions(pose_grid((0, 90, 180), (-20, -10, 0, 10, 20)), Convention())

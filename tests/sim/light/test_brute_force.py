@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light.corrected import radiance
-from anisoscope.sim.light.material import Material
 
 NODES = np.polynomial.legendre.leggauss(64)
 PITCH, RAYS = 100.0, 6_007

@@ -4,11 +4,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import ridges
 from anisoscope.sim.light import relief, relief_paths
 from anisoscope.sim.light.corrected import indirect_radiance, radiance, radiance_of_profile
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
-from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.geometry import directions, pose_grid
+from anisoscope.sim.light.material import facet_brdf
 from anisoscope.sim.light.ridge_profile import ridge_outline, ridge_polyline, sharp_groove, visible_shares
 
 X, Y, Z = np.eye(3)

@@ -3,7 +3,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 
 
 def test_directions_are_as_stated_at_stage_zero():

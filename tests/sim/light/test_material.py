@@ -5,9 +5,9 @@ import pytest
 from scipy import special
 
 from anisoscope.base.errors import ModelError
+from anisoscope.parameters.material import Material
 from anisoscope.sim.light.interface_kernels import _beckmann_lambda
 from anisoscope.sim.light.material import (
-    Material,
     _gauss_legendre,
     _lobe_albedos,
     diffuse_scale,

@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.light import relief
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.micrograph import Lens, blurred, micrograph, subpixels
 from anisoscope.sim.light.picture import View, view_of
 

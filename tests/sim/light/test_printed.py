@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected, printed
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material, fresnel
+from anisoscope.sim.light.geometry import directions, pose_grid
+from anisoscope.sim.light.material import fresnel
 
 RIDGE_ANGLES = (5.0, 10.0, 15.0, 20.0)
 TILTS = (-20.0, -10.0, 0.0, 10.0, 20.0)

@@ -2,14 +2,16 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError, ModelError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.patterns import turned_ridges
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.census import added, shine_at_nodes
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.horizon import Horizon, bands
-from anisoscope.sim.light.material import Material, diffuse_scale, facet_brdf, fresnel, transmittance
+from anisoscope.sim.light.material import diffuse_scale, facet_brdf, fresnel, transmittance
 from anisoscope.sim.light.relief import Relief, radiance, radiance_maps, radiance_of_cells
 from anisoscope.sim.light.ridge_profile import ridge_polyline
 from anisoscope.sim.light.shine import shine_in

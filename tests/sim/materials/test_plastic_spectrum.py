@@ -1,7 +1,7 @@
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.material import Material
+from anisoscope.parameters.material import Material
 from anisoscope.sim.materials.spectra import PlasticSpectrum
 
 

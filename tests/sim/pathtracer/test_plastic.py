@@ -3,7 +3,8 @@ import pytest
 from scipy.integrate import quad
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.material import Material, diffuse_scale, facet_brdf
+from anisoscope.parameters.material import Material
+from anisoscope.sim.light.material import diffuse_scale, facet_brdf
 from anisoscope.sim.pathtracer.plastic import (
     COMPONENTS,
     LOBES,

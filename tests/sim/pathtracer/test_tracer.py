@@ -2,11 +2,13 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.pathtracer.plastic import LOBES, Plastic, brdf
 from anisoscope.sim.pathtracer.tracer import EQUAL_ROWS, PathTracer
 

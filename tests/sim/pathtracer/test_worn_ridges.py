@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import ridges
 from anisoscope.sim.light.corrected import indirect_radiance
-from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.pathtracer.plastic import Plastic
 from anisoscope.sim.pathtracer.tracer import PathTracer
 

@@ -31,8 +31,8 @@ from anisoscope.kinds.plates.measurement import (
 from anisoscope.kinds.plates.record import PlateContrastRecord, PlateDetails
 from anisoscope.kinds.plates.reference_plates import GoldenPlate, GoldenPlates, reference_table
 from anisoscope.kinds.registry import kind_of
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.plates import Plan, plate_map
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.design.plates import modules_of_code

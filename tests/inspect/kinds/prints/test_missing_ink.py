@@ -14,8 +14,9 @@ from anisoscope.kinds.prints.missing_ink import without_ink
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import read_print_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
+from anisoscope.parameters.geometry import Convention
 from anisoscope.record.verdict import Verdict
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import directions
 
 
 @pytest.fixture(scope="module")

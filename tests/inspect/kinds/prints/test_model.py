@@ -7,7 +7,8 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.kinds.prints.model import NAMES, Scene, State, roughness_along
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
+from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 from anisoscope.sim.light.ink.angles import half_vector
 from anisoscope.sim.light.ink.distributions import density
 from anisoscope.sim.light.ink.model import brdf

@@ -18,11 +18,12 @@ from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.decision.consistency_test import from_prediction
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.sim.bench.wafer import build_wafer
 from anisoscope.sim.bench.waferpart import WaferPart
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.geometry import directions, seating_rotation
 
 PICTURES = 0.003
 LAMP = 0.001  # what is left of the bench's lamp of 48 points, rms over poses and parts

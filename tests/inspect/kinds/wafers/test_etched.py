@@ -5,10 +5,11 @@ import pytest
 
 from anisoscope.base.errors import HeightMapError, RecipeError
 from anisoscope.kinds.wafers.etched import EtchedPredictor, WaferLight, tile_of
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.wave.halfvectors import half_vector
 
 LIGHT = WaferLight(520.0, 0.0, 0.3, 0.7)

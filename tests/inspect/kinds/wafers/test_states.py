@@ -8,11 +8,12 @@ from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.lighting import recipe_wafer, wafer_light
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.kinds.wafers.states import EDGES, edges_u_nm
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import SECOND_ORDER, expectation
 from anisoscope.prediction.profile_likelihood import FARTHEST, nearest_anywhere
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.wave.choice import edge_widening_um
 
 SIDE_UM = 64.0

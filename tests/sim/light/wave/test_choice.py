@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light.wave.choice import choose_optics, effective_coherence_um, structure_of
 from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.surface import MAX_SHARE, WaveSurface

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from anisoscope.parameters.light import LightSpectrum
 from anisoscope.sim.light.wave import claims, quadratic
 from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.halfvectors import half_vector
-from anisoscope.sim.light.wave.reflectance import LightSpectrum, brdf, radiance, radiance_scale
+from anisoscope.sim.light.wave.reflectance import brdf, radiance, radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window, coherence_length_um
 

@@ -1,0 +1,178 @@
+"""Parallel ridges of one shape (`anisoscope.profiles.ideal`)."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from anisoscope.base.errors import HeightMapError
+
+if TYPE_CHECKING:
+    from anisoscope.base.arrays import FloatArray
+
+Wall = Literal["perpendicular", "vertical"] | float
+"""Perpendicular to the facet, vertical, or the draft angle of the wall: degrees from the vertical."""
+
+STEEPEST_DRAFT_DEG = 60.0
+
+
+@dataclass(frozen=True)
+class RidgeDesign:
+    """Parallel ridges of one shape. Geometry: Luongo et al. 2017, for the perpendicular wall.
+
+    Attributes:
+        pitch_um: p, distance of neighbouring crests in µm.
+        ridge_angle_deg: θ, slope of the large facets, 0 ≤ θ < 45°.
+        wall: "perpendicular" to the facet, "vertical", or its draft angle in degrees from the vertical: 0 is
+            vertical, θ is perpendicular.
+        height_loss: share of the height that is missing at the crest, which ends in a plateau, 0 to 1.
+        edge_radius_um: radius of the crest, an arc tangent to facet and wall. What a ball of this radius does not reach
+            that rolls beneath the surface is missing; the foot stays sharp. A lost height cuts the rounded crest.
+
+    Raises:
+        HeightMapError: a parameter outside its range.
+    """
+
+    pitch_um: float
+    ridge_angle_deg: float
+    wall: Wall = "perpendicular"
+    height_loss: float = 0.0
+    edge_radius_um: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.pitch_um) and self.pitch_um > 0):
+            raise HeightMapError(f"the pitch must be a positive number of µm, not {self.pitch_um}")
+        if not 0.0 <= self.ridge_angle_deg < 45.0:
+            raise HeightMapError(f"the ridge angle must be within 0° and 45°, not {self.ridge_angle_deg}°")
+        if isinstance(self.wall, str):
+            if self.wall not in ("perpendicular", "vertical"):
+                raise HeightMapError(f"a wall is perpendicular, vertical or a draft angle, not {self.wall!r}")
+        elif not 0.0 <= self.wall <= STEEPEST_DRAFT_DEG:
+            raise HeightMapError(
+                f"a wall stands within 0° and {STEEPEST_DRAFT_DEG:g}° of the vertical, not {self.wall:g}°"
+            )
+        if not 0.0 <= self.height_loss <= 1.0:
+            raise HeightMapError(f"the height loss must be a share of 0 to 1, not {self.height_loss}")
+        if not (math.isfinite(self.edge_radius_um) and self.edge_radius_um >= 0.0):
+            raise HeightMapError(f"the edge radius must be 0 µm or more, not {self.edge_radius_um}")
+        if self.edge_radius_um > 0.0 and self.full_height_um > 0.0:
+            self.crest_arc()
+
+    @property
+    def draft_rad(self) -> float:
+        """Angle between the wall and the vertical: θ where it is perpendicular to the facet."""
+        if isinstance(self.wall, str):
+            return math.radians(self.ridge_angle_deg) if self.wall == "perpendicular" else 0.0
+        return math.radians(self.wall)
+
+    @property
+    def facet_width_um(self) -> float:
+        """Width along x of the facet of the uncut ridge: p/(1 + tan θ·tan δ) with the draft δ; p·cos²θ, or p."""
+        if self.wall == "vertical":
+            return self.pitch_um
+        if not isinstance(self.wall, str):
+            return float(
+                self.pitch_um
+                / (1.0 + math.tan(math.radians(self.ridge_angle_deg)) * math.tan(self.draft_rad))
+            )
+        return float(self.pitch_um * math.cos(math.radians(self.ridge_angle_deg)) ** 2)
+
+    @property
+    def wall_width_um(self) -> float:
+        """Width along x of the wall of the uncut ridge: p·sin²θ, or 0 with a vertical wall."""
+        return self.pitch_um - self.facet_width_um
+
+    @property
+    def full_height_um(self) -> float:
+        """Height from foot to crest of the uncut ridge: p·sin θ·cos θ, or p·tan θ with a vertical wall."""
+        return float(self.facet_width_um * math.tan(math.radians(self.ridge_angle_deg)))
+
+    @property
+    def height_um(self) -> float:
+        """Height from foot to crest, or to the plateau where height is lost."""
+        return (1.0 - self.height_loss) * self.full_height_um
+
+    @property
+    def wall_length_um(self) -> float:
+        """Length of the wall of the uncut ridge in the xz plane."""
+        return math.hypot(self.wall_width_um, self.full_height_um)
+
+    @property
+    def edge_reach_um(self) -> float:
+        """Length of facet and of wall from the uncut crest to where the rounded one begins: R·cot of half their angle.
+
+        That angle is 90° − θ + δ, with the draft δ of the wall.
+        """
+        corner = 0.5 * math.pi - math.radians(self.ridge_angle_deg) + self.draft_rad
+        return float(self.edge_radius_um / math.tan(0.5 * corner))
+
+    def crest_arc(self) -> "CrestArc":
+        """The arc in place of the crest, before any height is lost.
+
+        Where the wall is shorter than the arc would need, the arc ends at the foot of the wall.
+
+        Raises:
+            HeightMapError: the radius leaves no facet.
+        """
+        theta, radius, full = math.radians(self.ridge_angle_deg), self.edge_radius_um, self.full_height_um
+        sine, cosine = math.sin(theta), math.cos(theta)  # the facet falls along (cosine, -sine)
+        foot_x, foot_z = -self.wall_width_um, -full
+        reach, first = self.edge_reach_um, math.pi - self.draft_rad
+        at_foot = reach > self.wall_length_um
+        if at_foot:  # the ball no longer touches the wall, only its foot
+            along, deep = foot_x * cosine - foot_z * sine, -foot_x * sine - foot_z * cosine
+            reach = along + math.sqrt(max(radius**2 - (radius - deep) ** 2, 0.0))
+        if reach >= self.facet_width_um / cosine:
+            raise HeightMapError(
+                f"an edge radius of {radius:g} µm leaves no facet at a pitch of {self.pitch_um:g} µm and a ridge "
+                f"angle of {self.ridge_angle_deg:g}°"
+            )
+        x, z = reach * cosine - radius * sine, -reach * sine - radius * cosine
+        if at_foot:
+            first = math.atan2(foot_z - z, foot_x - x) % (2.0 * math.pi)
+        return CrestArc(x, z + full, radius, first, 0.5 * math.pi - theta)
+
+    def profile(self, x_um: "FloatArray") -> "FloatArray":
+        """Height in µm above the foot at positions x in µm; an uncut crest stands at x = 0."""
+        import numpy as np  # noqa: PLC0415 - options and recipes are made without it
+
+        position = np.mod(x_um, self.pitch_um)
+        facet, full = self.facet_width_um, self.full_height_um
+        if full == 0.0:
+            return np.zeros_like(position)
+        height = full * (1.0 - position / facet)
+        if self.wall_width_um > 0.0:
+            height = np.where(position > facet, full * (position - facet) / self.wall_width_um, height)
+        if self.edge_radius_um > 0.0:
+            arc = self.crest_arc()
+            offset = np.where(position > facet, position - self.pitch_um, position) - arc.x_um
+            (low, _), (high, _) = arc.at(arc.first_rad), arc.at(arc.last_rad)
+            rounded = arc.z_um + np.sqrt(np.maximum(arc.radius_um**2 - offset**2, 0.0))
+            inside = (offset >= low - arc.x_um - 1e-9 * arc.radius_um) & (offset < high - arc.x_um)
+            height = np.where(inside, rounded, height)
+        return np.minimum(height, self.height_um)
+
+
+@dataclass(frozen=True)
+class CrestArc:
+    """Arc of a rounded crest.
+
+    Attributes:
+        x_um: of its centre, from the uncut crest.
+        z_um: of its centre, from the foot of the ridge.
+        radius_um: its radius.
+        first_rad: direction of its normal where it begins, at the wall, from +x toward +z.
+        last_rad: the same where it ends, at the facet; smaller.
+    """
+
+    x_um: float
+    z_um: float
+    radius_um: float
+    first_rad: float
+    last_rad: float
+
+    def at(self, normal_rad: float) -> tuple[float, float]:
+        """Point x, z in µm with a normal of this direction."""
+        return (
+            float(self.x_um + self.radius_um * math.cos(normal_rad)),
+            float(self.z_um + self.radius_um * math.sin(normal_rad)),
+        )
