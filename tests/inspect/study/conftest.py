@@ -1,6 +1,7 @@
 """A Dask cluster as a user starts it: a scheduler and two workers, each a process."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,6 +10,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import pytest
+
+# A killed run ends no fixture: the kernel ends what was started here (by util-linux; other systems have no such thing).
+ENDS_WITH_US = ["setpriv", "--pdeathsig", "KILL"] if shutil.which("setpriv") else []
 
 
 @dataclass
@@ -25,7 +29,7 @@ class Cluster:
 
 @contextmanager
 def process(*arguments):
-    command = [sys.executable, "-Im", "dask", *map(str, arguments)]
+    command = [*ENDS_WITH_US, sys.executable, "-Im", "dask", *map(str, arguments)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as started:
         try:
             yield started
