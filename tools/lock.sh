@@ -1,13 +1,16 @@
 #!/bin/sh
-# Writes requirements.lock (what runs) and requirements-dev.lock (what tests) from the ranges in pyproject.toml.
+# Writes requirements.lock (what runs) and requirements-dev.lock (what tests) from the ranges in pyproject.toml: the newest
+# versions, each with the hashes of all its files, whatever the platform. pip then takes no other file.
 set -eu
 python=$1
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
+"$python" -m venv "$work/venv"
+"$work/venv/bin/pip" install --quiet uv # unlike pip it reads hashes from the index, without downloading the files
 for set in "" dev; do
-    "$python" -m venv "$work/venv$set"
-    "$work/venv$set/bin/pip" install --quiet ".${set:+[$set]}"
     file=requirements${set:+-$set}.lock
-    echo "# made by make lock; versions that were tested together" > "$file"
-    "$work/venv$set/bin/pip" freeze --exclude anisoscope >> "$file"
+    "$work/venv/bin/uv" pip compile --quiet --upgrade --python "$python" --generate-hashes --strip-extras \
+        --no-header --no-annotate --no-emit-index-url --no-emit-find-links ${set:+--extra "$set"} \
+        --output-file "$work/$file" pyproject.toml
+    { echo "# made by make lock; versions that were tested together"; cat "$work/$file"; } > "$file"
 done
