@@ -1,26 +1,35 @@
-"""Injection of defects into height maps, by name, with dimensions, severity from 0 (none) to 1 (gross) and cause."""
+"""Defects of ridged surfaces: what they are, and their injection into height maps by name.
+
+A defect is one object of `Defect`, found by the entry point of its name in the group ``anisoscope.defects``, so that a
+third party's counts like a built-in one (`anisoscope.profiles.ridge_defects`): ``profile spoil`` makes it, and the
+diagnosis looks for it.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.defects import (
-    burrs,
-    chatter,
-    incomplete_filling,
-    missing_ridges,
-    pitch_error,
-    ridge_angle_error,
-)
-from anisoscope.profiles.defects_contact import dust, edge_wear, scratches
-from anisoscope.profiles.defects_layout import ridge_layout
+from anisoscope.base.plugins import Registry
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import add_facet_roughness
+
+__all__ = [
+    "DEFECTS", "CauseWords", "Defect", "HeightMap", "Setting", "Values", "inject_defect", "values_of",
+]  # fmt: skip
 
 Values = Mapping[str, float]
-ALONG_Y_DEG = 1.0
+Groove = Any
+"""What the prediction knows of the groove between two ridges: `anisoscope.prediction.reflections.Groove`."""
+_STEPS = (0.05, 0.12, 0.25, 0.5, 1.0)
+_FINE_STEPS = (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5, 0.65, 0.8, 1.0)
+COMPUTED_RIDGES = 24
+"""Ridges of the surface on which the diagnosis computes local defects."""
+_STEEPEST_FALL = 0.8
+"""Share of the ridge angle by which facets are at most made flatter: none is turned beyond flat."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +44,29 @@ class Setting:
 
 @dataclass(frozen=True)
 class Defect:
-    """A defect.
+    """A defect. What has a default here need not be given.
 
     Attributes:
-        name: what it is called.
+        name: what it is called, as its entry point.
         cause: what goes wrong in moulding, tooling or handling.
-        extent: the dimension that the severity scales; its default is the value at severity 1.
+        extent: the dimension that the severity scales; its default is the value at severity 1, and the largest that
+            the diagnosis considers.
         settings: its other dimensions.
         apply: makes the spoiled map from a map, all values by name, and a source of randomness.
+        title: what it is, and of what its extent is, for people; "" from name and extent.
+        plain: what was found in plain words, and what to do next; None: made of the name.
+        doubt: relative standard uncertainty of the change of ln L that is computed for it: real ones vary in size and
+            form.
+        local: on places of the surface, visible in the contrast map; else all over it.
+        extruded: the same all along a ridge.
+        signed: of either sign.
+        turns_facets: its extent is added to the ridge angle: it is that input of the prediction.
+        scales_pitch: its extent is the change of the pitch in per cent, which is measured besides.
+        guessed: share of the area, per unit of extent (of a length: per pitch), whose texture is a guess.
+        computed: extents that the diagnosis computes, where these are not shares of the largest.
+        groove: the groove with it, of groove, extent and pitch in µm; None: light between the ridges stays as it is.
+        design: ridges with it, of design and extent, where ideal ones have it exactly.
+        place: in lists; the same place is sorted by name.
     """
 
     name: str
@@ -50,145 +74,56 @@ class Defect:
     extent: Setting
     settings: tuple[Setting, ...]
     apply: Callable[[HeightMap, Values, np.random.Generator], HeightMap]
+    title: str = ""
+    plain: CauseWords | None = None
+    doubt: float = 0.3
+    local: bool = False
+    extruded: bool = False
+    signed: bool = False
+    turns_facets: bool = False
+    scales_pitch: bool = False
+    guessed: float = 0.0
+    computed: tuple[float, ...] = ()
+    groove: Callable[[Groove, float, float], Groove] | None = None
+    design: Callable[[RidgeDesign, float], RidgeDesign] | None = None
+    place: int = 100
+
+    @property
+    def called(self) -> str:
+        """Its title."""
+        return self.title or f"{self.name.replace('-', ' ')}, {self.extent.meaning}"
+
+    @property
+    def words(self) -> CauseWords:
+        """It in plain words."""
+        if self.plain is not None:
+            return self.plain
+        spoken = self.name.replace("-", " ").capitalize()
+        return CauseWords(f"{spoken}: {self.extent.meaning} of about {{size}}", "Reject the part")
+
+    def guessed_share(self, pitch_um: float) -> float:
+        """Share of the area, per unit of extent, whose texture is a guess."""
+        return self.guessed / pitch_um if self.extent.unit == "µm" else self.guessed
+
+    def extents(self, ridge_angle_deg: float | None) -> tuple[float, ...]:
+        """Extents that the diagnosis computes, ascending, with 0.
+
+        Args:
+            ridge_angle_deg: of the design, or None.
+        """
+        if self.computed:
+            return (0.0, *self.computed)
+        most = self.extent.default
+        sizes = [share * most for share in (_FINE_STEPS if self.extruded else _STEPS)]
+        if not self.signed:
+            return (0.0, *sizes)
+        least = -_STEEPEST_FALL * (ridge_angle_deg or np.inf) if self.turns_facets else -np.inf
+        every = sorted({0.0, *sizes, *(-size for size in sizes)})
+        return tuple(size for size in every if size > least)
 
 
-def _burrs(surface: HeightMap, values: Values, rng: np.random.Generator) -> HeightMap:
-    period = ridge_layout(surface).period
-    if abs(period.direction_deg) > ALONG_Y_DEG:
-        raise HeightMapError(
-            f"burrs are made on ridges along y; these run at {period.direction_deg:.3g}°. Turn the map first"
-        )
-    return burrs(
-        surface,
-        values["coverage"],
-        pitch_um=period.pitch_um,
-        height_um=(values["least_height_um"], values["greatest_height_um"]),
-        size_um=(values["least_length_um"], values["greatest_length_um"]),
-        rng=rng,
-    ).map
-
-
-def _ridge_angle(surface: HeightMap, values: Values, _rng: np.random.Generator) -> HeightMap:
-    layout = ridge_layout(surface)
-    return ridge_angle_error(
-        surface, values["delta_deg"], ridge_angle_deg=layout.ridge_angle_deg, period=layout.period
-    )
-
-
-def _roughness(surface: HeightMap, values: Values, rng: np.random.Generator) -> HeightMap:
-    alpha = values["alpha"]
-    return add_facet_roughness(surface, alpha * values["along_share"], alpha, values["correlation_um"], rng)
-
-
-DEFECTS = {
-    defect.name: defect
-    for defect in (
-        Defect(
-            "burrs",
-            "moulding: plastic in cracks of the tool, or torn on demoulding; tooling: chips left at edges",
-            Setting("coverage", "", "share of the area that is covered", 0.2),
-            (
-                Setting("least_height_um", "µm", "least height of a burr", 2.0),
-                Setting("greatest_height_um", "µm", "greatest height of a burr", 8.0),
-                Setting("least_length_um", "µm", "least length along the ridge", 10.0),
-                Setting("greatest_length_um", "µm", "greatest length along the ridge", 60.0),
-            ),
-            _burrs,
-        ),
-        Defect(
-            "wear",
-            "use: crests rubbed off; moulding: crests that stuck to the tool. On a map of the tool: worn tool",
-            Setting("radius_um", "µm", "radius of convex edges", 20.0),
-            (),
-            lambda surface, values, _: edge_wear(surface, values["radius_um"]),
-        ),
-        Defect(
-            "incomplete-filling",
-            "moulding: melt or tool too cold, packing pressure too low, trapped air, far from the gate",
-            Setting("loss", "", "share of the ridge height that is missing", 0.6),
-            (Setting("gradient", "", "growth of the loss along +y, −1 to 1", 0.0),),
-            lambda surface, values, _: incomplete_filling(
-                surface, values["loss"], gradient=values["gradient"]
-            ),
-        ),
-        Defect(
-            "ridge-angle",
-            "tooling: cutter ground or set at a wrong angle; moulding: sagging, uneven shrinkage",
-            Setting("delta_deg", "°", "change of the slope of the facets", 4.0),
-            (),
-            _ridge_angle,
-        ),
-        Defect(
-            "pitch",
-            "tooling: wrong feed, lead screw worn or warm; moulding: wrong allowance for shrinkage",
-            Setting("error_percent", "%", "change of pitch and height, angles kept", 10.0),
-            (),
-            lambda surface, values, _: pitch_error(surface, values["error_percent"]),
-        ),
-        Defect(
-            "rough-facets",
-            "tooling: worn or chipped cutter, built-up edge, corroded or badly polished tool; moulding: cold tool",
-            Setting("alpha", "", "Beckmann roughness across the ridges", 0.2),
-            (
-                Setting("along_share", "", "roughness along the ridges, as a share of that across", 0.6),
-                Setting("correlation_um", "µm", "geometric mean of the correlation lengths", 8.0),
-            ),
-            _roughness,
-        ),
-        Defect(
-            "scratches",
-            "handling: parts rubbing, grippers, grit in cloth; moulding: drag marks of ejection",
-            Setting("density_per_mm2", "1/mm²", "number of scratches", 60.0),
-            (
-                Setting("depth_um", "µm", "greatest depth below the crests", 4.0),
-                Setting("width_um", "µm", "width at the crests", 12.0),
-                Setting("length_um", "µm", "mean length", 400.0),
-            ),
-            lambda surface, values, rng: scratches(
-                surface,
-                values["density_per_mm2"],
-                depth_um=values["depth_um"],
-                width_um=values["width_um"],
-                length_um=values["length_um"],
-                rng=rng,
-            ),
-        ),
-        Defect(
-            "dust",
-            "handling: dust, abrasion; moulding: residue of release agent, deposits from the tool",
-            Setting("density_per_mm2", "1/mm²", "number of grains", 400.0),
-            (Setting("diameter_um", "µm", "median diameter", 10.0),),
-            lambda surface, values, rng: dust(
-                surface, values["density_per_mm2"], diameter_um=values["diameter_um"], rng=rng
-            ),
-        ),
-        Defect(
-            "missing-ridges",
-            "moulding: clogged grooves of the tool; tooling: passes skipped, broken cutter",
-            Setting("share", "", "share of the ridges that are missing", 0.4),
-            (),
-            lambda surface, values, rng: missing_ridges(surface, values["share"], rng=rng),
-        ),
-        Defect(
-            "chatter",
-            "tooling: cutter, holder or spindle in resonance while the tool was cut",
-            Setting("amplitude_um", "µm", "amplitude of the waves along the ridges", 2.0),
-            (
-                Setting("wavelength_um", "µm", "wavelength along the ridges", 80.0),
-                Setting("phase_step", "", "shift from ridge to ridge, in wavelengths", 0.25),
-                Setting("jitter", "", "standard deviation of that shift, in wavelengths", 0.1),
-            ),
-            lambda surface, values, rng: chatter(
-                surface,
-                values["amplitude_um"],
-                wavelength_um=values["wavelength_um"],
-                phase_step=values["phase_step"],
-                jitter=values["jitter"],
-                rng=rng,
-            ),
-        ),
-    )
-}
+DEFECTS = Registry("anisoscope.defects", "defect", Defect, HeightMapError)
+"""All defects by name."""
 
 
 def values_of(defect: Defect, severity: float | None, given: Values) -> dict[str, float]:
@@ -228,7 +163,7 @@ def inject_defect(
 
     Args:
         surface: the map; missing points stay missing.
-        name: one of :data:`DEFECTS`.
+        name: one of `DEFECTS`.
         rng: source of randomness.
         severity: 0 (none) to 1 (gross); scales the extent of the defect. Leave it out where the extent is
             in ``values``.

@@ -6,8 +6,9 @@ a rig, hashes of files), the sources of the computing module and of its transiti
 versions of the libraries that compute. A file that was cut off, altered or written by another program is not an entry:
 its result is computed again. Where nothing can be written, nothing is cached.
 
-The transitive imports follow from the import statements, those inside functions included; there is no list of modules.
-Modules of other distributions count by their version, not by their source. A source newer than the process may differ
+The transitive imports follow from the import statements, those inside functions included, and from the entry points
+of a group where a module makes a `Registry` of it; there is no list of modules. Modules of other distributions count by
+their version, not by their source, but for plug-ins. A source newer than the process may differ
 from the loaded code: then no digest identifies the code that computes (`SourceDigests.loaded`), and nothing is cached.
 
 Above the limit (``$ANISOSCOPE_CACHE_LIMIT_MB``, 512 MB) the least recently used entries are removed. Any number of
@@ -32,11 +33,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.plugins import Registry, installed
 
 OWN = "anisoscope"
 DATA_FOLDERS = ("data", "templates")
 """Data folders next to a module: their files count like its source."""
-_FORMAT = 1
+_FORMAT = 2
+_PLUGINS = "@"
+"""Before the name of a group of entry points, among the imports of a module."""
 _BLOCKS = ("body", "handlers", "orelse", "finalbody", "cases")
 """Where nodes of a syntax tree hold statements."""
 _LOADED_AT = time.time()
@@ -113,6 +117,11 @@ class SourceDigests:
         waiting = list(modules)
         while waiting:
             name = waiting.pop()
+            if name.startswith(_PLUGINS):
+                plugins = [entry.module for entry in installed(name.removeprefix(_PLUGINS)).values()]
+                followed |= {module.partition(".")[0] for module in plugins}
+                waiting += plugins
+                continue
             if name in seen or name.partition(".")[0] not in followed:
                 continue
             seen.add(name)
@@ -241,7 +250,10 @@ def _parse(file: Path) -> _Source:
 
 
 def _imports(tree: ast.AST) -> Iterator[str]:
-    """Names in all import statements: ``from a import b`` gives ``a`` and ``a.b``, which may be a module."""
+    """Names in all import statements: ``from a import b`` gives ``a`` and ``a.b``, which may be a module.
+
+    A group of entry points of which a registry is made is among them, marked.
+    """
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -252,6 +264,12 @@ def _imports(tree: ast.AST) -> Iterator[str]:
             if node.module:
                 yield base
             yield from (f"{base}.{one.name}" if node.module else base + one.name for one in node.names)
+        elif isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
+            called = node.value
+            if isinstance(called.func, ast.Name) and called.func.id == Registry.__name__:
+                group = called.args[0]
+                if isinstance(group, ast.Constant) and isinstance(group.value, str):
+                    yield _PLUGINS + group.value
         for block in _BLOCKS:  # statements stand in blocks of statements: no expression is looked through
             waiting += getattr(node, block, ())
 

@@ -8,31 +8,15 @@ import numpy as np
 
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State
-from anisoscope.profiles.defect_injection import DEFECTS, inject_defect
+from anisoscope.profiles.defect_injection import DEFECTS, Defect, inject_defect
 from anisoscope.profiles.heightmap import HeightMap
 
 Group = Literal["shape", "area", "finish", "rig"]
 Change = Callable[[HeightMap, State, float], tuple[HeightMap, State]]
 
-# Local defects, visible in the contrast map; the others change the whole surface uniformly.
-LOCAL = ("burrs", "scratches", "dust", "missing-ridges")
-SIGNED = ("ridge-angle", "pitch")
-EXTRUDED = ("ridge-angle", "wear", "incomplete-filling")
-"""Defects that are the same all along a ridge."""
 ROUGHNESS_ALONG, ROUGHNESS_ACROSS = "roughness along the ridges", "roughness across the ridges"
 _STEPS = (0.05, 0.12, 0.25, 0.5, 1.0)
 _LOBE_STEPS = (0.05, 0.12, 0.25, 0.375, 0.5, 0.75, 1.0)
-_FINE_STEPS = (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5, 0.65, 0.8, 1.0)
-PITCHES = 24
-_MISSING = (1, 2, 4, 7, 10)  # of the ridges of the surface with defects
-# Relative uncertainty of the change of ln L. Marks: real ones vary in size and form. Missing ridges: which ones, and
-# their length within the region. Edges: a real crest differs from the model cut, and on rough facets the change differs
-# by 2 to 3 % of itself from that on smooth ones. Worn ones: Mitsuba's arcs change by 4 to 16 % less or more.
-# Pitch: which flanks are cut by the ends of the region is not known.
-_DOUBT = {
-    "burrs": 0.3, "scratches": 0.3, "dust": 0.3, "missing-ridges": 0.2, "chatter": 0.2, "rough-facets": 0.1,
-    "wear": 0.15, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
-}  # fmt: skip
 _DOUBT_OF_LOBES = 0.05
 _DOUBT_OF_TAIL = 0.1
 TAIL = "tail"
@@ -58,6 +42,7 @@ class Cause:
         sources: names of the sources of uncertainty of the prediction that it is itself.
         guessed: share of the area, per unit of extent, whose texture is a guess, and with it the share of cells that
             deviate there; 0 where the share is predicted.
+        defect: the defect that it is, or None.
     """
 
     name: str
@@ -70,6 +55,17 @@ class Cause:
     doubt: float = 0.0
     sources: tuple[str, ...] = ()
     guessed: float = 0.0
+    defect: Defect | None = None
+
+    @property
+    def extruded(self) -> bool:
+        """Whether it is a defect that is the same all along a ridge."""
+        return self.defect is not None and self.defect.extruded
+
+    @property
+    def scales_pitch(self) -> bool:
+        """Whether it is a defect whose extent is the change of the pitch."""
+        return self.defect is not None and self.defect.scales_pitch
 
 
 def all_causes(ridge_angle_deg: float | None = None, pitch_um: float = 100.0) -> tuple[Cause, ...]:
@@ -79,7 +75,8 @@ def all_causes(ridge_angle_deg: float | None = None, pitch_um: float = 100.0) ->
         ridge_angle_deg: nominal ridge angle, so that no facet is turned beyond flat; None if unknown.
         pitch_um: of the ridges.
     """
-    return (*_defects(ridge_angle_deg, pitch_um), *_finish(), *_rig())
+    defects = (_of_defect(one, ridge_angle_deg, pitch_um) for one in DEFECTS.values())
+    return (*defects, *_finish(), *_rig())
 
 
 def tail_cause(tail: float = 0.0) -> Cause:
@@ -104,58 +101,26 @@ def _both_ways(extent: float, low: float = -np.inf, steps: tuple[float, ...] = _
     return tuple(value for value in values if value > low)
 
 
-def _defects(ridge_angle_deg: float | None, pitch_um: float) -> list[Cause]:
-    titles = {
-        "burrs": "burrs, share of the area",
-        "wear": "worn edges, radius",
-        "incomplete-filling": "incomplete filling, share of the ridge height that is missing",
-        "ridge-angle": "ridge angle, off by",
-        "pitch": "pitch, off by",
-        "rough-facets": "rough facets, added roughness across the ridges",
-        "scratches": "scratches, number per area",
-        "dust": "dust, number of grains per area",
-        "missing-ridges": "missing ridges, share",
-        "chatter": "chatter marks, amplitude",
-    }
-    guessed = {"wear": 2.0 / pitch_um, "incomplete-filling": 1.0, "rough-facets": 1.0}
-    found = []
-    for name, defect in DEFECTS.items():
-        most = defect.extent.default
-        steps = _FINE_STEPS if name in EXTRUDED else _STEPS
-        if name in SIGNED:
-            low = -0.8 * (ridge_angle_deg or np.inf) if name == "ridge-angle" else -np.inf
-            extents = _both_ways(most, low, steps)
-        elif name == "missing-ridges":
-            extents = (0.0, *(count / PITCHES for count in _MISSING))
-        else:
-            extents = (0.0, *(s * most for s in steps))
-        group: Group = "area" if name in LOCAL else "shape"
-        unit = defect.extent.unit
-        found.append(
-            Cause(
-                name,
-                titles[name],
-                unit,
-                group,
-                defect.cause,
-                extents,
-                _spoiled(name),
-                _DOUBT[name],
-                (RIDGE_ANGLE,) if name == "ridge-angle" else (),
-                guessed.get(name, 0.0),
-            )
-        )
-    return found
-
-
-def _spoiled(name: str) -> Change:
+def _of_defect(defect: Defect, ridge_angle_deg: float | None, pitch_um: float) -> Cause:
     def change(surface: HeightMap, state: State, extent: float) -> tuple[HeightMap, State]:
         if extent == 0.0:
             return surface, state
-        values = {DEFECTS[name].extent.name: extent}
-        return inject_defect(surface, name, np.random.default_rng(_SEED), values=values), state
+        values = {defect.extent.name: extent}
+        return inject_defect(surface, defect.name, np.random.default_rng(_SEED), values=values), state
 
-    return change
+    return Cause(
+        defect.name,
+        defect.called,
+        defect.extent.unit,
+        "area" if defect.local else "shape",
+        defect.cause,
+        defect.extents(ridge_angle_deg),
+        change,
+        defect.doubt,
+        (RIDGE_ANGLE,) if defect.turns_facets else (),
+        defect.guessed_share(pitch_um),
+        defect,
+    )
 
 
 def _finish() -> list[Cause]:

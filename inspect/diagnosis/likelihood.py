@@ -20,7 +20,6 @@ from anisoscope.diagnosis.signatures import Signature, Signatures
 
 QUANTILE = 3.841458820694124
 """95 % of χ² with one degree of freedom."""
-PITCH = "pitch"
 """The cause of which the extent is measured in the pictures."""
 OTHER_TEXTURE = 0.2
 """Probability that a texture that was guessed is another one."""
@@ -145,7 +144,7 @@ def _information(
         counted = sum(float(one.share_scatter(extent)) for one, extent in acting)
         found = found + np.outer(share, share) / (float(evidence.share_variance(shares)[0]) + counted)
     if evidence.pitch is not None:
-        pitch = np.array([signature.cause.name == PITCH for signature, _ in acting], dtype=np.float64)
+        pitch = np.array([signature.cause.scales_pitch for signature, _ in acting], dtype=np.float64)
         found = found + np.outer(pitch, pitch) / evidence.pitch[1] ** 2
     return np.asarray(found)
 
@@ -288,7 +287,7 @@ def joint_costs(acting: Sequence[Act], evidence: Evidence, *, as_input: bool = F
     guessed, percent = np.zeros(1), np.zeros(1)
     for signature, extents in acting:
         guessed = guessed + signature.cause.guessed * np.abs(extents)
-        percent = percent + (extents if signature.cause.name == PITCH else 0.0)
+        percent = percent + (extents if signature.cause.scales_pitch else 0.0)
     for off, more in (
         _share_costs(evidence, shares, guessed, counted),
         _form_costs(evidence, shares, _form_of(acting, len(shares)), guessed),

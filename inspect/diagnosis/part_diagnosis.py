@@ -23,7 +23,6 @@ from anisoscope.diagnosis.evidence import (
     covariance_of,
     inputs_of,
 )
-from anisoscope.diagnosis.likelihood import PITCH
 from anisoscope.diagnosis.ranking import NOTHING, PLASTIC, Diagnosis, bare_title, diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.defect_regions import form_of
@@ -69,7 +68,7 @@ def explain(
             smear = SMEAR_PX * measured.grid.pixel_mm * 1000.0 / recipe.surface.pitch_um
             known = known.by_thresholds(area.cell_deviations, smear, area.cells)
         evidence = evidence_of(recipe, expected, measured, decision, golden)
-        if any(one.cause.name == PITCH for one in known.found):
+        if any(one.cause.scales_pitch for one in known.found):
             evidence = replace(evidence, pitch=measured_pitch(measured, recipe))
         found = diagnose(known, evidence)
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:

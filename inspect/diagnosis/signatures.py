@@ -21,7 +21,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, TAIL, Cause, all_causes, tail_cause
+from anisoscope.diagnosis.causes import TAIL, Cause, all_causes, tail_cause
 from anisoscope.diagnosis.cell_levels import U_SMEAR, USUAL_SMEAR, SmearedLevels, contrasts
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.defect_regions import MarkForm, form_of
@@ -41,9 +41,9 @@ from anisoscope.prediction.reflections import (
     reflections_of_map,
 )
 from anisoscope.prediction.relief_preparation import prepare_relief
-from anisoscope.prediction.ridge_edges import LARGEST_ANGLE_DEG, LEAST_ANGLE_DEG, ridge_edges
+from anisoscope.prediction.ridge_edges import LEAST_ANGLE_DEG, ridge_edges
 from anisoscope.prediction.sensitivity import Model, Shape, State, Surface, evaluate, fixed
-from anisoscope.profiles.defect_injection import DEFECTS
+from anisoscope.profiles.defect_injection import COMPUTED_RIDGES
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import ridges
@@ -322,8 +322,8 @@ def _forms(found: Sequence[MarkForm | None]) -> FloatArray:
 
 def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False) -> Signature:
     """Signature of a cause; ``bare`` without the share of deviating cells and the response to the inputs."""
-    profile = scene.profile if cause.name in EXTRUDED else None
-    if profile is None and cause.name in EXTRUDED and cause.name != "ridge-angle":
+    profile = scene.profile if cause.extruded else None
+    if profile is None and cause.defect is not None and cause.extruded and not cause.defect.turns_facets:
         cause = replace(cause, doubt=DOUBT_ON_MAPS)
     base = good if profile is None else _Look(scene.look_along(profile, scene.groove))
     with_map = not bare and cause.group in ("shape", "area")
@@ -340,7 +340,7 @@ def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False
     looks = {extent: look for extent in cause.extents if np.all((look := seen(extent)).radiance > 0.0)}
     if len(looks) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
-    bends = (cause.doubt < DOUBTFUL or cause.name in EXTRUDED) and cause.name != TAIL
+    bends = (cause.doubt < DOUBTFUL or cause.extruded) and cause.name != TAIL
     tangents = scene.tangents(cause, list(looks)) if bends and not bare else None
     changes = [np.log(look.radiance / base.radiance) for look in looks.values()]
     own = good.share or 0.0
@@ -391,19 +391,10 @@ class _Scene:
         groove = self.groove
         if groove is None or extent == 0.0:
             return groove
-        angle_deg = groove.design.ridge_angle_deg
-        if cause.name == "ridge-angle":
-            return groove.turned(float(np.clip(angle_deg + extent, LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG)))
-        if cause.name == "wear":
-            return groove.worn(extent, self.pitch_um)
-        if cause.name == "incomplete-filling":
-            return groove.shortened(extent)
-        if cause.name == "rough-facets":
-            along = next(s.default for s in DEFECTS[cause.name].settings if s.name == "along_share")
-            resolved = groove.resolved
-            rougher = np.hypot(resolved[0], along * extent), np.hypot(resolved[1], extent)
-            return replace(groove, resolved=(float(rougher[0]), float(rougher[1])))
-        return groove
+        if cause.defect is None or cause.defect.groove is None:
+            return groove
+        changed: Groove = cause.defect.groove(groove, extent, self.pitch_um)
+        return changed
 
     def _lobe(self, material: Material) -> Material:
         """The material of the facets: a plastic's without the slopes that the map resolves."""
@@ -467,18 +458,15 @@ class _Scene:
         return slopes
 
     def spoiled_profile(self, cause: Cause, design: RidgeDesign, extent: float) -> HeightMap:
-        """A profile of ridges with a cause that is uniform along them.
-
-        Worn crests are exact arcs: a ball that rolls along points leaves notches at some radii, which shine at 180°.
-        """
-        if cause.name == "wear" and extent > 0.0:
-            with contextlib.suppress(HeightMapError):  # no arc of this radius touches facet and wall
-                return _profile(replace(design, edge_radius_um=max(extent, design.edge_radius_um)))
+        """A profile of ridges with a cause that is uniform along them."""
+        if cause.defect is not None and cause.defect.design is not None and extent > 0.0:
+            with contextlib.suppress(HeightMapError):  # no ideal ridges have it to this extent
+                return _profile(cause.defect.design(design, extent))
         return cause.change(_profile(design), self.state, extent)[0]
 
     def _is_uniform(self, cause: Cause) -> bool:
         """Whether a cause leaves the ridges of a design uniform along their length."""
-        return self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
+        return self.profile is not None and (cause.extruded or cause.group in ("finish", "rig"))
 
     def _spoiled(self, cause: Cause, extent: float) -> tuple[Surface, State]:
         """Predictor of the surface with a cause as a function of the good shape, and its state."""
@@ -556,7 +544,7 @@ def _profile(design: RidgeDesign) -> HeightMap:
 @lru_cache(maxsize=16)  # one object for one design, so that the ridges of every cause are found once
 def _ideal(design: RidgeDesign) -> HeightMap:
     pitch = design.pitch_um
-    shape = ROWS_PITCHES * POINTS_ALONG + 1, PITCHES * POINTS_ACROSS + 1
+    shape = ROWS_PITCHES * POINTS_ALONG + 1, COMPUTED_RIDGES * POINTS_ACROSS + 1
     return ridges(design, shape, (pitch / POINTS_ALONG, pitch / POINTS_ACROSS))
 
 

@@ -16,6 +16,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import CalibrationError, RecipeError, UsageError
 from anisoscope.base.notation import present_notation
 from anisoscope.base.progress import Advance, silent
@@ -23,7 +24,6 @@ from anisoscope.base.toml_file import read_toml_model
 from anisoscope.calibration.corrections import Calibrations
 from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet, ReferenceSet, golden_path
-from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import drift_error

@@ -5,11 +5,11 @@ names are as stable as those of `anisoscope.api`: what a kind subclasses, receiv
 and record, the measuring steps of the kinds of this distribution, and the errors that make a part INVALID.
 """
 
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import CalibrationError, MeasurementError, RecipeError, RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
 from anisoscope.decision.reference_parts import RadianceSet, ReferenceRow, ReferenceSet
-from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
 from anisoscope.imaging.registration.placement import Grid, View, resample

@@ -11,6 +11,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import CalibrationError, HeightMapError, UsageError
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
@@ -22,7 +23,7 @@ from anisoscope.decision.design_vs_map import Predict, compare
 from anisoscope.decision.predictive_test import MAX_BIRGE
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
-from anisoscope.diagnosis.cause_words import PLASTIC_WORDS, CauseWords
+from anisoscope.diagnosis.cause_words import plastic_words
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
@@ -59,6 +60,7 @@ from anisoscope.prediction.part_scatter import (
     with_design,
 )
 from anisoscope.prediction.propagation import RIDGE_ANGLE
+from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.base import LimitsPart
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, check_lamp, check_material, read_surface_recipe
@@ -458,7 +460,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     @property
     def cause_words(self) -> Mapping[str, CauseWords]:
         """The causes of plastic parts in plain words."""
-        return PLASTIC_WORDS
+        return plastic_words()
 
     def finding(self, record: Record) -> str:
         """The contrast or area that is most off, by its limit."""
@@ -470,7 +472,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         angle = None if record.optics is None else record.optics.groove_angle_deg
         if design is not None:
             angle = design["ridge_angle_deg"]
-        return {} if angle is None else {"ridge-angle": angle}
+        return {} if angle is None else {one.name: angle for one in DEFECTS.values() if one.turns_facets}
 
     def summary(self, record: Record) -> CommandOutput:
         """Tables of the contrasts, and lines on the deviating regions."""

@@ -108,6 +108,16 @@ class Groove:
         """The groove of another ridge angle."""
         return replace(self, design=replace(self.design, ridge_angle_deg=ridge_angle_deg))
 
+    def turned_by(self, delta_deg: float) -> "Groove":
+        """The groove of facets that are steeper by some degrees, as far as there is a model of it."""
+        angle_deg = self.design.ridge_angle_deg + delta_deg
+        return self.turned(float(np.clip(angle_deg, LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG)))
+
+    def rougher(self, along: float, across: float) -> "Groove":
+        """The groove whose facets have more roughness that the map resolves, added in quadrature."""
+        resolved = np.hypot(self.resolved[0], along), np.hypot(self.resolved[1], across)
+        return replace(self, resolved=(float(resolved[0]), float(resolved[1])))
+
     def shortened(self, height_loss: float) -> "Groove":
         """The groove whose facet and wall end below a crest that is cut."""
         return replace(self, design=replace(self.design, height_loss=height_loss))

@@ -8,8 +8,9 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.notation import p_value_text, quantity_name
-from anisoscope.diagnosis.cause_words import CauseWords, words_of
+from anisoscope.diagnosis.cause_words import words_of
 from anisoscope.diagnosis.ranking import NOTHING, OTHER, bare_title
 from anisoscope.record.schema import (
     CauseRecord,

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.notation import contrast_name, true_minus
-from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.record.schema import BudgetRecord, Record, RegionRecord
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.report import figures

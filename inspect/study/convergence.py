@@ -6,9 +6,8 @@ deviation from those of the ideal surface on the same grid of points is followed
 is common to all defective surfaces, the scatter differs from one piece of surface to the next.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -29,17 +28,6 @@ from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 from anisoscope.study.sweep import Workers, sweep
 
-Defect = Literal["roughness", "burrs", "angle-error", "height-loss", "edge-rounding"]
-
-DEFECTS: tuple[Defect, ...] = get_args(Defect)
-RANDOM = ("roughness", "burrs")
-LARGEST = {
-    "roughness": (0.10, "alpha"),
-    "burrs": (0.10, "share of the area"),
-    "angle-error": (2.0, "°"),
-    "height-loss": (0.20, "share of the height"),
-    "edge-rounding": (0.05, "pitches"),
-}
 FITTED = 4  # mildest severities that give the order
 PITCH_UM = 100.0
 FINE_PIXEL_UM = PITCH_UM / 4000
@@ -85,7 +73,7 @@ class Convergence:
 
     Attributes:
         defect: which.
-        severity: (S,) rising, in the unit of ``LARGEST``.
+        severity: (S,) rising, in its unit.
         total: (S,) rms deviation over contrasts and pieces of surface.
         bias: (S,) rms over the contrasts of the mean deviation; NaN where it is below the scatter.
         scatter: (S,) rms standard deviation between pieces, 0 for defects that are not random.
@@ -94,7 +82,7 @@ class Convergence:
         sampling_bias: relief of the ideal map against the corrected model, relative to the rms contrast.
     """
 
-    defect: Defect
+    defect: str
     severity: FloatArray
     total: FloatArray
     bias: FloatArray
@@ -123,7 +111,7 @@ class ConvergenceStudy:
 
 @dataclass(frozen=True)
 class _Task:
-    defect: Defect | None
+    defect: str | None
     severity: float
     seed: int
     design: RidgeDesign
@@ -137,39 +125,81 @@ def ideal_map(design: RidgeDesign, sampling: Sampling) -> HeightMap:
     return ridges(design, (round(sampling.length_um / sampling.pixel_um) + 1, cols), sampling.pixel_um, 0.25)
 
 
-def sampling_for(defect: Defect | None, sampling: Sampling) -> Sampling:
+def sampling_for(defect: str | None, sampling: Sampling) -> Sampling:
     """Sampling for a defect: one that is uniform along the ridges needs fine profiles but few rows."""
-    if defect is None or defect in RANDOM:
+    if defect is None or IMPERFECTIONS[defect].is_random:
         return sampling
     return Sampling(2, FINE_PIXEL_UM, FINE_PIXEL_UM, 1)
 
 
 def with_defect(
-    surface: HeightMap, defect: Defect, size: float, design: RidgeDesign, seed: int
+    surface: HeightMap, defect: str, size: float, design: RidgeDesign, seed: int
 ) -> list[HeightMap]:
-    """The surface with a defect of a given size in the unit of ``LARGEST``.
+    """The surface with an imperfection of a given size in its unit.
 
-    One seed means one piece of surface at every size: roughness is one field scaled, and comes as a pair of
-    opposite fields, so that what is linear in the field cancels in their mean.
+    One seed means one piece of surface at every size.
     """
-    rng = np.random.default_rng(seed)
-    if defect == "roughness":
-        rough = add_facet_roughness(surface, size, size, 5.0, rng)
-        return [rough, surface.with_height(2.0 * surface.height_um - rough.height_um)]
-    if defect == "burrs":
-        return [burrs(surface, size, pitch_um=design.pitch_um, rng=rng).map]
-    if defect == "angle-error":
-        period = Period(design.pitch_um, 0.0, 1.0, True)
-        return [ridge_angle_error(surface, size, ridge_angle_deg=design.ridge_angle_deg, period=period)]
-    if defect == "height-loss":
-        cut = design.full_height_um * (1.0 - size)
-        return [surface.with_height(np.minimum(surface.height_um, cut))]
+    return IMPERFECTIONS[defect].make(surface, size, design, np.random.default_rng(seed))
+
+
+def _rough(
+    surface: HeightMap, size: float, _design: RidgeDesign, rng: np.random.Generator
+) -> list[HeightMap]:
+    """One field scaled, as a pair of opposite fields, so that what is linear in the field cancels in their mean."""
+    rough = add_facet_roughness(surface, size, size, 5.0, rng)
+    return [rough, surface.with_height(2.0 * surface.height_um - rough.height_um)]
+
+
+def _burrs(surface: HeightMap, size: float, design: RidgeDesign, rng: np.random.Generator) -> list[HeightMap]:
+    return [burrs(surface, size, pitch_um=design.pitch_um, rng=rng).map]
+
+
+def _steeper(
+    surface: HeightMap, size: float, design: RidgeDesign, _rng: np.random.Generator
+) -> list[HeightMap]:
+    period = Period(design.pitch_um, 0.0, 1.0, True)
+    return [ridge_angle_error(surface, size, ridge_angle_deg=design.ridge_angle_deg, period=period)]
+
+
+def _cut(surface: HeightMap, size: float, design: RidgeDesign, _rng: np.random.Generator) -> list[HeightMap]:
+    return [surface.with_height(np.minimum(surface.height_um, design.full_height_um * (1.0 - size)))]
+
+
+def _rounded(
+    surface: HeightMap, size: float, design: RidgeDesign, _rng: np.random.Generator
+) -> list[HeightMap]:
     from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - slow to import
 
     sigma = size * design.pitch_um / surface.pixel_x_um
     profile = gaussian_filter1d(surface.height_um[0, :-1], sigma, mode="wrap")
     rounded = np.append(profile, profile[0])
     return [surface.with_height(np.broadcast_to(rounded, surface.shape).copy())]
+
+
+@dataclass(frozen=True)
+class Imperfection:
+    """What vanishes in the limit: exact on ideal ridges, unlike a defect that is made on any map.
+
+    Attributes:
+        largest: size to begin with.
+        unit: of the size.
+        make: the imperfect pieces of a surface, of its size, the design and a source of randomness.
+        is_random: needs pieces of surface; else uniform along the ridges.
+    """
+
+    largest: float
+    unit: str
+    make: Callable[[HeightMap, float, RidgeDesign, np.random.Generator], list[HeightMap]]
+    is_random: bool = False
+
+
+IMPERFECTIONS = {
+    "roughness": Imperfection(0.10, "alpha", _rough, is_random=True),
+    "burrs": Imperfection(0.10, "share of the area", _burrs, is_random=True),
+    "angle-error": Imperfection(2.0, "°", _steeper),
+    "height-loss": Imperfection(0.20, "share of the height", _cut),
+    "edge-rounding": Imperfection(0.05, "pitches", _rounded),
+}
 
 
 def signed_contrasts(radiance: FloatArray) -> FloatArray:
@@ -195,7 +225,7 @@ def _contrasts(task: _Task) -> FloatArray:
 
 
 def convergence(
-    defects: Sequence[Defect],
+    defects: Sequence[str],
     design: RidgeDesign,
     material: Material,
     sampling: Sampling,
@@ -222,16 +252,18 @@ def convergence(
     """
     if severities < 3:
         raise UsageError(f"an order needs at least three severities, not {severities}")
-    unknown = [defect for defect in defects if defect not in DEFECTS]
+    unknown = [defect for defect in defects if defect not in IMPERFECTIONS]
     if unknown or not defects:
-        raise UsageError(f"{unknown[0] if unknown else ''!r} is no defect; there are {', '.join(DEFECTS)}")
+        raise UsageError(
+            f"{unknown[0] if unknown else ''!r} is no defect; there are {', '.join(IMPERFECTIONS)}"
+        )
     if not design.ridge_angle_deg > 0.0:
         raise UsageError("a flat surface has no contrast to converge to: take a ridge angle above 0°")
     steps = 0.5 ** np.arange(severities)[::-1]
     tasks = []
     for defect in defects:
         finely = sampling_for(defect, sampling)
-        sizes = [0.0] + [float(LARGEST[defect][0] * step) for step in steps]
+        sizes = [0.0] + [float(IMPERFECTIONS[defect].largest * step) for step in steps]
         tasks += [
             _Task(defect, size, 1000 * seed + piece, design, material, finely)
             for size in sizes
@@ -245,14 +277,14 @@ def convergence(
         pieces = sampling_for(defect, sampling).seeds
         ideal = next(found)[0]
         rows = [next(found) for _ in range(severities * pieces)]
-        severity: FloatArray = np.asarray(LARGEST[defect][0] * steps, dtype=np.float64)
+        severity: FloatArray = np.asarray(IMPERFECTIONS[defect].largest * steps, dtype=np.float64)
         table = np.reshape(rows, (severities, pieces, -1, ideal.size))
         curves.append(_curve(defect, severity, table, ideal, exact, seed))
     return ConvergenceStudy(design, material, sampling, tuple(curves))
 
 
 def _curve(
-    defect: Defect, severity: FloatArray, table: FloatArray, ideal: FloatArray, exact: FloatArray, seed: int
+    defect: str, severity: FloatArray, table: FloatArray, ideal: FloatArray, exact: FloatArray, seed: int
 ) -> Convergence:
     """Deviations from (severities, pieces, opposite, contrasts) contrasts."""
     scale = float(np.sqrt(np.mean(ideal**2)))

@@ -16,7 +16,7 @@ PLACES = {
 DOTTED = re.compile(r"(?<!`)`~?([a-z_]\w*(?:\.\w+)+)`(?!`)")
 REPOSITORY_FILE = re.compile(r"(?<![\w./-])(?:tests|tools|docs)/[\w./-]*\.(?:py|sh|md|toml|csv|json)\b")
 ENTRY_POINTS = {
-    f"anisoscope.{group}" for group in ("cameras", "lights", "stages", "serial_handlers", "wheels")
+    f"anisoscope.{group}" for group in ("cameras", "defects", "lights", "stages", "serial_handlers", "wheels")
 }
 FILES = ("csv", "html", "json", "jsonl", "npz", "png", "py", "sha256", "sqlite", "tif", "toml", "typed")
 TABLES = {

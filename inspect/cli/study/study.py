@@ -33,7 +33,7 @@ def convergence_json(found: "ConvergenceStudy") -> dict[str, Any]:
     """The study as a table for JSON."""
     from dataclasses import asdict
 
-    from anisoscope.study.convergence import LARGEST
+    from anisoscope.study.convergence import IMPERFECTIONS
 
     return {
         "design": asdict(found.design),
@@ -42,7 +42,7 @@ def convergence_json(found: "ConvergenceStudy") -> dict[str, Any]:
         "defects": [
             {
                 "defect": curve.defect,
-                "unit": LARGEST[curve.defect][1],
+                "unit": IMPERFECTIONS[curve.defect].unit,
                 "severity": curve.severity,
                 "total": curve.total,
                 "bias": curve.bias,
@@ -59,12 +59,12 @@ def convergence_json(found: "ConvergenceStudy") -> dict[str, Any]:
 def convergence_tables(found: "ConvergenceStudy") -> "list[Table]":
     """Its tables."""
     from anisoscope.report.study_page import Table
-    from anisoscope.study.convergence import LARGEST
+    from anisoscope.study.convergence import IMPERFECTIONS
 
     rows: list[tuple[str, ...]] = []
     orders: list[tuple[str, ...]] = []
     for curve in found.curves:
-        unit = LARGEST[curve.defect][1]
+        unit = IMPERFECTIONS[curve.defect].unit
         rows += [
             (
                 curve.defect,
@@ -97,7 +97,7 @@ def convergence_charts(found: "ConvergenceStudy") -> "list[Chart]":
     import numpy as np
 
     from anisoscope.report.study_page import Chart, Curve
-    from anisoscope.study.convergence import LARGEST
+    from anisoscope.study.convergence import IMPERFECTIONS
 
     charts = []
     for curve in found.curves:
@@ -110,7 +110,7 @@ def convergence_charts(found: "ConvergenceStudy") -> "list[Chart]":
         for order in (1, 2):
             guide = curve.total[-1] * (curve.severity / curve.severity[-1]) ** order
             lines.append(Curve(f"order {order}", curve.severity, np.asarray(guide), dashed=True))
-        unit = LARGEST[curve.defect][1]
+        unit = IMPERFECTIONS[curve.defect].unit
         charts.append(
             Chart(curve.defect, f"severity [{unit}]", "deviation / ideal [1]", tuple(lines), log=True)
         )
@@ -267,14 +267,14 @@ def convergence_command(
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.report.study_page import check_picture
-    from anisoscope.study.convergence import DEFECTS, PITCH_UM, QUALITIES, convergence
+    from anisoscope.study.convergence import IMPERFECTIONS, PITCH_UM, QUALITIES, convergence
     from anisoscope.study.sweep import Workers
 
     del recipe  # plastic and surface are in the other options by now
     check_picture(plot)
     if not 3 <= severities <= 10:
         raise UsageError(f"--severities takes 3 to 10, not {severities}")
-    chosen: Any = DEFECTS if defects == "all" else tuple(dict.fromkeys(defects.split(",")))
+    chosen = tuple(IMPERFECTIONS) if defects == "all" else tuple(dict.fromkeys(defects.split(",")))
     with progress("convergence", quiet=json_) as advance:
         found = convergence(
             chosen,

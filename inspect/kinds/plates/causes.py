@@ -12,8 +12,9 @@ from functools import partial
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cause_words import SEAT_AGAIN, CauseWords
 from anisoscope.base.errors import HeightMapError
-from anisoscope.diagnosis.cause_words import PLASTIC_WORDS, SEAT_AGAIN, CauseWords
+from anisoscope.diagnosis.cause_words import plastic_words
 from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.diagnosis.evidence import Evidence, Inputs
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
@@ -79,12 +80,12 @@ FIELD_WORDS: Mapping[str, CauseWords] = {
         percent=False,
     ),
 }
-PLATE_WORDS: Mapping[str, CauseWords] = {
-    **PLASTIC_WORDS,
-    **FIELD_WORDS,
-    TURNED: CauseWords("The plate lies turned by about {size} in its seat", SEAT_AGAIN),
-}
-"""Causes of plates in plain words."""
+
+
+def plate_words() -> Mapping[str, CauseWords]:
+    """Causes of plates in plain words."""
+    turned = CauseWords("The plate lies turned by about {size} in its seat", SEAT_AGAIN)
+    return {**plastic_words(), **FIELD_WORDS, TURNED: turned}
 
 
 def explain_plate(

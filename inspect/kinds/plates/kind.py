@@ -8,18 +8,18 @@ from typing import Any, cast
 
 import numpy as np
 
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.covariance import root
 from anisoscope.base.errors import AnisoscopeError, RecipeError, UsageError
 from anisoscope.base.notation import number_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import two_sided_score
-from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.pose_radiance import mean_of
 from anisoscope.imaging.registration.placement import resample
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
-from anisoscope.kinds.plates.causes import FIELD_WORDS, PLATE_WORDS, explain_plate
+from anisoscope.kinds.plates.causes import FIELD_WORDS, explain_plate, plate_words
 from anisoscope.kinds.plates.code_grades import OVERALL
 from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate, planned_contrasts
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
@@ -218,7 +218,7 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
     @property
     def cause_words(self) -> Mapping[str, CauseWords]:
         """Defects of fields, and causes of the whole plate."""
-        return PLATE_WORDS
+        return plate_words()
 
     def conclude(self, record: Record) -> ConclusionRecord:
         """The verdict in plain words, with the places of the fields that fail."""

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import ModelError
-from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.diagnosis.causes import Cause, Group
 from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.likelihood import fit_extent, interval

@@ -7,9 +7,9 @@ from typing import Any, cast
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import AnisoscopeError, MeasurementError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, check_light, check_view
 from anisoscope.imaging.quality_gates import beyond_part, check_views

@@ -18,10 +18,11 @@ from functools import partial
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import AnisoscopeError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import CauseModel, Option
-from anisoscope.diagnosis.cause_words import RIG_WORDS, CauseWords
+from anisoscope.diagnosis.cause_words import RIG_WORDS
 from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signature, Signatures

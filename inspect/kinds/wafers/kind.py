@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cause_words import CauseWords
 from anisoscope.decision.reference_parts import GoldenSet
-from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.area_limit import MIN_PARTS
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.predicted_cells import even_cells

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,10 @@ def copied(tmp_path):
     shutil.copytree(ROOT / "inspect", package)
     for name in ("rig", "profiles", "sim"):
         shutil.copytree(ROOT / name, package / name)
+    about = tmp_path / "anisoscope-0.1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: anisoscope\nVersion: 0.1.0\n")
+    (about / "entry_points.txt").write_text(distribution("anisoscope").read_text("entry_points.txt"))
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from anisoscope.base.cache import SourceDigests\n"
@@ -67,6 +72,7 @@ def test_an_edit_of_anything_that_signatures_import_is_another_key(copied):
         "imaging/pose_radiance.py",
         "prediction/expectation.py",
         "profiles/__init__.py",  # a package around what is imported
+        "profiles/ridge_defects.py",  # plug-ins, which nothing imports
     ):
         edit(package / file)
         found.append(digest())

@@ -14,11 +14,12 @@ from anisoscope.diagnosis.evidence import (
     against,
     background_of_parts,
 )
-from anisoscope.diagnosis.likelihood import PITCH, fit_extent
+from anisoscope.diagnosis.likelihood import fit_extent
 from anisoscope.diagnosis.ranking import BELIEVABLE, NOTHING, OTHER, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.second_order import Response
+from anisoscope.profiles.defect_injection import DEFECTS
 
 POSES = tuple(Pose(45.0 * k) for k in range(6))
 P = len(POSES)
@@ -216,13 +217,13 @@ def test_cells_that_deviate_on_a_guessed_texture_are_no_reason_against_a_cause()
 def test_the_pitch_in_the_pictures_decides_about_a_wrong_pitch():
     rng = np.random.default_rng(17)
     slope, stated = 0.3 * rng.normal(size=P), 0.01**2 * np.eye(P)
-    causes = known(named(PITCH, slope), named("b", slope))
+    causes = known(named("pitch", slope, defect=DEFECTS["pitch"]), named("b", slope))
     part = Evidence(0.5 * slope, stated)
-    assert {one.cause for one in diagnose(causes, part).ties} == {PITCH, "b"}
+    assert {one.cause for one in diagnose(causes, part).ties} == {"pitch", "b"}
     agreeing = diagnose(causes, replace(part, pitch=(0.01, 0.02)))
     assert [one.cause for one in agreeing.ties] == ["b"]
     wrong = diagnose(causes, replace(part, pitch=(0.49, 0.02)))
-    assert [one.cause for one in wrong.ties] == [PITCH]
+    assert [one.cause for one in wrong.ties] == ["pitch"]
     assert wrong.causes[0].u < 0.02
 
 

@@ -2,12 +2,13 @@
 
 import pytest
 
-from anisoscope.diagnosis.cause_words import PLASTIC_WORDS
+from anisoscope.diagnosis.cause_words import plastic_words
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.kinds.registry import kind_named, kind_names
 from anisoscope.kinds.wafers.causes import WAFER_WORDS, wafer_causes
 from anisoscope.report.conclusion import OUTCOMES, concluded
 
+PLASTIC_WORDS = plastic_words()
 DESIGN = {"ridge-angle": 10.0}
 
 

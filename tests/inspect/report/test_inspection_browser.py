@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.diagnosis.cause_words import PLASTIC_WORDS
+from anisoscope.diagnosis.cause_words import plastic_words
 from anisoscope.report.inspection_page import REPORT_NAME, Pictures, report_page, start_renderer
 from anisoscope.report.peers import Lot, LotPart
 from anisoscope.report.surface_sections import surface_sections
@@ -36,7 +36,7 @@ def report(tmp_path_factory, make_report_record, report_pictures, view):
     folder = tmp_path_factory.mktemp("A-17-20260304T050607Z")
     record = make_report_record()
     pictures = replace(report_pictures, lot=LOT)
-    page = report_page(record, pictures, folder, view, surface_sections(record, pictures, PLASTIC_WORDS))
+    page = report_page(record, pictures, folder, view, surface_sections(record, pictures, plastic_words()))
     (folder / REPORT_NAME).write_text(page, encoding="utf-8")
     return folder, record
 
@@ -236,7 +236,7 @@ def test_text_stands_out_from_its_ground(page, tmp_path, make_report_record, sch
     """WCAG 2.2, 1.4.3: 4.5 to 1, for large text 3 to 1."""
     contrasts = [c.model_dump() | {"verdict": verdict} for c in make_report_record().details.contrasts]
     record = make_report_record(verdict=verdict, contrasts=contrasts)
-    path, sections = tmp_path / REPORT_NAME, surface_sections(record, Pictures(), PLASTIC_WORDS)
+    path, sections = tmp_path / REPORT_NAME, surface_sections(record, Pictures(), plastic_words())
     path.write_text(report_page(record, Pictures(), tmp_path, None, sections), encoding="utf-8")
     try:
         page.prefer(scheme)
@@ -317,7 +317,7 @@ def test_texts_stay_texts(page, tmp_path, make_report_record, report_pictures):
     raw = tuple((EVIL, picture) for picture in report_pictures.aligned[:1])
     lot = Lot(EVIL, (LotPart(EVIL, EVIL, ()),))
     pictures = replace(report_pictures, surface=None, raw=raw, lot=lot)
-    path, sections = tmp_path / REPORT_NAME, surface_sections(record, pictures, PLASTIC_WORDS)
+    path, sections = tmp_path / REPORT_NAME, surface_sections(record, pictures, plastic_words())
     path.write_text(report_page(record, pictures, tmp_path, None, sections), encoding="utf-8")
     page.open(path.as_uri())
     assert page.complaints() == []

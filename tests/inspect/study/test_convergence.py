@@ -10,8 +10,7 @@ from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.study.convergence import (
-    DEFECTS,
-    LARGEST,
+    IMPERFECTIONS,
     Sampling,
     convergence,
     ideal_map,
@@ -26,7 +25,7 @@ SMALL = Sampling(2, 60.0, 1.0, 4)
 
 @pytest.fixture(scope="module")
 def study():
-    return convergence(DEFECTS, DESIGN, Material(), SMALL, Workers(), severities=4)
+    return convergence(tuple(IMPERFECTIONS), DESIGN, Material(), SMALL, Workers(), severities=4)
 
 
 def curve(study, defect):
@@ -75,10 +74,10 @@ def test_sampling_is_finer_than_what_it_shows(study):
         assert found.sampling_bias < 0.2 * found.total[0]
 
 
-@pytest.mark.parametrize("defect", DEFECTS)
+@pytest.mark.parametrize("defect", IMPERFECTIONS)
 def test_one_seed_is_one_piece_of_surface(defect):
     surface = ideal_map(DESIGN, SMALL)
-    size = 0.5 * LARGEST[defect][0]
+    size = 0.5 * IMPERFECTIONS[defect].largest
     one, two = (with_defect(surface, defect, size, DESIGN, 3) for _ in range(2))
     assert all((a.height_um == b.height_um).all() for a, b in zip(one, two, strict=True))
 
