@@ -12,13 +12,14 @@ import io
 import json
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
 import tokenize
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 ROOT = Path(__file__).resolve().parents[1]
 # Identifiers that name a kind of part other than ridges. `print(...)` is none of them, the field `record.print` is;
@@ -30,6 +31,8 @@ KIND_IN_TEXT = re.compile(r"wafer|print", re.IGNORECASE)
 VERB_NAME = re.compile(r"^_?print(_(?!causes|recipe|expectation|record|model|prints|kind)|$)|_and_print$")
 OF_LIBRARIES = {"print_svg"}  # matplotlib's
 FRAGMENT_LINES = 120
+MANY_PARAMETERS = 8
+LARGEST_BYTES = 6_000_000
 TABLES = {
     "anisoscope.bsdf.formats",
     "anisoscope.cli.line.line",
@@ -294,6 +297,130 @@ def float_arrays(text: str) -> int:
     return count
 
 
+def documentation(text: str) -> dict[str, int]:
+    """Lines that hold only a comment, lines of docstrings, and docstrings of private functions and classes."""
+    private, lines = 0, 0
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if ast.get_docstring(node, clean=False) is None:
+            continue
+        lines += (node.body[0].end_lineno or node.body[0].lineno) - node.body[0].lineno + 1
+        name = getattr(node, "name", "")
+        private += name.startswith("_") and not name.endswith("__")
+    comments = len(re.findall(r"^\s*#", text, re.MULTILINE))
+    return {"comment_lines": comments, "docstring_lines": lines, "private_docstrings": private}
+
+
+def long_signatures(text: str) -> int:
+    """Functions and methods with more than `MANY_PARAMETERS` parameters; self and cls are none."""
+    count = 0
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            named = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            count += sum(one.arg not in {"self", "cls"} for one in named) > MANY_PARAMETERS
+    return count
+
+
+def public_names(checkout: Path) -> int:
+    """Names of the public face."""
+    face = package_folders(checkout)["anisoscope"] / "api.py"
+    for node in ast.parse(face.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return len(ast.literal_eval(node.value))
+    return 0
+
+
+def options(checkout: Path) -> dict[str, int]:
+    """Declarations behind the options and arguments of all commands: in the command line, and in models elsewhere.
+
+    A declaration is counted once, however many commands have it. The commands are imported by a Python of their own,
+    from the sources of the checkout; plug-ins are those of the installed distribution.
+    """
+    with tempfile.TemporaryDirectory() as lain:
+        root = Path(lain, "anisoscope")
+        root.mkdir()
+        for package, folder in package_folders(checkout).items():
+            inside = package.removeprefix("anisoscope").removeprefix(".")
+            for entry in [folder] if inside else folder.iterdir():
+                (root / (inside or entry.name)).symlink_to(entry)
+        script = (
+            f"import sys; sys.path[:0] = {[lain, str(ROOT / 'tools')]!r}; import house; house.write_options()"
+        )
+        counted = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True, cwd=lain)
+    found: dict[str, int] = json.loads(counted.stdout)
+    return found
+
+
+def write_options() -> None:
+    """Write the counts of `options` for the package that this Python imports."""
+    import importlib  # noqa: PLC0415
+
+    commands, found = declared_options(importlib.import_module("anisoscope.cli").app)
+    by_hand = sum(module.startswith("anisoscope.cli") for module, _ in found)
+    counts = {"commands": commands, "options_by_hand": by_hand, "options_of_models": len(found) - by_hand}
+    sys.stdout.write(json.dumps(counts))
+
+
+def declared_options(root: Any) -> tuple[int, set[tuple[str, str]]]:  # noqa: ANN401 - cyclopts is not needed here
+    """Commands of an app, and module and name of every parameter and field that is one of their options."""
+    commands, found, waiting = 0, set(), [root]
+    while waiting:
+        app = waiting.pop()
+        waiting += [app[name] for name in app if not name.startswith("-")]
+        if app.default_command is None:
+            continue
+        commands += 1
+        owner = app.default_command
+        for argument in app.assemble_argument_collection(parse_docstring=False):
+            if not argument.keys and not argument.children:
+                found.add((owner.__module__, f"{owner.__qualname__}.{argument.field_info.name}"))
+            for child in argument.children:
+                if not child.children:
+                    found.add(_declared(argument.hint, child.keys[-1]))
+    return commands, found
+
+
+def _declared(hint: object, field: str) -> tuple[str, str]:
+    """Module and name of a field, in the class of a hint that declares it: bases may."""
+    for kind in (hint, *get_args(hint)):
+        for one in getattr(kind, "__mro__", ()):
+            if field in vars(one).get("__annotations__", {}):
+                return one.__module__, f"{one.__qualname__}.{field}"
+    return "", field
+
+
+def large_files(checkout: Path) -> int:
+    """Tracked files over `LARGEST_BYTES`."""
+    git = shutil.which("git") or "git"
+    listed = subprocess.run(
+        [git, "ls-files", "-z"], cwd=checkout, capture_output=True, text=True, check=True
+    ).stdout.split("\0")
+    paths = [checkout / path for path in listed if path]
+    return sum(path.is_file() and path.stat().st_size > LARGEST_BYTES for path in paths)
+
+
+def declarations(checkout: Path) -> dict[str, Any]:
+    """What is declared, documented and kept in a checkout."""
+    texts = {path: path.read_text(encoding="utf-8") for path in source_files(checkout)}
+    cli = package_folders(checkout)["anisoscope"] / "cli"
+    lines = sum(text.count("\n") for text in texts.values())
+    words = [documentation(text) for text in texts.values()]
+    comments, docstrings, private = (
+        sum(one[key] for one in words) for key in ("comment_lines", "docstring_lines", "private_docstrings")
+    )
+    return {
+        "cli_lines": sum(text.count("\n") for path, text in texts.items() if cli in path.parents),
+        **options(checkout),
+        "public_names": public_names(checkout),
+        "long_signatures": sum(map(long_signatures, texts.values())),
+        "comment_share": f"{comments / lines:.2%}",
+        "docstring_share": f"{docstrings / lines:.1%}",
+        "private_docstrings": private,
+        "large_files": large_files(checkout),
+    }
+
+
 def sizes(checkout: Path) -> dict[str, Any]:
     """How much there is of a checkout."""
     texts = [path.read_text(encoding="utf-8") for path in source_files(checkout)]
@@ -362,6 +489,16 @@ MEANING = {
     "fragments": "of the others small, not compiled, and in the package of their importer",
     "float_array_declarations": "declarations of FloatArray",
     "root_modules": "modules in the root of inspect/",
+    "cli_lines": "lines of inspect/cli",
+    "commands": "commands",
+    "options_by_hand": "declarations of options and arguments in inspect/cli",
+    "options_of_models": "declarations of options in models elsewhere",
+    "public_names": "names of anisoscope.api",
+    "long_signatures": f"functions with more than {MANY_PARAMETERS} parameters",
+    "comment_share": "of all lines, only a comment",
+    "docstring_share": "of all lines, docstring",
+    "private_docstrings": "docstrings of private functions and classes",
+    "large_files": f"tracked files over {LARGEST_BYTES / 1e6:.0f} MB",
 }
 
 
@@ -379,10 +516,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("checkout", nargs="?", type=Path, default=ROOT)
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    checkout = options.checkout.resolve()
-    found = sizes(checkout) | numbers(checkout, import_graph(checkout))
-    if options.json:
+    chosen = parser.parse_args()
+    checkout = chosen.checkout.resolve()
+    found = sizes(checkout) | numbers(checkout, import_graph(checkout)) | declarations(checkout)
+    if chosen.json:
         sys.stdout.write(json.dumps(found, indent=2) + "\n")
         return
     sys.stdout.writelines(f"{value!s:>10}  {MEANING[name]}\n" for name, value in found.items())

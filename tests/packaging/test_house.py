@@ -2,9 +2,12 @@
 
 import importlib.util
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+from cyclopts import App, Parameter
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -83,6 +86,56 @@ def test_files_lines_and_code_are_counted(tmp_path):
     for name in ("a", "b"):
         (tmp_path / "inspect" / f"{name}.py").write_text('"""What it is."""\n\nx = 1\n')
     assert house.sizes(tmp_path) == {"files": 2, "lines": 6, "code_lines": 2}
+
+
+def test_comments_docstrings_and_those_of_private_names_are_counted():
+    text = '"""What\n\nit is."""\n# why\nclass _A:\n    """A."""\n    def __init__(self):\n        """B."""\n'
+    text += "    x = 1  # no\n"
+    assert house.documentation(text) == {"comment_lines": 1, "docstring_lines": 5, "private_docstrings": 1}
+
+
+def test_a_long_signature_has_more_than_eight_parameters_besides_self():
+    eight = "def f(self, a, b, c, d, /, e, f, *, g, h):\n    pass\n"
+    assert house.long_signatures(eight) == 0
+    assert house.long_signatures(eight.replace("h)", "h, i)")) == 1
+
+
+@dataclass
+class _Lamp:
+    power: float = 1.0
+
+
+@dataclass
+class _Optics(_Lamp):
+    aperture: Annotated[float, Parameter(name="--na")] = 0.1
+
+
+def test_an_option_is_counted_where_it_is_declared():
+    app = App()
+
+    @app.command
+    def one(name: str, *, seed: int = 1, optics: Annotated[_Optics, Parameter(name="*")]):
+        pass
+
+    @app.command
+    def two(*, optics: Annotated[_Optics | None, Parameter(name="*")] = None):
+        pass
+
+    commands, found = house.declared_options(app)
+    assert commands == 2
+    here = "test_an_option_is_counted_where_it_is_declared.<locals>.one"
+    assert found == {
+        (__name__, f"{here}.name"),
+        (__name__, f"{here}.seed"),
+        (__name__, "_Lamp.power"),
+        (__name__, "_Optics.aperture"),
+    }
+
+
+def test_options_of_the_command_line_are_counted():
+    found = house.options(ROOT)
+    assert found["commands"] > 100
+    assert found["options_by_hand"] + found["options_of_models"] > 500
 
 
 def test_identifiers_that_name_a_kind():
