@@ -102,7 +102,7 @@ def test_a_long_signature_has_more_than_eight_parameters_besides_self():
 
 @dataclass
 class _Lamp:
-    power: float = 1.0
+    power: float
 
 
 @dataclass
@@ -118,7 +118,7 @@ def test_an_option_is_counted_where_it_is_declared():
         pass
 
     @app.command
-    def two(*, optics: Annotated[_Optics | None, Parameter(name="*")] = None):
+    def two(*, optics: Annotated[_Optics, Parameter(name="*")]):
         pass
 
     commands, found = house.declared_options(app)
