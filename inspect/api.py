@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
     from anisoscope.live_view.autofocus import Autofocus
     from anisoscope.parameters.geometry import Convention, Pose
+    from anisoscope.parameters.inputs import InputUncertainty
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.optics import Optics
     from anisoscope.parameters.ridges import RidgeDesign
-    from anisoscope.parameters.uncertainty import InputUncertainty
     from anisoscope.prediction.predicted import Predicted
     from anisoscope.profiles.comparison import Comparison, compare_maps
     from anisoscope.profiles.editing.steps import edit_map
@@ -82,7 +82,7 @@ _HOME = {
     "Inspected": "anisoscope.inspection.run",
     "Autofocus": "anisoscope.live_view.autofocus",
     "Predicted": "anisoscope.prediction.predicted",
-    "InputUncertainty": "anisoscope.parameters.uncertainty",
+    "InputUncertainty": "anisoscope.parameters.inputs",
     "compare_maps": "anisoscope.profiles.comparison",
     "edit_map": "anisoscope.profiles.editing.steps",
     "read_height_map": "anisoscope.profiles.files.load",
@@ -307,10 +307,10 @@ def predict(
     """
     from anisoscope.base.errors import UsageError
     from anisoscope.parameters.geometry import Convention
+    from anisoscope.parameters.inputs import InputUncertainty
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.optics import POINT_LIKE
     from anisoscope.parameters.ridges import RidgeDesign
-    from anisoscope.parameters.uncertainty import InputUncertainty
     from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
     from anisoscope.prediction.predict import predict_design
     from anisoscope.prediction.region_prediction import predict_map

@@ -5,9 +5,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Options
+
+RecipeOption = Annotated[
+    Path | None,
+    Parameter(help="Recipe file with plastic and surface; options have precedence."),
+]
+RIDGES = Group("Ridges", sort_key=19)
+PLASTIC = Group("Plastic", sort_key=20)
+LIGHT = Group("Light and camera angles", sort_key=21)
+OF_RIDGES = Options(RidgeDesign, RIDGES, default=RidgeDesign(100.0, 10.0))
+OF_PLASTIC = Options(Material, PLASTIC)
+OF_LIGHT = Options(Convention, LIGHT)
 
 TrustFile = Annotated[
     Path | None,

@@ -1,9 +1,7 @@
 """Option ``--recipe`` of commands that predict: plastic and surface of a recipe in place of their own options."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.log import LOG
@@ -13,19 +11,8 @@ if TYPE_CHECKING:
 
     from anisoscope.recipe.surface import SurfaceRecipe
 
-RecipeOption = Annotated[
-    Path | None,
-    Parameter(help="Recipe file with plastic and surface; options have precedence."),
-]
-COMMANDS = (
-    ("optimise",),
-    ("render",),
-    ("research", "experiment"),
-    ("research", "findings"),
-    ("research", "convergence"),
-    ("research", "best-angle"),
-)
-"""Commands with this option; `predict` reads the whole recipe itself."""
+COMMANDS = (("render",),)
+"""Commands whose options are filled here; the others take what `operations.stated` says."""
 
 
 def apply_recipe(app: "App", commands: tuple[str, ...], arguments: "ArgumentCollection") -> None:

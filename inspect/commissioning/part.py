@@ -20,7 +20,7 @@ class RidgedPart:
         alpha_covariance: of ln α along and ln α across, where they were measured together; u_alpha_share of each
             otherwise.
         tail, u_tail: tail of the lobe.
-        second_lobe: weight and width of a second lobe, as in `sim.light.material.Material`.
+        second_lobe: weight and width of a second lobe, as in `parameters.material.Material`.
         internal_reflection: as there.
         albedo, u_albedo: albedo of the plastic.
         index, u_index: its refractive index.

@@ -14,7 +14,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.parameters.uncertainty import InputUncertainty
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, input_slopes
 from anisoscope.prediction.sensitivity import DARK, State, Surface
 

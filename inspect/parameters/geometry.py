@@ -15,10 +15,10 @@ class Convention:
     """How angles are counted.
 
     Attributes:
-        light_angle_deg: angle θl between the directions to the light and to the camera.
-        tilt_plane: "perpendicular": camera and light tilt about the axis along the projected
-            camera-to-light direction (x). "in-plane": they tilt within the plane that holds both.
-        facet_azimuth_deg: azimuth toward which the large facets lean at stage angle 0; 0 is toward the light.
+        light_angle_deg: angle between light and camera θl in degrees, −90 to 90.
+        tilt_plane: plane in which camera and light tilt: about the axis along the projected camera-to-light direction
+            (perpendicular), or within the plane that holds both (in-plane).
+        facet_azimuth_deg: azimuth toward which the large facets lean at stage angle 0, degrees; 0 is toward the light.
         rotation_sense: sense of a positive stage angle, seen from the camera.
     """
 

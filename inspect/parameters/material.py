@@ -16,16 +16,16 @@ class Material:
     """Optical properties of the plastic.
 
     Attributes:
-        alpha_along: Beckmann roughness α_u along the ridges (√2 · rms slope), dimensionless.
-        alpha_across: Beckmann roughness α_v across the ridges.
+        alpha_along: Beckmann roughness along the ridges α_u, √2 · rms slope, 0.001 to 1.
+        alpha_across: Beckmann roughness across the ridges α_v, 0.001 to 1.
         albedo: diffuse albedo ρ_d of the plastic's interior, 0 to 1.
-        index: refractive index η of the plastic.
-        internal_reflection: "nonlinear": x = ρ·F_dr, light sent back inside is coloured again (physical).
-            "linear": x = F_dr.
-        tail: τ of the lobe, 0 (Beckmann) to 1.6; 1 is GGX. Roughness is then no rms slope, but the width of the lobe's
-            core.
+        index: refractive index η of the plastic, above 1 to 4.
+        internal_reflection: colour of light sent back inside the plastic: coloured again (nonlinear: x = ρ·F_dr,
+            physical), or not (linear: x = F_dr).
+        tail: tail τ of the lobe, 0 (Beckmann) to 1.6; 1 is GGX. Roughness is then no rms slope, but the width of the
+            lobe's core.
         second_lobe: weight w and width factor s of a Beckmann lobe that is mixed in: slopes of
-            (1 − w)·P(r²) + w/s²·exp(−r²/s²)/π; None without.
+            (1 − w)·P(r²) + w/s²·exp(−r²/s²)/π.
 
     Raises:
         ModelError: a value outside the range in which the model means anything.

@@ -11,10 +11,10 @@ class Optics:
     """Apertures, and where the lamp stands.
 
     Attributes:
-        lamp_half_angle_deg: half of the angle that the lamp subtends at the sample.
-        aperture_half_angle_deg: half of the angle of the lens's aperture; arcsin of its numerical aperture.
-        lamp_distance_mm: from the middle of the field to the lamp; None is far away.
-        field_mm: width (along the line from camera to light) and height of the field on the sample; the camera
+        lamp_half_angle_deg: half of the angle that the lamp subtends at the sample, degrees.
+        aperture_half_angle_deg: half of the angle of the lens's aperture, degrees; arcsin of its numerical aperture.
+        lamp_distance_mm: from the middle of the field to the lamp, mm; far away where it is left out.
+        field_mm: width (along the line from camera to light) and height of the field on the sample, mm; the camera
             itself is telecentric: it sees all places under the same angle.
         disc_rings: rings of directions that stand for a disc; 1 is exact for polynomials of degree 5 over the disc,
             n > 1 of degree 4n − 1.

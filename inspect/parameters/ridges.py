@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.quantity import Likely
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
@@ -13,6 +14,7 @@ Wall = Literal["perpendicular", "vertical"] | float
 """Perpendicular to the facet, vertical, or the draft angle of the wall: degrees from the vertical."""
 
 STEEPEST_DRAFT_DEG = 60.0
+LIKELY_PITCH = Likely(1.0, 5000.0, "ridges")
 
 
 @dataclass(frozen=True)
@@ -20,19 +22,19 @@ class RidgeDesign:
     """Parallel ridges of one shape. Geometry: Luongo et al. 2017, for the perpendicular wall.
 
     Attributes:
-        pitch_um: p, distance of neighbouring crests in µm.
-        ridge_angle_deg: θ, slope of the large facets, 0 ≤ θ < 45°.
-        wall: "perpendicular" to the facet, "vertical", or its draft angle in degrees from the vertical: 0 is
-            vertical, θ is perpendicular.
-        height_loss: share of the height that is missing at the crest, which ends in a plateau, 0 to 1.
-        edge_radius_um: radius of the crest, an arc tangent to facet and wall. What a ball of this radius does not reach
-            that rolls beneath the surface is missing; the foot stays sharp. A lost height cuts the rounded crest.
+        pitch_um: pitch p, the distance of neighbouring crests in µm.
+        ridge_angle_deg: ridge angle θ, the slope of the large facets in degrees, 0 to 45.
+        wall: wall of a ridge: perpendicular to the facet, vertical, or its draft angle in degrees from the vertical.
+        height_loss: share of the height that is missing at the crests, which end in plateaus, 0 to 1.
+        edge_radius_um: radius of the crests in µm, arcs tangent to facet and wall; 0 is sharp. A ball of this radius
+            that rolls beneath the surface leaves out what it does not reach; the foot stays sharp. A lost height cuts
+            the rounded crest.
 
     Raises:
         HeightMapError: a parameter outside its range.
     """
 
-    pitch_um: float
+    pitch_um: Annotated[float, LIKELY_PITCH]
     ridge_angle_deg: float
     wall: Wall = "perpendicular"
     height_loss: float = 0.0

@@ -9,8 +9,8 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.crest_edges import crest_edges
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_error
 from anisoscope.prediction.lobe_doubt import LobeDoubt, lobe_doubt

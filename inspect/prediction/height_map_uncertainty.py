@@ -6,9 +6,9 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import POINT_LIKE, Optics
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.ridge_edges import RidgeEdges
 from anisoscope.prediction.sensitivity import DARK, Contribution, Model, Shape, Surface
 from anisoscope.sim.light.optics import through

@@ -16,8 +16,8 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import LONGEST_TAIL, Material
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.second_order import Response, RowResponses, response_of
 from anisoscope.prediction.sensitivity import DARK, State, Surface, evaluate
 

@@ -10,8 +10,8 @@ from anisoscope.base.covariance import root
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import LONGEST_TAIL, Material
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.contrast_uncertainty import contrast_values
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,

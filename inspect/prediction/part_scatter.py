@@ -16,7 +16,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import HeightMapError
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.parameters.uncertainty import InputUncertainty
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.cache import prediction_key
 from anisoscope.prediction.crest_edges import CrestEdges, crest_edges, worn_edges
 from anisoscope.prediction.expectation import (

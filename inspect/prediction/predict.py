@@ -8,10 +8,10 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.progress import Advance, silent
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import POINT_LIKE, Optics
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.height_map_uncertainty import (
     best_band,
     map_contributions,

@@ -10,8 +10,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import principal
 from anisoscope.base.progress import Advance, silent
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import LONGEST_TAIL
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
     DARK,

@@ -18,10 +18,10 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.progress import Advance, silent
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import POINT_LIKE, Optics
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.field_edges import FieldEdges, field_edges
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_bias
 from anisoscope.prediction.monte_carlo import MonteCarlo

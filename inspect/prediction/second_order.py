@@ -14,7 +14,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import root
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.parameters.uncertainty import InputUncertainty
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, SHAPE_RANGE, State, Surface, evaluate
 

@@ -1,6 +1,6 @@
 """Material file: a calibrated plastic with its covariance, what it was measured with, and where it holds.
 
-``anisoscope calibrate material`` writes it. The values are those of `sim.light.material.Material`; their covariance is
+``anisoscope calibrate material`` writes it. The values are those of `parameters.material.Material`; their covariance is
 over logarithms of widths and albedo, and over the tail itself, which may be 0:
 
     schema = 1
@@ -46,7 +46,7 @@ _EIGENVALUE = -1e-9  # share of the largest: rounding of the digits in the file
 
 
 class LobePart(Part):
-    """Values of the material, as in `sim.light.material.Material`."""
+    """Values of the material, as in `parameters.material.Material`."""
 
     alpha_along: Positive
     alpha_across: Positive

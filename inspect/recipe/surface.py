@@ -169,7 +169,7 @@ class MaterialPart(Part):
     """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest.
 
     ``tail`` is that of the lobe, 0 for Beckmann's to 1.6, ``second_lobe`` weight and width of a Beckmann lobe mixed in
-    (`sim.light.material.Material`). ``u_tail`` = 0 says that the lobe is known. Where neither it nor a second lobe is
+    (`parameters.material.Material`). ``u_tail`` = 0 says that the lobe is known. Where neither it nor a second lobe is
     stated, the lobe is unmeasured: every tail from 0 to 1 is possible, and roughness and albedo are known to a
     tenth where nothing else is stated (to 5 % and 0.01 of a lobe with ``u_tail``).
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class Box:
 
     def at(self, unit: Sequence[float] | FloatArray) -> Part:
         """The part at a point in unit coordinates."""
-        values = {name: self.value(k, float(unit[k])) for k, name in enumerate(self.names)}
+        values: dict[str, Any] = {name: self.value(k, float(unit[k])) for k, name in enumerate(self.names)}
         return replace(self.part, **values)
 
 

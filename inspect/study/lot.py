@@ -25,7 +25,7 @@ from anisoscope.diagnosis.separability import planned_components
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds.registry import kind_of
-from anisoscope.parameters.uncertainty import InputUncertainty
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.cache import cached_expectation, prediction_key
 from anisoscope.prediction.crest_edges import crest_edges, edge_radius_model
 from anisoscope.prediction.expectation import (

@@ -6,7 +6,7 @@ smooth function of the design and can be repeated.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -17,7 +17,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.parameters.material import Material
+from anisoscope.parameters.material import InternalReflection, Material
 from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.prediction.reflections import Groove
 from anisoscope.sim.light.geometry import directions, seating_rotation
@@ -46,6 +46,9 @@ class Part:
         albedo: diffuse albedo.
         index: refractive index.
         wall: of the ridges.
+        internal_reflection: of the plastic, as in `Material`.
+        tail: of the lobe, as in `Material`.
+        second_lobe: weight and width, as in `Material`.
     """
 
     ridge_angle: float = 10.0
@@ -57,6 +60,39 @@ class Part:
     albedo: float = 0.2
     index: float = 1.5
     wall: Wall = "perpendicular"
+    internal_reflection: InternalReflection = "nonlinear"
+    tail: float = 0.0
+    second_lobe: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, design: RidgeDesign, material: Material) -> "Part":
+        """The part of a design and its plastic."""
+        return cls(
+            ridge_angle=design.ridge_angle_deg,
+            pitch=design.pitch_um,
+            edge_radius=design.edge_radius_um,
+            height_loss=design.height_loss,
+            wall=design.wall,
+            **asdict(material),
+        )
+
+    @property
+    def design(self) -> RidgeDesign:
+        """Its ridges.
+
+        Raises:
+            HeightMapError: ridges that are none.
+        """
+        return RidgeDesign(self.pitch, self.ridge_angle, self.wall, self.height_loss, self.edge_radius)
+
+    @property
+    def material(self) -> Material:
+        """Its plastic.
+
+        Raises:
+            ModelError: a value outside the range of the model.
+        """
+        return Material(**{one.name: getattr(self, one.name) for one in fields(Material)})
 
 
 @dataclass(frozen=True)
@@ -144,7 +180,7 @@ class Scoring:
     quantile: float | None = None
     samples: int = 64
     seed: int = 1
-    bounces: int | Literal["all"] = 1
+    bounces: int | Literal["all"] = "all"
 
     def __post_init__(self) -> None:
         if self.samples < 8 or self.samples & (self.samples - 1):
@@ -190,11 +226,7 @@ class Scoring:
     def light_after(self, bounces: int | None, part: Part) -> FloatArray:
         """The same up to another number of reflections; None follows all."""
         try:
-            design = RidgeDesign(
-                part.pitch, part.ridge_angle, part.wall, part.height_loss, edge_radius_um=part.edge_radius
-            )
-            material = Material(part.alpha_along, part.alpha_across, part.albedo, part.index)
-            return Groove(design, bounces).light(*directions(self.poses, self.convention), material)
+            return Groove(part.design, bounces).light(*directions(self.poses, self.convention), part.material)
         except AnisoscopeError:
             return np.zeros(len(self.poses))
 
@@ -366,10 +398,10 @@ def _spoiled(parts: Sequence[Part], errors: dict[str, FloatArray], sample: int) 
     Raises:
         AnisoscopeError: a nominal part is outside what the model means.
     """
-    plastic = {Material(albedo=one.albedo, index=one.index) for one in parts}
+    plastic = {replace(one.material, alpha_along=0.1, alpha_across=0.1) for one in parts}
     wall = {one.wall for one in parts}
     if len(plastic) > 1 or len(wall) > 1:
-        raise UsageError("parts that are scored together share albedo, index and wall")
+        raise UsageError("parts that are scored together share albedo, index, lobe and wall")
 
     def nominal(name: str) -> FloatArray:
         return np.array([getattr(part, name) for part in parts], dtype=np.float64)[:, None]

@@ -317,6 +317,13 @@ def json_watch():
         yield GUARD.watch(monkeypatch)
 
 
+@pytest.fixture(autouse=True)
+def _no_key_comes_unseen(json_watch, request):
+    yield
+    if request.path.parent.name in GUARD.FOLDERS:
+        json_watch.check()
+
+
 @pytest.fixture(scope="session")
 def anisoscope(json_watch):
     """Runs the real command line in a process of its own, which begins with everything imported.

@@ -20,6 +20,8 @@ OPTIONS, KEYS = HERE / "options.txt", HERE / "json_keys.txt"
 WRITE = "ANISOSCOPE_WRITE_KEYS"
 """Folder that takes the keys which are new, in place of a failure."""
 NAME = re.compile(r"[a-z][a-z0-9_]*")
+FOLDERS = ("cli", "history", "line")
+"""Folders of tests whose commands print what the file of keys lists."""
 BY_NAME = 24
 """A table with more keys of one kind than this is one of names, not of fields."""
 
@@ -49,6 +51,8 @@ def lines_of_options() -> list[str]:
             if names:
                 default = one.field_info.default
                 shown = "required" if default is one.field_info.empty else repr(default)
+                if default is None and isinstance(one.show_default, str):  # of a parameter model
+                    shown = one.show_default
                 shown = re.sub(r"PosixPath\((.*?)\)", r"\1", shown)
                 found.append(f"{words}: {' '.join(names)} ({kind_of(one.hint)}) = {shown}")
     return sorted(found)
@@ -83,7 +87,7 @@ def known_commands() -> set[str]:
 
 
 class Watch:
-    """Looks at the JSON that commands print: keys that the file does not know are noted."""
+    """Looks at the JSON that commands print, and notes keys that the file does not know."""
 
     def __init__(self):
         self.known, self.commands = known_keys(), known_commands()

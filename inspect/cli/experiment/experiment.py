@@ -13,6 +13,7 @@ from anisoscope.cli.tables import console, print_table
 if TYPE_CHECKING:
     from anisoscope.experiment.experiment import Experiment, Findings, Mean, Setup
     from anisoscope.experiment.findings_map import FindingsMap
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,7 +21,10 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.recipe_options import RecipeOption
+from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, RecipeOption
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.experiment.findings_map import FindingsMap
@@ -219,10 +223,8 @@ def _range(ends: tuple[float, float] | None) -> str:
 
 Model = Literal["printed", "corrected"]
 ModelOption = Annotated[Model, Parameter(help="The model as published, or corrected.")]
-AlbedoOption = Annotated[float, Parameter(help="Diffuse albedo, 0 to 1; only scales the printed model.")]
-IndexOption = Annotated[float, Parameter(help="Refractive index; only scales the printed model.")]
-FacetOption = Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°, in degrees.")]
-LightOption = Annotated[float, Parameter(help="Angle between light and camera in degrees.")]
+
+
 FrameOption = Annotated[
     Literal["pitch-normal", "half-vector"],
     Parameter(help="Axis from which the printed model counts its shadowing."),
@@ -230,19 +232,8 @@ FrameOption = Annotated[
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
 
-@everyday(
-    "recipe",
-    "model",
-    "measured",
-    "alpha_along",
-    "alpha_across",
-    "albedo",
-    "index",
-    "tilt_plane",
-    "json_",
-    "csv_",
-    "html",
-)
+@with_options(plastic=OF_PLASTIC, rig=OF_LIGHT)
+@everyday("recipe", "model", "measured", "plastic", "rig", "json_", "csv_", "html")
 def experiment(
     *,
     recipe: RecipeOption = None,
@@ -251,15 +242,8 @@ def experiment(
         Path | None,
         Parameter(help="CSV: ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast; the scale k is fitted."),
     ] = None,
-    alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06,
-    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,
-    albedo: AlbedoOption = 0.2,
-    index: IndexOption = 1.5,
-    tilt_plane: Annotated[
-        Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
-    ] = "perpendicular",
-    facet_azimuth: FacetOption = 0.0,
-    light_angle: LightOption = 10.0,
+    plastic: Given[Material],
+    rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
     json_: Json = False,
     csv_: Annotated[
@@ -275,18 +259,11 @@ def experiment(
     """
     from anisoscope.experiment.experiment import Setup, run_experiment
     from anisoscope.experiment.measured_table import read_measured
-    from anisoscope.parameters.geometry import Convention
-    from anisoscope.parameters.material import Material
+    from anisoscope.operations.stated import stated
 
-    del recipe  # the plastic is in the other options by now
     _at_most_one({"--json": json_, "--as-csv": csv_, "--html": html is not None})
-    _check_finite(facet_azimuth)
-    setup = Setup(
-        model,
-        Material(alpha_along, alpha_across, albedo, index),
-        Convention(light_angle, tilt_plane, facet_azimuth),
-        shadow_frame,
-    )
+    base = stated(recipe)
+    setup = Setup(model, plastic.over(base.material), rig.over(base.convention), shadow_frame)
     result = run_experiment(setup, None if measured is None else read_measured(measured))
     if json_:
         print_json(experiment_as_json(result))
@@ -302,18 +279,12 @@ def experiment(
     return 0
 
 
+@with_options(
+    plastic=replace(OF_PLASTIC, without=dict.fromkeys(("alpha_along", "alpha_across"), "the map's axes")),
+    rig=replace(OF_LIGHT, without={"tilt_plane": "both planes are mapped"}),
+)
 @everyday(
-    "recipe",
-    "model",
-    "grid_points",
-    "alpha_from",
-    "alpha_to",
-    "albedo",
-    "index",
-    "light_angle",
-    "json_",
-    "html",
-    "svg",
+    *("recipe", "model", "grid_points", "alpha_from", "alpha_to"), *("plastic", "rig", "json_", "html", "svg")
 )
 def findings(
     *,
@@ -322,10 +293,8 @@ def findings(
     grid_points: Annotated[int, Parameter(help="Roughnesses per side of the grid, 2 to 100.")] = 24,
     alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
     alpha_to: Annotated[float, Parameter(help="Largest roughness of the grid.")] = 0.3,
-    albedo: AlbedoOption = 0.2,
-    index: IndexOption = 1.5,
-    facet_azimuth: FacetOption = 0.0,
-    light_angle: LightOption = 10.0,
+    plastic: Given[Material],
+    rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
     json_: Json = False,
     html: HtmlOption = None,
@@ -342,27 +311,21 @@ def findings(
 
     from anisoscope.experiment.experiment import Setup
     from anisoscope.experiment.findings_map import findings_share
-    from anisoscope.parameters.geometry import Convention
-    from anisoscope.parameters.material import Material
+    from anisoscope.operations.stated import stated
 
-    del recipe  # the plastic is in the other options by now
     _at_most_one({"--json": json_, "--html": html is not None, "--svg": svg is not None})
-    _check_finite(facet_azimuth)
+    base = stated(recipe)
+    material, convention = plastic.over(base.material), rig.over(base.convention)
     if not 2 <= grid_points <= 100:
         raise UsageError(f"--grid-points takes 2 to 100, not {grid_points}")
     if not 0.0 < alpha_from < alpha_to:
         raise UsageError(f"--alpha-from {alpha_from} must lie above 0 and below --alpha-to {alpha_to}")
-    Material(alpha_from, alpha_to)
+    replace(material, alpha_along=alpha_from, alpha_across=alpha_to)
     alphas = np.geomspace(alpha_from, alpha_to, grid_points)
     alphas[[0, -1]] = alpha_from, alpha_to
     maps = [
         findings_share(
-            Setup(
-                model,
-                Material(albedo=albedo, index=index),
-                Convention(light_angle, plane, facet_azimuth),
-                shadow_frame,
-            ),
+            Setup(model, material, replace(convention, tilt_plane=plane), shadow_frame),
             alphas,
             alphas,
         )
@@ -381,11 +344,6 @@ def _at_most_one(given: dict[str, bool]) -> None:
     names = [name for name, used in given.items() if used]
     if len(names) > 1:
         raise UsageError(f"{' and '.join(names)} exclude each other")
-
-
-def _check_finite(facet_azimuth: float) -> None:
-    if not math.isfinite(facet_azimuth):
-        raise UsageError(f"--facet-azimuth takes a finite number, not {facet_azimuth}")
 
 
 def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) -> None:

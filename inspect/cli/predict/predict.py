@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from anisoscope.base.progress import Advance
+    from anisoscope.parameters.inputs import InputUncertainty
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.optics import Optics
-    from anisoscope.parameters.uncertainty import InputUncertainty
     from anisoscope.prediction.monte_carlo import MonteCarlo
     from anisoscope.prediction.optics_selection import OpticsModel, OpticsRequest
     from anisoscope.prediction.predicted import Predicted
@@ -38,7 +38,7 @@ GROUP = Group(
 
 @dataclass(frozen=True)
 class UncertaintyOptions:
-    """The options; names and meaning of the inputs as in `anisoscope.prediction.sensitivity.InputUncertainty`."""
+    """The options; names and meaning of the inputs as in `anisoscope.parameters.inputs.InputUncertainty`."""
 
     u_alpha: Annotated[float, Parameter("--u-alpha", help="Of the roughness along and across, relative.")] = (
         0.05
@@ -158,7 +158,7 @@ def _check_values(options: UncertaintyOptions) -> None:
 
 def input_uncertainty(options: UncertaintyOptions) -> "InputUncertainty | None":
     """The uncertainties of the options; None with --no-uncertainty."""
-    from anisoscope.parameters.uncertainty import InputUncertainty
+    from anisoscope.parameters.inputs import InputUncertainty
 
     if not options.uncertainty:
         return None

@@ -15,8 +15,7 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
-from anisoscope.cli.recipe_options import RecipeOption
+from anisoscope.cli.options import Json, RecipeOption
 
 if TYPE_CHECKING:
     from anisoscope.parameters.geometry import Convention

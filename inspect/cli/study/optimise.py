@@ -20,9 +20,12 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import parse_numbers
+from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, RecipeOption, parse_numbers
 from anisoscope.cli.progress import progress
-from anisoscope.cli.recipe_options import RecipeOption
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.study.objective import Noise, Tolerances
@@ -219,8 +222,9 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a picture, *.png or *.svg.")]
 
 
+@with_options(ridges=OF_RIDGES, plastic=OF_PLASTIC, rig=OF_LIGHT)
 @everyday(
-    *("vary", "ridge_angle", "pitch", "contrast", "pair", "tilts", "robust", "scatter", "recipe"),
+    *("vary", "contrast", "pair", "tilts", "robust", "scatter", "recipe", "ridges", "plastic", "rig"),
     *("json_", "html", "plot"),
 )
 def optimise(
@@ -229,17 +233,8 @@ def optimise(
     vary: Annotated[
         str, Parameter(help="NAME=FROM:TO,…; names: ridge_angle, pitch, alpha_along, alpha_across.")
     ] = "ridge_angle=3:20",
-    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees, if not varied.")] = 10.0,
-    pitch: Annotated[float, Parameter(help="Pitch in µm, if not varied.")] = 100.0,
-    alpha_along: Annotated[float, Parameter(help="Roughness along the ridges, if not varied.")] = 0.06,
-    alpha_across: Annotated[float, Parameter(help="Roughness across the ridges, if not varied.")] = 0.10,
-    edge_radius: Annotated[float, Parameter(help="Radius of the crests in µm; 0 is sharp.")] = 0.0,
-    height_loss: Annotated[float, Parameter(help="Share of the ridge height missing at the crests.")] = 0.0,
-    albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2,
-    index: Annotated[float, Parameter(help="Refractive index of the plastic.")] = 1.5,
-    wall: Annotated[
-        Literal["perpendicular", "vertical"], Parameter(help="Wall of the ridge.")
-    ] = "perpendicular",
+    ridges: Given[RidgeDesign],
+    plastic: Given[Material],
     contrast: Annotated[
         Literal["difference", "michelson", "log_ratio"],
         Parameter(help="Contrast; its absolute value counts."),
@@ -278,12 +273,8 @@ def optimise(
         Parameter(
             help="Most reflections; 1: direct light; 2 holds most of what 'all' adds, in half of its time."
         ),
-    ] = 1,
-    light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
-    tilt_plane: Annotated[
-        Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
-    ] = "perpendicular",
-    facet_azimuth: Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°.")] = 0.0,
+    ] = "all",
+    rig: Given[Convention],
     jobs: Annotated[
         int, Parameter(help="Processes on this machine; several help with many poses or samples.")
     ] = 1,
@@ -303,7 +294,7 @@ def optimise(
         anisoscope optimise --vary ridge_angle=3:20 --robust --scatter ridge_angle=0.3,stage=0.2
         anisoscope optimise --vary ridge_angle=3:20,alpha_across=.05:.2 --plot landscape.png
     """
-    from anisoscope.parameters.geometry import Convention
+    from anisoscope.operations.stated import stated
     from anisoscope.report.study_page import check_picture, write_picture, write_study_page
     from anisoscope.sim.light.geometry import directions
     from anisoscope.study.box import check_bounds
@@ -311,17 +302,18 @@ def optimise(
     from anisoscope.study.optimum import optimum
     from anisoscope.study.sweep import Workers
 
-    del recipe  # plastic and surface are in the other options by now
     check_picture(plot)
     if not robust and (scatter is not None or quantile is not None):
         raise UsageError("--scatter and --quantile belong to --robust")
-    part = Part(ridge_angle, pitch, alpha_along, alpha_across, edge_radius, height_loss, albedo, index, wall)
+    base = stated(recipe)
+    design = ridges.over(base.design or RidgeDesign(base.pitch_um or 100.0, 10.0))
+    part = Part.of(design, plastic.over(base.material))
     scoring = Scoring(
         contrast,
         tuple(_pair(text) for text in pair or ["0,90"]),
         parse_numbers(tilts, "--tilts"),
         over,
-        Convention(light_angle, tilt_plane, facet_azimuth),
+        rig.over(base.convention),
         score,
         _noise(noise),
         _tolerances(scatter or TOLERANCES) if robust else None,

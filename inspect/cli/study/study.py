@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Table
     from anisoscope.study.best_angle import AngleStudy
     from anisoscope.study.convergence import ConvergenceStudy
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,11 +16,13 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json, RecipeOption
 from anisoscope.cli.progress import progress
-from anisoscope.cli.recipe_options import RecipeOption
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, PlotOption, SchedulerOption
 from anisoscope.cli.tables import console, print_table
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Table
@@ -219,9 +222,8 @@ Quality = Annotated[
     Literal["quick", "normal", "fine"],
     Parameter(help="Size of the height maps and number of random surfaces; fine takes many times as long."),
 ]
-AlongOption = Annotated[float, Parameter(help="Beckmann roughness along the ridges.")]
-AcrossOption = Annotated[float, Parameter(help="Beckmann roughness across the ridges.")]
-AlbedoOption = Annotated[float, Parameter(help="Diffuse albedo, 0 to 1.")]
+
+
 SeedOption = Annotated[int, Parameter(help="Seed of the random surfaces.")]
 
 app = App(
@@ -234,8 +236,20 @@ app.command("anisoscope.cli.study.papers:papers", name="papers")
 
 
 @app.command(name="convergence")
+@with_options(
+    ridges=replace(
+        OF_RIDGES,
+        without={
+            "pitch_um": "the study's own, 100 µm",
+            **dict.fromkeys(("height_loss", "edge_radius_um"), "defects that the study adds"),
+            "wall": "the study's surfaces have walls perpendicular to the facet",
+        },
+    ),
+    plastic=OF_PLASTIC,
+)
 @everyday(
-    "defects", "ridge_angle", "recipe", "severities", "quality", "seed", "jobs", "json_", "html", "plot"
+    *("defects", "ridges", "plastic", "recipe", "severities", "quality", "seed", "jobs"),
+    *("json_", "html", "plot"),
 )
 def convergence_command(
     *,
@@ -244,10 +258,8 @@ def convergence_command(
         str,
         Parameter(help="Comma-separated: roughness, burrs, angle-error, height-loss, edge-rounding; or all."),
     ] = "all",
-    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees.")] = 10.0,
-    alpha_along: AlongOption = 0.06,
-    alpha_across: AcrossOption = 0.10,
-    albedo: AlbedoOption = 0.2,
+    ridges: Given[RidgeDesign],
+    plastic: Given[Material],
     severities: Annotated[
         int, Parameter(help="Sizes of each defect, each half the one before; 3 to 10.")
     ] = 6,
@@ -264,22 +276,24 @@ def convergence_command(
     Examples:
         anisoscope research convergence --plot convergence.png
     """
-    from anisoscope.parameters.material import Material
-    from anisoscope.parameters.ridges import RidgeDesign
+    from anisoscope.operations.stated import stated
     from anisoscope.report.study_page import check_picture
     from anisoscope.study.convergence import IMPERFECTIONS, PITCH_UM, QUALITIES, convergence
     from anisoscope.study.sweep import Workers
 
-    del recipe  # plastic and surface are in the other options by now
     check_picture(plot)
+    base = stated(recipe)
+    material = plastic.over(base.material)
+    angle_deg = 10.0 if base.design is None else base.design.ridge_angle_deg
+    design = ridges.over(RidgeDesign(PITCH_UM, angle_deg))
     if not 3 <= severities <= 10:
         raise UsageError(f"--severities takes 3 to 10, not {severities}")
     chosen = tuple(IMPERFECTIONS) if defects == "all" else tuple(dict.fromkeys(defects.split(",")))
     with progress("convergence", quiet=json_) as advance:
         found = convergence(
             chosen,
-            RidgeDesign(PITCH_UM, ridge_angle),
-            Material(alpha_along, alpha_across, albedo),
+            design,
+            material,
             QUALITIES[quality],
             Workers(jobs, scheduler),
             severities=severities,
@@ -288,7 +302,8 @@ def convergence_command(
         )
     title = "Convergence to the ideal prediction"
     subtitle = (
-        f"ridge angle {ridge_angle:g}°, unresolved roughness {alpha_along:g}/{alpha_across:g}, albedo {albedo:g}; "
+        f"ridge angle {design.ridge_angle_deg:g}°, unresolved roughness "
+        f"{material.alpha_along:g}/{material.alpha_across:g}, albedo {material.albedo:g}; "
         f"published poses; quality {quality}, seed {seed}"
     )
     notes = [
@@ -321,10 +336,8 @@ def convergence_command(
 
 
 @app.command(name="best-angle")
-@everyday(
-    *("recipe", "imperfections", "alpha_along", "alpha_across", "albedo", "step", "quality", "seed"),
-    *("json_", "html", "plot"),
-)
+@with_options(plastic=OF_PLASTIC)
+@everyday(*("recipe", "imperfections", "plastic", "step", "quality", "seed"), *("json_", "html", "plot"))
 def best_angle_command(
     *,
     recipe: RecipeOption = None,
@@ -335,9 +348,7 @@ def best_angle_command(
             "seating, noise, bounces, albedo; or all."
         ),
     ] = "all",
-    alpha_along: AlongOption = 0.06,
-    alpha_across: AcrossOption = 0.10,
-    albedo: AlbedoOption = 0.2,
+    plastic: Given[Material],
     step: Annotated[float, Parameter(help="Step of the ridge angles in degrees, 0.1 to 1.")] = 0.5,
     quality: Quality = "quick",
     seed: SeedOption = 1,
@@ -352,21 +363,21 @@ def best_angle_command(
     Examples:
         anisoscope research best-angle --step 1
     """
-    from anisoscope.parameters.material import Material
+    from anisoscope.operations.stated import stated
     from anisoscope.report.study_page import check_picture
     from anisoscope.study.best_angle import IMPERFECTIONS, best_angle
     from anisoscope.study.convergence import QUALITIES
     from anisoscope.study.sweep import Workers
 
-    del recipe  # the plastic is in the other options by now
     check_picture(plot)
+    material = plastic.over(stated(recipe).material)
     if not 0.1 <= step <= 1.0:
         raise UsageError(f"--step takes 0.1 to 1 degree, not {step:g}")
     names = tuple(IMPERFECTIONS) if imperfections == "all" else tuple(dict.fromkeys(imperfections.split(",")))
     with progress("best angle", quiet=json_) as advance:
         found = best_angle(
             names,
-            Material(alpha_along, alpha_across, albedo),
+            material,
             QUALITIES[quality],
             Workers(jobs, scheduler),
             step_deg=step,
@@ -375,7 +386,8 @@ def best_angle_command(
         )
     title = "Best ridge angle of the published experiment"
     subtitle = (
-        f"roughness {alpha_along:g}/{alpha_across:g}, albedo {albedo:g}, but for the imperfection; quality {quality}, "
+        f"roughness {material.alpha_along:g}/{material.alpha_across:g}, albedo {material.albedo:g}, "
+        f"but for the imperfection; quality {quality}, "
         f"seed {seed}"
     )
     notes = [

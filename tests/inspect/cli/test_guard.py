@@ -1,6 +1,10 @@
 """Options of all commands, and keys of their JSON, are those of the files beside this test."""
 
+import json
 import os
+from pathlib import Path
+
+import pytest
 
 
 def test_every_option_is_known(guard):
@@ -10,6 +14,24 @@ def test_every_option_is_known(guard):
     known = guard.OPTIONS.read_text(encoding="utf-8").splitlines()
     assert not set(known) - set(found), "options that were taken away or changed: say so in CHANGELOG.md"
     assert not set(found) - set(known), "new options: ANISOSCOPE_WRITE_DOCS=1 notes them"
+
+
+def test_a_new_key_is_noticed(guard, tmp_path, monkeypatch):
+    eyes = guard.Watch()
+    command = next(iter(eyes.known))
+    path = next(iter(eyes.known[command]))
+    value = 1
+    for name in reversed(path.split(".")):
+        value = {"some other name" if name == "*" else name: value}
+    eyes.printed([*command.split(), "--json"], json.dumps(value))
+    eyes.check()
+    eyes.printed([*command.split(), "--json"], json.dumps({"no_key_of_today": 1}))
+    with pytest.raises(AssertionError, match="no_key_of_today"):
+        eyes.check()
+    monkeypatch.setenv(guard.WRITE, str(tmp_path))
+    eyes.printed([*command.split(), "--json"], json.dumps({"no_key_of_today": 1}))
+    eyes.check()
+    assert json.loads(next(Path(tmp_path).iterdir()).read_text()) == {command: ["no_key_of_today"]}
 
 
 def test_names_that_are_data_are_no_keys(guard):

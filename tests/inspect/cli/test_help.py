@@ -182,6 +182,7 @@ SAME_QUANTITY = {
     "--html": "page",
     "--index": "refractive index",
     "--jobs": "processes",
+    "--internal-reflection": "light sent back inside the plastic",
     "--kind": "kind",
     "--l-filter": "l-filter",
     "--lamp-half-angle": "half of the angle .*lamp",
@@ -211,6 +212,7 @@ SAME_QUANTITY = {
     "--separation": "coverages",
     "--step": "step of the",  # angle, in degrees
     "--steps": "number of",
+    "--tilt-plane": "plane in which camera and light tilt",
     "--tilts": "tilts",
     "--tone": "greys of the",
     "--trust": "must not refuse|keys has to have signed",  # a file in spite of a check; the keys that count

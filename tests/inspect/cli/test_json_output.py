@@ -161,7 +161,8 @@ optimum.hills optimum.mean optimum.nominal_contrast optimum.parameters optimum.p
 optimum.parameters.flat optimum.parameters.kept optimum.parameters.name optimum.parameters.sampling_sd
 optimum.parameters.scores optimum.parameters.values optimum.part optimum.part.albedo
 optimum.part.alpha_across optimum.part.alpha_along optimum.part.edge_radius optimum.part.height_loss
-optimum.part.index optimum.part.pitch optimum.part.ridge_angle optimum.part.wall optimum.score optimum.sd
+optimum.part.index optimum.part.internal_reflection optimum.part.pitch optimum.part.ridge_angle
+optimum.part.second_lobe optimum.part.tail optimum.part.wall optimum.score optimum.sd
 scoring scoring.contrast scoring.convention scoring.convention.facet_azimuth_deg
 scoring.convention.light_angle_deg scoring.convention.rotation_sense scoring.convention.tilt_plane
 scoring.noise scoring.noise.floor scoring.noise.share scoring.over scoring.pairs_deg scoring.quantile

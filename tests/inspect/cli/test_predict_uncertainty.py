@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from anisoscope.cli.predict.predict import DEFAULTS, input_uncertainty
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import ridges
 from anisoscope.recipe.surface import MaterialPart, RigUncertainty

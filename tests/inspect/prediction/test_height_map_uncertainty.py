@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.height_map_uncertainty import (
     best_band,
     height_noise,

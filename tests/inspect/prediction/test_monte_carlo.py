@@ -5,9 +5,9 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.contrast_uncertainty import KINDS, contrast_covariance
 from anisoscope.prediction.monte_carlo import MonteCarlo, disagreement, draw
 from anisoscope.prediction.predict import predict_design, predict_height_map

@@ -3,9 +3,9 @@ import pytest
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.predict import predict_design, predict_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import ridges

@@ -7,9 +7,9 @@ import pytest
 
 from anisoscope import cli
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction import predicted
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design, predict_height_map

@@ -7,9 +7,9 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.monte_carlo import draw
 from anisoscope.prediction.propagation import TAIL, propagate
 from anisoscope.prediction.sensitivity import Shape, State, fixed

@@ -9,9 +9,9 @@ import pytest
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.parameters.uncertainty import InputUncertainty
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design
 from anisoscope.prediction.region_prediction import FieldGrid, predict_fields, predict_map

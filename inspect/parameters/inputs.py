@@ -10,25 +10,25 @@ class InputUncertainty:
     """Standard uncertainties of all inputs of a prediction; the defaults are the recipe's.
 
     Attributes:
-        alpha_share: relative, of both roughnesses independently.
+        alpha_share: relative, of roughness along and across, independently.
         albedo: of the diffuse albedo.
         index: of the refractive index.
         tail: of the tail of the lobe.
-        light_angle_deg: of the angle between light and camera.
-        light_field_deg: half-width by which the light angle varies over the field of view.
-        stage_deg: of the stage angle, independent in every pose.
-        stage_zero_deg: of the stage's zero against the ridges, the same in all poses.
-        tilt_deg: of the tilt, independent in every pose.
-        tilt_zero_deg: of the zero of the tilt, the same in all poses.
-        seating_tilt_deg: of the seating, about x and about y of the part, each.
-        ridge_angle_deg: of the ridge angle of a design.
+        light_angle_deg: of the angle between light and camera, degrees.
+        light_field_deg: half-width by which the light angle varies over the field of view, degrees.
+        stage_deg: of the stage angle, another error in each pose, degrees.
+        stage_zero_deg: of the stage's zero against the ridges, the same in all poses, degrees.
+        tilt_deg: of the tilt, another error in each pose, degrees.
+        tilt_zero_deg: of the zero of the tilt, the same in all poses, degrees.
+        seating_tilt_deg: of the seating about x and about y of the part, each, degrees.
+        ridge_angle_deg: of the ridge angle of a design, degrees.
         height_loss: of the height loss of a design, a share.
-        height_noise_um: standard deviation of the noise of a height map, independent in every point.
+        height_noise_um: standard deviation of the noise of a height map in µm, independent in every point.
         height_scale_share: relative, of the amplification of the heights of a map.
         pixel_size_share: relative, of the pixel size of a map, both axes together.
         height_map_share: relative, of the radiance of a pose, for all other errors of a map.
         reflections_share: relative, of the amplitude of the light that reflects more than once.
-        ridges_seen: number of ridges in the camera's field of view; None counts no scatter for them.
+        ridges_seen: number of ridges of a height map in the camera's field of view; adds their scatter.
 
     Raises:
         ModelError: a negative or infinite value, or fewer than one ridge.

@@ -1,0 +1,1 @@
+"""What the commands do, for Python, pages and servers as well: one function for each."""

@@ -1,0 +1,1 @@
+"""Views of parameter models: as options of the command line."""

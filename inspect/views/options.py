@@ -1,0 +1,236 @@
+"""Options of the command line from parameter models: names, types, defaults, ranges and help are the model's.
+
+An option is named as its field without the unit: ``pitch_um`` is ``--pitch``. A command takes what was given as
+`Given`, and puts it over a default, or over what a recipe states::
+
+    @with_options(plastic=Options(Material, PLASTIC))
+    def command(*, recipe: Path | None = None, plastic: Given[Material]) -> int:
+        material = plastic.over(Material())
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass, replace
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Generic,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from cyclopts import Group, Parameter, Token
+
+from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.base.quantity import Likely, read_number, unit_of
+
+M = TypeVar("M")
+F = TypeVar("F", bound=Callable[..., Any])
+_UNIT = re.compile(r"_(deg|um|mm|nm|share|s)$")
+
+
+def plain(name: str) -> str:
+    """Option of a field: without its unit, with hyphens."""
+    return "--" + _UNIT.sub("", name).replace("_", "-")
+
+
+class Given(Generic[M]):
+    """Fields of a parameter model that the command line states."""
+
+    model: ClassVar[type]
+    option: ClassVar[Mapping[str, str]]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Field -> value, of the stated ones."""
+        stated = {name: getattr(self, name) for name in self.option}
+        return {name: value for name, value in stated.items() if value is not None}
+
+    def __contains__(self, name: str) -> bool:
+        return getattr(self, name) is not None
+
+    def over(self, base: M) -> M:
+        """The model with the stated fields in place of those of ``base``.
+
+        Raises:
+            AnisoscopeError: as the model's own, naming the option where one alone is out of its range.
+        """
+        try:
+            return cast("M", replace(cast("Any", base), **self.values))
+        except AnisoscopeError as problem:
+            raise self._named(problem, base) from None
+
+    def refuse(self, names: Sequence[str], why: str) -> None:
+        """Refuse stated fields.
+
+        Raises:
+            UsageError: "--option" and ``why``, for the first of the fields that is stated.
+        """
+        for name in names:
+            if name in self:
+                raise UsageError(f"{self.option[name]} {why}")
+
+    def _named(self, problem: AnisoscopeError, base: M) -> AnisoscopeError:
+        for name, value in self.values.items():
+            try:
+                replace(cast("Any", base), **{name: value})
+            except AnisoscopeError as own:
+                return UsageError(f"{self.option[name]}: {own}")
+        return problem
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a parameter model in one command.
+
+    Attributes:
+        model: a frozen dataclass whose docstring has a section ``Attributes:``.
+        group: panel of the help page.
+        names: field -> option, where the rule of names does not hold.
+        prefix: put before the names that follow the rule, such as "u-".
+        help: field -> text in place of the model's.
+        default: the model whose values are shown as defaults; None shows none.
+        without: field -> reason why this command has no option for it.
+        readers: field -> function of the text and the option that makes its value.
+        required: fields without which the command does not run.
+    """
+
+    model: type
+    group: Group
+    names: Mapping[str, str] = field(default_factory=dict)
+    prefix: str = ""
+    help: Mapping[str, str] = field(default_factory=dict)
+    default: object = None
+    without: Mapping[str, str] = field(default_factory=dict)
+    readers: Mapping[str, Callable[[str, str], Any]] = field(default_factory=dict)
+
+    def option(self, name: str) -> str:
+        """Option of a field."""
+        return self.names.get(name) or plain(name).replace("--", f"--{self.prefix}", 1)
+
+
+def with_options(**models: Options) -> Callable[[F], F]:
+    """Decorator: parameters of a command that are models become their options.
+
+    Args:
+        models: parameter of the command, annotated as `Given` of a model -> its options.
+    """
+
+    def mark(command: F) -> F:
+        for parameter, options in models.items():
+            kind = _class_of(options)
+            command.__annotations__[parameter] = Annotated[kind, Parameter(name="*", group=options.group)]
+            command.__kwdefaults__ = (command.__kwdefaults__ or {}) | {parameter: kind()}
+        vars(command)["options_of_models"] = models
+        return command
+
+    return mark
+
+
+def _class_of(options: Options) -> type:
+    """A frozen dataclass of optional fields, which are the options."""
+    assert is_dataclass(options.model)
+    texts = _texts(options.model)
+    hints = get_type_hints(options.model, include_extras=True)
+    stated = []
+    for one in fields(options.model):
+        if one.name in options.without:
+            continue
+        default = one.default if options.default is None else getattr(options.default, one.name)
+        kind, likely = _taken_apart(hints[one.name])
+        name = options.option(one.name)
+        reader = options.readers.get(one.name) or _reader(kind, one.name, likely)
+        parameter = Parameter(
+            name=name,
+            negative=() if kind is not bool else None,
+            help=options.help.get(one.name, texts.get(one.name, "")),
+            show_default=False if default in (MISSING, None) else _shown(default),
+            converter=None if reader is None else _converter(reader),
+            n_tokens=None if reader is None else 1,
+        )
+        stated.append((one.name, Annotated[kind | None, parameter], field(default=None)))
+    space = {
+        "model": options.model,
+        "option": {name: options.option(name) for name, _, _ in stated},
+        "__doc__": options.model.__doc__,
+        "__module__": __name__,
+    }
+    return make_dataclass(
+        f"{options.model.__name__}Options", stated, bases=(Given,), frozen=True, namespace=space
+    )
+
+
+def _texts(model: type) -> dict[str, str]:
+    """Field -> sentence of the model's docstring, with a capital."""
+    import docstring_parser  # noqa: PLC0415 - commands are loaded by name when they run
+
+    parsed = docstring_parser.parse(model.__doc__ or "")
+    found = {one.arg_name: " ".join((one.description or "").split()) for one in parsed.params}
+    return {name: text[:1].upper() + text[1:] if text[:1].isascii() else text for name, text in found.items()}
+
+
+def _taken_apart(hint: Any) -> tuple[Any, Likely | None]:  # noqa: ANN401 - any annotation
+    """Type of a field without None, and its likely range."""
+    likely = None
+    if get_origin(hint) is Annotated:
+        hint, *marks = get_args(hint)
+        likely = next((mark for mark in marks if isinstance(mark, Likely)), None)
+    if get_origin(hint) in (Union, UnionType):
+        kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+        hint = kinds[0] if len(kinds) == 1 else Union[tuple(kinds)]  # noqa: UP007 - made of a list
+    return hint, likely
+
+
+def _reader(kind: Any, name: str, likely: Likely | None) -> Callable[[str, str], Any] | None:  # noqa: ANN401
+    """What makes a value of a text; None leaves it to the parser."""
+    unit = unit_of(name)
+    if kind is float:
+        return lambda text, option: read_number(text, option, unit, likely)
+    if get_origin(kind) is tuple and set(get_args(kind)) == {float}:
+        count = len(get_args(kind))
+        return lambda text, option: numbers(text, option, count, unit)
+    if get_origin(kind) in (Union, UnionType):
+        words = [word for one in get_args(kind) if get_origin(one) is Literal for word in get_args(one)]
+        return lambda text, option: text if text in words else _or_number(text, option, unit, words)
+    return None
+
+
+def numbers(text: str, option: str, count: int, unit: str = "") -> tuple[float, ...]:
+    """As many numbers as there must be, separated by commas.
+
+    Raises:
+        ValueError: another count, or no numbers.
+    """
+    found = tuple(read_number(part, option, unit) for part in text.split(","))
+    if len(found) != count:
+        raise ValueError(f"{option} takes {count} numbers separated by commas, not {text!r}")
+    return found
+
+
+def _or_number(text: str, option: str, unit: str, words: Sequence[str]) -> float:
+    try:
+        return read_number(text, option, unit)
+    except ValueError:
+        raise ValueError(f"{option} takes {', '.join(words)} or a number, not {text!r}") from None
+
+
+def _converter(reader: Callable[[str, str], Any]) -> Callable[[Any, Sequence[Token]], Any]:
+    def convert(_kind: Any, tokens: Sequence[Token]) -> Any:  # noqa: ANN401 - as the parser calls it
+        token = tokens[0]
+        try:
+            return reader(token.value, token.keyword or "")
+        except ValueError as problem:
+            raise UsageError(str(problem)) from None
+
+    return convert
+
+
+def _shown(default: Any) -> str:  # noqa: ANN401
+    return ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)

@@ -1,0 +1,64 @@
+"""Numbers as people write them."""
+
+import pytest
+
+from anisoscope.base.quantity import Likely, read_number, unit_of
+
+PITCH = Likely(1.0, 5000.0, "ridges")
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("10", "um", 10.0),
+        ("10.5", "um", 10.5),
+        ("10,5", "um", 10.5),
+        ("-1e-3", "", -0.001),
+        ("−2", "deg", -2.0),
+        ("0.1 mm", "um", 100.0),
+        ("0,1mm", "um", 100.0),
+        ("250 nm", "um", 0.25),
+        ("100um", "um", 100.0),
+        ("100 µm", "um", 100.0),
+        ("10°", "deg", 10.0),
+        ("0.1 rad", "deg", 5.729577951308232),
+        ("5 %", "share", 0.05),
+        ("20 ms", "s", 0.02),
+        ("0.55 µm", "nm", 550.0),
+    ],
+)
+def test_numbers_with_and_without_units(text, unit, value):
+    assert read_number(text, "--option", unit) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "words"),
+    [
+        ("x", "um", "--option takes a number of µm, not 'x'"),
+        ("1.5.2", "", "--option takes a number, not '1.5.2'"),
+        ("", "deg", "--option takes a number of °, not ''"),
+        ("3 kg", "um", "--option 3 kg: 'kg' is no unit of it; it takes nm, um, µm, μm, mm, cm"),
+        ("3 mm", "", "--option 3 mm: 'mm' is no unit of it; leave it out"),
+        ("nan", "um", "--option takes a number of µm, not 'nan'"),
+    ],
+)
+def test_what_is_no_number_is_named(text, unit, words):
+    with pytest.raises(ValueError, match=r".") as problem:
+        read_number(text, "--option", unit)
+    assert str(problem.value) == words
+
+
+def test_an_unlikely_pitch_asks_whether_mm_were_meant():
+    with pytest.raises(ValueError, match=r".") as problem:
+        read_number("0.1", "--pitch", "um", PITCH)
+    assert str(problem.value) == (
+        "--pitch 0.1 µm? ridges of 0.1 mm are --pitch 100 (or write 0.1mm); if 0.1 µm is meant, write 0.1um"
+    )
+    assert read_number("0.1um", "--pitch", "um", PITCH) == 0.1
+    assert read_number("60", "--pitch", "um", PITCH) == 60.0
+
+
+def test_units_are_the_ends_of_names():
+    assert [unit_of(name) for name in ("pitch_um", "light_angle_deg", "alpha_share", "albedo", "tail")] == [
+        *("um", "deg", "share", "", "")
+    ]
