@@ -171,3 +171,20 @@ def pytest_terminal_summary(terminalreporter, config):
         for reason in sorted(set(not_run)):
             count = not_run.count(reason)
             terminalreporter.write_line(f"{count} tests: {reason.removeprefix('Skipped: ')}")
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """``install(group, name, value, text)``: a package of a third party with one plug-in, as pip leaves it."""
+
+    def done(group, name, value, text):
+        module = value.partition(":")[0]
+        about = tmp_path / "packages" / f"{module}-1.0.dist-info"
+        about.mkdir(parents=True)
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+        (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
+        (about.parent / f"{module}.py").write_text(text, encoding="utf-8")
+        monkeypatch.delitem(sys.modules, module, raising=False)
+        monkeypatch.syspath_prepend(about.parent)
+
+    return done

@@ -37,8 +37,8 @@ TABLES = {
     "anisoscope.bsdf.formats",
     "anisoscope.cli.line.line",
     "anisoscope.cli.study.papers",
-    "anisoscope.profiles.files.formats",
-}  # modules that list plug-ins, each in a module of its own: formats, papers, protocols of a line with their libraries
+    "anisoscope.profiles.files.load",
+}  # modules that list plug-ins, each in a module of its own: writers, papers, protocols of a line with their libraries
 KERNELS = re.compile(r"kernels$")
 _LAYOUT = {
     tokenize.COMMENT,

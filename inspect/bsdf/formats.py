@@ -10,21 +10,23 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.plugins import Registry
 from anisoscope.base.progress import Advance, silent
-from anisoscope.bsdf.klems import read_klems, write_klems
-from anisoscope.bsdf.lbnl_xml import WindowElement
-from anisoscope.bsdf.merl import RGB_NM, is_merl, read_merl, write_merl
+from anisoscope.bsdf.file_format import BsdfFile
+from anisoscope.bsdf.klems import write_klems
+from anisoscope.bsdf.merl import RGB_NM, write_merl
 from anisoscope.bsdf.mitsuba_scene import Shape, write_scene
 from anisoscope.bsdf.reflectance import Reflectance, hemisphere, physics_of, shuffled
 from anisoscope.bsdf.rgl import COARSE, HIGHEST_DEG, Resolution, read_rgl, write_rgl
-from anisoscope.bsdf.tensor_file import MAGIC as TENSOR_MAGIC
-from anisoscope.bsdf.tensor_tree import STRUCTURES, read_tensor_tree, write_tensor_tree
-from anisoscope.bsdf.zemax import ROTATION_DEG, is_zemax, read_zemax, write_zemax
+from anisoscope.bsdf.tensor_tree import write_tensor_tree
+from anisoscope.bsdf.zemax import ROTATION_DEG, write_zemax
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import linear_srgb
 
 FormatName = Literal["rgl", "merl", "zemax", "klems", "tensor-tree"]
+BSDF_FILES = Registry("anisoscope.bsdf_files", "format of reflectance files", BsdfFile, UsageError)
+"""Formats that are read, by name."""
 _SUFFIXES: dict[str, FormatName] = {".bsdf": "rgl", ".binary": "merl", ".xml": "klems"}
 _HEAD = 4096
 _COMPARED = 4096
@@ -102,7 +104,7 @@ def export(
             write_scene(scene[0], path, scene[1])
     else:
         _WRITERS[name](reflectance, path, on_progress)
-    found = _READERS[name](path).evaluate(light, camera)
+    found = BSDF_FILES[name].read(path).evaluate(light, camera)
     losses += _of_format(name, reflectance, source, found)
     return Exported(name, path.stat().st_size, tuple(losses), _rms(found, source))
 
@@ -182,28 +184,25 @@ def read_reflectance(path: Path) -> Reflectance:
         UsageError: it cannot be read, or is of none of them.
     """
     try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD)
+        head = _head(path)
     except OSError as problem:
         raise UsageError(f"cannot read {path}: {problem.strerror or problem}") from problem
-    if head.startswith(TENSOR_MAGIC):
-        return read_rgl(path)
-    if is_merl(head):
-        return read_merl(path)
-    if head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<"):
-        return read_lbnl(path)
-    if is_zemax(head):
-        return read_zemax(path)
-    raise UsageError(
-        f"{path}: none of the formats that are read: RGL .bsdf, MERL binary, Klems and tensor-tree XML, Zemax BSDF (a "
-        "table of single directions is read by bsdf import)"
-    )
+    found = _file_that_begins(head)
+    if found is None:
+        titles = ", ".join(one.title for one in BSDF_FILES.values())
+        raise UsageError(
+            f"{path}: none of the formats that are read: {titles} (a table of single directions is read by bsdf import)"
+        )
+    return found.read(path)
 
 
-def read_lbnl(path: Path) -> Reflectance:
-    """Read LBNL's XML: a Klems matrix or a tensor tree; errors as for their readers."""
-    tree = WindowElement(path).structure in STRUCTURES
-    return read_tensor_tree(path) if tree else read_klems(path)
+def _head(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_HEAD)
+
+
+def _file_that_begins(head: bytes) -> BsdfFile | None:
+    return next((one for one in BSDF_FILES.values() if one.begins(head)), None)
 
 
 _WRITERS: dict[FormatName, Callable[[Reflectance, Path, Advance], None]] = {
@@ -212,23 +211,14 @@ _WRITERS: dict[FormatName, Callable[[Reflectance, Path, Advance], None]] = {
     "klems": write_klems,
     "tensor-tree": write_tensor_tree,
 }
-_READERS: dict[FormatName, Callable[[Path], Reflectance]] = {
-    "rgl": read_rgl,
-    "merl": read_merl,
-    "zemax": read_zemax,
-    "klems": read_klems,
-    "tensor-tree": read_tensor_tree,
-}
 
 
 def is_reflectance_file(path: Path) -> bool:
     """Whether a file is of one of these formats; a table of text is not."""
     try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD)
+        return _file_that_begins(_head(path)) is not None
     except OSError:
         return False
-    return head.startswith((TENSOR_MAGIC, b"<")) or is_merl(head) or is_zemax(head)
 
 
 def deviation(one: Reflectance, other: Reflectance) -> float:

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.bsdf.lbnl_xml import WindowElement, write_window_element
+from anisoscope.bsdf.file_format import BsdfFile
+from anisoscope.bsdf.lbnl_xml import WindowElement, is_xml, write_window_element
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon
 
 EDGES_DEG = (0.0, 5.0, 15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
@@ -121,3 +122,6 @@ def _basis() -> ET.Element:
         ET.SubElement(bounds, "LowerTheta").text = f"{low:g}"
         ET.SubElement(bounds, "UpperTheta").text = f"{high:g}"
     return basis
+
+
+KLEMS = BsdfFile("klems", "Klems XML", is_xml, read_klems, 4)

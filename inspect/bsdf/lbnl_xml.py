@@ -14,6 +14,11 @@ from anisoscope.base.errors import UsageError
 SIDE = "Reflection Back"
 
 
+def is_xml(head: bytes) -> bool:
+    """Whether the first bytes of a file are those of XML."""
+    return head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
+
+
 def write_window_element(
     path: Path, name: str, structure: str, bases: dict[str, str], data: str, basis: ET.Element | None = None
 ) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import UsageError
+from anisoscope.bsdf.file_format import BsdfFile
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, must_be_isotropic
 
 SHAPE = 90, 90, 180
@@ -125,3 +126,6 @@ def _half_and_difference(
     across = np.cos(tilt) * x - np.sin(tilt) * to_light[:, 2]
     up = np.sin(tilt) * x + np.cos(tilt) * to_light[:, 2]
     return tilt, np.arctan2(np.hypot(across, y), up), np.arctan2(y, across)
+
+
+MERL = BsdfFile("merl", "MERL binary", is_merl, read_merl, 2)

@@ -21,7 +21,9 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.bsdf.lbnl_xml import WindowElement, write_window_element
+from anisoscope.bsdf.file_format import BsdfFile
+from anisoscope.bsdf.klems import read_klems
+from anisoscope.bsdf.lbnl_xml import WindowElement, is_xml, write_window_element
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, refuse_huge
 
 STRUCTURES = {"TensorTree3": 3, "TensorTree4": 4}
@@ -327,3 +329,12 @@ class _Nodes:
 
     def _error(self, reason: str) -> UsageError:
         return UsageError(f"{self.path}: ScatteringData is no tensor tree: {reason}")
+
+
+def read_lbnl(path: Path) -> Reflectance:
+    """Read LBNL's XML: a tensor tree or a Klems matrix; errors as for their readers."""
+    tree = WindowElement(path).structure in STRUCTURES
+    return read_tensor_tree(path) if tree else read_klems(path)
+
+
+TENSOR_TREE = BsdfFile("tensor-tree", "tensor-tree XML", is_xml, read_lbnl, 3)

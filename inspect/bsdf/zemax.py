@@ -16,6 +16,7 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.bsdf.file_format import BsdfFile
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, albedo
 
 INCIDENCE_DEG = np.arange(0.0, 86.0, 2.5)
@@ -193,3 +194,6 @@ def _turned(vectors: FloatArray, angle_deg: FloatArray) -> FloatArray:
     cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     x, y, z = vectors.T
     return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+
+
+ZEMAX = BsdfFile("zemax", "Zemax BSDF", is_zemax, read_zemax, 5)

@@ -18,7 +18,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, check_packing, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
-from anisoscope.profiles.files.units import micrometres_per, require_pixel
+from anisoscope.profiles.files.format import Format
+from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
 from anisoscope.profiles.files.x3p import DAMAGED, ZIP_TROUBLE
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap
 
@@ -163,3 +164,11 @@ def write_array(surface: HeightMap, path: Path | str) -> None:
                 np.save(stream, surface.height_um, allow_pickle=False)
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _read(path: Path, given: Given) -> HeightMap:
+    return read_array(path, pixel_um=given.pixel_um, z_unit=given.z_unit or "um")
+
+
+NPY = Format("npy", "numpy array", (".npy",), _read, ((0, b"\x93NUMPY"),), units_from_user="scales", place=11)
+NPZ = Format("npz", "numpy archive", (".npz",), _read, (), ".npy", "scales", place=12)

@@ -18,6 +18,7 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.decoder_process import decode
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap, Layer
 
@@ -107,3 +108,6 @@ def write_exr(surface: HeightMap, path: Path | str) -> None:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
     except RuntimeError as error:
         raise HeightMapError(f"{path}: cannot be written ({' '.join(str(error).split())[:100]})") from None
+
+
+EXR = Format("exr", "OpenEXR picture", (".exr",), read_exr, ((0, MAGIC),), units_from_user="scales", place=16)

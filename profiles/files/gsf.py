@@ -11,6 +11,7 @@ from typing import Any
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_micrometres_per, stated_or_given_pixel
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -103,3 +104,6 @@ def write_gsf(surface: HeightMap, path: Path | str) -> None:
         Path(path).write_bytes(head + bytes(4 - len(head) % 4) + numbers)
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+GSF = Format("gsf", "Gwyddion simple field", (".gsf",), read_gsf, ((0, MAGIC),), place=3)

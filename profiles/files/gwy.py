@@ -18,6 +18,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, Given
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap, Layer
 
@@ -286,3 +287,6 @@ def write_gwy(surface: HeightMap, path: Path | str) -> None:
         Path(path).write_bytes(MAGIC + _object("GwyContainer", *items))
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+GWY = Format("gwy", "Gwyddion gwy", (".gwy",), read_gwy, ((0, MAGIC),), place=4)

@@ -27,6 +27,7 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.decoder_process import decode
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
 from anisoscope.profiles.heightmap import COLOUR, HeightMap
 
@@ -312,3 +313,12 @@ def _write(path: Path, content: bytes) -> None:
         path.write_bytes(content)
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+_TIFF = (0, b"II*\0"), (0, b"MM\0*")
+TIFF = Format(
+    "tiff", "TIFF picture", (".tif", ".tiff"), read_image, _TIFF, units_from_user="counts", place=15
+)
+PNG = Format(
+    "png", "PNG picture", (".png",), read_image, ((0, PNG_MAGIC),), units_from_user="counts", place=17
+)

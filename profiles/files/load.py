@@ -12,7 +12,8 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.arrays import write_array
 from anisoscope.profiles.files.checks import Trust, refuse, trusting
 from anisoscope.profiles.files.exr import write_exr
-from anisoscope.profiles.files.formats import Format, find_format
+from anisoscope.profiles.files.format import Format
+from anisoscope.profiles.files.formats import find_format
 from anisoscope.profiles.files.gsf import write_gsf
 from anisoscope.profiles.files.gwy import write_gwy
 from anisoscope.profiles.files.images import write_ply, write_png, write_stl, write_tiff
@@ -69,10 +70,13 @@ def _check_given(name: str, found: Format, given: Given) -> None:
     """Refuse units for a format that states its own, and image options for others."""
     if not found.units_from_user and (given.z_unit or given.xy_unit):
         refuse(
-            name, "units", f"a file of format {found.name} states its own", "leave --z-unit and --xy-unit out"
+            name,
+            "units",
+            f"a file of format {found.title} states its own",
+            "leave --z-unit and --xy-unit out",
         )
     if found.units_from_user != "counts" and given.height_per_count is not None:
-        refuse(name, "height per count", "is for pictures", f"leave it out for {found.name}")
+        refuse(name, "height per count", "is for pictures", f"leave it out for {found.title}")
     if given.regions and ".x3p" not in found.suffixes:
         refuse(name, "mask", "only x3p files hold a mask.png", "leave --mask-from-x3p out")
 
@@ -93,7 +97,7 @@ def read_height_map(
     """Read a height map, by content and extension, and check that it is plausible.
 
     Args:
-        path: a file of one of :data:`~anisoscope.profiles.files.formats.FORMATS`; how well each was tried stands in
+        path: a file of one of `anisoscope.profiles.files.formats.all_formats`; how well each was tried stands in
             ``docs/height-maps.md``.
         pixel_um: (y, x) pixel size in µm for files that have none.
         z_unit: unit of the heights for formats that state none: um, nm, mm or m; µm where it is not given.

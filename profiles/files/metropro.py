@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap, Layer
 
@@ -106,3 +107,7 @@ def _placed(counts: npt.NDArray[Any], at: tuple[int, int], shape: tuple[int, int
     part = counts[spans[0][1], spans[1][1]]
     found[spans[0][0], spans[1][0]] = np.where(part < NO_INTENSITY, part, np.nan)
     return found
+
+
+_SIGNATURES = tuple((0, magic) for magic in MAGICS)
+METROPRO = Format("metropro", "Zygo MetroPro", (".dat",), read_metropro, _SIGNATURES, place=9)

@@ -16,6 +16,7 @@ import numpy as np
 
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
@@ -120,3 +121,6 @@ def read_opd(path: Path | str, given: Given | None = None) -> HeightMap:
         else:
             origin["not_read"] = [f"picture of {size[1]} × {size[0]} points, {size[2]} bytes each"]
     return checked_map(name, scaled(raw, factor, missing), pixel, origin, layers=layers)
+
+
+OPD = Format("opd", "Wyko opd", (".opd",), read_opd, ((2, b"Directory\0"),), place=8)

@@ -16,6 +16,7 @@ import numpy as np
 
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
@@ -102,3 +103,7 @@ def read_tmd(path: Path | str, given: Given | None = None) -> HeightMap:
     origin = {"format": "tmd", "first_row": "top"} | ({"comment": comment} if comment else {})
     pixel = float(length_y) / rows * MICROMETRES, float(length_x) / cols * MICROMETRES
     return checked_map(name, scaled(raw, MICROMETRES), pixel, origin, stage_height=True)
+
+
+TMD = Format("tmd", "TrueMap tmd", (".tmd",), read_tmd, ((0, TMD_MAGIC),), place=6)
+NMS = Format("nms", "NanoFocus nms", (".nms",), read_nms, ((32, VERSION.encode()),), place=10)

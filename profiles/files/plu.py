@@ -12,6 +12,7 @@ from typing import Any
 
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -68,3 +69,6 @@ def read_plu(path: Path | str, given: Given | None = None) -> HeightMap:
     raw = content.grid("<f4", rows, cols, LAYER + 8)
     pixel = stated_or_given_pixel(name, (pixel_y, pixel_x), given.pixel_um if given else None)
     return checked_map(name, scaled(raw, 1.0, raw == MISSING), pixel, _origin(content, layers))
+
+
+PLU = Format("plu", "Sensofar plu", (".plu", ".apx"), read_plu, place=7)

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -168,3 +169,7 @@ def read_sdf(path: Path | str, given: Given | None = None) -> HeightMap:
     single = KINDS[header.data_type] == "<f4"
     beyond_um = (LARGE_SINGLE if single else LARGE) * header.scale_z * 1e6
     return checked_map(content.name, height, pixel, origin, stage_height=True, beyond_um=beyond_um)
+
+
+_SIGNATURES = tuple((0, f"{kind}{version}".encode()) for version in VERSIONS for kind in "ab")
+SDF = Format("sdf", "ISO 25178-71 sdf", (".sdf",), read_sdf, _SIGNATURES, place=2)

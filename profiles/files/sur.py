@@ -24,6 +24,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_micrometres_per
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap
 
@@ -313,3 +314,6 @@ def _date(text: object) -> tuple[int, int, int, int, int, int, int]:
     except ValueError:
         return 0, 0, 0, 0, 0, 0, 0
     return when.second, when.minute, when.hour, when.day, when.month, when.year, when.isoweekday() % 7
+
+
+SUR = Format("sur", "Digital Surf sur", (".sur",), read_sur, ((0, PLAIN), (0, PACKED)), place=5)

@@ -15,7 +15,9 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import AXIS_TOLERANCE, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
+from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import (
+    Given,
     Layout,
     micrometres_per,
     require_pixel,
@@ -393,3 +395,19 @@ def write_text(surface: HeightMap, path: Path | str) -> None:
         Path(path).write_text("\n".join((head, *rows)) + "\n", encoding="utf-8")
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _read(path: Path, given: Given) -> HeightMap:
+    return read_text(
+        path,
+        pixel_um=given.pixel_um,
+        z_unit=given.z_unit,
+        xy_unit=given.xy_unit,
+        layout=given.layout,
+    )
+
+
+TABLE = Format(
+    "text", "matrix or points", (".csv", ".txt", ".asc"), _read, units_from_user="scales", place=13
+)
+POINTS = Format("xyz", "points", (".xyz",), _read, units_from_user="scales", place=14)

@@ -7,13 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from anisoscope.bsdf.formats import read_lbnl
 from anisoscope.bsdf.klems import write_klems
 from anisoscope.bsdf.mitsuba_scene import write_scene
 from anisoscope.bsdf.models import of_ridges
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, hemisphere, shuffled
 from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
-from anisoscope.bsdf.tensor_tree import write_tensor_tree
+from anisoscope.bsdf.tensor_tree import read_lbnl, write_tensor_tree
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 

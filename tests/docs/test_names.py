@@ -15,9 +15,8 @@ PLACES = {
 }
 DOTTED = re.compile(r"(?<!`)`~?([a-z_]\w*(?:\.\w+)+)`(?!`)")
 REPOSITORY_FILE = re.compile(r"(?<![\w./-])(?:tests|tools|docs)/[\w./-]*\.(?:py|sh|md|toml|csv|json)\b")
-ENTRY_POINTS = {
-    f"anisoscope.{group}" for group in ("cameras", "defects", "lights", "stages", "serial_handlers", "wheels")
-}
+_GROUPS = ("cameras", "lights", "stages", "serial_handlers", "wheels", "defects", "height_maps", "bsdf_files")
+ENTRY_POINTS = {f"anisoscope.{group}" for group in _GROUPS}
 FILES = ("csv", "html", "json", "jsonl", "npz", "png", "py", "sha256", "sqlite", "tif", "toml", "typed")
 TABLES = {
     "area",

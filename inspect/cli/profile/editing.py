@@ -70,9 +70,9 @@ def edit(
 
 def _files_and_steps(words: Sequence[str]) -> tuple[list[Path], Sequence[str]]:
     """Files come first: what has the extension of a map, is a pattern or exists, and names no step; then the steps."""
-    from anisoscope.profiles.files.formats import FORMATS
+    from anisoscope.profiles.files.formats import all_formats
 
-    suffixes = {suffix for one in FORMATS for suffix in one.suffixes}
+    suffixes = {suffix for one in all_formats() for suffix in one.suffixes}
     count = min(len(words), 1)
     while count < len(words):
         word = words[count]

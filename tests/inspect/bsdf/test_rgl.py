@@ -4,8 +4,7 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.bsdf.models import of_ridges
 from anisoscope.bsdf.reflectance import albedo
-from anisoscope.bsdf.rgl import Resolution, read_rgl, write_rgl
-from anisoscope.bsdf.tensor_file import read_tensors, write_tensors
+from anisoscope.bsdf.rgl import Resolution, read_rgl, read_tensors, write_rgl, write_tensors
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 

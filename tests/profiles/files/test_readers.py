@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.files.formats import FORMATS
+from anisoscope.profiles.files.formats import all_formats
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.files.plain_grids import read_nms
 from anisoscope.profiles.heightmap import HeightMap
@@ -70,7 +70,7 @@ def test_a_file_that_states_its_pixel_takes_no_other(made, tmp_path, heights):
 def test_a_file_without_a_telling_extension_is_read_by_its_first_bytes(made, tmp_path, heights):
     named = write(made, tmp_path / f"a{made.suffix}", heights)
     unnamed = named.rename(tmp_path / "measurement.bin")
-    by_content = any(entry.begins(unnamed.read_bytes()[:64]) for entry in FORMATS) or made.library
+    by_content = any(entry.begins(unnamed.read_bytes()[:64]) for entry in all_formats()) or made.library
     if made.suffix in (".x3p", ".npz", ".plux") or (by_content and made.suffix != ".datx"):
         assert read_height_map(unnamed, **made.options).shape == heights.shape
     else:
