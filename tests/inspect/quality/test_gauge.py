@@ -92,7 +92,7 @@ def test_components_come_back(rng):
     found = [gauge_study(random_data(rng, (10, 5, 2), interaction=0.5)) for _ in range(300)]
     for name, truth in (("part", 1.0), ("appraiser", 0.09)):
         mean = np.mean([getattr(one, name).raw for one in found])
-        assert mean == pytest.approx(truth, rel=0.15)
+        assert mean == pytest.approx(truth, rel=0.17)  # of appraisers: 3.2 standard deviations
 
 
 @pytest.mark.usefixtures("few_draws")
@@ -190,7 +190,7 @@ def test_with_one_appraiser_the_interval_is_the_exact_one_of_the_intraclass_corr
 @pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
     ("studies", "least", "most"),
-    [(60, 0.85, 1.0), pytest.param(500, 0.925, 0.985, marks=pytest.mark.statistics)],
+    [(60, 0.85, 1.0), pytest.param(500, 0.92, 0.985, marks=pytest.mark.statistics)],
 )
 @pytest.mark.parametrize("interaction", [0.0, 0.6])
 def test_the_interval_of_the_share_holds_as_often_as_it_says(rng, interaction, studies, least, most):

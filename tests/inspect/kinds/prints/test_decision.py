@@ -126,7 +126,7 @@ def test_good_prints_pass_at_their_stated_spread(good, sheet):
         channels = np.exp(expected.scene.log_channels() + root @ rng.standard_normal(63)).reshape(21, 3)
         found.append(decide_print(expected, replace(base, channels=channels, sources=()), plain))
     assert not any(one.verdict is Verdict.FAIL for one in found)
-    assert sum(one.verdict is Verdict.PASS for one in found) >= 6
+    assert sum(one.verdict is Verdict.PASS for one in found) >= 4  # 8.5 ± 1.6 are due
     assert np.mean([one.d2 for one in found]) == pytest.approx(63.0, abs=4.0 * np.sqrt(126.0 / 12.0))
 
 

@@ -65,20 +65,23 @@ def decided(house, sheet):
 
 
 def test_good_prints_are_like_the_golden_ones(house, golden_of):
-    """Level and mean of T² (F of m and n − m) over 60 sets of 30 of the house's prints, each with one print more."""
+    """Level and mean of T² (F of m and n − m) over 200 sets of 30 of the house's prints, each with one print more.
+
+    Of 200 prints in all: the sets have prints in common, so that rates scatter more than those of independent ones.
+    """
     recipe, expected, _ = house
     rng = np.random.default_rng(21)
-    pool = np.array([drawn(expected.scene, rng) for _ in range(60)])
+    pool = np.array([drawn(expected.scene, rng) for _ in range(200)])
     fit = linear_fit(expected, (*expected.common, *rig_sources(recipe, expected)))
     found = []
-    for _ in range(60):
+    for _ in range(200):
         own, *others = rng.choice(len(pool), 31, replace=False)
         found.append(compare_with_golden(golden_of(recipe, expected, pool[others]), expected, pool[own], fit))
-    assert sum(one.p_value < 0.05 for one in found) <= 8
-    assert sum(one.p_value < 0.5 for one in found) >= 10
-    assert np.mean([one.t2 for one in found]) == pytest.approx(9 * 29 / 19, rel=0.25)
+    assert sum(one.p_value < 0.05 for one in found) <= 16  # 5 ± 2.8
+    assert sum(one.p_value < 0.5 for one in found) >= 20  # 45 ± 8: p values are on the safe side
+    assert np.mean([one.t2 for one in found]) == pytest.approx(9 * 29 / 19, rel=0.25)  # .98 ± .066
     of_poses = [colour.t2 for one in found for colour in one.colours]
-    assert np.mean(of_poses) == pytest.approx(3 * 29 / 25, rel=0.2)
+    assert np.mean(of_poses) == pytest.approx(3 * 29 / 25, rel=0.23)  # 1.01 ± .073
 
 
 def test_what_is_good_in_this_house_is_not_as_predicted(decided):

