@@ -14,8 +14,8 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import contrast_name, p_value_text, quantity_name
 from anisoscope.base.significance import holm, joint_conformance, two_sided
-from anisoscope.decision.consistency_test import from_prediction, golden_test, scatter_of
-from anisoscope.decision.predictive_test import Direction, PredictiveTest
+from anisoscope.decision.consistency import from_prediction, golden_test, scatter_of
+from anisoscope.decision.predictive import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area

@@ -13,7 +13,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, HeightMapError
 from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
-from anisoscope.decision.consistency_test import from_prediction
+from anisoscope.decision.consistency import from_prediction
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.profiles.heightmap import HeightMap

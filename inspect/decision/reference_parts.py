@@ -458,7 +458,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
 
     Attributes:
         predictive: a part is compared with one golden part or more, by the scatter that the recipe states
-            (`anisoscope.decision.predictive_test`); otherwise with as many as their own scatter needs.
+            (`anisoscope.decision.predictive`); otherwise with as many as their own scatter needs.
     """
 
     judges_area: ClassVar[bool] = True

@@ -17,7 +17,7 @@ from anisoscope.rig.frame import Frame
 Image = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.uint16]
-Scatter = Image | tuple[Counts, ...]
+PixelScatter = Image | tuple[Counts, ...]
 Window = tuple[slice, slice]
 
 SATURATION_SHARE = 0.98
@@ -62,7 +62,7 @@ class Stack:
 
     mean: Image
     frames: int
-    scatter: Scatter
+    scatter: PixelScatter
     saturated: Mask
     exposure_s: float
     gain: float
@@ -129,11 +129,11 @@ def _mean(counts: list[Counts], mean: Image) -> None:
         mean /= np.float32(len(counts))
 
 
-def _window_of(scatter: Scatter, window: Window) -> Scatter:
+def _window_of(scatter: PixelScatter, window: Window) -> PixelScatter:
     return tuple(one[window] for one in scatter) if isinstance(scatter, tuple) else scatter[window]
 
 
-def scatter_in(scatter: Scatter, window: Window) -> Image:
+def scatter_in(scatter: PixelScatter, window: Window) -> Image:
     """A window of the scatter of a `Stack`, (rows, cols); of a single frame, zeros."""
     counts = _window_of(scatter, window)
     if not isinstance(counts, tuple):

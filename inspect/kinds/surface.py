@@ -17,10 +17,10 @@ from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
 from anisoscope.base.toml_edits import with_values
-from anisoscope.decision.consistency_test import contrast_scatter
+from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
-from anisoscope.decision.predictive_test import MAX_BIRGE
+from anisoscope.decision.predictive import MAX_BIRGE
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.cause_words import plastic_words
@@ -539,7 +539,7 @@ def with_power(
     shown: CommandOutput, known: GoldenSet, recipe: SurfaceRecipe, parts: PartScatter
 ) -> CommandOutput:
     """Output with the golden parts' scatter against the stated one, and the defects that they can show."""
-    from anisoscope.decision.predictive_test import birge_ratio, detectable, suggested_scatter  # noqa: PLC0415 - scipy
+    from anisoscope.decision.predictive import birge_ratio, detectable, suggested_scatter  # noqa: PLC0415 - scipy
 
     scatter = contrast_scatter(parts, CAMERA_SHARE)
     golden, count = known.contrasts(), len(known.parts)
@@ -610,7 +610,7 @@ def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, sou
     """Write a new version of a recipe with the scatter that golden parts of it, or of another recipe, teach.
 
     How parts, plastic and seat scatter is the same in any poses and of any ridges. What the golden parts show corrects
-    what their recipe states (`predictive_test.learnt_scatter`); what they do not show stays as it states it.
+    what their recipe states (`predictive.learnt_scatter`); what they do not show stays as it states it.
 
     Args:
         kind: of both recipes.
@@ -623,7 +623,7 @@ def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, sou
         CalibrationError: the golden parts are not those of recipe and rig.
         RecipeError, RigFileError, RecordError: a file.
     """
-    from anisoscope.decision.predictive_test import learnt_scatter, suggested_scatter  # noqa: PLC0415 - scipy
+    from anisoscope.decision.predictive import learnt_scatter, suggested_scatter  # noqa: PLC0415 - scipy
 
     recipe, source = kind.read_recipe(recipe_path), kind.read_recipe(source_path)
     rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.decision.consistency_test import contrast_scatter
-from anisoscope.decision.predictive_test import separating_areas, separations
+from anisoscope.decision.consistency import contrast_scatter
+from anisoscope.decision.predictive import separating_areas, separations
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import PLASTIC, nominal_shape
 from anisoscope.prediction.part_scatter import (

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.decision.consistency_test import OF_THE_RIG
+from anisoscope.decision.consistency import OF_THE_RIG
 from anisoscope.decision.decision import decide, pair_values
 from anisoscope.decision.reference_parts import GoldenPart, GoldenSet
 from anisoscope.diagnosis.separability import planned_components

@@ -150,3 +150,9 @@ def test_asyncua_which_is_lgpl_is_imported_by_opc_ua_alone():
         "inspect/line/press.py",
         "sim/press_server.py",
     ]
+
+
+def test_no_module_of_the_package_is_named_like_a_test():
+    """Else pytest would collect it, where it is asked for a folder of the package."""
+    modules = [path.name for folder in FOLDERS.values() for path in (ROOT / folder).rglob("*.py")]
+    assert [name for name in modules if name.startswith("test_") or name.endswith("_test.py")] == []

@@ -18,8 +18,8 @@ from anisoscope.kinds.plates.field_judgement import (
     judge_fields,
     predicted_fields,
 )
+from anisoscope.kinds.plates.field_outliers import MIDDLE_ERROR, class_middles
 from anisoscope.kinds.plates.field_places import FieldPlaces
-from anisoscope.kinds.plates.field_test import MIDDLE_ERROR, class_middles
 from anisoscope.kinds.plates.measurement import MeasuredPlate
 from anisoscope.kinds.plates.recipe import PlateRecipe, Symbology
 from anisoscope.kinds.plates.record import (

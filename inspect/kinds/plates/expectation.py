@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.kinds.plates.field_test import class_middles
+from anisoscope.kinds.plates.field_outliers import class_middles
 from anisoscope.kinds.plates.plate_map import fields_by_map, plate_surface
 from anisoscope.kinds.plates.recipe import PlateRecipe
 from anisoscope.parameters.geometry import Convention, Pose

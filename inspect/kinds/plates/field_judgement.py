@@ -4,8 +4,8 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.kinds.plates.expectation import ExpectedPlate
-from anisoscope.kinds.plates.field_test import (
-    Scatter,
+from anisoscope.kinds.plates.field_outliers import (
+    FieldScatter,
     class_middles,
     class_scatter,
     field_p_values,
@@ -127,14 +127,14 @@ def _of_class(offsets: FloatArray, classes: np.ndarray, number: int) -> FloatArr
     return np.asarray(found[np.isfinite(found).all(axis=1)])
 
 
-def _golden(golden: GoldenPlates | None, classes: np.ndarray, number: int) -> Scatter:
+def _golden(golden: GoldenPlates | None, classes: np.ndarray, number: int) -> FieldScatter:
     """Scatter of the fields of a class about the pattern of golden plates."""
     assert golden is not None
     return golden_scatter(golden.offsets(classes.shape)[:, :, classes == number].transpose(0, 2, 1))
 
 
 def _powers(
-    expected: ExpectedPlate, scatters: tuple[Scatter | None, ...], level: float
+    expected: ExpectedPlate, scatters: tuple[FieldScatter | None, ...], level: float
 ) -> tuple[PowerRecord, ...]:
     """Probability that a single field with each defect is found, in the class in which that is hardest."""
     known = [(number, one) for number, one in enumerate(scatters) if one is not None]
@@ -146,7 +146,7 @@ def _powers(
 
 
 def looks_like(
-    off: FloatArray, defects: dict[str, FloatArray], scatter: Scatter | None = None
+    off: FloatArray, defects: dict[str, FloatArray], scatter: FieldScatter | None = None
 ) -> tuple[str, ...]:
     """Names of the defect whose change of ln L is nearest to (P,) offsets, and of those that tie with it.
 

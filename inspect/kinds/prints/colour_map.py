@@ -25,7 +25,7 @@ from anisoscope.kinds.prints.lobe_fit import PrintFit
 from anisoscope.kinds.prints.measurement import MeasuredPrint, Mosaics, fours_of
 from anisoscope.kinds.prints.recipe import PrintArea
 from anisoscope.kinds.prints.record import MOST_SPOTS, PrintMapRecord, SpotRecord
-from anisoscope.kinds.prints.reference_test import GoldenArea
+from anisoscope.kinds.prints.reference_comparison import GoldenArea
 from anisoscope.record.verdict import Verdict
 
 MAX_NOISE_SHARE = 0.25

@@ -22,8 +22,8 @@ from anisoscope.kinds.prints.pose_colours import colours_of
 from anisoscope.kinds.prints.quantities import Judge, Quantity, sentence
 from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
 from anisoscope.kinds.prints.record import ColourRecord, PrintDetails, PrintMapRecord, triple
+from anisoscope.kinds.prints.reference_comparison import GoldenComparison, compare_with_golden, linear_fit
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
-from anisoscope.kinds.prints.reference_test import GoldenComparison, compare_with_golden, linear_fit
 from anisoscope.kinds.prints.sources import Source, total
 from anisoscope.record.schema import BudgetRecord
 from anisoscope.record.verdict import Verdict

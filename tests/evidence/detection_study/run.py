@@ -28,8 +28,8 @@ from anisoscope.base.cache import Cache
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import chi2_tail, log_basis
-from anisoscope.decision.consistency_test import OF_THE_RIG, contrast_scatter, distances
-from anisoscope.decision.predictive_test import Scatter, predictive_test
+from anisoscope.decision.consistency import OF_THE_RIG, contrast_scatter, distances
+from anisoscope.decision.predictive import Scatter, predictive_test
 from anisoscope.diagnosis.cell_levels import SMEAR_PX
 from anisoscope.diagnosis.evidence import (
     Evidence,
@@ -230,7 +230,7 @@ def covariance_of_measurement(own: FloatArray) -> FloatArray:
 
 
 def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatArray) -> FloatArray:
-    """(N,) p values of parts as `consistency_test.from_prediction` gives them one by one."""
+    """(N,) p values of parts as `consistency.from_prediction` gives them one by one."""
     basis = log_basis(len(expected.poses))
     known = [c for c in expected.alone if expected.lobes is None or c.source != TAIL]
     alone = covariance_of_measurement(own) + np.sum([c.covariance() for c in known], axis=0)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from anisoscope.decision.consistency_test import scatter_of
+from anisoscope.decision.consistency import scatter_of
 from anisoscope.decision.reference_parts import GoldenPart, GoldenSet
 from anisoscope.inspection.kept_measurement import read_kept
 from anisoscope.inspection.manifest import reopen

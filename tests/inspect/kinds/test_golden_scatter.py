@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.decision.consistency_test import contrast_scatter
+from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.equipment import Equipment
-from anisoscope.decision.predictive_test import learnt_scatter, predictive_test, suggested_scatter
+from anisoscope.decision.predictive import learnt_scatter, predictive_test, suggested_scatter
 from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, golden_path, write_golden
 from anisoscope.kinds.command_output import CommandOutput
 from anisoscope.kinds.registry import kind_of

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.decision.consistency_test import from_prediction
+from anisoscope.decision.consistency import from_prediction
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention

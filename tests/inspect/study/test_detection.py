@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from anisoscope.base.covariance import root
 from anisoscope.base.errors import UsageError
-from anisoscope.decision import consistency_test
+from anisoscope.decision import consistency
 from anisoscope.imaging.pose_radiance import Measured, measure
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention
@@ -470,7 +470,7 @@ def test_the_judge_against_the_prediction_is_that_of_inspect(rng):
     for p, change in zip(found, off, strict=True):
         radiance = expected.radiance * np.exp(change)
         part = Measured(radiance, components, (), np.ones((3, 1, 1)), np.zeros(3), nowhere, None)
-        assert p == pytest.approx(consistency_test.from_prediction(expected, part)[2], rel=1e-6)
+        assert p == pytest.approx(consistency.from_prediction(expected, part)[2], rel=1e-6)
 
 
 def test_parts_meet_all_golden_parts_of_their_rig_in_turn():
@@ -505,7 +505,7 @@ def test_the_true_extent_counts_what_good_parts_scatter_and_what_lies_within():
 
 def coarse(patch):
     """A study whose renderings are coarse: what it says is not looked at, but how it is made."""
-    patch.setattr(consistency_test, "_NARROWED", 1)
+    patch.setattr(consistency, "_NARROWED", 1)
     patch.setattr(detection_sheets, "_PATHS", 64)
     patch.setattr(detection_sheets, "PARTS_ACROSS", 1)
     patch.setattr(detection_sheets, "PARTS_ALONG", 1)

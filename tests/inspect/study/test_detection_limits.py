@@ -8,8 +8,8 @@ from scipy.special import ndtr
 
 from anisoscope.base.covariance import root
 from anisoscope.base.significance import log_basis
-from anisoscope.decision.consistency_test import contrast_scatter
-from anisoscope.decision.predictive_test import _levels, _null_of, predictive_test, separations
+from anisoscope.decision.consistency import contrast_scatter
+from anisoscope.decision.predictive import _levels, _null_of, predictive_test, separations
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.part_scatter import part_scatter
 from detection_study.chunk import FRAME_NOISE, LAMP_NOISE, MEASURED_SOURCES

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.decision.consistency_test import scatter_of
+from anisoscope.decision.consistency import scatter_of
 from anisoscope.decision.decision import guarded
 from anisoscope.kinds.ridges.kind import RIDGES
 from anisoscope.kinds.ridges.recipe import RidgeRecipe

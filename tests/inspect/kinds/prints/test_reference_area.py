@@ -10,12 +10,12 @@ from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
+from anisoscope.kinds.prints.reference_comparison import compare_with_golden, linear_fit
 from anisoscope.kinds.prints.reference_prints import (
     GoldenPrint,
     GoldenPrints,
     ViewingConditions,
 )
-from anisoscope.kinds.prints.reference_test import compare_with_golden, linear_fit
 from anisoscope.record.verdict import Verdict
 
 SPREAD = {"alpha": 0.01, "ratio": 0.01, "skew": 0.01, "tilt_x_deg": 0.1, "tilt_y_deg": 0.1, "red": 0.02,

@@ -15,7 +15,7 @@ import pytest
 import tomli_w
 
 from anisoscope.cli.demo import wafers as demo_wafer
-from anisoscope.decision.consistency_test import from_prediction
+from anisoscope.decision.consistency import from_prediction
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.parameters.geometry import Convention, Pose

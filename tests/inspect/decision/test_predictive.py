@@ -9,8 +9,8 @@ from scipy.stats import chi2, kstest
 
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import log_basis
-from anisoscope.decision.consistency_test import contrast_scatter, from_prediction
-from anisoscope.decision.predictive_test import (
+from anisoscope.decision.consistency import contrast_scatter, from_prediction
+from anisoscope.decision.predictive import (
     Direction,
     PredictiveTest,
     Scatter,

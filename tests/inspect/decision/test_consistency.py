@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from anisoscope.base.covariance import root
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import calibrated, hotelling, log_basis, mahalanobis
-from anisoscope.decision.consistency_test import from_golden, from_prediction, golden_chances, nearest_lobe
+from anisoscope.decision.consistency import from_golden, from_prediction, golden_chances, nearest_lobe
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention

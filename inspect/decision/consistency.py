@@ -13,7 +13,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.significance import calibrated, chi2_tail, f_tail, hotelling, log_basis, mahalanobis
-from anisoscope.decision.predictive_test import MAX_BIRGE, PredictiveTest, Scatter, predictive_test
+from anisoscope.decision.predictive import MAX_BIRGE, PredictiveTest, Scatter, predictive_test
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.lobe_doubt import LobeDoubt

@@ -32,7 +32,7 @@ LEAST_A_POSE = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class FieldScatter:
     """Scatter of the fields of a class.
 
     Attributes:
@@ -81,7 +81,7 @@ class Scatter:
         return float(1.0 - chndtr(self.limit(level), self.middle.size, away))
 
 
-def class_scatter(off: FloatArray, tolerance: float = np.inf) -> Scatter | None:
+def class_scatter(off: FloatArray, tolerance: float = np.inf) -> FieldScatter | None:
     """Scatter of (N, P) fields of a class without those that lie apart; None where they are too few.
 
     Args:
@@ -112,14 +112,14 @@ def class_scatter(off: FloatArray, tolerance: float = np.inf) -> Scatter | None:
     return replace(_of(off[near], share), members=near)
 
 
-def _of(off: FloatArray, share: float) -> Scatter:
+def _of(off: FloatArray, share: float) -> FieldScatter:
     """Mean and covariance of the innermost share of normal fields, made good for what is left out."""
     size = off.shape[1]
     from scipy.special import gammainc  # noqa: PLC0415 - start-up time
 
     inner = float(gammainc(0.5 * size + 1.0, 0.5 * _quantile(share, size)))
     covariance = np.atleast_2d(np.cov(off, rowvar=False)) * share / inner + FLOOR**2 * np.eye(size)
-    return Scatter(off.mean(axis=0), covariance, float(len(off) - 1))
+    return FieldScatter(off.mean(axis=0), covariance, float(len(off) - 1))
 
 
 def _quantile(share: float, size: int) -> float:
@@ -128,17 +128,17 @@ def _quantile(share: float, size: int) -> float:
     return float(chdtri(size, 1.0 - share)) if share < 1.0 else float("inf")
 
 
-def golden_scatter(off: FloatArray) -> Scatter:
+def golden_scatter(off: FloatArray) -> FieldScatter:
     """Scatter of one more plate about the mean pattern of (G, N, P) fields of a class of golden plates."""
     plates, fields, size = off.shape
     left = (off - off.mean(axis=0)).reshape(-1, size)
     freedom = float(fields * (plates - 1))
     covariance = left.T @ left / freedom * (1.0 + 1.0 / plates) + FLOOR**2 * np.eye(size)
-    return Scatter(np.zeros(size), covariance, freedom)
+    return FieldScatter(np.zeros(size), covariance, freedom)
 
 
 def field_p_values(
-    off: FloatArray, classes: npt.NDArray[np.int64], scatters: tuple[Scatter | None, ...]
+    off: FloatArray, classes: npt.NDArray[np.int64], scatters: tuple[FieldScatter | None, ...]
 ) -> FloatArray:
     """(rows, cols) p values of all fields, Holm-adjusted over the plate; 1 where a field is not tested.
 

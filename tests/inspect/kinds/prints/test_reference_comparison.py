@@ -10,8 +10,8 @@ from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
+from anisoscope.kinds.prints.reference_comparison import compare_with_golden, linear_fit
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
-from anisoscope.kinds.prints.reference_test import compare_with_golden, linear_fit
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.materials.inks import synthetic_ink
 
