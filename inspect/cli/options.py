@@ -17,6 +17,14 @@ RecipeOption = Annotated[
     Path | None,
     Parameter(help="Recipe file with plastic and surface; options have precedence."),
 ]
+HistoryOption = Annotated[
+    str | None,
+    Parameter(
+        name="--history",
+        help="History that the inspection enters: a file, a postgresql:// URL, or `none`. By default what "
+        "ANISOSCOPE_HISTORY says, else history.sqlite in the folder of inspections.",
+    ),
+]
 RIDGES = Group("Ridges", sort_key=19)
 PLASTIC = Group("Plastic", sort_key=20)
 LIGHT = Group("Light and camera angles", sort_key=21)

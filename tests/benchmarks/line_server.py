@@ -14,12 +14,11 @@ import time
 from functools import partial
 from pathlib import Path
 
-from anisoscope.cli.inspect.history_entry import remember
-from anisoscope.cli.inspect.inspection import explained
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.inspection.work import Task, WorkerProcess, Workplace, held_rig, perform
 from anisoscope.line.jobs import Jobs
 from anisoscope.line.opcua import VisionServer, long_lived
+from anisoscope.operations.findings import explained
+from anisoscope.operations.remembering import lot_mates, remember
 
 STAMPS = "ANISOSCOPE_STAMPS"
 

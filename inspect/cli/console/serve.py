@@ -8,10 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
-from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember, unsigned
-from anisoscope.cli.inspect.inspection import explained
-from anisoscope.cli.inspect.lot_mates import lot_mates
-from anisoscope.cli.options import extra_packages
+from anisoscope.cli.options import HistoryOption, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
@@ -53,6 +50,9 @@ def serve(
     Examples:
         anisoscope serve --rig rig.toml --recipes recipes
     """
+    from anisoscope.operations.findings import explained
+    from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned
+
     with extra_packages("the console", "console"):
         from anisoscope.console.application import (
             Page,

@@ -8,7 +8,6 @@ from cyclopts import Parameter
 
 from anisoscope.base.language import message, translated
 from anisoscope.base.progress import Advance
-from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -69,6 +68,7 @@ def demo(
     """
     from anisoscope.history.address import HISTORY_NAME
     from anisoscope.inspection.reports import Reports
+    from anisoscope.operations.remembering import remember
 
     scene = cast("_Scene", import_module(f"anisoscope.cli.demo.{SCENES[kind]}"))
     if not json_:

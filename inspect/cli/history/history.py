@@ -29,7 +29,6 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import number_name, number_text
 from anisoscope.cli.history.options import ALL, Place, Selection, opened
-from anisoscope.cli.inspect.inspection import conclusion_lines, explained
 from anisoscope.cli.progress import progress
 
 COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
@@ -169,6 +168,7 @@ def print_verified(
 def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
     """Print one inspection with all its data in the history."""
     from anisoscope.history.export import with_dispositions
+    from anisoscope.operations.findings import conclusion_lines, explained
 
     folder, record, conclusion = _folder_state(row)
     if json_:

@@ -7,10 +7,8 @@ from cyclopts import Parameter
 
 from anisoscope.base.language import message, translated
 from anisoscope.cli.inspect.batch_operator import Terminal, table_of
-from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import HistoryOption, Json
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.journal import BatchFile
@@ -79,6 +77,7 @@ def batch(
     from anisoscope.inspection.batch.start import Order
     from anisoscope.inspection.batch.tray import read_tray
     from anisoscope.inspection.reports import Reports
+    from anisoscope.operations.remembering import history_place, lot_mates, remember
 
     listed = read_tray(tray)
     folder = (out / f"batch-{tray.stem}").resolve()

@@ -9,10 +9,8 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.inspect.batch_operator import ask_serial
-from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, TrustFile
+from anisoscope.cli.options import HistoryOption, Json, TrustFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 
@@ -20,7 +18,6 @@ if TYPE_CHECKING:
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import Inspected
-    from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
 
 
 @everyday(
@@ -82,11 +79,13 @@ def inspect(
         anisoscope inspect --recipe recipe.toml --rig rig.toml --serial A-0001
         anisoscope inspect --recipe recipe.toml --frames photographed --serial A-0002 --lot L42 --json
     """
-    from anisoscope.inspection.replay import inspect_frames
     from anisoscope.inspection.reports import Reports
-    from anisoscope.inspection.run import inspect_part
+    from anisoscope.operations.inspecting import inspect as inspect_one
+    from anisoscope.operations.remembering import history_place, lot_mates
     from anisoscope.record.schema import Particulars
 
+    if rig is None and frames is None:
+        raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
     if serial is None:
         serial, lot = ask_serial(lot)
     if at is not None and frames is not None:
@@ -95,33 +94,27 @@ def inspect(
         )
     who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at)
     place = history_place(history, out)
-    mates = lot_mates(place, lot)
     with Reports() as reports:
         with progress(serial, quiet=json_) as advance:
-            if frames is not None:
-                inspected = inspect_frames(
-                    frames,
-                    recipe,
-                    serial,
-                    out,
-                    advance,
-                    rig_path=rig,
-                    reflectance=reflectance,
-                    particulars=who,
-                    lot_mates=mates,
-                    reports=reports,
-                )
-            elif rig is None:
-                raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
-            else:
-                inspected = inspect_part(
-                    recipe, rig, serial, out, advance, particulars=who, lot_mates=mates, reports=reports
-                )
+            inspected = inspect_one(
+                recipe,
+                rig,
+                serial=serial,
+                frames=frames,
+                reflectance=reflectance,
+                out=out,
+                particulars=who,
+                lot_mates=lot_mates(place, lot),
+                reports=reports,
+                on_progress=advance,
+            )
         return _concluded(inspected, reports, place, json_=json_)
 
 
 def _concluded(inspected: "Inspected", reports: "Reports", place: str | Path | None, *, json_: bool) -> int:
     """Print the verdict and enter it into the history, then wait for the report; JSON waits for all of it."""
+    from anisoscope.operations.remembering import remember
+
     try:
         if not json_:
             _print(inspected)
@@ -174,34 +167,9 @@ def _as_json(inspected: "Inspected", notes: tuple[str, ...] = ()) -> dict[str, A
     return common | own | common | last  # a kind adds keys, and overwrites none
 
 
-def conclusion_lines(conclusion: "ConclusionRecord") -> tuple[str, str]:
-    """The verdict in plain words: what was found, and what to do next."""
-    return translated(conclusion.finding), f"{message('What to do next')}: {translated(conclusion.action)}"
-
-
-def explained(record: "Record") -> list[str]:
-    """What is wrong and where, in a line each; empty for a part as it should be."""
-    from anisoscope.kinds.registry import kind_named
-
-    lines = []
-    diagnosis = record.diagnosis
-    if diagnosis is not None and diagnosis.causes:
-        lines.append(message("cause: {cause}", cause=diagnosis.says))
-        lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
-        lines += (
-            [message("what would distinguish them: {what}", what=diagnosis.tells)] if diagnosis.tells else []
-        )
-    return [*lines, *map(translated, kind_named(record.kind).summary(record).lines)]
-
-
-def _cause_line(cause: "CauseRecord") -> str:
-    from anisoscope.report.wording import cause_text, weight_text
-
-    return f"  {cause_text(cause)}, {message('weight')} {weight_text(cause.weight)}"
-
-
 def _print(inspected: "Inspected") -> None:
     from anisoscope.kinds.registry import kind_named
+    from anisoscope.operations.findings import conclusion_lines, explained
 
     record = inspected.record
     for table in kind_named(record.kind).summary(record).tables:
@@ -241,6 +209,7 @@ def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = Fa
     """
     from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import resume_part
+    from anisoscope.operations.remembering import history_place, lot_mates
 
     place = history_place(history, folder.resolve().parent)
     with Reports() as reports:
@@ -303,13 +272,11 @@ def recompute(
 
 def _recompute_all(folders: list[Path], jobs: int | None, scheduler: str | None, *, json_: bool) -> int:
     from anisoscope.base.errors import RecordError
-    from anisoscope.inspection.recompute import recompute_or_reason
+    from anisoscope.operations.inspecting import recompute_all
     from anisoscope.study.sweep import Workers
-    from anisoscope.study.whatif import again_after_a_kill
 
     with progress("inspections", quiet=json_) as advance:
-        tasks = [folder.resolve() for folder in folders]
-        found = again_after_a_kill(recompute_or_reason, tasks, Workers(jobs, scheduler), advance)
+        found = recompute_all(folders, Workers(jobs, scheduler), advance)
     contents: list[dict[str, Any]] = []
     lines: list[str] = []
     for folder, one in zip(folders, found, strict=True):

@@ -15,9 +15,8 @@ from cyclopts import Parameter
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance
 from anisoscope.cli.inspect.batch import CodeKind
-from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json_line
+from anisoscope.cli.options import HistoryOption
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
@@ -70,6 +69,7 @@ def watch(
     """
     from anisoscope.inspection.batch.watch import Watch, Watched
     from anisoscope.inspection.reports import Reports
+    from anisoscope.operations.remembering import history_place, lot_mates, remember
 
     if not (stable_for >= 0.0 and poll > 0.0):
         raise UsageError(

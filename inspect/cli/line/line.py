@@ -16,10 +16,7 @@ from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember, unsigned
-from anisoscope.cli.inspect.inspection import explained
-from anisoscope.cli.inspect.lot_mates import lot_mates
-from anisoscope.cli.options import OwnCertificate, OwnKey, PeersFolder, extra_packages
+from anisoscope.cli.options import HistoryOption, OwnCertificate, OwnKey, PeersFolder, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
@@ -170,6 +167,8 @@ def mqtt(
         anisoscope line mqtt --broker mqtt://127.0.0.1 --rig rig.toml --recipes recipes
         anisoscope line mqtt --broker mqtts://broker.example --history inspections/history.sqlite
     """
+    from anisoscope.operations.remembering import history_place
+
     with extra_packages("MQTT", "line"):
         from anisoscope.line.mqtt import EdgeNode, broker_of
         from anisoscope.line.sparkplug import Names
@@ -313,6 +312,8 @@ def jobs_at(
     from anisoscope.history.signs import Beacon
     from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
     from anisoscope.line.jobs import Jobs
+    from anisoscope.operations.findings import explained
+    from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned
 
     if not recipes.is_dir():
         raise UsageError(f"--recipes {recipes}: there is no such folder")

@@ -466,11 +466,11 @@ def _references(folder: Path, advance: Advance) -> Iterator[Line]:
     """Inspect the parts of the demo, judge one again, and damage copies of it."""
     from importlib import import_module
 
-    from anisoscope.cli.inspect.history_entry import remember
     from anisoscope.history.address import HISTORY_NAME
     from anisoscope.inspection.integrity import verify
     from anisoscope.inspection.recompute import recompute
     from anisoscope.inspection.run import inspect_part
+    from anisoscope.operations.remembering import remember
 
     ridges = import_module("anisoscope.cli.demo.ridges")
     try:

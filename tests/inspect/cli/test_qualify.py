@@ -7,7 +7,6 @@ import pytest
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.signature import Trust, TrustedKey, make_key, use_key
-from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.setup import qualify as module
 from anisoscope.cli.setup.qualify import (
     REPORT,
@@ -19,6 +18,7 @@ from anisoscope.cli.setup.qualify import (
     write_evidence,
 )
 from anisoscope.history.address import HISTORY_NAME
+from anisoscope.operations.remembering import remember
 
 
 def outcomes(lines):

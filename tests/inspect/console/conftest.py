@@ -14,9 +14,6 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import NameOID
 
-from anisoscope.cli.inspect.history_entry import remember
-from anisoscope.cli.inspect.inspection import explained
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.console.access import Access
 from anisoscope.console.application import Page, create_app, hosts_of, listen, server_of
 from anisoscope.console.fleet import fleet_router
@@ -25,6 +22,8 @@ from anisoscope.console.routes import station_router
 from anisoscope.console.station import Station
 from anisoscope.console.trail import Trail
 from anisoscope.inspection.work import WorkerHere, Workplace
+from anisoscope.operations.findings import explained
+from anisoscope.operations.remembering import lot_mates, remember
 from anisoscope.rig.acquisition.opening import open_devices
 from anisoscope.rig.hold import SharedCamera
 from anisoscope.rig.rigfile import read_rig

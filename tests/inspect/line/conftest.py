@@ -6,11 +6,10 @@ import shutil
 import pytest
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.inspect.history_entry import remember
-from anisoscope.cli.inspect.inspection import explained
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.inspection.work import WorkerHere, Workplace
 from anisoscope.line.jobs import Jobs
+from anisoscope.operations.findings import explained
+from anisoscope.operations.remembering import lot_mates, remember
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,6 @@ from dataclasses import replace
 import pytest
 
 from anisoscope.base.errors import CameraError, UsageError
-from anisoscope.cli.inspect.history_entry import remember
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.inspection.batch.first_pose import Look
 from anisoscope.inspection.batch.journal import read_batch
 from anisoscope.inspection.batch.operator import Answer, Unattended, seconds_left
@@ -16,6 +14,7 @@ from anisoscope.inspection.batch.scan import read_scan
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.reports import Reports
+from anisoscope.operations.remembering import lot_mates, remember
 from anisoscope.record.schema import read_record
 from anisoscope.sim.bench.camera import SimulatedCamera
 

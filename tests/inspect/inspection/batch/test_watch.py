@@ -15,8 +15,6 @@ import zxingcpp
 
 from anisoscope.base.errors import ConfigError, RecordError, UsageError
 from anisoscope.cli.demo.folder import FIXTURE
-from anisoscope.cli.inspect.history_entry import remember
-from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.inspection.batch import watch as watching
 from anisoscope.inspection.batch.watch import (
     WATCH_NAME,
@@ -28,6 +26,7 @@ from anisoscope.inspection.batch.watch import (
     whose,
 )
 from anisoscope.inspection.integrity import verify
+from anisoscope.operations.remembering import lot_mates, remember
 from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import write_frame_folder

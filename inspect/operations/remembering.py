@@ -1,29 +1,26 @@
-"""How a command enters a finished inspection into the history, without putting its verdict at risk."""
+"""A finished inspection enters the history, and the history tells of its lot, without putting a verdict at risk."""
 
 import math
 import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
 
 from anisoscope.base.errors import AnisoscopeError, RecordError
+from anisoscope.base.signature import signer_in_use
+from anisoscope.history.address import VARIABLE, chosen, parse_address
+from anisoscope.history.filters import Filters
+from anisoscope.history.heads import sign_head
+from anisoscope.history.rows import NewRow, row_of
+from anisoscope.history.spool import deliver, wait
+from anisoscope.history.store import History, open_history
+from anisoscope.inspection.run import Inspected
+from anisoscope.report.peers import LotMate
 
-if TYPE_CHECKING:
-    from anisoscope.history.rows import NewRow
-    from anisoscope.history.store import History
-    from anisoscope.inspection.run import Inspected
-
-HistoryOption = Annotated[
-    str | None,
-    Parameter(
-        name="--history",
-        help="History that the inspection enters: a file, a postgresql:// URL, or `none`. By default what "
-        "ANISOSCOPE_HISTORY says, else history.sqlite in the folder of inspections.",
-    ),
-]
+RETRY_S = 60.0
+MOST_MATES = 500
+_retry_at: dict[str, tuple[float, str]] = {}
+"""By history: until when it is not tried again, and why; a server that is away would hold up every part."""
 
 
 def history_place(option: str | None, out: Path) -> str | Path | None:
@@ -32,20 +29,13 @@ def history_place(option: str | None, out: Path) -> str | Path | None:
     Raises:
         UsageError: there can be no history.
     """
-    from anisoscope.history.address import chosen, parse_address
-
     place = chosen(option, out)
     if place is not None:
         parse_address(place)
     return place
 
 
-RETRY_S = 60.0
-_retry_at: dict[str, tuple[float, str]] = {}
-"""By history: until when it is not tried again, and why; a server that is away would hold up every part."""
-
-
-def remember(inspected: "Inspected", place: str | Path | None) -> None:
+def remember(inspected: Inspected, place: str | Path | None) -> None:
     """Enter a finished inspection into the history; on failure it waits in a file, and one line says so.
 
     Verdict and exit code are those of the part: what becomes of a database changes neither. What waits is delivered
@@ -53,8 +43,6 @@ def remember(inspected: "Inspected", place: str | Path | None) -> None:
     """
     if place is None:
         return
-    from anisoscope.history.rows import row_of
-
     out, key = inspected.folder.parent, str(place)
     new = None
     try:
@@ -71,15 +59,29 @@ def remember(inspected: "Inspected", place: str | Path | None) -> None:
         _put_aside(new, inspected.folder, place, problem)
 
 
+def lot_mates(place: str | Path | None, lot: str | None) -> tuple[LotMate, ...]:
+    """The latest inspections of a lot, the oldest first; empty without a lot or a readable history.
+
+    Args:
+        place: where the history is, or None.
+        lot: the lot, or None.
+    """
+    if place is None or lot is None or is_away(place):
+        return ()
+    try:
+        with open_history(place, create=False) as history:
+            rows = history.rows(Filters(lot=lot, limit=MOST_MATES))
+    except AnisoscopeError:  # the report goes without; entering the part will say what is wrong
+        return ()
+    return tuple(LotMate(row.serial, row.product, row.verdict, row.numbers) for row in rows)
+
+
 def is_away(place: str | Path) -> bool:
     """Whether a history failed a moment ago, so that it is not tried again yet."""
     return time.monotonic() < _retry_at.get(str(place), (-math.inf, ""))[0]
 
 
-def _enter(new: "NewRow", out: Path, place: str | Path) -> None:
-    from anisoscope.history.spool import deliver
-    from anisoscope.history.store import open_history
-
+def _enter(new: NewRow, out: Path, place: str | Path) -> None:
     with open_history(place) as history:
         found = deliver(history, out, [new])
         _sign(history)
@@ -89,23 +91,16 @@ def _enter(new: "NewRow", out: Path, place: str | Path) -> None:
         _say(line)
 
 
-def _sign(history: "History") -> None:
-    from anisoscope.base.signature import signer_in_use
-
+def _sign(history: History) -> None:
     try:
         signer = signer_in_use()
         if signer is not None:
-            from anisoscope.history.heads import sign_head
-
             sign_head(history, signer)
     except AnisoscopeError as error:
         _say(f"the head of the history is not signed: {error}")
 
 
-def _put_aside(new: "NewRow | None", folder: Path, place: str | Path, problem: str) -> None:
-    from anisoscope.history.address import parse_address
-    from anisoscope.history.spool import wait
-
+def _put_aside(new: NewRow | None, folder: Path, place: str | Path, problem: str) -> None:
     later = f"`anisoscope history add {folder}{_where(place)}` adds it"
     if new is not None:
         try:
@@ -127,6 +122,4 @@ def unsigned(problem: str) -> None:
 
 def _where(place: str | Path) -> str:
     """The option that names a history, if commands would not find it by themselves; without a password."""
-    from anisoscope.history.address import VARIABLE, parse_address
-
     return "" if os.environ.get(VARIABLE, "").strip() == place else f" --history {parse_address(place)}"
