@@ -18,7 +18,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from anisoscope.cli.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import lay_out
 
 SIZE, SHOWN, COLOURS = {"width": 1024, "height": 768}, (768, 576), 128
 PATIENCE_MS = 180_000

@@ -447,29 +447,20 @@ def inspect(
         UsageError: neither a rig nor frames.
         AnisoscopeError: recipe, rig file, calibration or hardware, as on the command line.
     """
-    from anisoscope.base.errors import UsageError
     from anisoscope.base.progress import silent
-    from anisoscope.inspection.replay import inspect_frames
-    from anisoscope.inspection.run import inspect_part
+    from anisoscope.operations.inspecting import inspect as inspect_one
     from anisoscope.record.schema import Particulars
 
-    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at_mm)
-    advance = silent if on_progress is None else on_progress
-    rig_path = None if rig is None else Path(rig)
-    if frames is not None:
-        return inspect_frames(
-            Path(frames),
-            Path(recipe),
-            serial,
-            Path(out),
-            advance,
-            rig_path=rig_path,
-            reflectance=reflectance,
-            particulars=who,
-        )
-    if rig_path is None:
-        raise UsageError("name a rig file, or a folder of frames")
-    return inspect_part(Path(recipe), rig_path, serial, Path(out), advance, particulars=who)
+    return inspect_one(
+        recipe,
+        rig,
+        serial=serial,
+        frames=frames,
+        reflectance=reflectance,
+        out=out,
+        particulars=Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at_mm),
+        on_progress=silent if on_progress is None else on_progress,
+    )
 
 
 def read_recipe(path: Path | str) -> "RecipeBase":

@@ -53,7 +53,7 @@ TEMPLATES = (
     ),
 )
 CALLS = (
-    *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig", "inspect/cli/demo"),
+    *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig", "inspect/cli/demo", "inspect/operations"),
     *("inspect/cli/history", "inspect/kinds", "inspect/console"),
 )
 """Folders whose calls of `message` are messages."""

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from render_mitsuba_parts import EXPOSURE_S, Eye, Shot, Tracer, pack, write_frames, write_rig
 
 from anisoscope.cli.demo import plates as demo
-from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.parameters.geometry import Pose
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan, height_of_field

@@ -127,7 +127,7 @@ def main() -> None:
         measure(sys.argv[2])
         return
     from anisoscope.base.progress import silent
-    from anisoscope.cli.demo.ridges import lay_out
+    from anisoscope.operations.demo.ridges import lay_out
 
     with tempfile.TemporaryDirectory() as folder:
         lay_out(Path(folder), 1, silent)

@@ -26,7 +26,7 @@ from anisoscope.cli.help_page import (
 )
 from anisoscope.cli.log import listening, options_of, report
 from anisoscope.cli.recipe_options import apply_recipe
-from anisoscope.cli.setup.project_place import project_files
+from anisoscope.operations.project_place import project_files
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
 
 EXIT_INTERRUPTED = 130

@@ -1,4 +1,4 @@
-"""A finished inspection enters the history, and the history tells of its lot, without putting a verdict at risk."""
+"""Entry of a finished inspection into the history, and the history of its lot, without risk for a verdict."""
 
 import math
 import os

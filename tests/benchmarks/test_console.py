@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 import pytest
 
-from anisoscope.cli.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import lay_out
 
 pytestmark = pytest.mark.benchmark
 COLD_START_S, STOP_S, PAGE_BYTES, FRAMES_PER_S, BROWSERS = 2.0, 0.2, 200_000, 10.0, 50

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from anisoscope.cli.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import lay_out
 
 pytestmark = pytest.mark.benchmark
 JOBS, ADDED_S, RESULT_READY = int(os.environ.get("ANISOSCOPE_LINE_JOBS", "40")), 0.05, 1024

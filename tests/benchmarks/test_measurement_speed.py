@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.decision.decision import decide
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import HOT_PIXEL_SIGMA, SATURATION_SHARE, WhiteReference
@@ -28,6 +27,7 @@ from anisoscope.inspection.manifest import Manifest
 from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.kinds.ridges.kind import RIDGES
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.prediction.expectation import expectation
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture

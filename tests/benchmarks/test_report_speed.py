@@ -12,9 +12,9 @@ import tomli_w
 
 from anisoscope.base.progress import silent
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.ridges import lay_out
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import Methods, inspect_part
+from anisoscope.operations.demo.ridges import lay_out
 from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder

@@ -17,11 +17,11 @@ import tomli_w
 
 from anisoscope.base.errors import CameraError
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.inspection.objects import OBJECTS
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.record.schema import read_record, write_record
 from anisoscope.report.inspection_page import REPORT_NAME, Sections
 from anisoscope.rig.frame import Frame

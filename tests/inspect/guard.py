@@ -39,7 +39,9 @@ def kind_of(hint) -> str:
     """A type in short: choices by their words, classes by their names."""
     text = getattr(hint, "__name__", None) if isinstance(hint, type) else str(hint)
     text = re.sub(r"typing\.|pathlib\.|[a-z_.]+\.(?=[A-Z])", "", text)
-    return re.sub(r"Optional\[(.*)\]$", r"\1 | None", text)
+    text = re.sub(r"Optional\[(.*)\]$", r"\1 | None", text)
+    # the order of a Literal is that of the first one with the same words in a process
+    return re.sub(r"Literal\[(.*?)\]", lambda words: f"Literal[{', '.join(sorted(words[1].split(', ')))}]", text)
 
 
 def lines_of_options() -> list[str]:

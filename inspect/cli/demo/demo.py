@@ -70,7 +70,7 @@ def demo(
     from anisoscope.inspection.reports import Reports
     from anisoscope.operations.remembering import remember
 
-    scene = cast("_Scene", import_module(f"anisoscope.cli.demo.{SCENES[kind]}"))
+    scene = cast("_Scene", import_module(f"anisoscope.operations.demo.{SCENES[kind]}"))
     if not json_:
         console().print(
             f"{len(scene.PARTS)} parts on the virtual rig: flat field, photographs, verdicts, reports; about "

@@ -14,9 +14,9 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from anisoscope.cli.demo.plates import Trial
     from anisoscope.kinds.plates.expectation import ExpectedPlate
     from anisoscope.kinds.plates.recipe import Symbology
+    from anisoscope.operations.demo.plates import Trial
     from anisoscope.profiles.plates import Plan
 
 LIGHT_DEG = 10.0
@@ -86,10 +86,10 @@ def code(
         anisoscope design code A17 --out code
         anisoscope design code "LOT 7" --symbology qr --module-mm 0.16 --pitch 40 --draft 5 --stl --out qr-code
     """
-    from anisoscope.cli.demo.plates import check_trial, photograph
     from anisoscope.kinds.plates.expectation import expected_plate
     from anisoscope.kinds.plates.recipe import PlateRecipe
     from anisoscope.kinds.registry import kind_named
+    from anisoscope.operations.demo.plates import check_trial, photograph
     from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.profiles.plates import plan_of_modules
     from anisoscope.report.plate_page import write_plate_page

@@ -93,8 +93,8 @@ def plate(
         anisoscope design plate portrait.png --field-count 128 --out portrait
         anisoscope design plate day.png night.png --angles 0,90 --field-um 150 --stl --path --out day-and-night
     """
-    from anisoscope.cli.demo.plates import check_trial, photograph
     from anisoscope.kinds.registry import kind_named
+    from anisoscope.operations.demo.plates import check_trial, photograph
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.report.plate_page import write_plate_page

@@ -7,9 +7,9 @@ import tomli_w
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.cli.setup import project_place
-from anisoscope.cli.setup.project_place import PROJECT_NAME
 from anisoscope.cli.tables import console
+from anisoscope.operations import project_place
+from anisoscope.operations.project_place import PROJECT_NAME
 
 RIG = """\
 # Devices of the rig. Ports of this machine: anisoscope rig ports. All keys: docs/recipe-and-rig.md.

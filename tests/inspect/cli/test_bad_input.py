@@ -9,7 +9,7 @@ from cyclopts import App
 
 from anisoscope import cli
 from anisoscope.base.progress import silent
-from anisoscope.cli.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import lay_out
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 

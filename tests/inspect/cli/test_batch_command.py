@@ -13,7 +13,6 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.cli.inspect.batch_operator import Terminal, table_of
 from anisoscope.cli.tables import console
 from anisoscope.history.rows import seal_of
@@ -21,6 +20,7 @@ from anisoscope.history.store import open_history
 from anisoscope.inspection.batch.journal import read_batch
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.integrity import verify
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder
 

@@ -11,9 +11,9 @@ import tomli_w
 from anisoscope.base.notation import true_minus
 from anisoscope.base.progress import silent
 from anisoscope.cli.demo.demo import SCENES, Kind
-from anisoscope.cli.demo.ridges import PARTS, lay_out
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
+from anisoscope.operations.demo.ridges import PARTS, lay_out
 
 
 @pytest.fixture

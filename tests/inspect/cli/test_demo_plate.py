@@ -5,9 +5,9 @@ import json
 import pytest
 
 from anisoscope.base.progress import silent
-from anisoscope.cli.demo.plates import lay_out
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
+from anisoscope.operations.demo.plates import lay_out
 
 DEAD = {(3, 4): "missing", (6, 8): "missing", (9, 2): "missing"}
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.cli.demo.prints import PARTS
+from anisoscope.operations.demo.prints import PARTS
 
 
 @pytest.mark.soak

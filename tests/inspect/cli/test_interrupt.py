@@ -11,10 +11,10 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import resume_part
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.record.schema import read_record
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 from anisoscope.rig.transport import Transport

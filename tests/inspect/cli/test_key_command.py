@@ -7,7 +7,7 @@ import pytest
 
 from anisoscope import cli
 from anisoscope.base import signature
-from anisoscope.cli.setup import project_place
+from anisoscope.operations import project_place
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,7 @@
 import pytest
 import tomli_w
 
-from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.rig.rigfile import read_rig
 
 BENCH = {

@@ -1,7 +1,7 @@
 import pytest
 import tomli_w
 
-from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import read_bench
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RigFileError
-from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.inspection.batch.codes import read_codes, read_picture
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.rig.frame import Frame, write_frame
 from anisoscope.sim.bench.bench import Bench, printed
 from anisoscope.sim.bench.benchfile import BenchFile, CodePart

@@ -14,7 +14,6 @@ import tomli_w
 import zxingcpp
 
 from anisoscope.base.errors import ConfigError, RecordError, UsageError
-from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.inspection.batch import watch as watching
 from anisoscope.inspection.batch.watch import (
     WATCH_NAME,
@@ -26,6 +25,7 @@ from anisoscope.inspection.batch.watch import (
     whose,
 )
 from anisoscope.inspection.integrity import verify
+from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.operations.remembering import lot_mates, remember
 from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import Frame

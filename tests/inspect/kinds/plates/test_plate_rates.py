@@ -5,8 +5,8 @@ import pytest
 
 from anisoscope.base.progress import silent
 from anisoscope.cli.demo import plates as demo
-from anisoscope.cli.demo.folder import write_bench
 from anisoscope.inspection.run import inspect_part
+from anisoscope.operations.demo.folder import write_bench
 from anisoscope.profiles.plates import Plan
 
 pytestmark = pytest.mark.soak

@@ -9,7 +9,6 @@ import pytest
 from scipy.stats import norm
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.cli.demo.prints import rig_of
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.recipe import (
     PrintTolerances,
@@ -21,6 +20,7 @@ from anisoscope.kinds.prints.recipe_check import as_predicted, check_print_recip
 from anisoscope.kinds.prints.sources import of_poses
 from anisoscope.kinds.registry import kind_of, read_any_recipe, read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
+from anisoscope.operations.demo.prints import rig_of
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.materials.inks import InkFileError, synthetic_ink, write_ink
 

@@ -5,12 +5,11 @@ import sqlite3
 import pytest
 
 from anisoscope import cli
-from anisoscope.cli.inspect import history_entry
-from anisoscope.history import store
 from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import seal_of
 from anisoscope.history.store import History, open_history
 from anisoscope.inspection import run as inspection
+from anisoscope.operations import inspecting, remembering
 from anisoscope.record.schema import Particulars, Record, read_record, write_record
 
 pytestmark = pytest.mark.usefixtures("no_history_said")
@@ -75,7 +74,7 @@ def judged(virtual_rig, monkeypatch):
         write_record(record, folder)
         return inspection.Inspected(record, folder, folder / "report.html")
 
-    monkeypatch.setattr(inspection, "inspect_part", inspect_part)
+    monkeypatch.setattr(inspecting, "inspect_part", inspect_part)
     return virtual_rig()
 
 
@@ -175,8 +174,8 @@ def test_a_history_that_another_program_writes_for_long_does_not_hold_up_the_ver
 def test_what_waits_for_a_history_enters_with_the_next_inspection(judged, inspect_on, monkeypatch):
     """A history that is away is not tried at every part; what waits is delivered in order and once."""
     now = [1000.0]
-    monkeypatch.setattr(history_entry.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(history_entry, "_retry_at", {})
+    monkeypatch.setattr(remembering.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(remembering, "_retry_at", {})
     place = judged.out / "mine.sqlite"
     opened = []
 
@@ -185,7 +184,7 @@ def test_what_waits_for_a_history_enters_with_the_next_inspection(judged, inspec
         raise HistoryError("the server is away")
 
     with monkeypatch.context() as patch:
-        patch.setattr(store, "open_history", away)
+        patch.setattr(remembering, "open_history", away)
         for moment in (0.0, 59.0, 61.0):
             now[0] = 1000.0 + moment
             code, err, _ = inspect_on(judged, "--history", str(place))
@@ -201,12 +200,12 @@ def test_what_waits_for_a_history_enters_with_the_next_inspection(judged, inspec
 
 
 def test_a_damaged_record_keeps_no_other_inspection_from_the_history(judged, inspect_on, monkeypatch, capsys):
-    monkeypatch.setattr(history_entry, "_retry_at", {})
+    monkeypatch.setattr(remembering, "_retry_at", {})
     place = judged.out / "mine.sqlite"
     _, _, folder = inspect_on(judged, "--history", "none")
     record = read_record(folder)
     (folder / "record.json").write_text("{", encoding="utf-8")
-    history_entry.remember(inspection.Inspected(record, folder, folder / "report.html"), place)
+    remembering.remember(inspection.Inspected(record, folder, folder / "report.html"), place)
     assert "record.json is damaged" in capsys.readouterr().err
     _, _, other = inspect_on(judged, "--history", str(place))
     assert str(other) in {row.folder for row in rows_in(place)}

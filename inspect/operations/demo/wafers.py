@@ -12,7 +12,15 @@ import numpy as np
 import tomli_w
 
 from anisoscope.base.progress import Advance
-from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
+from anisoscope.operations.demo.folder import (
+    FIXTURE,
+    TILE,
+    begin,
+    flat_of,
+    rig_table,
+    tile_sample,
+    write_benches,
+)
 from anisoscope.profiles.files.load import write_height_map
 
 if TYPE_CHECKING:

@@ -7,8 +7,9 @@ import pytest
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.signature import Trust, TrustedKey, make_key, use_key
-from anisoscope.cli.setup import qualify as module
-from anisoscope.cli.setup.qualify import (
+from anisoscope.history.address import HISTORY_NAME
+from anisoscope.operations import qualification as module
+from anisoscope.operations.qualification import (
     REPORT,
     RESULT,
     SIGNATURE,
@@ -17,7 +18,6 @@ from anisoscope.cli.setup.qualify import (
     verified,
     write_evidence,
 )
-from anisoscope.history.address import HISTORY_NAME
 from anisoscope.operations.remembering import remember
 
 

@@ -7,7 +7,15 @@ import numpy as np
 import tomli_w
 
 from anisoscope.base.progress import Advance
-from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
+from anisoscope.operations.demo.folder import (
+    FIXTURE,
+    TILE,
+    begin,
+    flat_of,
+    rig_table,
+    tile_sample,
+    write_benches,
+)
 
 PARTS = {"good": "PASS", "brushed": "FAIL", "wrong-ink": "FAIL", "spot": "FAIL"}
 MEGABYTES = 300
@@ -45,7 +53,7 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
     (folder / "recipe.toml").write_text(tomli_w.dumps(recipe_of(INK)), encoding="utf-8")
 
     def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        sample = tile_sample() if name == TILE else print_sample(DEFECTS[name], rng)
+        sample = tile_sample() if name == TILE else sample_of(DEFECTS[name], rng)
         return bench_of(sample, int(rng.integers(2**31))), rig_of(flat_of(name))
 
     write_benches(folder, PARTS, files, FLAT_EXPOSURE_S, advance)
@@ -73,7 +81,7 @@ def recipe_of(ink: str) -> dict[str, Any]:
 _INKS = ("synthetic-red", "synthetic-green", "synthetic-blue")
 
 
-def print_sample(defects: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+def sample_of(defects: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     """A sheet of a good print, as prints vary, with defects."""
     varied = {"alpha_share": float(0.005 * rng.standard_normal()), "substrate": 0.04, "ink": INK}
     return {

@@ -11,7 +11,15 @@ import tomli_w
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
-from anisoscope.cli.demo.folder import FIXTURE, TILE, begin, flat_of, rig_table, tile_sample, write_benches
+from anisoscope.operations.demo.folder import (
+    FIXTURE,
+    TILE,
+    begin,
+    flat_of,
+    rig_table,
+    tile_sample,
+    write_benches,
+)
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan
 

@@ -101,7 +101,8 @@ def rig_table(
 
     Args:
         title: name of the rig.
-        camera, light: keys beside driver and bench.
+        camera: keys beside driver and bench.
+        light: the same of the light.
         flat: path of the flat; None for the rig that takes it.
         tilts: whether there is an axis for tilts.
     """

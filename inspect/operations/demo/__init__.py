@@ -1,0 +1,1 @@
+"""Parts, benches and recipes of the demo, a folder for each kind of part."""
