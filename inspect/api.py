@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.run import Inspected
     from anisoscope.live_view.autofocus import Autofocus
+    from anisoscope.operations.optimising import optimise
+    from anisoscope.operations.remembering import lot_mates, remember
     from anisoscope.parameters.geometry import Convention, Pose
     from anisoscope.parameters.inputs import InputUncertainty
     from anisoscope.parameters.material import Material
@@ -66,7 +68,9 @@ if TYPE_CHECKING:
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.press import Change as MachineChange
     from anisoscope.sim.press import mould
+    from anisoscope.study.objective import Noise, Scoring, Tolerances
     from anisoscope.study.part_yield import PartYield
+    from anisoscope.study.sweep import Workers
 
 DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
@@ -121,6 +125,13 @@ _HOME = {
     "find_illuminant": "anisoscope.sim.materials.spectra",
     "MachineChange": "anisoscope.sim.press:Change",
     "mould": "anisoscope.sim.press",
+    "optimise": "anisoscope.operations.optimising",
+    "lot_mates": "anisoscope.operations.remembering",
+    "remember": "anisoscope.operations.remembering",
+    "Noise": "anisoscope.study.objective",
+    "Scoring": "anisoscope.study.objective",
+    "Tolerances": "anisoscope.study.objective",
+    "Workers": "anisoscope.study.sweep",
 }
 
 __all__ = [
@@ -140,14 +151,18 @@ __all__ = [
     "LobeTask",
     "MachineChange",
     "Material",
+    "Noise",
     "Optics",
     "Pose",
     "Predicted",
     "Record",
     "RidgeDesign",
     "RidgeMeasurement",
+    "Scoring",
     "Specification",
+    "Tolerances",
     "UsageError",
+    "Workers",
     "add_to_history",
     "commission",
     "compare",
@@ -167,6 +182,7 @@ __all__ = [
     "ink_picture",
     "inspect",
     "line_parameters",
+    "lot_mates",
     "measure_ridges",
     "mould",
     "open_camera",
@@ -174,6 +190,7 @@ __all__ = [
     "open_light",
     "open_rig",
     "open_stage",
+    "optimise",
     "predict",
     "read_height_map",
     "read_recipe",
@@ -181,6 +198,7 @@ __all__ = [
     "read_rig",
     "recipe_yield",
     "recompute",
+    "remember",
     "resume",
     "show_inks",
     "sphere",

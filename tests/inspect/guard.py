@@ -41,7 +41,9 @@ def kind_of(hint) -> str:
     text = re.sub(r"typing\.|pathlib\.|[a-z_.]+\.(?=[A-Z])", "", text)
     text = re.sub(r"Optional\[(.*)\]$", r"\1 | None", text)
     # the order of a Literal is that of the first one with the same words in a process
-    return re.sub(r"Literal\[(.*?)\]", lambda words: f"Literal[{', '.join(sorted(words[1].split(', ')))}]", text)
+    return re.sub(
+        r"Literal\[(.*?)\]", lambda words: f"Literal[{', '.join(sorted(words[1].split(', ')))}]", text
+    )
 
 
 def lines_of_options() -> list[str]:

@@ -294,12 +294,10 @@ def optimise(
         anisoscope optimise --vary ridge_angle=3:20 --robust --scatter ridge_angle=0.3,stage=0.2
         anisoscope optimise --vary ridge_angle=3:20,alpha_across=.05:.2 --plot landscape.png
     """
+    from anisoscope.operations.optimising import optimise as search
     from anisoscope.operations.stated import stated
     from anisoscope.report.study_page import check_picture, write_picture, write_study_page
-    from anisoscope.sim.light.geometry import directions
-    from anisoscope.study.box import check_bounds
-    from anisoscope.study.objective import Part, Scoring
-    from anisoscope.study.optimum import optimum
+    from anisoscope.study.objective import Scoring
     from anisoscope.study.sweep import Workers
 
     check_picture(plot)
@@ -307,7 +305,6 @@ def optimise(
         raise UsageError("--scatter and --quantile belong to --robust")
     base = stated(recipe)
     design = ridges.over(base.design or RidgeDesign(base.pitch_um or 100.0, 10.0))
-    part = Part.of(design, plastic.over(base.material))
     scoring = Scoring(
         contrast,
         tuple(_pair(text) for text in pair or ["0,90"]),
@@ -323,15 +320,16 @@ def optimise(
         seed,
         bounces,
     )
-    directions(scoring.poses, scoring.convention)
-    bounds = _bounds(vary)
-    check_bounds(bounds, part, scoring)
-    workers = Workers(jobs, scheduler)
     with progress("optimise", quiet=json_) as advance:
-        best = optimum(part, bounds, scoring, workers, advance)
-        plain = None
-        if robust and ("pitch" not in bounds or part.edge_radius > 0.0):
-            plain = optimum(part, bounds, scoring.nominal, workers, advance)
+        found = search(
+            _bounds(vary),
+            design=design,
+            material=plastic.over(base.material),
+            scoring=scoring,
+            workers=Workers(jobs, scheduler),
+            on_progress=advance,
+        )
+    best, plain = found.optimum, found.nominal
     if json_:
         print_json(best_as_json(best, plain, scoring))
     else:
