@@ -89,14 +89,13 @@ def command_of(app: App, arguments: Sequence[str]) -> App:
 
 def print_below(shown: Sequence[str], further: str = "") -> None:
     """Print what is below a help page: the examples, in lines that can be copied, and further lines."""
-    from anisoscope.cli.tables import console
+    from anisoscope.cli.tables import print_lines
 
-    for line in (
+    print_lines(
         "Examples:",
         *(f"  {one}" for one in shown),
         *(["", *further.splitlines()] if further else []),
-    ):
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    )
 
 
 def usage_text(error: CycloptsError, arguments: Sequence[str]) -> str:

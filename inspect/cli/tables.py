@@ -1,8 +1,8 @@
 """Tables of the commands, and the console that they are printed on."""
 
 import re
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import print_json
 
@@ -49,5 +49,19 @@ def print_output(output: "CommandOutput", *, json_: bool) -> None:
         return
     for table in output.tables:
         print_table(table.title, table.columns, table.rows, table.caption)
-    for line in output.lines:
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*output.lines)
+
+
+def print_lines(*lines: str) -> None:
+    """Print lines as they are: neither markup nor wrapping changes them."""
+    out = console()
+    for line in lines:
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def answer(content: Any, lines: Iterable[str], *, json_: bool) -> None:  # noqa: ANN401 - any result
+    """Print a result as JSON, or lines."""
+    if json_:
+        print_json(content)
+    else:
+        print_lines(*lines)

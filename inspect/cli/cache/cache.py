@@ -9,7 +9,7 @@ from cyclopts import App
 
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.base.cache import Stored
@@ -32,13 +32,13 @@ def info(*, json_: Json = False) -> int:
         kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(entries)]
         print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
         return 0
-    _write_line(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
+    print_lines(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
     if folder.exists() and not folder.is_dir():
-        _write_line(f"{folder} is not a folder: nothing is cached")
+        print_lines(f"{folder} is not a folder: nothing is cached")
     if entries:
         rows = [[kind, *_cells(rows)] for kind, rows in _by_kind(entries)]
         print_table("cached results", ["kind", "entries", "size", "last used", "longest unused"], rows)
-    _write_line(f"another folder: {VARIABLE}; another limit: {LIMIT_VARIABLE}")
+    print_lines(f"another folder: {VARIABLE}; another limit: {LIMIT_VARIABLE}")
     return 0
 
 
@@ -58,9 +58,9 @@ def clear(*, json_: Json = False) -> int:
         print_json({"folder": str(folder), "removed": _numbers(gone), "kinds": kinds, "left": left})
         return 0
     for kind, rows in _by_kind(gone):
-        _write_line(f"removed {len(rows)} {kind}, {_megabytes(sum(one.size for one in rows))}")
+        print_lines(f"removed {len(rows)} {kind}, {_megabytes(sum(one.size for one in rows))}")
     size = _megabytes(sum(one.size for one in gone))
-    _write_line(
+    print_lines(
         f"{folder}: {len(gone)} entries removed, {size}" + (f"; {left} could not be removed" if left else "")
     )
     return 0
@@ -102,7 +102,3 @@ def _age(seconds: float) -> str:
         if seconds >= 2.0 * length:
             return f"{seconds / length:.0f} {unit}"
     return f"{seconds:.0f} s"
-
-
-def _write_line(text: str) -> None:
-    console().print(text, markup=False, highlight=False, soft_wrap=True)

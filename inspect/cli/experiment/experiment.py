@@ -2,37 +2,25 @@
 
 import math
 import sys
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
-
-from anisoscope.base.csv_style import csv_text, number_text
-from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console, print_table
-
-if TYPE_CHECKING:
-    from anisoscope.experiment.experiment import Experiment, Findings, Mean, Setup
-    from anisoscope.experiment.findings_map import FindingsMap
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, RecipeOption
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, Json, RecipeOption
+from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
+    from anisoscope.experiment.experiment import Experiment, Findings, Mean, Setup
     from anisoscope.experiment.findings_map import FindingsMap
-
-
-def write_line(text: str) -> None:
-    """Print a line as it is."""
-    console().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _unit(result: "Experiment") -> str:
@@ -157,10 +145,10 @@ def print_experiment(result: "Experiment") -> None:
     print_table("Mean contrasts", ["mean over all others", *head], rows)
     setup = result.setup
     frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
-    write_line(f"model {setup.model}{frame}; {convention_text(setup.convention)}; {_scale_text(result)}")
-    write_line(f"predicted: {_findings_text(result.findings)}")
+    print_lines(f"model {setup.model}{frame}; {convention_text(setup.convention)}; {_scale_text(result)}")
+    print_lines(f"predicted: {_findings_text(result.findings)}")
     if result.measured_findings is not None:
-        write_line(f"measured: {_findings_text(result.measured_findings)}")
+        print_lines(f"measured: {_findings_text(result.measured_findings)}")
 
 
 def maps_as_json(maps: "list[FindingsMap]") -> dict[str, Any]:
@@ -209,12 +197,12 @@ def print_maps(maps: "list[FindingsMap]") -> None:
     )
     side, setup = maps[0].alpha_along, maps[0].setup
     frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
-    write_line(
+    print_lines(
         f"model {setup.model}{frame}; {side.size} × {side.size} roughnesses from {side[0]:g} to {side[-1]:g}, "
         "even in the logarithm"
     )
     for m in maps:
-        write_line(f"tilt {m.setup.convention.tilt_plane}: {convention_text(m.setup.convention)}")
+        print_lines(f"tilt {m.setup.convention.tilt_plane}: {convention_text(m.setup.convention)}")
 
 
 def _range(ends: tuple[float, float] | None) -> str:
@@ -273,7 +261,7 @@ def experiment(
         from anisoscope.report.experiment_page import write_experiment_page
 
         write_experiment_page(result, _unit(result), html)
-        write_line(f"{html}: {_findings_text(result.findings)}; {_scale_text(result)}")
+        print_lines(f"{html}: {_findings_text(result.findings)}; {_scale_text(result)}")
     else:
         print_experiment(result)
     return 0
@@ -355,4 +343,4 @@ def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) 
         write_findings_page(maps, html)
     if svg is not None:
         write_text(svg, findings_svg(maps))
-    write_line(f"{html or svg}: all three findings hold on: {shares} of the grid")
+    print_lines(f"{html or svg}: all three findings hold on: {shares} of the grid")

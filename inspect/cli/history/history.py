@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json, OwnCertificate, OwnKey, PeersFolder, TrustFile, extra_packages
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import console, print_lines, print_table
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -51,7 +51,7 @@ def _visible(character: str) -> str:
 
 def write_line(text: str) -> None:
     """Print a line as plain text: markup and control characters have no effect."""
-    console().print(plain(text), markup=False, highlight=False, soft_wrap=True)
+    print_lines(plain(text))
 
 
 def _local(moment: "datetime") -> str:

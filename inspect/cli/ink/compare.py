@@ -8,11 +8,10 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
-from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.ink.goniometer import Readings
@@ -97,10 +96,10 @@ def compare(
         return 0
     _print(found, synthetic, picture_size)
     for warning in warnings:
-        print_line(f"warning: {warning}")
-    print_line(f"Convention: {CONVENTION}.")
+        print_lines(f"warning: {warning}")
+    print_lines(f"Convention: {CONVENTION}.")
     if png is not None:
-        print_line(f"{png}: written")
+        print_lines(f"{png}: written")
     return 0
 
 
@@ -184,7 +183,7 @@ def _print(found: "list[Comparison]", synthetic: bool, size: int) -> None:
         caption="lower RMSE and higher SSIM are better; frame time on this machine's processor",
     )
     if synthetic:
-        print_line(
+        print_lines(
             "The readings are synthetic: they show that the comparison works, and nothing about real inks."
         )
 

@@ -19,11 +19,10 @@ from anisoscope.cli.ink.options import (
     percent,
     printed_inks,
 )
-from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.sim.light.ink.ink import Ink
@@ -97,7 +96,7 @@ def halftone(
         return 0
     _print(found, plan, chosen, dpi, picture.notes)
     for path in written:
-        print_line(f"{path}: written")
+        print_lines(f"{path}: written")
     return 0
 
 
@@ -139,20 +138,20 @@ def _print(
     print_table(title, ["ink", "coverage aimed at [%]", "coverage of the dots [%]"], table)
     if found.block_error.size:
         mean = float(np.sqrt(np.mean(found.block_error**2)))
-        print_line(
+        print_lines(
             f"Blocks of 64 × 64 dots: coverage off by {mean:.4f} (rms), {found.block_error.max():.4f} at most."
         )
-    print_line(
+    print_lines(
         f"Out of gamut: {percent(found.outside)} of the pixels; "
         f"coverages above 1 in sum, scaled down: {percent(found.scaled)}. Inks on one dot: none, by construction."
     )
     if plan.way == "match":
-        print_line(
+        print_lines(
             f"Coverage is linear; white is the brightest neutral of the inks under {plan.illuminant} "
             f"with light and eye at {plan.angle_deg:g}°."
         )
     for note in notes:
-        print_line(f"Image: {note}.")
+        print_lines(f"Image: {note}.")
 
 
 def _as_json(

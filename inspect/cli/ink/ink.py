@@ -7,9 +7,10 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
-from anisoscope.cli.ink.output import print_fit, print_line, print_show
+from anisoscope.cli.ink.output import print_fit, print_show
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.tables import print_lines
 
 if TYPE_CHECKING:
     from anisoscope.ink.goniometer import White
@@ -95,7 +96,7 @@ def fit(
         print_fit(found, f"Fit of {data.name}")
         for path in (out, html):
             if path is not None:
-                print_line(f"{path}: written")
+                print_lines(f"{path}: written")
     return 0
 
 
@@ -162,10 +163,10 @@ def import_(
             }
         )  # fmt: skip
         return 0
-    print_line(f"{ink.name}: {ink.nm.size} wavelengths from {low:g} to {high:g} nm, alpha {alpha:g}")
+    print_lines(f"{ink.name}: {ink.nm.size} wavelengths from {low:g} to {high:g} nm, alpha {alpha:g}")
     if warning is not None:
-        print_line(f"warning: {warning}")
-    print_line(f"{out}: written")
+        print_lines(f"warning: {warning}")
+    print_lines(f"{out}: written")
     return 0
 
 
@@ -246,5 +247,5 @@ def show(
         print_show(shown)
         for path in (html, png):
             if path is not None:
-                print_line(f"{path}: written")
+                print_lines(f"{path}: written")
     return 0

@@ -2,16 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import console, print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.ink.appearance import Show
     from anisoscope.ink.fitting import InkFit
-
-
-def print_line(text: str) -> None:
-    """Print one line without markup and wrapping."""
-    console().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def print_fit(found: "InkFit", title: str) -> None:
@@ -19,9 +14,9 @@ def print_fit(found: "InkFit", title: str) -> None:
     from anisoscope.ink.text import FIT_COLUMNS, fit_rows, summary
 
     print_table(title, list(FIT_COLUMNS), fit_rows(found), caption=summary(found))
-    print_line(f"Scale: {found.scale}; noise floor {found.grid.floor:.2g}/sr.")
+    print_lines(f"Scale: {found.scale}; noise floor {found.grid.floor:.2g}/sr.")
     for warning in found.warnings:
-        print_line(f"warning: {warning}")
+        print_lines(f"warning: {warning}")
 
 
 def print_show(shown: "Show") -> None:
@@ -42,6 +37,6 @@ def print_show(shown: "Show") -> None:
             table.add_row(*(escape(cell) for cell in row), Text("      ", style=f"on {code}"))
         console().print(table)
         if one.ink.source:
-            print_line(f"Source: {one.ink.source}.")
+            print_lines(f"Source: {one.ink.source}.")
     for note in show_notes(shown):
-        print_line(note)
+        print_lines(note)

@@ -18,11 +18,10 @@ from anisoscope.cli.ink.options import (
     percent,
     printed_inks,
 )
-from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -290,7 +289,7 @@ def _print_summary(work: "_Work", exposure: float, written: list[Path], json_: b
         }
         print_json(content)
         return
-    print_line(
+    print_lines(
         f"{found.dots.shape[1]} × {found.dots.shape[0]} dots; out of gamut: {percent(found.outside)}, "
         f"coverages scaled down: {percent(found.scaled)}; exposure {exposure:.3g}."
     )
@@ -300,7 +299,7 @@ def _print_summary(work: "_Work", exposure: float, written: list[Path], json_: b
         ]
         print_table("What the press makes of the dots", ["primary", "coverage [%]"], rows)
     for path in written:
-        print_line(f"{path}: written")
+        print_lines(f"{path}: written")
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,7 +109,7 @@ def batch(
 
 
 def _show(found: "BatchFile", folder: Path, page: Path, *, json_: bool) -> None:
-    from anisoscope.cli.tables import console
+    from anisoscope.cli.tables import console, print_lines
 
     if json_:
         content = {
@@ -123,8 +123,7 @@ def _show(found: "BatchFile", folder: Path, page: Path, *, json_: bool) -> None:
         return
     out = console()
     out.print(table_of(found))
-    for line in (
+    print_lines(
         ", ".join(f"{number} {translated(word)}" for word, number in found.counts.items() if number),
         message("page: {path}", path=page),
-    ):
-        out.print(line, markup=False, highlight=False, soft_wrap=True)
+    )

@@ -12,7 +12,7 @@ from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import HistoryOption, Json, TrustFile
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import answer, console, print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.inspection.recompute import Recomputed
@@ -180,20 +180,15 @@ def _print(inspected: "Inspected") -> None:
     color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]
     out.print(f"[bold {color}]{message(record.verdict)}[/]")
     if record.conclusion is not None:
-        for line in conclusion_lines(record.conclusion):
-            out.print(line, markup=False, highlight=False, soft_wrap=True)
-    for reason in record.reasons:
-        out.print(f"  {translated(reason)}", markup=False, highlight=False, soft_wrap=True)
-    for line in explained(record):
-        out.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+        print_lines(*conclusion_lines(record.conclusion))
+    print_lines(*(f"  {translated(reason)}" for reason in record.reasons))
+    print_lines(*(f"  {line}" for line in explained(record)))
 
 
 def _print_notes(inspected: "Inspected", notes: tuple[str, ...] = ()) -> None:
     """Notes, those on the report included, and where the report is."""
-    out = console()
-    for note in (*inspected.notes, *notes):
-        out.print(message("note: {note}", note=note), markup=False, highlight=False, soft_wrap=True)
-    out.print(f"{message('report')}: {inspected.report}", markup=False, highlight=False, soft_wrap=True)
+    print_lines(*(message("note: {note}", note=note) for note in (*inspected.notes, *notes)))
+    print_lines(f"{message('report')}: {inspected.report}")
 
 
 Folder = Annotated[Path, Parameter(help="Folder of an inspection.")]
@@ -235,7 +230,7 @@ def report(folder: Folder, /, *, json_: Json = False) -> int:
     with progress(folder.name, quiet=json_) as advance:
         done = write_report_again(folder, advance)
     path = folder / REPORT_NAME
-    _print_lines({"report": str(path), "origin": done}, [f"report, {done}: {path}"], json_=json_)
+    answer({"report": str(path), "origin": done}, [f"report, {done}: {path}"], json_=json_)
     return 0
 
 
@@ -266,7 +261,7 @@ def recompute(
     with progress(folder.name, quiet=json_) as advance:
         found = again(folder, advance)
     content, lines = _compared(found)
-    _print_lines(content, lines, json_=json_)
+    answer(content, lines, json_=json_)
     return 1 if found.differences else 0
 
 
@@ -291,7 +286,7 @@ def _recompute_all(folders: list[Path], jobs: int | None, scheduler: str | None,
     unusable = sum(one["same"] is None for one in contents)
     same = len(found) - differing - unusable
     lines.append(f"{same} of {len(found)} as recorded, {differing} differ, {unusable} cannot be judged again")
-    _print_lines({"inspections": contents}, lines, json_=json_)
+    answer({"inspections": contents}, lines, json_=json_)
     return 1 if differing else RecordError.exit_code if unusable else 0
 
 
@@ -350,13 +345,5 @@ def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -
         lines.append(f"note: the report is not written yet: `anisoscope report {folder}` writes it")
     if not found.finished:
         lines.append("note: the inspection is not finished")
-    _print_lines(content, lines, json_=json_)
+    answer(content, lines, json_=json_)
     return 0 if found.intact else 1
-
-
-def _print_lines(content: dict[str, Any], lines: list[str], *, json_: bool) -> None:
-    if json_:
-        print_json(content)
-        return
-    for line in lines:
-        console().print(line, markup=False, highlight=False, soft_wrap=True)

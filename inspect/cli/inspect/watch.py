@@ -18,7 +18,7 @@ from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.options import HistoryOption
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class Teller:
         if self._json:
             print_json_line(event)
         else:
-            console().print(text, markup=False, highlight=False, soft_wrap=True)
+            print_lines(text)
             sys.stdout.flush()
 
     def inspected(self, name: str, inspected: "Inspected") -> None:

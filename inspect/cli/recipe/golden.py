@@ -12,7 +12,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console, print_output, print_table
+from anisoscope.cli.tables import console, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.kinds.kind import Reference
@@ -196,8 +196,7 @@ def certify(
         print_json(found)
     else:
         print_table("False alarms", ["", "value"], [list(row) for row in rows])
-        for line in notes:
-            console().print(line, markup=False, highlight=False, soft_wrap=True)
+        print_lines(*notes)
     return 0 if found.certified else 1
 
 
@@ -252,5 +251,5 @@ def _print_change(path: Path, number: int, what: str, known: "Reference", *, jso
         soft_wrap=True,
     )
     if lacking and count:
-        out.print(lacking, markup=False, highlight=False, soft_wrap=True)
+        print_lines(lacking)
     return 0

@@ -11,7 +11,7 @@ from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers, parse_range
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import JobsOption, SchedulerOption, named_numbers
-from anisoscope.cli.tables import console, print_output, print_table
+from anisoscope.cli.tables import console, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.recipe.teaching import Taught
@@ -226,8 +226,7 @@ def suggest(
     lines.append(_exposure_line(rig_file, found.brightest, recipe.acquisition.gain))
     if sizes := sizes_in_toml(sized, recipe):
         lines += ["[defects]", *sizes]
-    for line in lines:
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*lines)
     return 0
 
 
@@ -331,8 +330,7 @@ def teach(
     )
     lines = [f"the version before: {found.kept}"]
     lines += [] if found.folder is None else [f"the inspection: {found.folder}"]
-    for line in (*lines, *found.notes):
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*(*lines, *found.notes))
     return 0
 
 
@@ -478,5 +476,4 @@ def _print_yield(name: str, lot: "Lot", found: "PartYield") -> None:
     ]
     if found.conforming is None:
         lines.append("The recipe has no decision.tolerance: risks of producer and consumer are not defined.")
-    for line in lines:
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*lines)

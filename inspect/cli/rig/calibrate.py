@@ -10,7 +10,7 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import console, print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.calibration.record import CalibrationRecord
@@ -212,7 +212,7 @@ def response(
         f"{out}: fitted from {len(curve.exposures_s)} exposures, which agree within {curve.residual:.2%}; name it in "
         "the rig file under [camera.options] response, then take a new flat"
     )
-    console().print(text, markup=False, highlight=False, soft_wrap=True)
+    print_lines(text)
     return 0
 
 
@@ -445,8 +445,7 @@ def _show_plan(plan: "ScanPlan") -> None:
         f"±10° at most {100.0 * u.max():.2f} %"
     )
     lines = [extent, ratios, *plan.information.not_identified()]
-    for line in lines:
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*lines)
 
 
 def _show_material(file: "MaterialFile", out: Path) -> None:
@@ -475,8 +474,7 @@ def _show_material(file: "MaterialFile", out: Path) -> None:
     low, high = file.validity.half_angle_deg
     until = "" if file.validity.until is None else f", until {file.validity.until:%Y-%m-%d}"
     lines.append(f"{out}: holds for half angles of {low:.1f}° to {high:.1f}°{until}")
-    for line in lines:
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*lines)
 
 
 @app.command(name="list")
@@ -498,7 +496,7 @@ def list_(*, rig: _Rig, json_: Json = False) -> int:
         print_table(f"Calibrations of {rig}", ["kind", "state", "id", "valid until", "file"], rows)
         for one in found:
             if one.advice:
-                console().print(f"{one.kind}: {one.advice}", markup=False, highlight=False, soft_wrap=True)
+                print_lines(f"{one.kind}: {one.advice}")
     usable = {"valid", "no record"}
     invalid = [one for one in found if one.state not in usable and (one.needed or one.file is not None)]
     return 3 if invalid else 0
@@ -521,8 +519,7 @@ def _show(record: "CalibrationRecord", out: Path, *, json_: bool) -> int:
             for name, one in record.values.items()
         ]
         print_table(f"{record.id} ({record.camera.model})", ["what", "value", "u", "unit"], rows)
-        for remark in record.remarks:
-            console().print(remark, markup=False, highlight=False, soft_wrap=True)
+        print_lines(*record.remarks)
         console().print(
             f"{target}: valid until {record.valid_until:%Y-%m-%d %H:%M} UTC; name it in the rig file under "
             f"[calibration] {record.kind}",

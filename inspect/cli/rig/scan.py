@@ -10,7 +10,7 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.inspection.reflectance_scan import ScanResult, ScanSettings
@@ -130,7 +130,7 @@ def _show_lamps(found: "tuple[ScanResult, ...]", folder: Path, *, as_json: bool)
     ]  # fmt: skip
     head = ["lamp [nm]", "lowest [1/sr]", "highest [1/sr]", "median u [%]", "largest u [%]"]
     print_table("Scans", head, rows)
-    _line(
+    print_lines(
         f"{folder / 'brdf.csv'}, goniometer.csv: {sum(len(one.poses) for one in found)} rows of {len(found)} lamps"
     )
     return 0
@@ -143,9 +143,9 @@ def _show_plan(settings: "ScanSettings", frames: int, lamps: int, *, as_json: bo
         print_json(settings.model_dump(mode="json", by_alias=True) | {"poses": poses, "seconds": seconds})
         return 0
     for name, angles in (("stage", settings.angles_deg), ("tilt", settings.tilts_deg)):
-        _line(f"{len(angles)} {name} angles: " + ", ".join(f"{angle:g}" for angle in angles))
+        print_lines(f"{len(angles)} {name} angles: " + ", ".join(f"{angle:g}" for angle in angles))
     exposures = ", ".join(f"{settings.exposure_s * one:g}" for one in (1.0, *settings.brackets))
-    _line(f"{poses} poses, exposures {exposures} s, about {seconds / 60.0:.0f} min")
+    print_lines(f"{poses} poses, exposures {exposures} s, about {seconds / 60.0:.0f} min")
     return 0
 
 
@@ -179,17 +179,13 @@ def _show(found: "ScanResult", folder: Path, *, as_json: bool) -> int:
     rows.append(["combined", f"{100.0 * np.sqrt(np.mean(found.u**2)):.2f}", f"{100.0 * found.u.max():.2f}"])
     print_table("Uncertainty (k = 1)", ["source", "rms [%]", "largest [%]"], rows)
     if seat is not None:
-        _line(
+        print_lines(
             f"seated {seat.about_x_deg:+.3f}° about x and {seat.about_y_deg:+.3f}° about y (u {seat.u_deg[0]:.3f}°, "
             f"{seat.u_deg[1]:.3f}°), flat within {seat.flatness_deg:.2f}° (u {seat.u_flatness_deg:.2f}°), light angle "
             f"{seat.light_angle_deg:.3f}° (u {seat.u_light_angle_deg:.3f}°)"
         )
-    _line(
+    print_lines(
         f"{folder / 'brdf.csv'}: {len(found.poses)} rows, {found.brdf.min():.3g} to {found.brdf.max():.3g} 1/sr; "
         f"median u {np.median(found.u):.2%}"
     )
     return 0
-
-
-def _line(text: str) -> None:
-    console().print(text, markup=False, highlight=False, soft_wrap=True)

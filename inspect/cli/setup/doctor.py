@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import RigError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console
+from anisoscope.cli.tables import print_lines
 
 
 def doctor(
@@ -37,5 +37,5 @@ def doctor(
     else:
         for one in found:
             line = f"{one.state:<8} {one.what:<22} {one.text}"
-            console().print(line, markup=False, highlight=False, soft_wrap=True)
+            print_lines(line)
     return RigError.exit_code if any(one.state == "missing" for one in found) else 0

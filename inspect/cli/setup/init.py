@@ -7,7 +7,7 @@ import tomli_w
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.cli.tables import console
+from anisoscope.cli.tables import print_lines
 from anisoscope.operations import project_place
 from anisoscope.operations.project_place import PROJECT_NAME
 
@@ -87,13 +87,12 @@ def init(
         project.write_text(_project(operator, station, key), encoding="utf-8")
     except OSError as error:
         raise RecordError(f"{folder}: cannot be written: {error.strerror}") from error
-    for line in (
+    print_lines(
         f"{recipe}: adapt {tables}, then: anisoscope recipe check {recipe}",
         f"{rig}: name your devices; anisoscope rig ports lists the ports",
         f"{key}: {'new; ' if made else ''}signs the records of this station; its public part: anisoscope key show",
         f"{project}: recipe and rig of all commands in this folder; anisoscope doctor says what is missing",
-    ):
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    )
     return 0
 
 

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console
+from anisoscope.cli.tables import print_lines
 
 if TYPE_CHECKING:
     from anisoscope.base.signature import Signer, Trust
@@ -24,10 +24,6 @@ File = Annotated[Path, Parameter(help="Trust file (TOML).")]
 Name = Annotated[str, Parameter(help="Key as `key show` prints it, ed25519:…")]
 
 
-def _line(text: str) -> None:
-    console().print(text, markup=False, highlight=False, soft_wrap=True)
-
-
 @app.command
 def new(file: Annotated[Path, Parameter(help="File of the private key; a new one.")], /) -> int:
     """Make a private key (Ed25519) in a file that only you can read.
@@ -38,7 +34,9 @@ def new(file: Annotated[Path, Parameter(help="File of the private key; a new one
     from anisoscope.base.signature import key_id, make_key
 
     made = make_key(file)
-    _line(f'{file}: {key_id(made.public)}; name it in anisoscope.toml: signing_key = "{file.resolve()}"')
+    print_lines(
+        f'{file}: {key_id(made.public)}; name it in anisoscope.toml: signing_key = "{file.resolve()}"'
+    )
     return 0
 
 
@@ -59,7 +57,7 @@ def show(address: Address = None, /, *, json_: Json = False) -> int:
         print_json(found)
     else:
         for name, text in found.items():
-            _line(f"{name}: {text}")
+            print_lines(f"{name}: {text}")
     return 0
 
 
@@ -106,7 +104,7 @@ def trust(
         if ended
         else ""
     )
-    _line(f"{file}: {station} signs with {key_id(base64.b64decode(text))}{until}")
+    print_lines(f"{file}: {station} signs with {key_id(base64.b64decode(text))}{until}")
     return 0
 
 
@@ -120,7 +118,7 @@ def revoke(
         anisoscope key revoke keys.toml ed25519:0123456789abcdef --reason "laptop stolen"
     """
     _change(file, key, {"revoked": reason})
-    _line(f"{file}: {key} is revoked: {reason}")
+    print_lines(f"{file}: {key} is revoked: {reason}")
     return 0
 
 
@@ -133,7 +131,7 @@ def retire(file: File, key: Name, /) -> int:
     """
     now = datetime.now(UTC).replace(microsecond=0)
     _change(file, key, {"until": now})
-    _line(f"{file}: {key} counts until {now:%Y-%m-%d %H:%M} UTC")
+    print_lines(f"{file}: {key} counts until {now:%Y-%m-%d %H:%M} UTC")
     return 0
 
 

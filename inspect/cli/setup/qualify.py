@@ -1,17 +1,16 @@
 """``anisoscope qualify``: evidence that this installation is as released (IQ) and computes what it should (OQ)."""
 
-from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.cli.json_output import as_json, print_json
+from anisoscope.cli.json_output import as_json
 from anisoscope.cli.options import Json, TrustFile
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import console
+from anisoscope.cli.tables import answer
 
 
 def qualify(
@@ -57,7 +56,7 @@ def qualify(
 
     if check is not None:
         words, good = verified(check, None if trust is None else read_trust(trust))
-        _say({"folder": str(check), "verified": good, "finding": words}, [f"{check}: {words}"], json_=json_)
+        answer({"folder": str(check), "verified": good, "finding": words}, [f"{check}: {words}"], json_=json_)
         return 0 if good else 1
     if exposure is not None and rig is None:
         raise UsageError("--exposure goes with --rig")
@@ -74,13 +73,5 @@ def qualify(
     lines = [f"FAIL  {one.what}: {one.found}; accepted: {one.limit}" for one in failed]
     lines.append(f"{found.result}: {len(failed)} of {len(found.lines)} lines fail; {folder / REPORT}")
     lines.append(signature)
-    _say({**as_json(found), "result": found.result, "folder": str(folder)}, lines, json_=json_)
+    answer({**as_json(found), "result": found.result, "folder": str(folder)}, lines, json_=json_)
     return 0 if found.result == "PASS" else 1
-
-
-def _say(content: Mapping[str, Any], lines: Sequence[str], *, json_: bool) -> None:
-    if json_:
-        print_json(content)
-    else:
-        for line in lines:
-            console().print(line, markup=False, highlight=False, soft_wrap=True)

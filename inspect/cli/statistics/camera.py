@@ -7,7 +7,8 @@ from cyclopts import Parameter
 
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.statistics.source import Html, print_grid, write_lines
+from anisoscope.cli.statistics.source import Html, print_grid
+from anisoscope.cli.tables import print_lines
 
 
 def camera(
@@ -39,9 +40,9 @@ def camera(
     else:
         record = sheet.record
         until = f"valid until {record.valid_until:%Y-%m-%d}"
-        write_lines(f"camera {record.camera.model} at gain {record.gain:g}: {record.id}, {until}")
+        print_lines(f"camera {record.camera.model} at gain {record.gain:g}: {record.id}, {until}")
         print_grid(values_table(sheet))
-        write_lines(*sheet.notes, sheet.verdict)
+        print_lines(*sheet.notes, sheet.verdict)
         if html is not None:
-            write_lines(f"{html}: the page")
+            print_lines(f"{html}: the page")
     return 0 if sheet.record.in_limits else 3

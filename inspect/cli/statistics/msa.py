@@ -19,8 +19,8 @@ from anisoscope.cli.statistics.source import (
     Number,
     print_grid,
     readings_from,
-    write_lines,
 )
+from anisoscope.cli.tables import print_lines
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
@@ -390,6 +390,6 @@ def _show(
         return
     for grid in grids:
         print_grid(grid)
-    write_lines(*notes, study.verdict)
+    print_lines(*notes, study.verdict)
     if html is not None:
-        write_lines(f"{html}: the page")
+        print_lines(f"{html}: the page")

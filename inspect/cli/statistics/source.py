@@ -7,7 +7,6 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Which
-from anisoscope.cli.tables import console
 
 if TYPE_CHECKING:
     from anisoscope.quality.readings import Readings
@@ -77,9 +76,3 @@ def print_grid(grid: "Grid") -> None:
     from anisoscope.cli.tables import print_table
 
     print_table(grid.title, list(grid.columns), [list(row) for row in grid.rows], grid.note or None)
-
-
-def write_lines(*lines: str) -> None:
-    """Print sentences as they are."""
-    for line in lines:
-        console().print(line, markup=False, highlight=False, soft_wrap=True)

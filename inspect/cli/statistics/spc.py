@@ -15,16 +15,8 @@ from anisoscope.cli.history.options import Place, Selection
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.statistics.source import (
-    EVERYTHING,
-    Csv,
-    Html,
-    Limit,
-    Number,
-    print_grid,
-    readings_from,
-    write_lines,
-)
+from anisoscope.cli.statistics.source import EVERYTHING, Csv, Html, Limit, Number, print_grid, readings_from
+from anisoscope.cli.tables import print_lines
 
 if TYPE_CHECKING:
     from anisoscope.quality.capability import Specification
@@ -236,7 +228,7 @@ def _deliver(
     _show(readings, found, skipped, alone=len(found) == 1 and not skipped)
     _show_drifts([one.drift for one in charts if one.drift is not None])
     if html is not None:
-        write_lines(f"{html}: charts of {title}")
+        print_lines(f"{html}: charts of {title}")
 
 
 def _tolerances(recipe: str | None) -> dict[str, float] | None:
@@ -313,18 +305,18 @@ def _source(readings: "Readings") -> str:
 def _show(readings: "Readings", studies: "list[ControlStudy]", skipped: list[str], *, alone: bool) -> None:
     from anisoscope.report.spc_page import overview, tables
 
-    write_lines(_source(readings))
+    print_lines(_source(readings))
     if not alone:
         print_grid(overview(studies))
     else:
         for grid in tables(studies[0], LISTED):
             print_grid(grid)
         if studies[0].normality is not None:
-            write_lines(f"Anderson-Darling: p {studies[0].normality.p:.3g}, {studies[0].normality.hint}")
-        write_lines(*studies[0].notes)
-    write_lines(*(f"left out: {line}" for line in skipped))
+            print_lines(f"Anderson-Darling: p {studies[0].normality.p:.3g}, {studies[0].normality.hint}")
+        print_lines(*studies[0].notes)
+    print_lines(*(f"left out: {line}" for line in skipped))
     for study in studies if len(studies) <= LISTED else studies[:1]:
-        write_lines(f"{study.name}: {study.verdict}")
+        print_lines(f"{study.name}: {study.verdict}")
 
 
 def _show_drifts(drifts: "list[Drift]") -> None:
@@ -333,4 +325,4 @@ def _show_drifts(drifts: "list[Drift]") -> None:
     for drift in drifts:
         if drift.parameters:
             print_grid(parameter_table(drift))
-        write_lines(f"{drift.name}: {drift.verdict}", *drift.notes)
+        print_lines(f"{drift.name}: {drift.verdict}", *drift.notes)

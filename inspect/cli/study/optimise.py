@@ -1,34 +1,27 @@
 """``anisoscope optimise``: the ridge design with the most contrast, nominal or under tolerances."""
 
 import math
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
-
-from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console, print_table
-
-if TYPE_CHECKING:
-    from anisoscope.report.study_page import Chart, Map, Table
-    from anisoscope.study.objective import Scoring
-    from anisoscope.study.optimum import Optimum
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, RecipeOption, parse_numbers
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, Json, RecipeOption, parse_numbers
 from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.study.objective import Noise, Tolerances
+    from anisoscope.report.study_page import Chart, Map, Table
+    from anisoscope.study.objective import Noise, Scoring, Tolerances
+    from anisoscope.study.optimum import Optimum
 
 
 LABELS = {
@@ -167,8 +160,7 @@ def print_best(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> 
     """Print the optimum."""
     for table in tables(best, plain, scoring):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows])
-    for text in (scoring_text(scoring), *notes(best, scoring)):
-        console().print(text, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*(scoring_text(scoring), *notes(best, scoring)))
 
 
 def charts(best: "Optimum", scoring: "Scoring") -> "list[Chart | Map]":

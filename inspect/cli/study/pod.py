@@ -12,7 +12,7 @@ from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.quality.detection_probability import DetectionCurve
@@ -118,8 +118,7 @@ def pod_command(
         return 0
     for table in _tables(found):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)
-    for line in (what, f"{name}: {found.verdict}"):
-        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*(what, f"{name}: {found.verdict}"))
     return 0
 
 

@@ -1,15 +1,9 @@
 """``anisoscope research``: published results repeated, and effects of imperfect surfaces by simulation."""
 
 import math
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from anisoscope.report.study_page import Chart, Table
-    from anisoscope.study.best_angle import AngleStudy
-    from anisoscope.study.convergence import ConvergenceStudy
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
@@ -19,13 +13,15 @@ from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json, RecipeOption
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, PlotOption, SchedulerOption
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Table
+    from anisoscope.study.best_angle import AngleStudy
+    from anisoscope.study.convergence import ConvergenceStudy
 
 
 def _share(value: float) -> str:
@@ -437,5 +433,4 @@ def _hand_out(
         return
     for table in tables:
         print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)
-    for text in (subtitle, *notes):
-        console().print(text, markup=False, highlight=False, soft_wrap=True)
+    print_lines(*(subtitle, *notes))
