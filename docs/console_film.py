@@ -18,7 +18,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from anisoscope.operations.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import SCENE
 
 SIZE, SHOWN, COLOURS = {"width": 1024, "height": 768}, (768, 576), 128
 PATIENCE_MS = 180_000
@@ -119,7 +119,7 @@ def second_part(film: Film, address: str) -> None:
 def main(target: Path) -> None:
     """Make the film."""
     with tempfile.TemporaryDirectory() as temporary, sync_playwright() as driver:
-        folder = lay_out(Path(temporary) / "day", 1, lambda *_: None)
+        folder = SCENE.lay_out(Path(temporary) / "day", 1, lambda *_: None)
         (folder / "recipe.toml").rename(folder / "ridged plate.toml")
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         film = Film(browser.new_page(viewport=SIZE))

@@ -25,7 +25,6 @@ import numpy as np
 from scipy import stats
 
 from anisoscope.base.errors import MeasurementError
-from anisoscope.cli.demo import plates as demo
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Grid, Placement, View
 from anisoscope.kinds.plates.code_grades import OVERALL
@@ -34,6 +33,7 @@ from anisoscope.kinds.plates.decision import PlateDecision, decide_plate, predic
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
 from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate
 from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.operations.demo import plates as demo
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.prediction.region_prediction import FieldGrid, predict_fields

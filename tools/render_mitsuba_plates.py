@@ -26,7 +26,7 @@ import tomli_w
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from render_mitsuba_parts import EXPOSURE_S, Eye, Shot, Tracer, pack, write_frames, write_rig
 
-from anisoscope.cli.demo import plates as demo
+from anisoscope.operations.demo import plates as demo
 from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.parameters.geometry import Pose
 from anisoscope.parameters.ridges import RidgeDesign

@@ -127,10 +127,10 @@ def main() -> None:
         measure(sys.argv[2])
         return
     from anisoscope.base.progress import silent
-    from anisoscope.operations.demo.ridges import lay_out
+    from anisoscope.operations.demo.ridges import SCENE
 
     with tempfile.TemporaryDirectory() as folder:
-        lay_out(Path(folder), 1, silent)
+        SCENE.lay_out(Path(folder), 1, silent)
         line = [sys.executable, "-P", __file__, "--measure", folder]
         subprocess.run(line, check=True, capture_output=True)  # what is computed once for a recipe
         done = subprocess.run(line, check=True, capture_output=True, text=True)

@@ -411,12 +411,12 @@ def _references(folder: Path, advance: Advance) -> Iterator[Line]:
     from anisoscope.inspection.run import inspect_part
     from anisoscope.operations.remembering import remember
 
-    ridges = import_module("anisoscope.operations.demo.ridges")
+    scene = import_module("anisoscope.operations.demo.ridges").SCENE
     try:
-        place = ridges.lay_out(folder / "reference", SEED, advance)
+        place = scene.lay_out(folder / "reference", SEED, advance)
         history = place / "inspections" / HISTORY_NAME
         done = None
-        for name, expected in ridges.PARTS.items():
+        for name, expected in scene.parts.items():
             rig = place / "bench" / name / "rig.toml"
             done = inspect_part(place / "recipe.toml", rig, f"QUALIFY-{name}", place / "inspections", advance)
             remember(done, history)

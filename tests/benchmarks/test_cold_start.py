@@ -15,7 +15,7 @@ import pytest
 from anisoscope.base.progress import silent
 from anisoscope.cli.predict.predict import CACHED
 from anisoscope.inspection.run import inspect_part
-from anisoscope.operations.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import SCENE
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import ridges
@@ -72,7 +72,7 @@ def test_cold_start(bench, tmp_path, command):
 
 
 def test_cold_inspection_of_frames(bench, tmp_path):
-    folder = lay_out(tmp_path / "demo", 1, silent)
+    folder = SCENE.lay_out(tmp_path / "demo", 1, silent)
     rig = folder / "bench" / "good" / "rig.toml"
     taken = inspect_part(folder / "recipe.toml", rig, "A1", folder / "out")
     shots = [read_frame(taken.folder / entry.name) for entry in taken.record.frames]

@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 import pytest
 
-from anisoscope.operations.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import SCENE
 
 pytestmark = pytest.mark.benchmark
 COLD_START_S, STOP_S, PAGE_BYTES, FRAMES_PER_S, BROWSERS = 2.0, 0.2, 200_000, 10.0, 50
@@ -62,7 +62,7 @@ class Console:
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    return lay_out(tmp_path_factory.mktemp("console") / "demo", 1, lambda *_: None)
+    return SCENE.lay_out(tmp_path_factory.mktemp("console") / "demo", 1, lambda *_: None)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from anisoscope.operations.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import SCENE
 
 pytestmark = pytest.mark.benchmark
 JOBS, ADDED_S, RESULT_READY = int(os.environ.get("ANISOSCOPE_LINE_JOBS", "40")), 0.05, 1024
@@ -28,7 +28,7 @@ SPEC.loader.exec_module(CONTROLLER)
 @pytest.fixture
 def line(tmp_path):
     """The server, its address, and the file of its stamps."""
-    rig = lay_out(tmp_path / "demo", 1, lambda *_: None)
+    rig = SCENE.lay_out(tmp_path / "demo", 1, lambda *_: None)
     (tmp_path / "recipes").mkdir()
     for name in ("recipe.toml", "reference.x3p"):
         shutil.copy(rig / name, tmp_path / "recipes")

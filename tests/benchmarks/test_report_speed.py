@@ -14,7 +14,7 @@ from anisoscope.base.progress import silent
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import Methods, inspect_part
-from anisoscope.operations.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import SCENE
 from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder
@@ -40,7 +40,7 @@ def changed(path, change):
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
     """Folder of the demo with a larger sensor, and the folder of the frames of its good part."""
-    folder = lay_out(tmp_path_factory.mktemp("demo"), 1, silent)
+    folder = SCENE.lay_out(tmp_path_factory.mktemp("demo"), 1, silent)
     for name in ("good", "white-tile"):
         place = folder / "bench" / name
         changed(place / "bench.toml", lambda t: t.update(sensor=SENSOR, optics={"pixel_um": PIXEL_UM}))

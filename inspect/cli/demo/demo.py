@@ -2,7 +2,7 @@
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -16,6 +16,7 @@ from anisoscope.cli.tables import console, print_table
 if TYPE_CHECKING:
     from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import Inspected
+    from anisoscope.operations.demo.folder import Scene
 
 
 Kind = Literal["ridges", "wafers", "prints", "plates", "wafer", "print", "plate"]
@@ -28,18 +29,6 @@ SCENES: dict[Kind, str] = {
     "print": "prints",
     "plate": "plates",
 }
-
-
-class _Scene(Protocol):
-    """What a module of a kind of demo offers: the parts with the verdicts that they should get, and their files."""
-
-    PARTS: dict[str, str]
-    MEGABYTES: int
-
-    @staticmethod
-    def lay_out(out: Path, seed: int, advance: Advance) -> Path:
-        """Write recipe, rig files and calibrations below a folder, and return it; the parts are in ``bench/NAME``."""
-        ...
 
 
 def demo(
@@ -70,11 +59,11 @@ def demo(
     from anisoscope.inspection.reports import Reports
     from anisoscope.operations.remembering import remember
 
-    scene = cast("_Scene", import_module(f"anisoscope.operations.demo.{SCENES[kind]}"))
+    scene: Scene = import_module(f"anisoscope.operations.demo.{SCENES[kind]}").SCENE
     if not json_:
         console().print(
-            f"{len(scene.PARTS)} parts on the virtual rig: flat field, photographs, verdicts, reports; about "
-            f"{scene.MEGABYTES} MB in {out}. The first run renders the scenes and may take two minutes, later ones "
+            f"{len(scene.parts)} parts on the virtual rig: flat field, photographs, verdicts, reports; about "
+            f"{scene.megabytes} MB in {out}. The first run renders the scenes and may take two minutes, later ones "
             "take less than half a minute.",
             highlight=False,
         )
@@ -82,7 +71,7 @@ def demo(
         folder = scene.lay_out(out, seed, advance)
         found = [
             (name, expected, _inspect(folder, name, advance, reports))
-            for name, expected in scene.PARTS.items()
+            for name, expected in scene.parts.items()
         ]
     for _, _, inspected in found:
         remember(inspected, folder / "inspections" / HISTORY_NAME)

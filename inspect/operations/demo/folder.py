@@ -1,6 +1,7 @@
 """Common files of the demos of all kinds: the folder, one bench and one rig file a part, and the flat of a tile."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.base.progress import Advance
+from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.pictures import take_flat
 
 FIXTURE = {
@@ -26,21 +27,54 @@ FLAT, FLAT_FRAMES = "flat.tif", 16
 PORT, BENCH = "sim://elliptec?bench=${here}/bench.toml", {"bench": "${here}/bench.toml"}
 
 
-def begin(out: Path, seed: int) -> tuple[Path, np.random.Generator]:
-    """Absolute folder of a demo, created if missing, and its random generator.
+Files = tuple[dict[str, Any], dict[str, Any]]
+"""Tables of a bench file and of a rig file."""
 
-    Raises:
-        UsageError: a negative seed.
-        RecordError: the folder cannot be made.
+
+@dataclass(frozen=True)
+class Scene:
+    """Parts of a demo and their files.
+
+    Attributes:
+        parts: name -> verdict that it should get.
+        megabytes: size of the folder of one demo.
+        recipe: writes what the recipe names into a folder, and returns the recipe.
+        files: tables of bench and rig by the name of a part, or of `TILE`; called for the parts in turn.
+        flat_exposure_s: of the white tile.
     """
-    if seed < 0:
-        raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
-    folder = out.resolve()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"cannot make the folder {out}: {error.strerror}") from error
-    return folder, np.random.default_rng(seed)
+
+    parts: Mapping[str, str]
+    megabytes: int
+    recipe: Callable[[Path, np.random.Generator, Advance], dict[str, Any]]
+    files: Callable[[str, np.random.Generator], Files]
+    flat_exposure_s: float
+
+    def lay_out(self, out: Path, seed: int, advance: Advance = silent) -> Path:
+        """Write all files of the demo below ``out`` and take the flat on the virtual rig.
+
+        Args:
+            out: folder, made if it is missing; the parts are in ``bench/NAME`` below it.
+            seed: seed of everything random.
+            advance: progress.
+
+        Returns:
+            The folder, absolute.
+
+        Raises:
+            UsageError: a negative seed.
+            RecordError: the folder cannot be made.
+        """
+        if seed < 0:
+            raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
+        folder, rng = out.resolve(), np.random.default_rng(seed)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordError(f"cannot make the folder {out}: {error.strerror}") from error
+        recipe = self.recipe(folder, rng, advance)
+        (folder / "recipe.toml").write_text(tomli_w.dumps(recipe), encoding="utf-8")
+        write_benches(folder, self.parts, lambda name: self.files(name, rng), self.flat_exposure_s, advance)
+        return folder
 
 
 def write_bench(folder: Path, name: str, bench: dict[str, Any], rig: dict[str, Any]) -> None:
@@ -59,7 +93,7 @@ def tile_sample() -> dict[str, Any]:
 def write_benches(
     folder: Path,
     parts: Iterable[str],
-    files: Callable[[str], tuple[dict[str, Any], dict[str, Any]]],
+    files: Callable[[str], Files],
     exposure_s: float,
     advance: Advance,
 ) -> None:

@@ -14,7 +14,8 @@ from anisoscope.base.progress import Advance
 from anisoscope.operations.demo.folder import (
     FIXTURE,
     TILE,
-    begin,
+    Files,
+    Scene,
     flat_of,
     rig_table,
     tile_sample,
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
     from anisoscope.report.inspection_page import Pictures, Sections
 
 PARTS = {"good": "PASS", "dead-fields": "FAIL", "worn": "FAIL"}
-MEGABYTES = 150
-"""Size of the folder of one demo."""
-
 TEXT = "A17"
 PITCH_UM, RIDGE_ANGLE_DEG = 50.0, 10.0
 MODULE_MM = 0.2
@@ -46,33 +44,6 @@ EXPOSURE_S = 0.006
 READ_AT_DEG = [0.0, 90.0]
 ANGLES_DEG = [*READ_AT_DEG, 180.0]
 """At 180° worn and filled ridges shine, which face away otherwise."""
-
-
-def lay_out(out: Path, seed: int, advance: Advance) -> Path:
-    """Write all files of the demo below ``out`` and take the flat on the virtual rig.
-
-    Args:
-        out: folder, made if it is missing.
-        seed: seed of everything random.
-        advance: progress.
-
-    Returns:
-        The folder, absolute.
-
-    Raises:
-        UsageError: a negative seed.
-        RecordError: the folder cannot be made.
-    """
-    folder, rng = begin(out, seed)
-    rows = plan_rows()
-    (folder / "plan.csv").write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
-    (folder / "recipe.toml").write_text(tomli_w.dumps(recipe()), encoding="utf-8")
-
-    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        return bench(sample(name, rows, rng), int(rng.integers(2**31))), rig(name)
-
-    write_benches(folder, PARTS, files, EXPOSURE_S, advance)
-    return folder
 
 
 def plan_rows() -> tuple[str, ...]:
@@ -158,6 +129,19 @@ def rig(name: str) -> dict[str, Any]:
     return rig_table("virtual rig", {"pixel_um": 5.0}, {"angle_deg": 10.0}, flat=flat_of(name))
 
 
+def _recipe(folder: Path, _rng: np.random.Generator, _advance: Advance) -> dict[str, Any]:
+    plan = "\n".join(",".join(row) for row in plan_rows()) + "\n"
+    (folder / "plan.csv").write_text(plan, encoding="utf-8")
+    return recipe()
+
+
+def _files(name: str, rng: np.random.Generator) -> Files:
+    return bench(sample(name, plan_rows(), rng), int(rng.integers(2**31))), rig(name)
+
+
+SCENE = Scene(PARTS, 150, _recipe, _files, EXPOSURE_S)
+
+
 MOST_TRIAL_MM, TRIAL_PIXELS, TRIAL_STATES = 8.0, 10, 2
 """Largest plate of a trial, pixels of the camera along a field, and states of the ridges of a class."""
 
@@ -241,7 +225,7 @@ def photograph(
     }
     pixels = int(np.ceil(4000.0 * scale / pixel_um))
 
-    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    def files(name: str) -> Files:
         changed_bench = bench(tile_sample() if name == TILE else table, 1) | {
             "sensor": {"rows": pixels, "cols": pixels},
             "optics": {"pixel_um": pixel_um, "blur_um": 0.8 * pixel_um},

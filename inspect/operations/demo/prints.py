@@ -1,26 +1,12 @@
 """The files of the demo with prints: recipe, one bench and rig file a part, and a flat of a colour camera."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
-from anisoscope.base.progress import Advance
-from anisoscope.operations.demo.folder import (
-    FIXTURE,
-    TILE,
-    begin,
-    flat_of,
-    rig_table,
-    tile_sample,
-    write_benches,
-)
+from anisoscope.operations.demo.folder import FIXTURE, TILE, Files, Scene, flat_of, rig_table, tile_sample
 
 PARTS = {"good": "PASS", "brushed": "FAIL", "wrong-ink": "FAIL", "spot": "FAIL"}
-MEGABYTES = 300
-"""Size of the folder of one demo."""
-
 INK = "synthetic-green"
 LAMP = "led-white"
 EXPOSURE_S, FLAT_EXPOSURE_S = 0.008, 0.012
@@ -32,32 +18,6 @@ DEFECTS: dict[str, dict[str, Any]] = {
     "wrong-ink": {"wrong_ink": "synthetic-red", "wrong_share": 0.05},
     "spot": {"spots": [{"x_mm": 0.3, "y_mm": -0.4, "diameter_mm": 0.4, "missing_share": 0.6}]},
 }
-
-
-def lay_out(out: Path, seed: int, advance: Advance) -> Path:
-    """Write all files of the demo below ``out`` and take the flat on the virtual rig.
-
-    Args:
-        out: folder, made if it is missing.
-        seed: seed of everything random.
-        advance: progress.
-
-    Returns:
-        The folder, absolute.
-
-    Raises:
-        UsageError: a negative seed.
-        RecordError: the folder cannot be made.
-    """
-    folder, rng = begin(out, seed)
-    (folder / "recipe.toml").write_text(tomli_w.dumps(recipe_of(INK)), encoding="utf-8")
-
-    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        sample = tile_sample() if name == TILE else sample_of(DEFECTS[name], rng)
-        return bench_of(sample, int(rng.integers(2**31))), rig_of(flat_of(name))
-
-    write_benches(folder, PARTS, files, FLAT_EXPOSURE_S, advance)
-    return folder
 
 
 def recipe_of(ink: str) -> dict[str, Any]:
@@ -111,3 +71,11 @@ def rig_of(flat: str | None) -> dict[str, Any]:
     return rig_table(
         "virtual colour rig", camera, {"angle_deg": 10.0, "spectrum": LAMP}, tilts=True, flat=flat
     )
+
+
+def _files(name: str, rng: np.random.Generator) -> Files:
+    sample = tile_sample() if name == TILE else sample_of(DEFECTS[name], rng)
+    return bench_of(sample, int(rng.integers(2**31))), rig_of(flat_of(name))
+
+
+SCENE = Scene(PARTS, 300, lambda *_: recipe_of(INK), _files, FLAT_EXPOSURE_S)

@@ -4,26 +4,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from anisoscope.base.progress import Advance
-from anisoscope.operations.demo.folder import (
-    FIXTURE,
-    TILE,
-    begin,
-    flat_of,
-    rig_table,
-    tile_sample,
-    write_benches,
-)
+from anisoscope.operations.demo.folder import FIXTURE, TILE, Files, Scene, flat_of, rig_table, tile_sample
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 PARTS = {"good": "PASS", "burrs": "FAIL", "angle": "FAIL"}
-MEGABYTES = 90
-"""Size of the folder of one demo."""
-
 PITCH_UM = 100.0
 RIDGE_ANGLE_DEG = 10.0
 LOBE = {"alpha_along": 0.055, "alpha_across": 0.095, "albedo": 0.2, "index": 1.5}
@@ -31,33 +19,6 @@ TAIL = 0.5  # of Student's distribution with γ = 3, which the bench's path trac
 U_TAIL = 0.0  # as of a plastic whose lobe is calibrated: both give the same numbers
 RESOLVED_ALPHA = 0.03
 EXPOSURE_S = 0.006
-
-
-def lay_out(out: Path, seed: int, advance: Advance) -> Path:
-    """Write all files of the demo below ``out`` and take the flat on the virtual rig.
-
-    Args:
-        out: folder, made if it is missing.
-        seed: seed of everything random.
-        advance: progress.
-
-    Returns:
-        The folder, absolute.
-
-    Raises:
-        UsageError: a negative seed.
-        RecordError: the folder cannot be made.
-    """
-    folder, rng = begin(out, seed)
-    advance("reference height map", 0, 1)
-    _write_reference(folder / "reference.x3p", rng)
-    (folder / "recipe.toml").write_text(tomli_w.dumps(_recipe()), encoding="utf-8")
-
-    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        return _bench(_sample(name, rng), int(rng.integers(2**31))), _rig(name)
-
-    write_benches(folder, PARTS, files, EXPOSURE_S, advance)
-    return folder
 
 
 def _write_reference(path: Path, rng: np.random.Generator) -> None:
@@ -73,7 +34,9 @@ def _write_reference(path: Path, rng: np.random.Generator) -> None:
     write_height_map(surface.with_height(height), path)
 
 
-def _recipe() -> dict[str, Any]:
+def _recipe(folder: Path, rng: np.random.Generator, advance: Advance) -> dict[str, Any]:
+    advance("reference height map", 0, 1)
+    _write_reference(folder / "reference.x3p", rng)
     return {
         "schema": 1,
         "kind": "ridges",
@@ -121,9 +84,10 @@ def _sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _bench(sample: dict[str, Any], seed: int) -> dict[str, Any]:
-    return {"schema": 1, "seed": seed, "sample": sample, "fixture": FIXTURE}
+def _files(name: str, rng: np.random.Generator) -> Files:
+    sample = _sample(name, rng)
+    bench = {"schema": 1, "seed": int(rng.integers(2**31)), "sample": sample, "fixture": FIXTURE}
+    return bench, rig_table("virtual rig", {"pixel_um": 4.0}, {"angle_deg": 10.0}, flat=flat_of(name))
 
 
-def _rig(name: str) -> dict[str, Any]:
-    return rig_table("virtual rig", {"pixel_um": 4.0}, {"angle_deg": 10.0}, flat=flat_of(name))
+SCENE = Scene(PARTS, 90, _recipe, _files, EXPOSURE_S)

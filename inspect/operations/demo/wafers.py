@@ -9,27 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tomli_w
 
 from anisoscope.base.progress import Advance
-from anisoscope.operations.demo.folder import (
-    FIXTURE,
-    TILE,
-    begin,
-    flat_of,
-    rig_table,
-    tile_sample,
-    write_benches,
-)
+from anisoscope.operations.demo.folder import FIXTURE, TILE, Files, Scene, flat_of, rig_table, tile_sample
 from anisoscope.profiles.files.load import write_height_map
 
 if TYPE_CHECKING:
     from anisoscope.sim.design.designfile import DesignFile
 
 PARTS = {"good": "PASS", "over-etched": "FAIL", "wide": "FAIL"}
-MEGABYTES = 350
-"""Size of the folder of one demo."""
-
 WAVELENGTH_NM = 520.0
 COHERENCE_UM = 40.0
 SIGMA = (0.04, 0.02)
@@ -52,33 +40,6 @@ EXPOSURE_S = 2.5e-5  # grains in the spike of wrong etching shine five to ten ti
 REFLECTANCE, SCATTER = 0.9, 0.001
 SEATING_DEG, TILT_ZERO_DEG = 0.05, 0.02
 ETCH_DEPTH_NM, ETCH_WIDTH_NM = 1.0, 20.0
-
-
-def lay_out(out: Path, seed: int, advance: Advance) -> Path:
-    """Write all files of the demo below ``out`` and take the flat on the virtual rig.
-
-    Args:
-        out: folder, made if it is missing.
-        seed: seed of everything random, the tile among it.
-        advance: progress.
-
-    Returns:
-        The folder, absolute.
-
-    Raises:
-        UsageError: a negative seed.
-        RecordError: the folder cannot be made.
-    """
-    folder, rng = begin(out, seed)
-    advance("wafer design", 0, 1)
-    write_tile(folder, rng)
-    (folder / "recipe.toml").write_text(tomli_w.dumps(recipe()), encoding="utf-8")
-
-    def files(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        return bench(sample(name, rng), int(rng.integers(2**31))), rig(name)
-
-    write_benches(folder, PARTS, files, FLAT_EXPOSURE_S, advance)
-    return folder
 
 
 def design() -> "DesignFile":
@@ -206,3 +167,16 @@ def rig(name: str) -> dict[str, Any]:
     return rig_table(
         "virtual rig, lamp along the camera's axis", camera, light, tilts=True, flat=flat_of(name)
     )
+
+
+def _recipe(folder: Path, rng: np.random.Generator, advance: Advance) -> dict[str, Any]:
+    advance("wafer design", 0, 1)
+    write_tile(folder, rng)
+    return recipe()
+
+
+def _files(name: str, rng: np.random.Generator) -> Files:
+    return bench(sample(name, rng), int(rng.integers(2**31))), rig(name)
+
+
+SCENE = Scene(PARTS, 350, _recipe, _files, FLAT_EXPOSURE_S)

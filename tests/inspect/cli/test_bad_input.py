@@ -9,7 +9,7 @@ from cyclopts import App
 
 from anisoscope import cli
 from anisoscope.base.progress import silent
-from anisoscope.operations.demo.ridges import lay_out
+from anisoscope.operations.demo.ridges import SCENE
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -17,7 +17,7 @@ from anisoscope.profiles.heightmap import HeightMap
 @pytest.fixture(scope="module")
 def laid_out(made_once):
     """The demo's files before anything is inspected, laid out by one worker for all of them."""
-    return made_once("demo before it is inspected", lambda folder: lay_out(folder, 5, silent))
+    return made_once("demo before it is inspected", lambda folder: SCENE.lay_out(folder, 5, silent))
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from anisoscope.base.progress import silent
 from anisoscope.cli.demo.demo import SCENES, Kind
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
-from anisoscope.operations.demo.ridges import PARTS, lay_out
+from anisoscope.operations.demo.ridges import PARTS, SCENE
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def verdicts_of(plain, tmp_path):
     """``verdicts_of(seed)`` runs the job of the demo without its pages: pages do not change verdicts."""
 
     def run(seed):
-        folder = lay_out(tmp_path / str(seed), seed, silent)
+        folder = SCENE.lay_out(tmp_path / str(seed), seed, silent)
         rigs = [folder / "bench" / name / "rig.toml" for name in PARTS]
         found = [
             inspect_part(folder / "recipe.toml", rig, "P", folder / "out", methods=plain) for rig in rigs
@@ -65,7 +65,7 @@ def test_an_inspection_adds_20_mb(demo):
 
 @pytest.mark.soak
 def test_with_jpeg_xl_an_inspection_adds_14_mb(tmp_path):
-    folder = lay_out(tmp_path, 5, silent)
+    folder = SCENE.lay_out(tmp_path, 5, silent)
     for name in PARTS:
         path = folder / "bench" / name / "rig.toml"
         table = tomllib.loads(path.read_text())

@@ -7,14 +7,14 @@ import pytest
 from anisoscope.base.progress import silent
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
-from anisoscope.operations.demo.plates import lay_out
+from anisoscope.operations.demo.plates import SCENE
 
 DEAD = {(3, 4): "missing", (6, 8): "missing", (9, 2): "missing"}
 
 
 def test_a_plate_with_dead_fields_fails_and_is_computed_again(tmp_path):
     """One of the three plates of the demo, from fewer pictures."""
-    folder = lay_out(tmp_path, 1, silent)
+    folder = SCENE.lay_out(tmp_path, 1, silent)
     recipe = folder / "recipe.toml"
     frames = "frames_per_pose = {}\ndark_frames = {}"
     assert frames.format(4, 8) in recipe.read_text()

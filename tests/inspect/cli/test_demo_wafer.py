@@ -7,9 +7,9 @@ import pytest
 import tomli_w
 
 from anisoscope.base.errors import RecipeError, UsageError
-from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.bench.benchfile import read_bench
 
@@ -94,7 +94,7 @@ def test_a_recipe_that_makes_no_sense_for_a_wafer_is_refused(folder, tmp_path, c
 
 def test_a_negative_seed_is_refused(tmp_path):
     with pytest.raises(UsageError, match="--seed"):
-        demo_wafer.lay_out(tmp_path, -1, lambda *_: None)
+        demo_wafer.SCENE.lay_out(tmp_path, -1, lambda *_: None)
 
 
 @pytest.mark.soak

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.progress import silent
-from anisoscope.cli.demo import plates as demo
 from anisoscope.inspection.run import inspect_part
+from anisoscope.operations.demo import plates as demo
 from anisoscope.operations.demo.folder import write_bench
 from anisoscope.profiles.plates import Plan
 
@@ -18,7 +18,7 @@ PLATES = 40
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return demo.lay_out(tmp_path_factory.mktemp("plates"), 1, silent)
+    return demo.SCENE.lay_out(tmp_path_factory.mktemp("plates"), 1, silent)
 
 
 def test_forty_plates_get_their_verdicts(folder):

@@ -11,7 +11,6 @@ import tomli_w
 from anisoscope.base.errors import HeightMapError, MeasurementError, RecipeError
 from anisoscope.base.progress import silent
 from anisoscope.base.significance import joint_conformance
-from anisoscope.cli.demo import plates as demo
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Grid, Placement, View
 from anisoscope.kinds.plates.causes import explain_plate, plate_signatures
@@ -31,6 +30,7 @@ from anisoscope.kinds.plates.measurement import (
 from anisoscope.kinds.plates.record import PlateContrastRecord, PlateDetails
 from anisoscope.kinds.plates.reference_plates import GoldenPlate, GoldenPlates, reference_table
 from anisoscope.kinds.registry import kind_of
+from anisoscope.operations.demo import plates as demo
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.plates import Plan, plate_map

@@ -8,7 +8,6 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo import prints as demo_print
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import expect_print
@@ -17,6 +16,7 @@ from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrint, GoldenPrints, ViewingConditions
 from anisoscope.kinds.prints.sources import of_each
+from anisoscope.operations.demo import prints as demo_print
 from anisoscope.record.schema import read_record
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities

@@ -7,12 +7,12 @@ import pytest
 import tomli_w
 
 from anisoscope.base.cache import VARIABLE
-from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.kinds.wafers.causes import WAFER_CAUSES, wafer_causes, wafer_signatures
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.prediction.expectation import expectation
 from anisoscope.recipe.surface import read_surface_recipe
 

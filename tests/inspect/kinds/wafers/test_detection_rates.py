@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.decision.consistency import from_prediction
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.recipe.surface import read_surface_recipe

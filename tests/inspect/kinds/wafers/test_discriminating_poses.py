@@ -8,7 +8,6 @@ import tomli_w
 
 from anisoscope.base.cache import VARIABLE
 from anisoscope.base.progress import silent
-from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis import discriminating_poses as advice
 from anisoscope.diagnosis.cause_model import Option
 from anisoscope.diagnosis.discriminating_poses import advice_for, cached_options
@@ -23,6 +22,7 @@ from anisoscope.kinds.wafers.causes import (
 )
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.prediction.expectation import expectation
 from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.record.schema import CauseRecord

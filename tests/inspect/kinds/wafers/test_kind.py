@@ -10,13 +10,13 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.report_seal import SEAL_NAME
 from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.kind import OPTICS
+from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
 from anisoscope.report.inspection_page import REPORT_NAME

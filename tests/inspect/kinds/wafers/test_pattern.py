@@ -5,8 +5,8 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.inspection.run import inspect_part
+from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.sim.design.designfile import write_layout
 from anisoscope.sim.design.pattern import PatternOptions, make_layout

@@ -18,11 +18,11 @@ import pytest
 import tomli_w
 from scipy.stats import binomtest
 
-from anisoscope.cli.demo import wafers as demo
 from anisoscope.decision.decision import decide
 from anisoscope.decision.reference_parts import GoldenPart
 from anisoscope.kinds.wafers.kind import OPTICS, WaferSet
 from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.operations.demo import wafers as demo
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.recipe.surface import read_surface_recipe
 
