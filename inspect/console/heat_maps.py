@@ -78,6 +78,7 @@ def heat_maps(rows: Sequence[Row]) -> tuple[list[HeatMap], list[str]]:
 def _deviations(row: Row) -> "tuple[CellMap, float] | str":
     """Map of the cells of an inspection and their side in mm, or where it is."""
     from anisoscope.inspection.kept_measurement import read_kept  # noqa: PLC0415 - start-up time, as below
+    from anisoscope.kinds.parts import Redeciding  # noqa: PLC0415
     from anisoscope.kinds.registry import kind_named  # noqa: PLC0415
 
     folder = Path(row.folder)
@@ -89,7 +90,10 @@ def _deviations(row: Row) -> "tuple[CellMap, float] | str":
         )
     record = record_of(row)
     kept = read_kept(folder, record)
-    found = None if kept is None else kind_named(record.kind).deviations(kept, record.recipe)
+    kind = kind_named(record.kind)
+    found = None
+    if kept is not None and isinstance(kind, Redeciding):
+        found = kind.deviations(kept, record.recipe)
     return (
         message("without a map: INVALID, of a kind without one, or of an earlier version")
         if found is None

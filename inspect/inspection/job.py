@@ -13,7 +13,8 @@ from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.imaging.views import Viewing
-from anisoscope.kinds.kind import AnyKind, Reference
+from anisoscope.kinds.kind import AnyKind
+from anisoscope.kinds.parts import Reference, reference_on
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.logo import LOGO
@@ -158,7 +159,7 @@ def prepare(
         *sources_of_calibrations(calibrations),
     )
     reference, white = (
-        kind.reference_on(recipe_path, recipe, rig, white.camera),
+        reference_on(kind, recipe_path, recipe, rig, white.camera),
         calibrations.white(white),
     )
     return Job(serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)

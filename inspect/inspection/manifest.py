@@ -18,6 +18,7 @@ from anisoscope.calibration.white_reference import read_reference
 from anisoscope.inspection.folder import INPUTS, JOB
 from anisoscope.inspection.job import Job, Role, Source, fixture_of
 from anisoscope.inspection.objects import LARGE, store
+from anisoscope.kinds.parts import References
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.logo import LOGO, with_logo
 from anisoscope.record.schema import InputFile, Particulars, sha256_of
@@ -202,7 +203,9 @@ def reopen(folder: Path, channel: str | None = None) -> tuple[Manifest, Job]:
     white = read_reference(paths["white reference"])
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in manifest.inputs)
     known = paths.get("golden parts")
-    reference = None if known is None else kind.read_reference(known, recipe)
+    reference = None
+    if known is not None and isinstance(kind, References):
+        reference = kind.read_reference(known, recipe)
     followed = manifest.plan is not None and rig.x is not None and rig.y is not None
     calibrations = replace(calibrations_of(paths), followed=followed)
     white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])

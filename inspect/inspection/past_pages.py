@@ -18,6 +18,7 @@ from anisoscope.history.dispositions import Disposition
 from anisoscope.history.rows import Row
 from anisoscope.inspection.report_seal import report_state
 from anisoscope.inspection.run import report_again
+from anisoscope.kinds.parts import reporting
 from anisoscope.kinds.registry import kind_named
 from anisoscope.record.schema import ConclusionRecord, FrameRecord, Record
 from anisoscope.report.figures import photograph
@@ -164,7 +165,7 @@ def inspection_page(path: Path, row: Row, *, refresh: bool, advance: Advance = s
 
 def _concluded(record: Record) -> Record:
     """The record with a conclusion; one of an earlier version gets it from its kind."""
-    conclusion = record.conclusion or kind_named(record.kind).conclude(record)
+    conclusion = record.conclusion or reporting(kind_named(record.kind)).conclude(record)
     return record.model_copy(update={"conclusion": conclusion})
 
 

@@ -15,7 +15,8 @@ from anisoscope.imaging.views import as_photographed, resuming_error, views_of
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.kept_measurement import CHANGE, Kept
 from anisoscope.inspection.manifest import Manifest
-from anisoscope.kinds.kind import AnyKind, Expected, Explanation, Reference, Results, Sitting
+from anisoscope.kinds.kind import AnyKind, Expected, Explanation, Results, Sitting
+from anisoscope.kinds.parts import Redeciding, Reference, reporting
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import CalibrationUse, FrameRecord, InputFile, PoseRecord, Record
 from anisoscope.record.verdict import Verdict
@@ -117,9 +118,11 @@ def judge(
         explanation=explanation,
         drift=measured.drift,
     )
-    kept = kind.kept(job.calibrations.applied_to(recipe), measured)
-    kept = None if kept is None else {**kept, CHANGE: change}
-    return record, lambda: kind.pictures(recipe, expected, measured, decided), kept
+    kept = None
+    if isinstance(kind, Redeciding):
+        numbers = kind.kept(job.calibrations.applied_to(recipe), measured)
+        kept = None if numbers is None else {**numbers, CHANGE: change}
+    return record, lambda: reporting(kind).pictures(recipe, expected, measured, decided), kept
 
 
 def measure_frames(
@@ -207,7 +210,7 @@ def make_record(
         inputs=tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in manifest.inputs),
         frames=tuple(_frame_record(shot) for shot in frames.shots),
     )
-    return record.model_copy(update={"conclusion": job.kind.conclude(record)})
+    return record.model_copy(update={"conclusion": reporting(job.kind).conclude(record)})
 
 
 def pose_records(

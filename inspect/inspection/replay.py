@@ -29,7 +29,8 @@ from anisoscope.inspection.manifest import begin
 from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.inspection.reports import Reports
 from anisoscope.inspection.run import Inspected, Methods, conclude, expecting, judged_by, reported
-from anisoscope.kinds.kind import AnyKind, Reference
+from anisoscope.kinds.kind import AnyKind
+from anisoscope.kinds.parts import Reference, reference_on
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase
@@ -167,7 +168,7 @@ def read_given(
     white_of_frames = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if white_of_frames is not None else _white_of_rig(rig, rig_path, replay)
     camera = camera_of(replay) or (None if white is None else white.camera)
-    reference = kind.reference_on(recipe_path, recipe, rig, camera)
+    reference = reference_on(kind, recipe_path, recipe, rig, camera)
     sources = (
         *sources_of(recipe_path, rig_path, kind, recipe, rig),
         Source("frame table", frames / TABLE, read.table_sha256),

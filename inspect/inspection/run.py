@@ -26,6 +26,7 @@ from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_k
 from anisoscope.inspection.report_seal import report_state, write_report_sealed
 from anisoscope.inspection.reports import PendingReport, Reports, gets_report
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation
+from anisoscope.kinds.parts import reporting
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.logo import logo_uri
 from anisoscope.record.display import record_html, record_line
@@ -62,7 +63,7 @@ def diagnose_cached(case: Case, advance: Advance) -> Explanation:
 
 def sections_by_kind(kind: AnyKind, record: Record, pictures: Pictures) -> Sections:
     """The sections that the kind of part adds to the report."""
-    return kind.sections(record, pictures)
+    return reporting(kind).sections(record, pictures)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from anisoscope.inspection.frame_table import Replay
 from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.replay import inspect_frames, read_given
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
-from anisoscope.kinds.kind import AnyKind, Reference
+from anisoscope.kinds.kind import AnyKind
+from anisoscope.kinds.parts import Reference, Teaching
 from anisoscope.kinds.registry import kind_of, read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -359,7 +360,11 @@ def _taught(
         raise MeasurementError(
             f"the part cannot teach the recipe, which stays as it is: {'; '.join(record.reasons)} ({inspected.folder})"
         )
-    limits = part.kind.taught_limits(record, recipe, part.reference, part.rig)
+    limits = (
+        part.kind.taught_limits(record, recipe, part.reference, part.rig)
+        if isinstance(part.kind, Teaching)
+        else {}
+    )
     why = {
         "exposure_s": f"the brightest pose reaches {probe.level:.0%} of full scale",
         "brackets": "the exposures of the frames",

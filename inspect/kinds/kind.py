@@ -1,8 +1,8 @@
-"""Interface of a kind of part: recipe, prediction, measurement, decision, diagnosis and report.
+"""Interface of a kind of part: recipe, prediction, measurement and decision.
 
-The one pipeline of inspections, the records, the report and the command line ask a kind through this class alone. A
-kind of a third party subclasses it and registers an instance under the entry point group ``anisoscope.kinds``; see
-docs/own-kind.md.
+The one pipeline of inspections, the records, the report and the command line ask a kind through this class and its
+optional parts (`anisoscope.kinds.parts`) alone. A kind of a third party subclasses them and registers an instance under
+the entry point group ``anisoscope.kinds``; see docs/own-kind.md.
 """
 
 from abc import ABC, abstractmethod
@@ -11,37 +11,28 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar
-
-import numpy as np
+from typing import Any, Generic, Protocol, TypeVar
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.cause_words import CauseWords
-from anisoscope.base.errors import CalibrationError, RecipeError, UsageError
+from anisoscope.base.errors import CalibrationError, RecipeError
 from anisoscope.base.notation import present_notation
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import read_toml_model
 from anisoscope.calibration.corrections import Calibrations
-from anisoscope.decision.equipment import Equipment
-from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet, ReferenceSet, golden_path
-from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import drift_error
 from anisoscope.imaging.views import Guide, Views
-from anisoscope.kinds.command_output import CommandOutput, Table
+from anisoscope.kinds.parts import Checking, Reference, reference_on, reporting
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.logo import check_logo
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.poses import check_poses
-from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
-from anisoscope.record.schema import BudgetRecord, ConclusionRecord, DiagnosisRecord, Record
+from anisoscope.record.schema import BudgetRecord, DiagnosisRecord
 from anisoscope.record.verdict import Verdict
-from anisoscope.report.conclusion import OUTCOMES, concluded
-from anisoscope.report.inspection_page import Pictures, Sections
+from anisoscope.report.conclusion import OUTCOMES
 from anisoscope.rig.rigfile import RigFile, check_arm, read_replay_rig
 
 
@@ -97,31 +88,36 @@ class Decided(Protocol):
         ...
 
 
-class Reference(Protocol):
-    """A set of good parts."""
+@dataclass(frozen=True)
+class Prediction:
+    """An `Expected` with nothing besides.
 
-    @property
-    def parts(self) -> Sequence[Any]:
-        """One row a part."""
-        ...
+    Attributes:
+        poses: that were predicted.
+        convention: how the angles are counted.
+        model: the name of the reflectance model.
+        optics: rays or waves, and why; None where this was no question.
+        surface: the height map behind it, or None.
+    """
 
-    @property
-    def lacking(self) -> str | None:
-        """Why they cannot serve as a reference yet, or None if they can."""
-        ...
+    poses: tuple[Pose, ...]
+    convention: Convention
+    model: str
+    optics: dict[str, Any] | None = None
+    surface: HeightMap | None = None
 
-    @property
-    def noun(self) -> str:
-        """Word for one of them, such as "golden part"."""
-        ...
 
-    def without(self, serial: str) -> Self:
-        """The set without the rows of a serial number.
+@dataclass(frozen=True)
+class Judgement:
+    """A `Decided` with nothing besides.
 
-        Raises:
-            CalibrationError: there is none.
-        """
-        ...
+    Attributes:
+        verdict: of the part.
+        reasons: one line each, most important first.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
 
 
 WITHOUT_DEVICES = (
@@ -191,13 +187,8 @@ class Explanation:
     notes: tuple[str, ...] = ()
 
 
-def usable(reference: Reference | None) -> Reference | None:
-    """The reference set if it has enough good parts, or None."""
-    return reference if reference is not None and reference.lacking is None else None
-
-
 class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
-    """A kind of part. What has a default here need not be given.
+    """A kind of part. What has a default here need not be given; `anisoscope.kinds.parts` has what is optional.
 
     Attributes:
         name: its name, in recipes (``kind = "…"``) and records.
@@ -246,6 +237,18 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         del copies
         return self.read_recipe(path)
 
+    def sources(self, recipe: RecipeT, rig: RigFile) -> Mapping[str, Path]:
+        """Further files that the inspection starts from, by their role: they are copied and hashed."""
+        del recipe, rig
+        return {}
+
+    def from_copies(
+        self, recipe: RecipeT, rig: RigFile, copies: Mapping[str, Path]
+    ) -> tuple[RecipeT, RigFile]:
+        """Recipe and rig with the copies of their files in an inspection folder, by role."""
+        del copies
+        return recipe, rig
+
     def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
         """Check that recipe and rig fit each other; nothing moves.
 
@@ -264,18 +267,6 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
             CalibrationError: it has expired: the inspection is INVALID.
         """
         del recipe, at
-
-    def sources(self, recipe: RecipeT, rig: RigFile) -> Mapping[str, Path]:
-        """Further files that the inspection starts from, by their role: they are copied and hashed."""
-        del recipe, rig
-        return {}
-
-    def from_copies(
-        self, recipe: RecipeT, rig: RigFile, copies: Mapping[str, Path]
-    ) -> tuple[RecipeT, RigFile]:
-        """Recipe and rig with the copies of their files in an inspection folder, by role."""
-        del copies
-        return recipe, rig
 
     def check_filters(self, filters: str, camera: str, of_flat: str) -> None:
         """Check that the part can be measured through these colour filters.
@@ -329,46 +320,6 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
     ) -> Results:
         """Results of measurement and verdict for the record."""
 
-    def kept(self, recipe: RecipeT, measured: MeasuredT) -> Mapping[str, Any] | None:
-        """What a changed recipe needs to decide anew (`decide_again`): arrays, numbers and texts by name.
-
-        None, the default, where that takes the frames.
-        """
-        del recipe, measured
-        return None
-
-    def deviations(
-        self, kept: Mapping[str, Any], recorded: Mapping[str, Any]
-    ) -> tuple[CellMap, float] | None:
-        """The map of the cells of a part and the side of a cell in mm; None, the default, where there is none.
-
-        Args:
-            kept: from `kept`.
-            recorded: the recipe in the record.
-        """
-        del kept, recorded
-        return None
-
-    def needs_frames(self, recorded: Mapping[str, Any], recipe: RecipeT) -> str | None:
-        """Why a recipe takes the frames of an inspection that was recorded by another one; None: its numbers will do.
-
-        Args:
-            recorded: the recipe in the record.
-            recipe: the other one.
-        """
-        del recorded, recipe
-        return f"of {self.one} only the frames are kept"
-
-    def decide_again(
-        self, kept: Mapping[str, Any], recipe: RecipeT, expected: ExpectedT, reference: Reference | None
-    ) -> tuple[MeasuredT, DecidedT]:
-        """Measurement and verdict by another recipe, without the frames; arguments as of `decide`.
-
-        Raises:
-            MeasurementError: nothing can be judged: INVALID.
-        """
-        raise NotImplementedError
-
     def without_results(self) -> Details | None:
         """The details of an inspection that could not be judged."""
         return None
@@ -416,130 +367,6 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         if record.get("diagnosis"):
             record["diagnosis"]["says"] = present_notation(record["diagnosis"]["says"])
 
-    # ---- good parts -------------------------------------------------------------------------------------------
-
-    reference_set: type[AnyReferenceSet] | None = None
-    """The set of its good parts: `anisoscope.decision.reference_parts.RadianceSet`, or one of its own; None: they are
-    not collected."""
-
-    def _set_of(self, recipe: RecipeT) -> type[AnyReferenceSet]:
-        if self.reference_set is None:
-            raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
-        return self.reference_set
-
-    def read_reference(self, path: Path, recipe: RecipeT, rig: RigFile | None = None) -> Reference | None:
-        """The good parts in a file, or None where there is none.
-
-        Raises:
-            CalibrationError: the file is damaged, or belongs to another recipe or rig.
-        """
-        del rig
-        return None if self.reference_set is None else self.reference_set.read(path, recipe)
-
-    def reference_on(
-        self, recipe_path: Path, recipe: RecipeT, rig: RigFile, camera: str | None = None
-    ) -> Reference | None:
-        """The good parts of a recipe, measured with camera, lens and lamp of a rig; None where there are none.
-
-        Args:
-            recipe_path: the recipe's file.
-            recipe: its content.
-            rig: the rig.
-            camera: name or serial number of its camera, where that is known.
-
-        Raises:
-            CalibrationError: as for `read_reference`, or another camera, lens or lamp.
-        """
-        path = golden_path(recipe_path)
-        found = self.read_reference(path, recipe, rig)
-        if isinstance(found, ReferenceSet):
-            found.check_equipment(path, Equipment.of_rig(rig, camera))
-        return found
-
-    def add_reference(self, known: Any, recipe: RecipeT, record: Record) -> Reference:  # noqa: ANN401
-        """A set with one good part more.
-
-        Raises:
-            CalibrationError: the inspection cannot teach this set.
-            UsageError: good parts are not collected of this kind.
-        """
-        return self._set_of(recipe).with_inspection(known, recipe, record)
-
-    def show_reference(
-        self,
-        known: Any,  # noqa: ANN401
-        recipe: RecipeT,
-        light_angle_deg: float = 10.0,
-    ) -> CommandOutput:
-        """The good parts for ``anisoscope golden show``: by default those of a `RadianceSet`.
-
-        Args:
-            known: the set.
-            recipe: the recipe.
-            light_angle_deg: the rig's angle between light and camera.
-        """
-        del light_angle_deg
-        self._set_of(recipe)
-        return radiance_table(known, recipe)
-
-    def tolerances(self, recipe: RecipeT) -> dict[str, float]:
-        """Tolerances of the recipe by the labels of `Details.numbers`, for capability and control charts.
-
-        Raises:
-            UsageError: the recipe gives none.
-        """
-        raise UsageError(f"the recipe of {recipe.product} gives no tolerances: give --lower and --upper")
-
-    # ---- what the commands of recipes ask ---------------------------------------------------------------------
-
-    def makes(self, requested: NewRecipe) -> bool:
-        """Whether the options are for a recipe of this kind; where no kind claims them, the fallback writes it."""
-        del requested
-        return False
-
-    def new_recipe(self, out: Path, requested: NewRecipe) -> str:
-        """Write a recipe with comments, valid as written.
-
-        Returns:
-            The tables that are to be adapted, in words.
-
-        Raises:
-            UsageError: the options contradict each other.
-        """
-        del out, requested
-        raise UsageError(f"there is no recipe of {self.one} to begin with")
-
-    def taught_limits(
-        self, record: Record, recipe: RecipeT, reference: Reference | None, rig: RigFile
-    ) -> dict[tuple[str, ...], tuple[Any, str]]:
-        """Limits that the inspection of a good part teaches, by their keys in the recipe, each with its reason.
-
-        Raises:
-            MeasurementError: it teaches none; the recipe stays as it is.
-        """
-        del record, recipe, reference, rig
-        return {}
-
-    def teach_by_reference(
-        self, recipe_path: Path, rig_path: Path, share: float, source: Path | None = None
-    ) -> Taught:
-        """Write a new version of a recipe with what good parts teach of it: limits, or how parts differ.
-
-        Args:
-            recipe_path: recipe file.
-            rig_path: rig file; no device is opened.
-            share: of good parts that should pass all limits, where limits are taught.
-            source: another recipe whose good parts teach; None: its own.
-
-        Raises:
-            UsageError: good parts do not teach this kind, or there are too few of them.
-        """
-        del rig_path, share, source
-        raise UsageError(
-            f"{recipe_path} is the recipe of {self.one}: good parts alone do not teach it, only beside "
-            "a part that is inspected, with --serial"
-        )
-
     def check_recipe(
         self,
         path: Path,
@@ -565,50 +392,18 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
             self.check_actions(recipe, path)
             check_logo(recipe, path)
             check_poses(recipe.poses, light_angle_deg, path)
-            return self.capability(recipe, None, light_angle_deg, tries, advance)
+            return self._capability(recipe, None, light_angle_deg, tries, advance)
         rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
         self.check(recipe, rig, path, rig_path)
         check_region(recipe, rig.fixture, path)
         try:
-            self.reference_on(path, recipe, rig)
+            reference_on(self, path, recipe, rig)
         except CalibrationError as error:  # nothing is judged here: no exit code of a verdict
             raise RecipeError(str(error)) from error
         if not rig.without_devices:
             check_arm(rig, [pose.tilt_deg for pose in recipe.poses.poses()])
-        found = self.capability(recipe, rig, rig.light.angle_deg, tries, advance)
+        found = self._capability(recipe, rig, rig.light.angle_deg, tries, advance)
         return replace(found, unchecked=WITHOUT_DEVICES) if rig.without_devices else found
-
-    def capability(
-        self,
-        recipe: RecipeT,
-        rig: RigFile | None,
-        light_angle_deg: float,
-        tries: Sequence[float],
-        advance: Advance,
-    ) -> RecipeCheck:
-        """Capability of a recipe: its poses, and the causes that it separates; arguments as of `check_recipe`."""
-        del rig, light_angle_deg, tries, advance
-        return RecipeCheck(product=recipe.product)
-
-    # ---- report and terminal ----------------------------------------------------------------------------------
-
-    @property
-    def cause_words(self) -> Mapping[str, CauseWords]:
-        """Its causes in plain words, each with what to do next; a recipe overrides the latter in ``[actions]``."""
-        return {}
-
-    def finding(self, record: Record) -> str:
-        """What was found by numbers alone: a sentence with the size of the largest deviation, no full stop."""
-        return record.reasons[0] if record.reasons else ""
-
-    def nominal(self, record: Record) -> Mapping[str, float]:
-        """What the extent of a cause is added to, by cause, such as the ridge angle of the design."""
-        del record
-        return {}
-
-    def conclude(self, record: Record) -> ConclusionRecord:
-        """The verdict in plain words."""
-        return concluded(record, self.cause_words, self.finding(record), self.nominal(record))
 
     def check_actions(self, recipe: RecipeBase, path: Path) -> None:
         """Check that ``[actions]`` of a recipe names causes and outcomes of this kind.
@@ -616,7 +411,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         Raises:
             RecipeError: it names something else.
         """
-        known = [*OUTCOMES, *self.cause_words]
+        known = [*OUTCOMES, *reporting(self).cause_words]
         for key in recipe.actions:
             if key not in known:
                 near = get_close_matches(key, known, 1)
@@ -625,57 +420,17 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
                     f"{path}: actions.{key}: no cause or outcome of {self.one} has this name; {hint}"
                 )
 
-    def pictures(
-        self, recipe: RecipeT, expected: ExpectedT, measured: MeasuredT, decided: DecidedT
-    ) -> Pictures:
-        """Pictures of the report that the record does not hold."""
-        del recipe, measured, decided
-        return Pictures(surface=expected.surface)
-
-    def sections(self, record: Record, pictures: Pictures) -> Sections:
-        """Its part of the report."""
-        del record, pictures
-        return Sections()
-
-    def summary(self, record: Record) -> CommandOutput:
-        """Its part of the output of ``anisoscope inspect``: further JSON keys, tables, and lines."""
-        return CommandOutput(
-            {"details": None if record.details is None else record.details.model_dump(mode="json")}
-        )
+    def _capability(
+        self,
+        recipe: RecipeT,
+        rig: RigFile | None,
+        light_angle_deg: float,
+        tries: Sequence[float],
+        advance: Advance,
+    ) -> RecipeCheck:
+        if not isinstance(self, Checking):
+            return RecipeCheck(product=recipe.product)
+        return self.capability(recipe, rig, light_angle_deg, tries, advance)
 
 
 AnyKind = Kind[Any, Any, Any, Any]
-
-
-def radiance_table(known: RadianceSet[Any], recipe: RecipeBase) -> CommandOutput:
-    """Reference parts that are compared by their radiances, and how much they vary."""
-    contrasts = known.contrasts()
-    scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
-    content: dict[str, Any] = {}
-    content["parts"] = [part.model_dump() for part in known.parts]
-    content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
-    content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
-    first, *others = known.poses
-    names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
-    rows = [
-        [part.serial, part.inspected_at, part.verdict, *(f"{value:+.4f}" for value in row)]
-        for part, row in zip(known.parts, contrasts, strict=True)
-    ]
-    rows.append(["mean", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
-    rows.append(["scatter", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)])
-    columns = ["part", "inspected", "verdict", *names]
-    lines: tuple[str, ...] = ()
-    if known.judges_area:
-        columns.insert(3, "area")
-        shares = [part.area_share for part in known.parts]
-        shown = ["–" if share is None else f"{share:.2%}" for share in shares]
-        for row, share in zip(rows, [*shown, "", ""], strict=True):
-            row.insert(3, share)
-        content |= known.area_content(recipe)
-        lines = (known.area_limit_text(recipe),)
-    table = Table(f"{known.noun}s: {known.product}", columns, rows, known.lacking)
-    return CommandOutput(content, (table,), lines)
-
-
-def _at(pose: tuple[float, float]) -> str:
-    return f"({pose[0]:g}°" + (f", tilt {pose[1]:g}°)" if pose[1] else ")")

@@ -1,8 +1,9 @@
 """Public names for a kind of part from another distribution: ``from anisoscope.kinds.plugin import Kind, …``.
 
-A kind subclasses `Kind` and is registered under the entry point group ``anisoscope.kinds`` (docs/own-kind.md). These
-names are as stable as those of `anisoscope.api`: what a kind subclasses, receives and returns, the bases of its recipe
-and record, the measuring steps of the kinds of this distribution, and the errors that make a part INVALID.
+A kind subclasses `Kind` and the optional parts that it has, and is registered under the entry point group
+``anisoscope.kinds`` (docs/own-kind.md). These names are as stable as those of `anisoscope.api`: what a kind subclasses,
+receives and returns, the bases of its recipe and record, the measuring steps of the kinds of this distribution, and the
+errors that make a part INVALID.
 """
 
 from anisoscope.base.cause_words import CauseWords
@@ -19,11 +20,22 @@ from anisoscope.kinds.kind import (
     Decided,
     Expected,
     Explanation,
+    Judgement,
     Kind,
     Measured,
-    Reference,
+    Prediction,
     Results,
     Sitting,
+)
+from anisoscope.kinds.parts import (
+    Beginning,
+    Checking,
+    Redeciding,
+    Reference,
+    References,
+    Reporting,
+    Teaching,
+    Tolerances,
     usable,
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
@@ -45,11 +57,13 @@ from anisoscope.rig.rigfile import RigFile
 
 __all__ = [
     "Advance",
+    "Beginning",
     "BudgetRecord",
     "CalibrationError",
     "CauseRecord",
     "CauseWords",
     "CellMap",
+    "Checking",
     "CommandOutput",
     "ConclusionRecord",
     "Convention",
@@ -59,6 +73,7 @@ __all__ = [
     "Expected",
     "Explanation",
     "Grid",
+    "Judgement",
     "Kind",
     "LocalPath",
     "Measured",
@@ -69,14 +84,18 @@ __all__ = [
     "Pictures",
     "Pose",
     "Positive",
+    "Prediction",
     "RadianceSet",
     "RecipeBase",
     "RecipeCheck",
     "RecipeError",
     "Record",
+    "Redeciding",
     "Reference",
     "ReferenceRow",
     "ReferenceSet",
+    "References",
+    "Reporting",
     "Results",
     "RigFile",
     "RigFileError",
@@ -85,6 +104,8 @@ __all__ = [
     "Sitting",
     "Table",
     "Taught",
+    "Teaching",
+    "Tolerances",
     "UsageError",
     "Verdict",
     "View",

@@ -9,6 +9,7 @@ from anisoscope.base.plugins import installed
 from anisoscope.base.toml_table import read_toml
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.kinds.kind import AnyKind, Kind
+from anisoscope.kinds.parts import Beginning, collecting
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -88,7 +89,9 @@ def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
             kinds.append(kind_named(each))
         except RecipeError as problem:
             problems.append(str(problem))
-    claiming = [kind for kind in kinds if kind.makes(requested)]
+    claiming: list[AnyKind] = [
+        kind for kind in kinds if isinstance(kind, Beginning) and kind.makes(requested)
+    ]
     if named is not None:
         if claiming and named not in claiming:
             raise UsageError(f"--kind {name}: the other options are for the recipe of {claiming[0].one}")
@@ -111,7 +114,8 @@ def add_golden(recipe: Path, folders: Sequence[Path]) -> tuple[Any, list[str]]:
     """
     kind, path = kind_of(recipe), golden_path(recipe)
     rules, failed = kind.read_recipe(recipe), []
-    known: Any = kind.read_reference(path, rules)
+    collects = collecting(kind, rules)
+    known: Any = collects.read_reference(path, rules)
     for folder in folders:
         record = read_record(folder)
         if record.verdict == "FAIL":
@@ -121,7 +125,7 @@ def add_golden(recipe: Path, folders: Sequence[Path]) -> tuple[Any, list[str]]:
                 f"{record.serial} was inspected as a part of the kind '{record.kind}', and {recipe} is a recipe of the "
                 f"kind '{kind.name}': add it with the recipe by which it was inspected"
             )
-        known = kind.add_reference(known, rules, record)
+        known = collects.add_reference(known, rules, record)
     assert known is not None
     write_golden(path, known)
     return known, failed

@@ -41,7 +41,19 @@ from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import Grid, View, resample
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
-from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
+from anisoscope.kinds.kind import Explanation, Kind, Results, Sitting
+from anisoscope.kinds.parts import (
+    Checking,
+    Redeciding,
+    Reference,
+    References,
+    Reporting,
+    Teaching,
+    Tolerances,
+    reference_on,
+    untaught,
+    usable,
+)
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import (
@@ -91,7 +103,15 @@ HEIGHT_MAP = "height map"
 MATERIAL = "material"
 
 
-class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
+class SurfaceKind(
+    Kind[RecipeT, Expectation, Measured, Decision],
+    References,
+    Redeciding,
+    Teaching,
+    Checking,
+    Tolerances,
+    Reporting,
+):
     """A part whose surface decides how bright it is in every pose: its contrasts are judged."""
 
     optics: SurfaceOptics = PLASTIC
@@ -402,8 +422,9 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         Raises:
             UsageError: no scatter is stated of this kind, the golden parts are too few, or the plastics differ.
         """
+        del share
         if not self.reference_set.predictive:
-            return super().teach_by_reference(recipe_path, rig_path, share, source)
+            raise UsageError(untaught(self, recipe_path))
         return teach_scatter(self, recipe_path, rig_path, source or recipe_path)
 
     def capability(
@@ -632,7 +653,7 @@ def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, sou
             f"{recipe_path} and {source_path} state different plastics, whose parts need not scatter alike: name the "
             "same material file in both"
         )
-    known = cast("GoldenSet | None", kind.reference_on(source_path, source, rig))
+    known = cast("GoldenSet | None", reference_on(kind, source_path, source, rig))
     parts = kind.part_scatter(source, rig.light.angle_deg)
     count = 0 if known is None else len(known.parts)
     if known is None or parts is None or count < LEAST_PARTS:

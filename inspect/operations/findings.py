@@ -1,6 +1,7 @@
 """Verdict and findings of a record in the operator's words, for terminals, pages and controllers."""
 
 from anisoscope.base.language import message, translated
+from anisoscope.kinds.parts import reporting
 from anisoscope.kinds.registry import kind_named
 from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
 from anisoscope.report.wording import cause_text, weight_text
@@ -21,7 +22,7 @@ def explained(record: Record) -> list[str]:
         lines += (
             [message("what would distinguish them: {what}", what=diagnosis.tells)] if diagnosis.tells else []
         )
-    return [*lines, *map(translated, kind_named(record.kind).summary(record).lines)]
+    return [*lines, *map(translated, reporting(kind_named(record.kind)).summary(record).lines)]
 
 
 def _cause_line(cause: CauseRecord) -> str:

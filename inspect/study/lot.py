@@ -176,7 +176,7 @@ def lot_of(
         UsageError: a kind of part whose recipes state no scatter, and as for `Lot`.
     """
     kind = kind_of(path)
-    if not getattr(kind.reference_set, "predictive", False):
+    if not getattr(getattr(kind, "reference_set", None), "predictive", False):
         raise UsageError(
             f"{path}: a lot is drawn where a recipe states how good parts differ ([scatter]), not for {kind.one}"
         )

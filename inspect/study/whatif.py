@@ -25,7 +25,8 @@ from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.kept_measurement import CHANGE, read_kept
 from anisoscope.inspection.manifest import reopen
 from anisoscope.inspection.pipeline import judge
-from anisoscope.kinds.kind import AnyKind, Expected, Explanation, Reference
+from anisoscope.kinds.kind import AnyKind, Expected, Explanation
+from anisoscope.kinds.parts import Redeciding, Reference, read_reference
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import Record
@@ -251,7 +252,7 @@ def _plan(path: Path, _sha256: str) -> _Plan:
     """A recipe with its golden parts, read once a process."""
     kind = kind_of(path)
     recipe = kind.read_recipe(path)
-    return _Plan(kind, recipe, kind.read_reference(golden_path(path), recipe))
+    return _Plan(kind, recipe, read_reference(kind, golden_path(path), recipe))
 
 
 _expected: dict[tuple[Path, str, str], Expected] = {}
@@ -275,7 +276,7 @@ def rejudged(task: Task) -> Rejudged:
         plan, record = _plan(task.recipe, task.sha256), record_of(row)
         if record.kind != plan.kind.name:
             raise RecordError(f"it is {record.kind}, the recipe is of {plan.kind.name}")
-        why = plan.kind.needs_frames(record.recipe, plan.recipe)
+        why = _needs_frames(plan, record.recipe)
         kept = None if why is not None else read_kept(Path(row.folder), record)
         if kept is None:
             why = why or "its measurement was not kept (an earlier version, or INVALID)"
@@ -285,8 +286,15 @@ def rejudged(task: Task) -> Rejudged:
         return replace(start, reasons=(" ".join(str(error).split()),))
 
 
+def _needs_frames(plan: _Plan, recorded: Mapping[str, Any]) -> str | None:
+    if not isinstance(plan.kind, Redeciding):
+        return f"of {plan.kind.one} only the frames are kept"
+    return plan.kind.needs_frames(recorded, plan.recipe)
+
+
 def _from_kept(start: Rejudged, kept: Mapping[str, Any], plan: _Plan, expected: Expected) -> Rejudged:
     kind, recipe = plan.kind, plan.recipe
+    assert isinstance(kind, Redeciding)  # else its frames are needed
     try:
         measured, decided = kind.decide_again(kept, recipe, expected, plan.reference)
     except (MeasurementError, CameraError) as error:

@@ -9,15 +9,18 @@ from anisoscope.kinds.plugin import (
     Convention,
     Details,
     Grid,
+    Judgement,
     Kind,
     Part,
     Pictures,
-    Pose,
     Positive,
+    Prediction,
     RadianceSet,
     RecipeBase,
     Record,
     Reference,
+    References,
+    Reporting,
     Results,
     RigFile,
     Sections,
@@ -58,18 +61,6 @@ class CardDetails(Details):
         return {"card radiance": self.mean}
 
 
-@dataclass(frozen=True)
-class Expected:
-    """All poses show the same."""
-
-    poses: tuple[Pose, ...]
-    convention: Convention
-    radiance: float
-    model: str = "card"
-    optics: None = None
-    surface: None = None
-
-
 @dataclass(frozen=True, eq=False)
 class Measured:
     """Mean radiances of the poses."""
@@ -78,15 +69,7 @@ class Measured:
     drift: float | None
 
 
-@dataclass(frozen=True)
-class Decided:
-    """The verdict."""
-
-    verdict: Verdict
-    reasons: tuple[str, ...]
-
-
-class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
+class Cards(Kind[CardRecipe, Prediction, Measured, Judgement], References, Reporting):
     """Matt cards."""
 
     name = "cards"
@@ -95,11 +78,11 @@ class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
     details = CardDetails
     reference_set = RadianceSet
 
-    def predict(self, recipe: CardRecipe, rig: RigFile, *, cached: bool) -> Expected:  # noqa: ARG002
+    def predict(self, recipe: CardRecipe, rig: RigFile, *, cached: bool) -> Prediction:  # noqa: ARG002
         """The same radiance in all poses."""
-        return Expected(recipe.poses.poses(), Convention(rig.light.angle_deg), recipe.card.radiance)
+        return Prediction(recipe.poses.poses(), Convention(rig.light.angle_deg), "card")
 
-    def measure(self, sitting: Sitting, recipe: CardRecipe, expected: Expected) -> tuple[Measured, float]:  # noqa: ARG002
+    def measure(self, sitting: Sitting, recipe: CardRecipe, expected: Prediction) -> tuple[Measured, float]:  # noqa: ARG002
         """The mean of the region in every pose, after the gates of light and markers."""
         height, width = recipe.region.size_mm[1], recipe.region.size_mm[0]
         step = sitting.pixel_um / 1000.0
@@ -121,10 +104,10 @@ class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
         self,
         sitting: Sitting,  # noqa: ARG002
         recipe: CardRecipe,
-        expected: Expected,  # noqa: ARG002
+        expected: Prediction,  # noqa: ARG002
         measured: Measured,
         reference: Reference | None,
-    ) -> Decided:
+    ) -> Judgement:
         """One threshold on the mean, and the ratios of the poses as on good cards, if there are enough of them."""
         off = float(measured.radiance.mean()) - recipe.card.radiance
         reasons = (f"the card is off by {off:+.3f} 1/sr (limit {recipe.card.limit:g})",)
@@ -132,21 +115,21 @@ class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
         if isinstance(good, RadianceSet):
             _, _, p_value = good.t_squared(measured.radiance)
             if p_value < recipe.decision.alpha:
-                return Decided(Verdict.FAIL, (f"not like the good cards (p = {p_value:.2g})", *reasons))
-        return Decided(Verdict.PASS if abs(off) <= recipe.card.limit else Verdict.FAIL, reasons)
+                return Judgement(Verdict.FAIL, (f"not like the good cards (p = {p_value:.2g})", *reasons))
+        return Judgement(Verdict.PASS if abs(off) <= recipe.card.limit else Verdict.FAIL, reasons)
 
     def results(
         self,
         sitting: Sitting,  # noqa: ARG002
         recipe: CardRecipe,
-        expected: Expected,
+        expected: Prediction,
         measured: Measured,
-        decided: Decided,  # noqa: ARG002
+        decided: Judgement,  # noqa: ARG002
         reference: Reference | None,  # noqa: ARG002
     ) -> Results:
         """What the record holds."""
         details = CardDetails(mean=float(measured.radiance.mean()), limit=recipe.card.limit)
-        return Results(measured.radiance, np.full(len(expected.poses), expected.radiance), details)
+        return Results(measured.radiance, np.full(len(expected.poses), recipe.card.radiance), details)
 
     def sections(self, record: Record, pictures: Pictures) -> Sections:  # noqa: ARG002
         """A heading of its own in the report."""

@@ -209,13 +209,14 @@ def _folder_state(row: "Row") -> "tuple[str, Record | None, ConclusionRecord | N
 
     from anisoscope.base.errors import AnisoscopeError
     from anisoscope.history.comparing import record_of
+    from anisoscope.kinds.parts import reporting
     from anisoscope.kinds.registry import kind_named
 
     if not Path(row.folder).is_dir():
         return "gone", None, None
     try:
         record = record_of(row)
-        conclusion = record.conclusion or kind_named(record.kind).conclude(record)
+        conclusion = record.conclusion or reporting(kind_named(record.kind)).conclude(record)
     except AnisoscopeError as error:
         return str(error), None, None
     return "its record is the one in the history", record, conclusion

@@ -135,6 +135,7 @@ def _exit_code(inspected: "Inspected") -> int:
 
 
 def _as_json(inspected: "Inspected", notes: tuple[str, ...] = ()) -> dict[str, Any]:
+    from anisoscope.kinds.parts import reporting
     from anisoscope.kinds.registry import kind_named
 
     record = inspected.record
@@ -163,16 +164,17 @@ def _as_json(inspected: "Inspected", notes: tuple[str, ...] = ()) -> dict[str, A
         "report": str(inspected.report),
         "notes": [*inspected.notes, *notes],
     }
-    own = kind_named(record.kind).summary(record).content
+    own = reporting(kind_named(record.kind)).summary(record).content
     return common | own | common | last  # a kind adds keys, and overwrites none
 
 
 def _print(inspected: "Inspected") -> None:
+    from anisoscope.kinds.parts import reporting
     from anisoscope.kinds.registry import kind_named
     from anisoscope.operations.findings import conclusion_lines, explained
 
     record = inspected.record
-    for table in kind_named(record.kind).summary(record).tables:
+    for table in reporting(kind_named(record.kind)).summary(record).tables:
         cells = [[translated(cell) for cell in row] for row in table.rows]
         caption = table.caption and translated(table.caption)
         print_table(translated(table.title), [translated(one) for one in table.columns], cells, caption)

@@ -15,7 +15,7 @@ from anisoscope.cli.options import Json
 from anisoscope.cli.tables import console, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
-    from anisoscope.kinds.kind import Reference
+    from anisoscope.kinds.parts import Reference
     from anisoscope.record.schema import Record
 
 app = App(name="golden", help="Manage the golden parts of a recipe: parts that are known to be good.")
@@ -70,13 +70,15 @@ def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
         anisoscope golden remove --recipe recipe.toml GOOD-1
     """
     from anisoscope.decision.reference_parts import golden_path, write_golden
+    from anisoscope.kinds.parts import collecting
     from anisoscope.kinds.registry import kind_of
 
     if not serials:
         raise UsageError("name the serial numbers of one or more golden parts")
     path, kind = golden_path(recipe), kind_of(recipe)
+    rules = kind.read_recipe(recipe)
     with _as_usage():
-        known: Any = kind.read_reference(path, kind.read_recipe(recipe))
+        known: Any = collecting(kind, rules).read_reference(path, rules)
         if known is None:
             raise CalibrationError(f"{path}: there are no golden parts of this recipe")
         before = len(known.parts)
@@ -105,20 +107,21 @@ def show(
         anisoscope golden show --recipe recipe.toml
     """
     from anisoscope.decision.reference_parts import golden_path
+    from anisoscope.kinds.parts import collecting
     from anisoscope.kinds.registry import kind_of
     from anisoscope.rig.rigfile import read_rig
 
     path, kind = golden_path(recipe), kind_of(recipe)
     rules = kind.read_recipe(recipe)
     with _as_usage():
-        known = kind.read_reference(path, rules)
+        known = collecting(kind, rules).read_reference(path, rules)
         if known is None:
             raise CalibrationError(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
             )
     channel = rules.acquisition.light_channel
     angle = light_angle if rig is None else read_rig(rig, channel=channel).light.angle_deg
-    output = kind.show_reference(known, rules, angle)
+    output = collecting(kind, rules).show_reference(known, rules, angle)
     measured_with = getattr(known, "equipment", None)
     content = _content(path, known.lacking, len(known.parts)) | {"equipment": measured_with} | output.content
     line = f"measured with: {measured_with or 'not recorded by the version that collected them'}"
@@ -152,6 +155,7 @@ def certify(
     """
     from anisoscope.decision.certificate import StoredCertificate, certificate, certificate_path
     from anisoscope.decision.reference_parts import golden_path
+    from anisoscope.kinds.parts import collecting
     from anisoscope.kinds.registry import kind_of
     from anisoscope.record.schema import sha256_of
     from anisoscope.report.study_page import Table, write_study_page
@@ -161,7 +165,7 @@ def certify(
     kind, path = kind_of(recipe), golden_path(recipe)
     rules = kind.read_recipe(recipe)
     with _as_usage():
-        known = kind.read_reference(path, rules)
+        known = collecting(kind, rules).read_reference(path, rules)
     now = [(file.name, sha256_of(file)) for file in (recipe, path) if file.is_file()]
     judged = _judged(folders, set() if known is None else {one.serial for one in known.parts}, now)
     records = [one for one in judged if one.verdict != "INVALID"]

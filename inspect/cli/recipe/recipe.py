@@ -71,6 +71,7 @@ def new(
         anisoscope recipe new --height-map good-part.x3p --out part.toml
         anisoscope recipe new --ink synthetic-red --out print.toml
     """
+    from anisoscope.kinds.parts import beginning
     from anisoscope.kinds.registry import kind_of_new
     from anisoscope.recipe.new_recipe import NewRecipe
 
@@ -78,7 +79,7 @@ def new(
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
     named = None if product == PRODUCT else product
     requested = NewRecipe(named, pitch, ridge_angle, u_ridge_angle, height_map, ink)
-    tables = kind_of_new(requested, kind).new_recipe(out, requested)
+    tables = beginning(kind_of_new(requested, kind)).new_recipe(out, requested)
     console().print(
         f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}",
         markup=False,
@@ -178,7 +179,7 @@ def suggest(
 
     kind = kind_of(file)
     recipe = kind.read_recipe(file)
-    if not getattr(kind.reference_set, "predictive", False):
+    if not getattr(getattr(kind, "reference_set", None), "predictive", False):
         raise UsageError(
             f"{file}: poses are chosen where a recipe states how good parts differ ([scatter]), not for {kind.one}"
         )
@@ -356,10 +357,11 @@ def _by_part(
 
 def _by_golden(file: Path, rig: Path, share: float, source: Path | None) -> "Taught":
     """No part is judged here, so no exit code may look like a verdict."""
+    from anisoscope.kinds.parts import taught
     from anisoscope.kinds.registry import kind_of
 
     try:
-        return kind_of(file).teach_by_reference(file, rig, share, source)
+        return taught(kind_of(file), file).teach_by_reference(file, rig, share, source)
     except CalibrationError as error:
         raise UsageError(str(error)) from error
 

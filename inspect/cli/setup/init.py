@@ -68,6 +68,7 @@ def init(
         anisoscope init job --ridge-angle 10 --pitch 100
         anisoscope init job --kind prints --ink synthetic-red --station "rig 2"
     """
+    from anisoscope.kinds.parts import beginning
     from anisoscope.kinds.registry import kind_of_new
     from anisoscope.recipe.new_recipe import NewRecipe
 
@@ -81,7 +82,7 @@ def init(
     chosen = kind_of_new(requested, kind)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        tables = chosen.new_recipe(recipe, requested)
+        tables = beginning(chosen).new_recipe(recipe, requested)
         key, made = _key(station or folder.resolve().name)
         rig.write_text(RIG.format(station=(station or "rig 1").replace('"', "'")), encoding="utf-8")
         project.write_text(_project(operator, station, key), encoding="utf-8")

@@ -237,10 +237,12 @@ def _tolerances(recipe: str | None) -> dict[str, float] | None:
         if recipe is not None and recipe.endswith(".toml"):
             raise UsageError(f"--recipe: there is no file {recipe}")
         return None
+    from anisoscope.kinds.parts import stating
     from anisoscope.kinds.registry import kind_of
 
     kind = kind_of(Path(recipe))
-    return kind.tolerances(kind.read_recipe(Path(recipe)))
+    read = kind.read_recipe(Path(recipe))
+    return stating(kind, read).tolerances(read)
 
 
 def _all(

@@ -18,7 +18,17 @@ from anisoscope.imaging.pose_radiance import mean_of
 from anisoscope.imaging.registration.placement import resample
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
-from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
+from anisoscope.kinds.kind import Explanation, Kind, Results, Sitting
+from anisoscope.kinds.parts import (
+    Beginning,
+    Checking,
+    Reference,
+    References,
+    Reporting,
+    Tolerances,
+    usable,
+    without_tolerances,
+)
 from anisoscope.kinds.plates.causes import FIELD_WORDS, explain_plate, plate_words
 from anisoscope.kinds.plates.code_grades import OVERALL
 from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate, planned_contrasts
@@ -77,7 +87,14 @@ class PlateCheck(RecipeCheck):
         )
 
 
-class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
+class Plates(
+    Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision],
+    References,
+    Beginning,
+    Checking,
+    Tolerances,
+    Reporting,
+):
     """Plates: contrasts between the classes of their fields, single fields, and the code that they make."""
 
     name = "plates"
@@ -270,7 +287,7 @@ class Plates(Kind[PlateRecipe, ExpectedPlate, MeasuredPlate, PlateDecision]):
             UsageError: the recipe gives none.
         """
         if recipe.decision.tolerance is None:
-            return super().tolerances(recipe)
+            raise UsageError(without_tolerances(recipe))
         names, _ = contrast_pairs(recipe.plan.plan().letters, recipe.poses.poses())
         return dict.fromkeys(names, recipe.decision.tolerance)
 

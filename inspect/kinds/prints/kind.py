@@ -15,7 +15,8 @@ from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, check_light, check
 from anisoscope.imaging.quality_gates import beyond_part, check_views
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
-from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
+from anisoscope.kinds.kind import Explanation, Kind, Results, Sitting
+from anisoscope.kinds.parts import Beginning, Checking, Reference, References, Reporting, Teaching, usable
 from anisoscope.kinds.prints.causes import PRINT_WORDS, explain_print
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print, nothing_wrong, print_results
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -50,7 +51,14 @@ def _brightness(measured: MeasuredPrint) -> FloatArray:
     return np.asarray(mean.repeat(CELLS_PER_PITCH, axis=1).repeat(CELLS_PER_PITCH, axis=2))
 
 
-class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
+class Prints(
+    Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision],
+    References,
+    Beginning,
+    Teaching,
+    Checking,
+    Reporting,
+):
     """Prints: colours of the poses, the lobe of the flakes, and the map of local differences."""
 
     name = "prints"

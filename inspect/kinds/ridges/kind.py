@@ -9,6 +9,7 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.predicted_cells import predicted_cells
 from anisoscope.imaging.quality_gates import check_part
 from anisoscope.imaging.registration.placement import View
+from anisoscope.kinds.parts import Beginning
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.prediction.expectation import Expectation
@@ -17,7 +18,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import MapPlaceRecord, ShapeRecord
 
 
-class Ridges(SurfaceKind[RidgeRecipe]):
+class Ridges(SurfaceKind[RidgeRecipe], Beginning):
     """Ridges: their contrasts under rotation, and the cells of their contrast map."""
 
     name = "ridges"

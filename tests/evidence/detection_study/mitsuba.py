@@ -21,6 +21,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import USUAL, Methods
+from anisoscope.kinds.parts import collecting
 from anisoscope.kinds.registry import kind_of
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -179,7 +180,7 @@ class Inspector:
         read: Any = kind.read_recipe(self._recipe)
         known: Any = None
         for name in names:
-            known = kind.add_reference(known, read, self.record(name))
+            known = collecting(kind, read).add_reference(known, read, self.record(name))
         assert known is not None
         write_golden(golden_path(self._recipe), known)
         return self

@@ -12,7 +12,8 @@ from anisoscope.diagnosis.part_diagnosis import evidence_of
 from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.quality_gates import measured_pitch
-from anisoscope.kinds.kind import Explanation, usable
+from anisoscope.kinds.kind import Explanation
+from anisoscope.kinds.parts import usable
 from detection_study.mitsuba import ARCHIVE, CAUSES, GOOD, TILTED, UPRIGHT, Inspector, Parts
 
 GROSS = ("angle-1", "angle+1", "rough+20", "rough+60", "height-loss", "burrs-10")

@@ -182,8 +182,9 @@ def test_a_broken_plug_in_is_one_line_and_does_not_spoil_other_recipes(virtual_r
 
 
 PLAIN = """
-from cards import Cards, Decided, Expected, Measured
-from anisoscope.kinds.plugin import CommandOutput, Convention, Details, Kind, RecipeBase, Results, Verdict
+from cards import Cards
+from anisoscope.kinds.plugin import CommandOutput, Convention, Details, Judgement, Kind, Prediction
+from anisoscope.kinds.plugin import RecipeBase, Reporting, Results, Verdict
 import numpy as np
 
 
@@ -192,16 +193,16 @@ class Plain(Kind):
     measure = Cards.measure
 
     def predict(self, recipe, rig, *, cached):
-        return Expected(recipe.poses.poses(), Convention(rig.light.angle_deg), 0.05)
+        return Prediction(recipe.poses.poses(), Convention(rig.light.angle_deg), "plain")
 
     def decide(self, sitting, recipe, expected, measured, reference):
-        return Decided(Verdict.PASS, ("nothing is judged",))
+        return Judgement(Verdict.PASS, ("nothing is judged",))
 
     def results(self, sitting, recipe, expected, measured, decided, reference):
         return Results(measured.radiance, np.full(len(expected.poses), 0.05), Details())
 
 
-class Loud(Plain):
+class Loud(Plain, Reporting):
     name = "loud"
 
     def summary(self, record):
@@ -239,6 +240,27 @@ def test_a_kind_with_nothing_but_what_it_must_give(virtual_rig, run, installed, 
     line = " ".join((refused.out + refused.err).split())
     assert refused.code == 64
     assert "gives no tolerances: give --lower and --upper" in line
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (("golden", "show", "-r"), "good parts are not collected of this kind of part"),
+        (("recipe", "new", "--kind", "plain", "--out"), "there is no recipe of a plain part to begin with"),
+        (("recipe", "teach", "--golden", "--rig", "RIG"), "good parts alone do not teach it"),
+    ],
+)
+def test_what_a_kind_does_not_have_is_one_line(virtual_rig, run, installed, tmp_path, command, says):
+    points = "[anisoscope.kinds]\nplain = plain:PLAIN\n"
+    install(tmp_path / "site", "plain_kind", points, {"plain.py": PLAIN})
+    part = virtual_rig(recipe=dict.fromkeys(CARD) | {"kind": "plain"})
+    file = tmp_path / "new.toml" if command[1] == "new" else part.recipe
+    command = [part.rig if word == "RIG" else word for word in command]
+    done = run(*command, file, path=f"{tmp_path / 'site'}{os.pathsep}{installed}")
+    said = " ".join((done.out + done.err).split())
+    assert done.code == 64
+    assert says in said
+    assert "Traceback" not in said
 
 
 def test_an_object_that_is_no_kind_is_one_line_of_the_recipe_that_names_it(virtual_rig, run, tmp_path):
@@ -309,7 +331,11 @@ def test_what_a_kind_receives_and_returns_is_among_the_public_names():
     from anisoscope.kinds import plugin
 
     named = set()
-    for method in vars(plugin.Kind).values():
+    parts = (
+        *(plugin.Kind, plugin.References, plugin.Redeciding, plugin.Beginning, plugin.Teaching),
+        *(plugin.Checking, plugin.Tolerances, plugin.Reporting),
+    )
+    for method in (method for part in parts for method in vars(part).values()):
         annotations = getattr(getattr(method, "fget", method), "__annotations__", {})
         named |= set(re.findall(r"anisoscope\.[\w.]+\.(\w+)", " ".join(map(str, annotations.values()))))
         classes = {one for one in annotations.values() if isinstance(one, type)}

@@ -13,7 +13,7 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
-from anisoscope.kinds.kind import usable
+from anisoscope.kinds.parts import usable
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
