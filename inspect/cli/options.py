@@ -10,8 +10,8 @@ from cyclopts import Group, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
-from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Options
+from anisoscope.parameters.ridges import LIKELY_PITCH, RidgeDesign
+from anisoscope.views.options import Options, quantity
 
 RecipeOption = Annotated[
     Path | None,
@@ -28,6 +28,7 @@ HistoryOption = Annotated[
 RIDGES = Group("Ridges", sort_key=19)
 PLASTIC = Group("Plastic", sort_key=20)
 LIGHT = Group("Light and camera angles", sort_key=21)
+PITCH = quantity("pitch_um", LIKELY_PITCH)
 OF_RIDGES = Options(RidgeDesign, RIDGES, default=RidgeDesign(100.0, 10.0))
 OF_PLASTIC = Options(Material, PLASTIC)
 OF_LIGHT = Options(Convention, LIGHT)

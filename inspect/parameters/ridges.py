@@ -14,7 +14,7 @@ Wall = Literal["perpendicular", "vertical"] | float
 """Perpendicular to the facet, vertical, or the draft angle of the wall: degrees from the vertical."""
 
 STEEPEST_DRAFT_DEG = 60.0
-LIKELY_PITCH = Likely(1.0, 5000.0, "ridges")
+LIKELY_PITCH = Likely(0.5, 5000.0, "ridges")  # below it no light shows ridges
 
 
 @dataclass(frozen=True)

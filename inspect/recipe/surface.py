@@ -4,13 +4,14 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from anisoscope.base.errors import HeightMapError, ModelError, RecipeError, RigFileError
+from anisoscope.base.quantity import read_number
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import LONGEST_TAIL, Material
-from anisoscope.parameters.ridges import STEEPEST_DRAFT_DEG, RidgeDesign
+from anisoscope.parameters.ridges import LIKELY_PITCH, STEEPEST_DRAFT_DEG, RidgeDesign
 from anisoscope.recipe.base import CommonUncertainty, DecisionBase, RecipeBase
 from anisoscope.recipe.material_file import MaterialFile, MaterialLightPart, read_material_file
 from anisoscope.rig.rigfile import RigFile
@@ -71,6 +72,16 @@ class DesignPart(Part):
     )
 
 
+def _pitch(value: object) -> object:
+    """A pitch as a number of µm, or as text with its unit; one that may have been meant in mm is asked about."""
+    if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
+        return read_number(str(value), "pitch_um", "um", LIKELY_PITCH)
+    return value
+
+
+Pitch = Annotated[Positive, BeforeValidator(_pitch)]
+
+
 class SurfacePart(Part):
     """Reference surface: a measured height map, an ideal design, or both.
 
@@ -84,7 +95,7 @@ class SurfacePart(Part):
     "sampled".
     """
 
-    pitch_um: Positive
+    pitch_um: Pitch
     height_map: LocalPath | None = None
     pixel_um: tuple[Positive, Positive] | None = None
     role: Literal["part", "tool"] = "part"

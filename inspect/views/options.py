@@ -221,6 +221,14 @@ def _or_number(text: str, option: str, unit: str, words: Sequence[str]) -> float
         raise ValueError(f"{option} takes {', '.join(words)} or a number, not {text!r}") from None
 
 
+def quantity(name: str, likely: Likely | None = None) -> Parameter:
+    """What makes an option read a number as people write it, with the unit at the end of a parameter's name."""
+    unit = unit_of(name)
+    return Parameter(
+        converter=_converter(lambda text, option: read_number(text, option, unit, likely)), n_tokens=1
+    )
+
+
 def _converter(reader: Callable[[str, str], Any]) -> Callable[[Any, Sequence[Token]], Any]:
     def convert(_kind: Any, tokens: Sequence[Token]) -> Any:  # noqa: ANN401 - as the parser calls it
         token = tokens[0]

@@ -8,7 +8,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers, parse_range
+from anisoscope.cli.options import PITCH, Json, parse_numbers, parse_range
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import JobsOption, SchedulerOption, named_numbers
 from anisoscope.cli.tables import console, print_lines, print_output, print_table
@@ -47,7 +47,7 @@ def new(
         ),
     ] = None,
     product: Annotated[str, Parameter(help="Name of the product.")] = PRODUCT,
-    pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
+    pitch: Annotated[float, PITCH, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
     ridge_angle: Annotated[
         float | None, Parameter(help="Ridge angle of the ideal design in degrees.")
     ] = None,

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import PITCH, Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import Channel
 from anisoscope.cli.tables import console, print_table
@@ -54,7 +54,7 @@ def commission(
     u_ridge_angle: Annotated[
         float, Parameter(help="Standard uncertainty of the ridge angle, degrees.")
     ] = 0.1,
-    pitch: Annotated[float | None, Parameter(help="Pitch of the ridges in µm.")] = None,
+    pitch: Annotated[float | None, PITCH, Parameter(help="Pitch of the ridges in µm.")] = None,
     alpha: Annotated[
         str | None, Parameter(help="Roughness along and across the ridges, such as 0.06,0.1.")
     ] = None,

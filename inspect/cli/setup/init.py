@@ -7,6 +7,7 @@ import tomli_w
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.cli.options import PITCH
 from anisoscope.cli.tables import print_lines
 from anisoscope.operations import project_place
 from anisoscope.operations.project_place import PROJECT_NAME
@@ -46,7 +47,7 @@ def init(
         Parameter(help="Kind of part by name, such as ridges or prints; else the other options decide."),
     ] = None,
     product: Annotated[str | None, Parameter(help="Name of the product.")] = None,
-    pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
+    pitch: Annotated[float, PITCH, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
     ridge_angle: Annotated[
         float | None, Parameter(help="Ridge angle of the design in degrees; 10 where nothing else is named.")
     ] = None,

@@ -4,7 +4,7 @@ import pytest
 
 from anisoscope.base.quantity import Likely, read_number, unit_of
 
-PITCH = Likely(1.0, 5000.0, "ridges")
+PITCH = Likely(0.5, 5000.0, "ridges")
 
 
 @pytest.mark.parametrize(

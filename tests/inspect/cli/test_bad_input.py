@@ -275,3 +275,31 @@ def test_an_error_that_no_command_foresaw_is_never_the_code_of_a_verdict(monkeyp
         log.unlink()
     with pytest.raises(np.linalg.LinAlgError):
         cli.run(["inspect", "--debug"])
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["optimise"],
+        ["init", "job", "--ridge-angle", "10"],
+        ["recipe", "new", "--ridge-angle", "10", "--out", "recipe.toml"],
+        ["rig", "commission", "--ridge-angle", "10", "--rig", "rig.toml", "--exposure", "0.01"],
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_a_pitch_below_what_light_shows_asks_whether_mm_were_meant(command, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.run([*command, "--pitch", "0.1"]) == 64
+    assert "0.1 µm? ridges of 0.1 mm are --pitch 100 (or write 0.1mm)" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recipe_takes_a_pitch_with_its_unit_and_asks_about_one_in_mm(capsys, tmp_path):
+    recipe = tmp_path / "recipe.toml"
+    assert cli.run(["recipe", "new", "--ridge-angle", "10", "--out", str(recipe)]) == 0
+    text = recipe.read_text(encoding="utf-8")
+    for pitch, code in (("0.1", 78), ('"0.1 mm"', 0), ('"100"', 0), ('"100 kg"', 78)):
+        recipe.write_text(text.replace("pitch_um = 100.0", f"pitch_um = {pitch}"), encoding="utf-8")
+        capsys.readouterr()
+        assert cli.run(["predict", "--recipe", str(recipe), "--json"]) == code
+        assert code == 0 or "pitch_um" in capsys.readouterr().err
