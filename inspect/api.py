@@ -31,9 +31,11 @@ if TYPE_CHECKING:
     from anisoscope.live_view.autofocus import Autofocus
     from anisoscope.operations.optimising import optimise
     from anisoscope.operations.remembering import lot_mates, remember
+    from anisoscope.operations.render import render_frame, render_plate
     from anisoscope.parameters.geometry import Convention, Pose
     from anisoscope.parameters.inputs import InputUncertainty
     from anisoscope.parameters.material import Material
+    from anisoscope.parameters.microscope import Microscope
     from anisoscope.parameters.optics import Optics
     from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.prediction.predicted import Predicted
@@ -75,6 +77,9 @@ if TYPE_CHECKING:
 DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
 _HOME = {
+    "render_plate": "anisoscope.operations.render",
+    "render_frame": "anisoscope.operations.render",
+    "Microscope": "anisoscope.parameters.microscope",
     "AnisoscopeError": "anisoscope.base.errors",
     "UsageError": "anisoscope.base.errors",
     "Fit": "anisoscope.fit.fitting",
@@ -151,6 +156,7 @@ __all__ = [
     "LobeTask",
     "MachineChange",
     "Material",
+    "Microscope",
     "Noise",
     "Optics",
     "Pose",
@@ -199,6 +205,8 @@ __all__ = [
     "recipe_yield",
     "recompute",
     "remember",
+    "render_frame",
+    "render_plate",
     "resume",
     "show_inks",
     "sphere",

@@ -25,7 +25,6 @@ from anisoscope.cli.help_page import (
     usage_text,
 )
 from anisoscope.cli.log import listening, options_of, report
-from anisoscope.cli.recipe_options import apply_recipe
 from anisoscope.operations.project_place import project_files
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
 
@@ -48,7 +47,7 @@ app = App(
     help_flags=["--help", "-h"],
     result_action="return_value",
     suppress_keyboard_interrupt=False,
-    config=(_apply_project, apply_recipe),
+    config=(_apply_project,),
 )
 COMMANDS = {
     "Inspect": {

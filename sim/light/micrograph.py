@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.parameters.microscope import Lens
 from anisoscope.sim.light.picture import View
 
 FloatImage = npt.NDArray[np.float32]
@@ -22,53 +23,18 @@ BoolArray = npt.NDArray[np.bool_]
 MAX_FINE_POINTS = 24_000_000
 
 
-@dataclass(frozen=True)
-class Lens:
-    """An ideal lens.
+def transfer(lens: Lens, frequency_per_um: FloatArray) -> FloatArray:
+    """Transfer of contrast at frequencies in the plane of the sample, 1 at 0."""
+    if lens.na == 0.0:
+        return np.ones_like(frequency_per_um)
+    s = np.minimum(frequency_per_um / lens.cutoff_per_um, 1.0)
+    passed = 2.0 / np.pi * (np.arccos(s) - s * np.sqrt(1.0 - s**2))
+    if lens.disc_um > 0.0:
+        from scipy.special import j1  # noqa: PLC0415 - slow to import
 
-    Attributes:
-        na: numerical aperture at the sample; 0 leaves diffraction and defocus out.
-        wavelength_um: wavelength of the light.
-        defocus_um: distance of the sample from the plane in focus.
-
-    Raises:
-        ModelError: a value outside its range.
-    """
-
-    na: float = 0.1
-    wavelength_um: float = 0.55
-    defocus_um: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.na < 1.0:
-            raise ModelError(f"the numerical aperture must be at least 0 and below 1, not {self.na:g}")
-        if not 0.1 <= self.wavelength_um <= 20.0:
-            raise ModelError(f"the wavelength must lie between 0.1 and 20 µm, not {self.wavelength_um:g} µm")
-        if not np.isfinite(self.defocus_um):
-            raise ModelError(f"the defocus must be a number of µm, not {self.defocus_um:g}")
-
-    @property
-    def cutoff_per_um(self) -> float:
-        """Highest frequency that the lens transfers, 2·NA/λ."""
-        return 2.0 * self.na / self.wavelength_um
-
-    @property
-    def disc_um(self) -> float:
-        """Radius of the disc of confusion."""
-        return float(abs(self.defocus_um) * np.tan(np.arcsin(self.na)))
-
-    def transfer(self, frequency_per_um: FloatArray) -> FloatArray:
-        """Transfer of contrast at frequencies in the plane of the sample, 1 at 0."""
-        if self.na == 0.0:
-            return np.ones_like(frequency_per_um)
-        s = np.minimum(frequency_per_um / self.cutoff_per_um, 1.0)
-        passed = 2.0 / np.pi * (np.arccos(s) - s * np.sqrt(1.0 - s**2))
-        if self.disc_um > 0.0:
-            from scipy.special import j1  # noqa: PLC0415 - slow to import
-
-            x = np.maximum(2.0 * np.pi * self.disc_um * frequency_per_um, 1e-6)
-            passed = passed * (2.0 * j1(x) / x)
-        return np.asarray(passed, dtype=np.float64)
+        x = np.maximum(2.0 * np.pi * lens.disc_um * frequency_per_um, 1e-6)
+        passed = passed * (2.0 * j1(x) / x)
+    return np.asarray(passed, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -141,7 +107,7 @@ def blurred(image: FloatImage, point_um: float, lens: Lens) -> FloatImage:
     rows, cols = (fft.next_fast_len(n + reach, real=True) for n in image.shape)
     fy, fx = np.fft.fftfreq(rows, point_um)[:, None], np.fft.rfftfreq(cols, point_um)[None, :]
     spectrum = fft.rfft2(image, s=(rows, cols))
-    spectrum *= lens.transfer(np.hypot(fy, fx)).astype(np.float32)
+    spectrum *= transfer(lens, np.hypot(fy, fx)).astype(np.float32)
     return np.asarray(fft.irfft2(spectrum, s=(rows, cols))[: image.shape[0], : image.shape[1]], np.float32)
 
 

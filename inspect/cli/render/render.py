@@ -1,466 +1,338 @@
 """``anisoscope render``: pictures of ridged plates and of height maps under the rig's light."""
 
-from dataclasses import asdict, dataclass
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from cyclopts import Parameter
+import numpy.typing as npt
+from cyclopts import App, Group, Parameter
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import UsageError
-from anisoscope.cli.progress import progress
-from anisoscope.cli.render.scene import (
-    MICROSCOPE,
-    PictureOptions,
-    PlasticOptions,
-    RigOptions,
-    Scene,
-    SurfaceOptions,
-    answer,
-    parse_angles,
-)
-
-if TYPE_CHECKING:
-    from anisoscope.base.progress import Advance
-    from anisoscope.parameters.geometry import Convention, Pose
-    from anisoscope.parameters.material import Material
-    from anisoscope.report.renderings import Heights, Rgb
-    from anisoscope.sim.light.micrograph import Lens, Micrograph
-    from anisoscope.sim.light.picture import View
-from typing import TYPE_CHECKING
-
-import numpy.typing as npt
-
-from anisoscope.cli.render.scene import degrees, painted, signed
-
-if TYPE_CHECKING:
-    from anisoscope.parameters.geometry import Convention, Pose
-    from anisoscope.sim.light.picture import Plate, PlatePicture, View
-from typing import Literal
-
-from cyclopts import App
-
+from anisoscope.base.atomic_write import write_bytes
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.cli.help_page import everyday
+from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.options import (
+    LIGHT,
+    OF_LIGHT,
+    OF_PLASTIC,
+    OF_RIDGES,
+    RIDGES,
+    Json,
+    RecipeOption,
+    parse_numbers,
+)
+from anisoscope.cli.progress import progress
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.microscope import Microscope
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Given, Options, with_options
 
-LEAST_PIXELS = 64
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from anisoscope.operations.render import Frames, PlatePictures
+    from anisoscope.operations.stated import Stated
+    from anisoscope.profiles.heightmap import HeightMap
+    from anisoscope.report.renderings import Heights, Rgb
+
+OF_SURFACE = Options(
+    RidgeDesign,
+    RIDGES,
+    help={
+        "pitch_um": "Pitch in µm, of ideal ridges (100) or of the map.",
+        "ridge_angle_deg": "Ridge angle in degrees, 0 to 45: ideal ridges in place of a height map.",
+    },
+)
+OF_MICROSCOPE = Options(Microscope, Group("Microscope", sort_key=22))
+MAX_PANELS = 8
+RAW_SUFFIXES = (".npy", ".tif", ".tiff")
+USUAL_PITCH_UM = 100.0
+FIELD_COLUMNS = ["stage [°]", "first [1/sr]", "second [1/sr]", "difference [1/sr]", "Michelson", "ln ratio"]
+TiltOption = Annotated[
+    float, Parameter(help="Tilt of camera and light in degrees (--tilt=-10).", group=LIGHT)
+]
+BouncesOption = Annotated[
+    int | Literal["all"],
+    Parameter(
+        help="Reflections between facet and wall that are counted: 1 is direct light, or 'all'; spread evenly."
+    ),
+]
 
 
-@Parameter(name="*", group=MICROSCOPE)
+@Parameter(name="*")
 @dataclass(frozen=True)
-class MicroscopeOptions:
-    """The microscope."""
+@everyday("out", "json_")
+class PictureOptions:
+    """The files, and how radiance is shown."""
 
-    magnification: Annotated[
-        float | None, Parameter(help="Magnification onto the sensor; default: the sample fills the panel.")
+    out: Annotated[Path, Parameter(help="PNG file to write.")]
+    raw: Annotated[
+        Path | None, Parameter(help="Also write the radiances [1/sr], float32: npy, tif or tiff.")
     ] = None
-    sensor_pixel: Annotated[float, Parameter(help="Pixel of the sensor in µm.")] = 3.45
-    na: Annotated[float, Parameter(help="Numerical aperture at the sample; 0: no blur by the lens.")] = 0.1
-    wavelength: Annotated[float, Parameter(help="Wavelength of the light in nm.")] = 550.0
-    defocus: Annotated[float, Parameter(help="Distance from the plane in focus in µm.")] = 0.0
-    bounces: Annotated[
-        int | Literal["all"],
-        Parameter(
-            help="Reflections between facet and wall that are counted: 1 is direct light, or 'all'; spread evenly."
-        ),
-    ] = "all"
+    white: Annotated[
+        float | None, Parameter(help="Radiance [1/sr] shown as full brightness; default: from the pictures.")
+    ] = None
+    transfer: Annotated[Literal["srgb", "linear"], Parameter(help="Coding of brightness in the PNG.")] = (
+        "srgb"
+    )
+    panel: Annotated[int, Parameter(help="Longest side of a panel in pixels, 64 to 2000.")] = 420
+    json_: Json = False
 
-    def reflections(self) -> int | None:
-        """Largest number of reflections; None counts all.
+    def check(self, source: Path | None) -> None:
+        """Refuse impossible outputs before the work.
 
         Raises:
-            UsageError: less than one.
+            UsageError: an extension, a size or a combination of files that makes no sense.
+            RecordError: a folder that is none, or cannot be written.
         """
-        if self.bounces != "all" and self.bounces < 1:
-            raise UsageError(f"--bounces must be 1 or more, or all, not {self.bounces}")
-        return None if self.bounces == "all" else self.bounces
+        if self.out.suffix.lower() != ".png":
+            raise UsageError(f"--out {self.out}: pictures are written as .png, not {self.out.suffix!r}")
+        if self.raw is not None and self.raw.suffix.lower() not in RAW_SUFFIXES:
+            raise UsageError(f"--raw {self.raw}: radiances are written as .npy, .tif or .tiff")
+        if not 64 <= self.panel <= 2000:
+            raise UsageError(f"--panel takes 64 to 2000 pixels, not {self.panel}")
+        if self.white is not None and not 0.0 < self.white < float("inf"):
+            raise UsageError(f"--white takes a positive radiance in 1/sr, not {self.white:g}")
+        for path in (self.out, self.raw):
+            if path is not None:
+                _check_target(path, source)
 
-    def lens(self) -> "Lens":
-        """The lens of the options."""
-        from anisoscope.sim.light.micrograph import Lens
+    def brightest(self, pictures: Sequence[FloatArray], percentile: float) -> float:
+        """Radiance shown as white: the given one, or a percentile over all pictures."""
+        if self.white is not None:
+            return self.white
+        values = np.concatenate([picture[np.isfinite(picture)] for picture in pictures])
+        found = float(np.percentile(values, percentile)) if values.size else 0.0
+        return found if found > 0.0 else 1.0
 
-        return Lens(self.na, self.wavelength / 1000.0, self.defocus)
-
-    def views(
-        self, scene: Scene, poses: "tuple[Pose, ...]", convention: "Convention", panel: int
-    ) -> "list[View]":
-        """Views of equal shape and scale, one for each pose."""
-        from anisoscope.sim.light.picture import view_of
-
-        if not 0.0 < self.sensor_pixel < float("inf"):
-            raise UsageError(f"--sensor-pixel takes a positive number of µm, not {self.sensor_pixel:g}")
-        if self.magnification is not None and not 0.0 < self.magnification < float("inf"):
-            raise UsageError(f"--magnification takes a positive number, not {self.magnification:g}")
-        reach = np.max(
-            [view_of(pose, convention, (1, 1), 1.0).extent_um(scene.size_um) for pose in poses], axis=0
+    def exposure_sentence(self, pictures: Sequence[FloatArray], white: float) -> str:
+        """Mapping of radiance to brightness, in words."""
+        code = "sRGB transfer (IEC 61966-2-1)" if self.transfer == "srgb" else "no transfer curve"
+        clipped = _share_above(pictures, white)
+        return (
+            f"Full brightness = {white:.4g} 1/sr per unit irradiance perpendicular to the beam, the same in all "
+            f"panels; {code}; {100 * clipped:.2g} % of the pixels are brighter."
         )
-        pixel = (
-            float(reach.max()) / panel
-            if self.magnification is None
-            else self.sensor_pixel / self.magnification
-        )
-        rows, cols = (min(panel, max(LEAST_PIXELS, int(np.ceil(side / pixel - 1e-6)))) for side in reach)
-        return [view_of(pose, convention, (rows, cols), pixel) for pose in poses]
 
-    def sentence(self, view: "View", scene: Scene) -> str:
-        """Magnification, blur and field in words."""
-        lens = self.lens()
-        words = (
-            f"Magnification {self.sensor_pixel / view.pixel_um:.3g}× onto pixels of {self.sensor_pixel:g} µm, "
-            f"{view.pixel_um:.3g} µm on the sample"
-        )
-        if lens.na > 0:
-            words += (
-                f"; NA {lens.na:g} at {self.wavelength:g} nm, finest detail {1 / lens.cutoff_per_um:.3g} µm"
-            )
+    def exposure(self, pictures: Sequence[FloatArray], white: float) -> dict[str, Any]:
+        """The exposure, for the JSON."""
+        return {"white": white, "transfer": self.transfer, "share_above_white": _share_above(pictures, white)}
+
+    def write(self, png: bytes, pictures: Sequence[FloatArray]) -> None:
+        """Write the picture and, on request, the radiances (panels, rows, cols).
+
+        Raises:
+            RecordError: a file cannot be written.
+        """
+        write_bytes(self.out, png)
+        if self.raw is None:
+            return
+        import io
+
+        stack = np.stack(pictures).astype(np.float32)
+        stream = io.BytesIO()
+        if self.raw.suffix.lower() == ".npy":
+            np.save(stream, stack)
         else:
-            words += "; no blur by the lens"
-        if lens.disc_um > 0:
-            words += f"; {self.defocus:g} µm out of focus, disc of {2 * lens.disc_um:.3g} µm"
-        height, width = view.extent_um(scene.size_um)
-        if height > view.shape[0] * view.pixel_um * 1.01 or width > view.shape[1] * view.pixel_um * 1.01:
-            words += "; the sample is larger than the picture, its middle is shown"
-        return words + "."
+            import tifffile
+
+            tifffile.imwrite(stream, stack, photometric="minisblack", metadata={"axes": "ZYX"})
+        write_bytes(self.raw, stream.getvalue())
 
 
-def take_frames(
-    scene: Scene,
-    material: "Material",
-    poses: "tuple[Pose, ...]",
-    convention: "Convention",
-    views: "list[View]",
-    microscope: MicroscopeOptions,
-    advance: "Advance",
-) -> "tuple[list[Micrograph], list[float], FloatArray]":
-    """A micrograph of every pose, the mean radiance of all measured facets, and how much of it is reflected again."""
-    from anisoscope.prediction.reflections import reflections_of_map
-    from anisoscope.sim.light.geometry import directions
-    from anisoscope.sim.light.micrograph import micrograph
-    from anisoscope.sim.light.relief import radiance_maps
-
-    sides, lens = directions(poses, convention), microscope.lens()
-    source = reflections_of_map(scene.relief, microscope.reflections())
-    again = np.zeros(len(poses)) if source is None else source.light(*sides, material)
-    maps = radiance_maps(scene.relief, *sides, material)
-    pictures, means = [], []
-    for number, (direct, view) in enumerate(zip(maps, views, strict=True)):
-        advance(f"stage {poses[number].stage_deg:g}°", number, len(poses))
-        facets = direct + direct.dtype.type(again[number])
-        means.append(float(np.nanmean(facets, dtype=np.float64)))
-        pictures.append(micrograph(facets, scene.facet_um, view, lens))
-    return pictures, means, again
+def _check_target(path: Path, source: Path | None) -> None:
+    if source is not None and path.resolve() == source.resolve():
+        raise UsageError(f"{path} is the input: write to another file")
+    if path.is_dir():
+        raise RecordError(f"cannot write {path}: it is a folder")
+    if not path.parent.is_dir():
+        raise RecordError(f"cannot write {path}: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise RecordError(f"cannot write {path}: the folder {path.parent} is not writable")
 
 
-class Shot:
-    """Microscope pictures with their caption, scale and printed results."""
-
-    def __init__(
-        self,
-        height_map: Path | None,
-        picture: PictureOptions,
-        stage: str,
-        surface: SurfaceOptions | None,
-        microscope: MicroscopeOptions | None,
-        plastic: PlasticOptions | None,
-        rig: RigOptions | None,
-    ) -> None:
-        from anisoscope.parameters.geometry import Pose
-
-        self.picture, self.plastic = picture, plastic or PlasticOptions()
-        self.rig, self.microscope = rig or RigOptions(), microscope or MicroscopeOptions()
-        picture.check(height_map)
-        self.poses = tuple(Pose(angle, self.rig.tilt) for angle in parse_angles(stage, "--stage"))
-        self.convention = self.rig.convention()
-        self.microscope.reflections()
-        material = self.plastic.material()
-        self.scene: Scene = (surface or SurfaceOptions()).scene(height_map)
-        self.views = self.microscope.views(self.scene, self.poses, self.convention, picture.panel)
-        with progress("render", quiet=picture.json_) as advance:
-            self.frames, self.means, self.again = take_frames(
-                self.scene, material, self.poses, self.convention, self.views, self.microscope, advance
-            )
-        self.pictures: list[FloatArray] = [p.radiance.astype(np.float64) for p in self.frames]
-        self.white = picture.brightest(self.pictures, 99.5)
-
-    def caption(self) -> list[str]:
-        """Caption of the pictures."""
-        what = self.scene.name + (f"; {self.scene.note}" if self.scene.note else "")
-        missing = self.scene.relief.missing_share
-        gaps = f" {100 * missing:.2g} % of the facets were not measured." if missing else ""
-        light = (
-            "direct light"
-            if self.microscope.bounces == 1
-            else f"{self.microscope.bounces} reflections, what is reflected again spread evenly"
-        )
-        surface = (
-            f"{what}. Relief model, {light}; roughness below the map's resolution {self.plastic.alpha_along:g} "
-            f"along and {self.plastic.alpha_across:g} across, albedo {self.plastic.albedo:g}.{gaps}"
-        )
-        return [
-            surface,
-            self.microscope.sentence(self.views[0], self.scene),
-            self.rig.sentence(),
-            self.picture.exposure_sentence(self.pictures, self.white),
-        ]
-
-    def answer(self) -> None:
-        """Print the rendered quantities."""
-        from anisoscope.sim.light.contrasts import contrasts
-
-        view = self.views[0]
-        ratios = contrasts(self.poses, np.array(self.means))
-        panels: list[dict[str, Any]] = [
-            {
-                "stage_deg": pose.stage_deg,
-                "tilt_deg": pose.tilt_deg,
-                "mean_of_surface": mean,
-                "reflected_again": again,
-                "mean_of_picture": _mean(p),
-                "missing_pixels": float(p.missing.mean()),
-            }
-            for pose, p, mean, again in zip(
-                self.poses, self.frames, self.means, map(float, self.again), strict=True
-            )
-        ]
-        found = {
-            "model": "relief",
-            "bounces": self.microscope.bounces,
-            **self.scene.as_json(),
-            "convention": asdict(self.convention),
-            "material": asdict(self.plastic.material()),
-            "lens": asdict(self.microscope.lens()),
-            "magnification": self.microscope.sensor_pixel / view.pixel_um,
-            "pixel_um": view.pixel_um,
-            "shape": list(view.shape),
-            "exposure": self.picture.as_json(self.pictures, self.white),
-            "panels": panels,
-            "contrasts": [
-                {key: value if np.isfinite(value) else None for key, value in asdict(c).items()}
-                for c in ratios
-            ],
-        }
-        rows = [
-            [f"{p['stage_deg']:g}", f"{p['mean_of_surface']:.5f}", f"{p['mean_of_picture'] or 0:.5f}"]
-            for p in panels
-        ]
-        columns = ["stage [°]", "mean of the surface [1/sr]", "mean of the picture [1/sr]"]
-        answer(self.picture, found, "Microscope pictures", columns, rows)
+def _share_above(pictures: Sequence[FloatArray], white: float) -> float:
+    known = sum(int(np.isfinite(picture).sum()) for picture in pictures)
+    above = sum(int((picture > white * (1 + 1e-6)).sum()) for picture in pictures)
+    return above / max(known, 1)
 
 
-def _mean(found: "Micrograph") -> float | None:
-    known = found.radiance[np.isfinite(found.radiance)]
-    return float(known.mean(dtype=np.float64)) if known.size else None
-
-
-def heights_in_view(scene: Scene, view: "View") -> FloatArray:
-    """(rows, cols) height in µm of the facet at every pixel; NaN where missing or beyond the map."""
-    from anisoscope.sim.light.micrograph import facet_lookup
-
-    z = scene.relief.surface.height_um
-    middle = 0.25 * (z[:-1, :-1] + z[1:, :-1] + z[:-1, 1:] + z[1:, 1:])
-    index, inside = facet_lookup(view, (middle.shape[0], middle.shape[1]), scene.facet_um, 1)
-    return np.where(inside, middle.ravel()[index], np.nan)
-
-
-def height_pixels(heights: FloatArray, low: float, high: float, found: "Micrograph") -> "Rgb":
-    """Heights in colours; missing points and the region beyond the map in their own colours."""
-    from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, height_colours
-
-    pixels = height_colours(heights, low, high)
-    pixels[~np.isfinite(heights)] = MISSING_RGB
-    pixels[~found.covered] = BEYOND_RGB
-    return pixels
-
-
-def cut_line(
-    cut: float | None, view: "View", heights: FloatArray, found: "Micrograph", ends: tuple[float, float]
-) -> "Heights":
-    """Colour scale of the heights and, on request, the profile along a line.
+def parse_angles(text: str, option: str) -> tuple[float, ...]:
+    """Stage angles, one panel each.
 
     Raises:
-        UsageError: a line outside the picture.
-    """
-    from anisoscope.report.renderings import Heights
-
-    if cut is None:
-        return Heights(*ends)
-    half = 0.5 * view.shape[0] * view.pixel_um
-    if not abs(cut) < half:
-        raise UsageError(
-            f"--cut takes a place within ±{half:.4g} µm of the middle of the picture, not {cut:g}"
-        )
-    row = min(int(np.floor((half - cut) / view.pixel_um)), view.shape[0] - 1)
-    x: FloatArray = (np.arange(view.shape[1], dtype=np.float64) - 0.5 * (view.shape[1] - 1)) * view.pixel_um
-    return Heights(*ends, row, x, heights[row], found.radiance[row].astype(np.float64))
-
-
-MAX_PATTERN = 4096
-FIELD_COLUMNS = ["stage [°]", "first [1/sr]", "second [1/sr]", "difference [1/sr]", "Michelson", "ln ratio"]
-
-
-def plate_views(
-    plate: "Plate", poses: "tuple[Pose, ...]", convention: "Convention", panel: int
-) -> "list[View]":
-    """Views of equal shape and scale in which every pose has room."""
-    from anisoscope.sim.light.picture import view_of
-
-    reach = np.max(
-        [view_of(pose, convention, (1, 1), 1.0).extent_um(plate.size_um) for pose in poses], axis=0
-    )
-    pixel_um = float(reach.max()) / panel
-    rows, cols = (max(1, int(np.ceil(side / pixel_um - 1e-6))) for side in reach)
-    return [view_of(pose, convention, (rows, cols), pixel_um) for pose in poses]
-
-
-def two_directions(text: str) -> tuple[float, float]:
-    """Directions of the ridges of both kinds of fields.
-
-    Raises:
-        UsageError: not two numbers.
+        UsageError: no list of numbers, or too many.
     """
     from anisoscope.cli.options import parse_numbers
 
-    found = parse_numbers(text, "--ridge-directions")
-    if len(found) != 2:
-        raise UsageError(f"--ridge-directions takes two angles in degrees, such as 0,-90, not {text!r}")
-    return found[0], found[1]
+    angles = parse_numbers(text, option)
+    if len(angles) > MAX_PANELS:
+        raise UsageError(f"{option}: at most {MAX_PANELS} panels, not {len(angles)}")
+    return angles
 
 
-def plate_cells(
-    pattern: Path | None, size_mm: float, fields: int, field_mm: float
-) -> tuple[npt.NDArray[np.bool_], float]:
-    """Cells with the second direction, and the side of a cell in mm."""
-    from anisoscope.sim.light.picture import checkerboard as board
-
-    for name, value in (("--plate-width", size_mm), ("--field-size", field_mm)):
-        if not 0.0 < value <= 10_000.0:
-            raise UsageError(f"{name} takes a length above 0 and up to 10000 mm, not {value:g}")
-    if pattern is None:
-        if not 2 <= fields <= 64:
-            raise UsageError(f"--fields takes 2 to 64, not {fields}")
-        return board(fields), field_mm
-    second = _read_pattern(pattern)
-    return second, size_mm / second.shape[1]
-
-
-def _read_pattern(path: Path) -> npt.NDArray[np.bool_]:
-    """Dark pixels of an image: below the middle between its darkest and its brightest."""
-    import cv2
-
-    try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise UsageError(f"--pattern {path}: cannot be read ({error.strerror}); check the path") from None
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:
-        image = None
-    if image is None:
-        raise UsageError(f"--pattern {path}: not an image that can be read; take a PNG of two levels")
-    if max(image.shape[:2]) > MAX_PATTERN:
-        raise UsageError(
-            f"--pattern {path}: {image.shape[1]} × {image.shape[0]} pixels; at most {MAX_PATTERN} a side"
-        )
-    level = np.asarray(image, dtype=np.float64)
-    if level.ndim == 3:
-        full = 65535.0 if image.dtype == np.uint16 else 255.0
-        cover = level[:, :, 3] / full if level.shape[2] == 4 else 1.0
-        level = level[:, :, :3].mean(axis=2) * cover + full * (1.0 - cover)
-    low, high = float(level.min()), float(level.max())
-    if high <= low:
-        raise UsageError(f"--pattern {path}: has one level only; dark and light pixels are needed")
-    return np.asarray(level < 0.5 * (low + high))
-
-
-def _log_ratio(first: float, second: float) -> float | None:
-    return float(np.log(first / second)) if first > 0 and second > 0 else None
-
-
-def fields_as_json(pose: "Pose", picture: "PlatePicture") -> dict[str, Any]:
-    """Radiances and contrasts of the two kinds of fields in one pose."""
-    first, second = picture.fields
-    if not (np.isfinite(first) and np.isfinite(second)):
-        raise UsageError(
-            "the picture shows cells of one direction only: the other is too small, or not there"
-        )
-    total = first + second
-    return {
-        "stage_deg": pose.stage_deg,
-        "tilt_deg": pose.tilt_deg,
-        "first": first,
-        "second": second,
-        "difference": first - second,
-        "michelson": (first - second) / total if total > 0 else None,
-        "log_ratio": _log_ratio(first, second),
-        "darkest": float(np.nanmin(picture.radiance)),
-        "brightest": float(np.nanmax(picture.radiance)),
-    }
-
-
-def field_row(panel: dict[str, Any]) -> list[str]:
-    """The same, for the table."""
-    return [
-        f"{panel['stage_deg']:g}",
-        f"{panel['first']:.5f}",
-        f"{panel['second']:.5f}",
-        f"{panel['difference']:+.5f}",
-        signed(panel["michelson"]),
-        signed(panel["log_ratio"]),
-    ]
-
-
-def write_plate(
-    picture: PictureOptions,
-    plate: "Plate",
-    poses: "tuple[Pose, ...]",
-    view: "View",
-    shown: "list[PlatePicture]",
-    words: list[str],
+def painted(
+    radiance: FloatArray | npt.NDArray[np.float32],
     white: float,
-) -> None:
-    """Draw and write the panels."""
-    from anisoscope.report.renderings import Panel, panels_png, scale_bar
+    transfer: Literal["srgb", "linear"],
+    beyond: npt.NDArray[np.bool_],
+    missing: npt.NDArray[np.bool_] | None = None,
+) -> "Rgb":
+    """Radiance picture in grey; missing points and the region beyond the sample in their own colours."""
+    from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, grey
+    from anisoscope.sim.light.picture import displayed
 
-    panels = []
-    for pose, found in zip(poses, shown, strict=True):
-        values = fields_as_json(pose, found)
-        pixels = painted(found.radiance, white, picture.transfer, ~np.isfinite(found.radiance))
-        lines = (
-            f"ridges at {degrees(plate.ridge_deg[0])} on the plate: {values['first']:.4f} 1/sr",
-            f"ridges at {degrees(plate.ridge_deg[1])} on the plate: {values['second']:.4f} 1/sr",
-            f"Michelson {signed(values['michelson'])}, ln ratio {signed(values['log_ratio'])}",
-        )
-        panels.append(Panel(pixels, f"stage {degrees(pose.stage_deg)}", lines))
-    pictures = [found.radiance for found in shown]
-    bar = scale_bar(view.pixel_um, view.shape[1])
-    caption = [*words, picture.exposure_sentence(pictures, white)]
-    picture.write(panels_png(panels, caption, bar), pictures)
+    pixels = grey(displayed(radiance, white, transfer))
+    pixels[beyond] = BEYOND_RGB
+    if missing is not None:
+        pixels[missing] = MISSING_RGB
+    return pixels
+
+
+def signed(value: float | None) -> str:
+    """A number with its sign, four decimals."""
+    return "–" if value is None else f"{value:+.4f}".replace("-", "−")
+
+
+def degrees(value: float) -> str:
+    """An angle with a typographic minus."""
+    return f"{value:g}°".replace("-", "−")
+
+
+def answer(
+    picture: PictureOptions,
+    found: "DataclassInstance",
+    shown: Sequence[FloatArray],
+    white: float,
+    table: tuple[str, list[str], list[list[str]]],
+) -> None:
+    """Print JSON, or a table (title, columns, rows) and the written files."""
+    from anisoscope.cli.tables import console, print_table
+
+    if picture.json_:
+        print_json(fields_of(found) | {"exposure": picture.exposure(shown, white)})
+        return
+    print_table(*table)
+    files = [str(path) for path in (picture.out, picture.raw) if path is not None]
+    console().print(f"written: {', '.join(files)}", markup=False, highlight=False, soft_wrap=True)
 
 
 app = App(name="render", help="Render pictures of ridged plates and of height maps under the rig's light.")
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+@everyday("pixel", "region")
+class SurfaceOptions:
+    """How a map is taken, and what is added to ideal ridges."""
+
+    rough: Annotated[
+        float, Parameter(help="Roughness α modelled as heights on ideal ridges (length 8 µm).")
+    ] = 0.0
+    burrs: Annotated[float, Parameter(help="Share of ideal ridges that burrs cover, 0 to 0.5.")] = 0.0
+    seed: Annotated[int, Parameter(help="Seed of roughness and burrs.")] = 1
+    pixel: Annotated[str | None, Parameter(help="Pixel size in µm of a map without one: SIZE or Y,X.")] = None
+    level: Annotated[Literal["auto", "plane", "none"], Parameter(help="How a height map is levelled.")] = (
+        "auto"
+    )
+    region: Annotated[
+        str | None, Parameter(help="Part of the map in µm from its first point: X0,Y0,X1,Y1.")
+    ] = None
+
+    def region_um(self) -> tuple[float, float, float, float] | None:
+        """The part of the map.
+
+        Raises:
+            UsageError: not four numbers, or none between them.
+        """
+        if self.region is None:
+            return None
+        corners = parse_numbers(self.region, "--region")
+        if len(corners) != 4 or corners[0] >= corners[2] or corners[1] >= corners[3]:
+            raise UsageError(
+                "--region takes X0,Y0,X1,Y1 in µm with X0 < X1 and Y0 < Y1, such as 0,0,300,200, "
+                f"not {self.region!r}"
+            )
+        return corners[0], corners[1], corners[2], corners[3]
+
+    def read(
+        self, height_map: Path | None, ridges: Given[RidgeDesign], base: "Stated"
+    ) -> "tuple[HeightMap, dict[str, Any]]":
+        """The surface of the command line, else of the recipe, and how it is rendered."""
+        from anisoscope.cli.profile.profile import parse_pixel
+        from anisoscope.operations.render import ridge_sample
+        from anisoscope.profiles.files.load import read_height_map
+
+        asked = "ridge_angle_deg" in ridges
+        if height_map is not None and asked:
+            raise UsageError("give either a height map file or --ridge-angle of ideal ridges")
+        of_recipe = height_map is None and not asked
+        file = base.height_map if of_recipe else height_map
+        if file is None and not asked and base.design is None:
+            raise UsageError("give either a height map file or --ridge-angle of ideal ridges")
+        if file is None:
+            usual = RidgeDesign(base.pitch_um or USUAL_PITCH_UM, 0.0)
+            design = ridges.over(base.design or usual)
+            words = _words(design)
+            words += f", heights of roughness α = {self.rough:g}" if self.rough else ""
+            words += f", burrs on {100 * self.burrs:g} %" if self.burrs else ""
+            surface = ridge_sample(design, self.rough, self.burrs, self.seed)
+            return surface, {"pitch_um": design.pitch_um, "levelling": "none", "name": words}
+        why = "belongs to ideal ridges (--ridge-angle), not to a height map"
+        ridges.refuse(["wall", "height_loss", "edge_radius_um"], why)
+        if self.rough or self.burrs:
+            raise UsageError(f"--rough and --burrs {why.replace('belongs', 'belong')}")
+        pixel, role = parse_pixel(self.pixel), base.role if of_recipe else "part"
+        if of_recipe and pixel is None:
+            pixel = base.pixel_um
+        pitch = ridges.values.get("pitch_um", base.pitch_um)
+        surface = read_height_map(file, pixel_um=pixel, role=role)
+        return surface, {"pitch_um": pitch, "levelling": self.level, "name": file.name}
+
+
+def _words(design: RidgeDesign) -> str:
+    wall = f"{design.wall} wall" if isinstance(design.wall, str) else f"wall of {design.wall:g}° draft"
+    words = f"Ideal ridges, {design.ridge_angle_deg:g}°, pitch {design.pitch_um:g} µm, {wall}"
+    if design.height_loss:
+        words += f", {100 * design.height_loss:g} % of the height missing"
+    return words + (f", crest radius {design.edge_radius_um:g} µm" if design.edge_radius_um else "")
+
+
+def rig_sentence(rig: Convention, tilt: float) -> str:
+    """Light, camera and tilt in words."""
+    side = "right" if rig.light_angle_deg >= 0 else "left"
+    azimuth = f", facets toward {rig.facet_azimuth_deg:g}° at stage 0°" if rig.facet_azimuth_deg else ""
+    sense = "counter-clockwise" if rig.rotation_sense == "ccw" else "clockwise"
+    return (
+        f"Light {abs(rig.light_angle_deg):g}° to the {side} of the camera; both tilted by {degrees(tilt)} "
+        f"(tilt plane {rig.tilt_plane}){azimuth}. Stage angles turn the sample {sense}. Parallel projection."
+    )
+
+
+def plastic_words(material: Material) -> str:
+    """Roughness and lobe in words."""
+    lobe = f"{material.alpha_along:g} along and {material.alpha_across:g} across"
+    tail = f", tail {material.tail:g}" if material.tail else ""
+    second = ", second lobe of weight {:g} and width {:g}".format(*material.second_lobe or (0.0, 1.0))
+    return lobe + tail + (second if material.second_lobe else "")
+
+
 @app.command
+@with_options(ridges=OF_RIDGES, plastic=OF_PLASTIC, rig=OF_LIGHT)
 @everyday(
-    "picture",
-    "plastic",
-    "rig",
-    "ridge_angle",
-    "angles",
-    "fields",
-    "field_size",
-    "pattern",
-    "plate_width",
-    "near_light",
+    *("picture", "recipe", "ridges", "plastic", "rig", "tilt"),
+    *("angles", "fields", "field_size", "pattern", "plate_width", "near_light"),
 )
 def checkerboard(
     *,
     picture: PictureOptions,
-    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees.")] = 10.0,
-    wall: Annotated[
-        Literal["perpendicular", "vertical"], Parameter(help="Wall of a ridge.")
-    ] = "perpendicular",
-    height_loss: Annotated[float, Parameter(help="Share of the ridge height missing at the crest.")] = 0.0,
+    recipe: RecipeOption = None,
+    ridges: Given[RidgeDesign],
     angles: Annotated[str, Parameter(help="Stage angles in degrees, one panel each.")] = "0,90",
     ridge_directions: Annotated[
         str, Parameter(help="Directions of the ridges in the two kinds of fields, from +y, in degrees.")
@@ -480,8 +352,9 @@ def checkerboard(
             help="Reflections followed: 1 is direct light, or 'all'. All by default, under a near light 1."
         ),
     ] = None,
-    plastic: PlasticOptions | None = None,
-    rig: RigOptions | None = None,
+    plastic: Given[Material],
+    rig: Given[Convention],
+    tilt: TiltOption = 0.0,
 ) -> int:
     """Render a plate of fields with two directions of ridges, turned on the stage.
 
@@ -489,79 +362,203 @@ def checkerboard(
         anisoscope render checkerboard --out plate.png
         anisoscope render checkerboard --pattern logo.png --plate-width 20 --out logo-on-plastic.png
     """
-    from anisoscope.parameters.geometry import Pose
-    from anisoscope.parameters.ridges import RidgeDesign
-    from anisoscope.sim.light.picture import Plate, plate_picture
+    from anisoscope.operations.render import read_pattern, render_plate
+    from anisoscope.operations.stated import stated
 
-    plastic, rig = plastic or PlasticOptions(), rig or RigOptions()
     picture.check(pattern)
-    turns = parse_angles(angles, "--angles")
-    second, cell_mm = plate_cells(pattern, plate_width, fields, field_size)
-    design = RidgeDesign(100.0, ridge_angle, wall=wall, height_loss=height_loss)
-    plate = Plate(second, 1000.0 * cell_mm, design, plastic.material(), two_directions(ridge_directions))
-    if near_light is not None and not 0.0 < near_light < float("inf"):
-        raise UsageError(f"--near-light takes a positive distance in mm, not {near_light:g}")
-    if bounces is None:
-        bounces = "all" if near_light is None else 1
-    if bounces != "all" and bounces < 1:
-        raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
-    convention = rig.convention()
-    poses = tuple(Pose(angle, rig.tilt) for angle in turns)
-    views = plate_views(plate, poses, convention, picture.panel)
-    distance = None if near_light is None else 1000.0 * near_light
-    shown = []
+    turns, turned = parse_angles(angles, "--angles"), parse_numbers(ridge_directions, "--ridge-directions")
+    if len(turned) != 2:
+        raise UsageError(
+            f"--ridge-directions takes two angles in degrees, such as 0,-90, not {ridge_directions!r}"
+        )
+    for name, value in (("--plate-width", plate_width), ("--field-size", field_size)):
+        if not 0.0 < value <= 10_000.0:
+            raise UsageError(f"{name} takes a length above 0 and up to 10000 mm, not {value:g}")
+    if pattern is None and not 2 <= fields <= 64:
+        raise UsageError(f"--fields takes 2 to 64, not {fields}")
+    base = stated(recipe)
+    if base.height_map is not None and "ridge_angle_deg" not in ridges:
+        raise UsageError(f"{recipe}: its surface is a height map; say the --ridge-angle of the plate")
+    design = ridges.over(base.design or RidgeDesign(base.pitch_um or USUAL_PITCH_UM, 10.0))
+    cells = fields if pattern is None else read_pattern(pattern)
     with progress("render", quiet=picture.json_) as advance:
-        for number, (pose, view) in enumerate(zip(poses, views, strict=True)):
-            advance(f"stage {degrees(pose.stage_deg)}", number, len(poses))
-            depth = None if bounces == "all" else bounces
-            shown.append(plate_picture(plate, pose, convention, view, distance, depth))
-    light = (
-        "parallel light"
-        if near_light is None
-        else f"a point of light at {near_light:g} mm, irradiance at the axis = 1"
-    )
-    count = (
-        "all reflections"
-        if bounces == "all"
-        else "direct light"
-        if bounces == 1
-        else f"{bounces} reflections"
-    )
-    words = (
-        f"Corrected model, {count}, {light}; ridge angle {ridge_angle:g}°, roughness {plastic.alpha_along:g} along and "
-        f"{plastic.alpha_across:g} across the ridges, albedo {plastic.albedo:g}."
-    )
+        found = render_plate(
+            design,
+            cells,
+            cell_mm=field_size if isinstance(cells, int) else plate_width / cells.shape[1],
+            angles_deg=turns,
+            tilt_deg=tilt,
+            ridge_directions_deg=(turned[0], turned[1]),
+            material=plastic.over(base.material),
+            convention=rig.over(base.convention),
+            near_light_mm=near_light,
+            bounces=bounces,
+            panel=picture.panel,
+            on_progress=advance,
+        )
     # Fields of a plate are flat, without sparkle: white is their maximum, not a percentile.
-    white = picture.brightest([p.radiance for p in shown], 100.0)
-    write_plate(picture, plate, poses, views[0], shown, [words, rig.sentence()], white)
-    values = [fields_as_json(pose, p) for pose, p in zip(poses, shown, strict=True)]
-    found = {
-        "model": "corrected",
-        "bounces": bounces,
-        "convention": asdict(convention),
-        "near_light_mm": near_light,
-        "material": asdict(plate.material),
-        "plate_mm": [side / 1000 for side in plate.size_um],
-        "pixel_um": views[0].pixel_um,
-        "ridge_directions_deg": list(plate.ridge_deg),
-        "exposure": picture.as_json([p.radiance for p in shown], white),
-        "panels": values,
-    }
-    answer(picture, found, "Fields of the plate", FIELD_COLUMNS, [field_row(panel) for panel in values])
+    shown = [one.radiance for one in found.pictures]
+    white = picture.brightest(shown, 100.0)
+    _write_plate(picture, found, design, white, rig_sentence(found.convention, tilt))
+    rows = [
+        [
+            f"{one.stage_deg:g}",
+            f"{one.first:.5f}",
+            f"{one.second:.5f}",
+            f"{one.difference:+.5f}",
+            signed(one.michelson),
+            signed(one.log_ratio),
+        ]
+        for one in found.panels
+    ]
+    answer(picture, found, shown, white, ("Fields of the plate", FIELD_COLUMNS, rows))
     return 0
 
 
+def _write_plate(
+    picture: PictureOptions, found: "PlatePictures", design: RidgeDesign, white: float, rig: str
+) -> None:
+    """Draw and write the panels."""
+    from anisoscope.report.renderings import Panel, panels_png, scale_bar
+
+    light = (
+        "parallel light"
+        if found.near_light_mm is None
+        else f"a point of light at {found.near_light_mm:g} mm, irradiance at the axis = 1"
+    )
+    counts = {"all": "all reflections", 1: "direct light"}
+    words = (
+        f"Corrected model, {counts.get(found.bounces, f'{found.bounces} reflections')}, {light}; ridge angle "
+        f"{design.ridge_angle_deg:g}°, roughness {plastic_words(found.material)} the ridges, albedo "
+        f"{found.material.albedo:g}."
+    )
+    names = [f"ridges at {degrees(one)} on the plate" for one in found.plate.ridge_deg]
+    panels = []
+    for one, seen in zip(found.panels, found.pictures, strict=True):
+        pixels = painted(seen.radiance, white, picture.transfer, ~np.isfinite(seen.radiance))
+        lines = (
+            f"{names[0]}: {one.first:.4f} 1/sr",
+            f"{names[1]}: {one.second:.4f} 1/sr",
+            f"Michelson {signed(one.michelson)}, ln ratio {signed(one.log_ratio)}",
+        )
+        panels.append(Panel(pixels, f"stage {degrees(one.stage_deg)}", lines))
+    shown = [one.radiance for one in found.pictures]
+    bar = scale_bar(found.pixel_um, found.view.shape[1])
+    picture.write(panels_png(panels, [words, rig, picture.exposure_sentence(shown, white)], bar), shown)
+
+
+class Shot:
+    """Microscope pictures with their caption, scale and printed results."""
+
+    def __init__(
+        self,
+        height_map: Path | None,
+        picture: PictureOptions,
+        stage: str,
+        surface: SurfaceOptions | None,
+        recipe: Path | None,
+        models: tuple[Given[RidgeDesign], Given[Microscope], Given[Material], Given[Convention]],
+        bounces: int | Literal["all"],
+        tilt: float,
+    ) -> None:
+        from anisoscope.operations.render import reflections, render_frame
+        from anisoscope.operations.stated import stated
+
+        self.picture, taken = picture, surface or SurfaceOptions()
+        ridges, microscope, plastic, rig = models
+        picture.check(height_map)
+        reflections(bounces)
+        base, turns = stated(recipe), parse_angles(stage, "--stage")
+        seen, region = microscope.over(Microscope()), taken.region_um()
+        material, convention = plastic.over(base.material), rig.over(base.convention)
+        heights, how = taken.read(height_map, ridges, base)
+        with progress("render", quiet=picture.json_) as advance:
+            self.found: Frames = render_frame(
+                heights,
+                angles_deg=turns,
+                tilt_deg=tilt,
+                material=material,
+                convention=convention,
+                microscope=seen,
+                bounces=bounces,
+                region_um=region,
+                panel=picture.panel,
+                on_progress=advance,
+                **how,
+            )
+        self.pictures: list[FloatArray] = list(self.found.radiance)
+        self.white, self.tilt = picture.brightest(self.pictures, 99.5), tilt
+
+    def caption(self) -> list[str]:
+        """Caption of the pictures."""
+        sample, material = self.found.sample, self.found.material
+        what = sample.surface + (f"; {sample.cut}" if sample.cut else "")
+        gaps = (
+            f" {100 * sample.missing_share:.2g} % of the facets were not measured."
+            if sample.missing_share
+            else ""
+        )
+        light = (
+            "direct light"
+            if self.found.bounces == 1
+            else f"{self.found.bounces} reflections, what is reflected again spread evenly"
+        )
+        surface = (
+            f"{what}. Relief model, {light}; roughness below the map's resolution {plastic_words(material)}, "
+            f"albedo {material.albedo:g}.{gaps}"
+        )
+        return [
+            surface,
+            self._optics(),
+            rig_sentence(self.found.convention, self.tilt),
+            self.picture.exposure_sentence(self.pictures, self.white),
+        ]
+
+    def _optics(self) -> str:
+        """Magnification, blur and field in words."""
+        view, seen, lens = self.found.views[0], self.found.microscope, self.found.lens
+        words = (
+            f"Magnification {self.found.magnification:.3g}× onto pixels of {seen.sensor_pixel_um:g} µm, "
+            f"{view.pixel_um:.3g} µm on the sample"
+        )
+        if lens.na > 0:
+            words += f"; NA {lens.na:g} at {seen.wavelength_nm:g} nm, finest detail {1 / lens.cutoff_per_um:.3g} µm"
+        else:
+            words += "; no blur by the lens"
+        if lens.disc_um > 0:
+            words += f"; {seen.defocus_um:g} µm out of focus, disc of {2 * lens.disc_um:.3g} µm"
+        height, width = view.extent_um(self.found.sample.size_um)
+        if height > view.shape[0] * view.pixel_um * 1.01 or width > view.shape[1] * view.pixel_um * 1.01:
+            words += "; the sample is larger than the picture, its middle is shown"
+        return words + "."
+
+    def answer(self) -> None:
+        """Print the rendered quantities."""
+        rows = [
+            [f"{one.stage_deg:g}", f"{one.mean_of_surface:.5f}", f"{one.mean_of_picture or 0:.5f}"]
+            for one in self.found.panels
+        ]
+        columns = ["stage [°]", "mean of the surface [1/sr]", "mean of the picture [1/sr]"]
+        answer(self.picture, self.found, self.pictures, self.white, ("Microscope pictures", columns, rows))
+
+
 @app.command
+@with_options(ridges=OF_SURFACE, microscope=OF_MICROSCOPE, plastic=OF_PLASTIC, rig=OF_LIGHT)
+@everyday(*("picture", "angles", "recipe", "surface", "ridges", "microscope", "plastic", "rig", "tilt"))
 def frame(
     height_map: Path | None = None,
     /,
     *,
     picture: PictureOptions,
     angles: Annotated[str, Parameter(help="Stage angles in degrees, one panel each.")] = "0,90,180",
+    recipe: RecipeOption = None,
     surface: SurfaceOptions | None = None,
-    microscope: MicroscopeOptions | None = None,
-    plastic: PlasticOptions | None = None,
-    rig: RigOptions | None = None,
+    ridges: Given[RidgeDesign],
+    microscope: Given[Microscope],
+    bounces: BouncesOption = "all",
+    plastic: Given[Material],
+    rig: Given[Convention],
+    tilt: TiltOption = 0.0,
 ) -> int:
     """Render what a microscope camera sees of a height map or of ideal ridges, one panel for each stage angle.
 
@@ -574,27 +571,31 @@ def frame(
     """
     from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, Panel, panels_png, scale_bar
 
-    shot = Shot(height_map, picture, angles, surface, microscope, plastic, rig)
+    models = ridges, microscope, plastic, rig
+    shot = Shot(height_map, picture, angles, surface, recipe, models, bounces, tilt)
+    frames = shot.found.pictures
     panels = [
         Panel(
             painted(p.radiance, shot.white, picture.transfer, ~p.covered, p.missing),
-            f"stage {degrees(pose.stage_deg)}",
-            (f"mean of the surface {mean:.4f} 1/sr",),
+            f"stage {degrees(one.stage_deg)}",
+            (f"mean of the surface {one.mean_of_surface:.4f} 1/sr",),
         )
-        for pose, p, mean in zip(shot.poses, shot.frames, shot.means, strict=True)
+        for one, p in zip(shot.found.panels, frames, strict=True)
     ]
     marks = []
-    if any(p.missing.any() for p in shot.frames):
+    if any(p.missing.any() for p in frames):
         marks.append((MISSING_RGB, "not measured"))
-    if not all(p.covered.all() for p in shot.frames):
+    if not all(p.covered.all() for p in frames):
         marks.append((BEYOND_RGB, "beyond the map"))
-    bar = scale_bar(shot.views[0].pixel_um, shot.views[0].shape[1])
+    bar = scale_bar(shot.found.pixel_um, shot.found.shape[1])
     picture.write(panels_png(panels, shot.caption(), bar, marks), shot.pictures)
     shot.answer()
     return 0
 
 
 @app.command
+@with_options(ridges=OF_SURFACE, microscope=OF_MICROSCOPE, plastic=OF_PLASTIC, rig=OF_LIGHT)
+@everyday(*("picture", "stage", "cut", "recipe", "surface", "ridges", "microscope", "plastic", "rig", "tilt"))
 def beside(
     height_map: Path | None = None,
     /,
@@ -605,10 +606,14 @@ def beside(
         float | None,
         Parameter(help="Also draw height and radiance along the line this far above the middle, in µm."),
     ] = None,
+    recipe: RecipeOption = None,
     surface: SurfaceOptions | None = None,
-    microscope: MicroscopeOptions | None = None,
-    plastic: PlasticOptions | None = None,
-    rig: RigOptions | None = None,
+    ridges: Given[RidgeDesign],
+    microscope: Given[Microscope],
+    bounces: BouncesOption = "all",
+    plastic: Given[Material],
+    rig: Given[Convention],
+    tilt: TiltOption = 0.0,
 ) -> int:
     """Render a height map in colours and its microscope picture side by side, in the same orientation and scale.
 
@@ -618,28 +623,57 @@ def beside(
     Examples:
         anisoscope render beside part.x3p --stage 0 --cut 40 --out beside.png
     """
-    from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, Panel, panels_png, scale_bar
+    from anisoscope.report.renderings import (
+        BEYOND_RGB,
+        MISSING_RGB,
+        Panel,
+        height_colours,
+        panels_png,
+        scale_bar,
+    )
 
-    shot = Shot(height_map, picture, f"{stage:g}", surface, microscope, plastic, rig)
-    view, found = shot.views[0], shot.frames[0]
-    heights = heights_in_view(shot.scene, view)
+    models = ridges, microscope, plastic, rig
+    shot = Shot(height_map, picture, f"{stage:g}", surface, recipe, models, bounces, tilt)
+    seen = shot.found.pictures[0]
+    heights = shot.found.sample.heights_um(shot.found.views[0])
     known = heights[np.isfinite(heights)]
     if known.size == 0:
         raise UsageError("no measured point lies in the picture: take another --region")
     low, high = (float(end) for end in np.percentile(known, [0.5, 99.5]))
-    colours = height_pixels(heights, low, high, found)
-    line = cut_line(cut, view, heights, found, (low, high))
+    colours = height_colours(heights, low, high)
+    colours[~np.isfinite(heights)] = MISSING_RGB
+    colours[~seen.covered] = BEYOND_RGB
+    line = _cut_line(cut, shot.found, heights, (low, high))
     panels = [
         Panel(colours, "height map", (f"colours from {low:.2f} to {high:.2f} µm, 99 % of the points",)),
         Panel(
-            painted(found.radiance, shot.white, picture.transfer, ~found.covered, found.missing),
+            painted(seen.radiance, shot.white, picture.transfer, ~seen.covered, seen.missing),
             f"microscope picture, stage {degrees(stage)}",
-            (f"mean of the surface {shot.means[0]:.4f} 1/sr",),
+            (f"mean of the surface {shot.found.panels[0].mean_of_surface:.4f} 1/sr",),
         ),
     ]
-    marks = [(MISSING_RGB, "not measured")] if found.missing.any() else []
-    marks += [(BEYOND_RGB, "beyond the map")] if not found.covered.all() else []
-    bar = scale_bar(view.pixel_um, view.shape[1])
+    marks = [(MISSING_RGB, "not measured")] if seen.missing.any() else []
+    marks += [(BEYOND_RGB, "beyond the map")] if not seen.covered.all() else []
+    bar = scale_bar(shot.found.pixel_um, shot.found.shape[1])
     picture.write(panels_png(panels, shot.caption(), bar, marks, line), shot.pictures)
     shot.answer()
     return 0
+
+
+def _cut_line(
+    cut: float | None, found: "Frames", heights: "FloatArray", ends: tuple[float, float]
+) -> "Heights":
+    """Colour scale of the heights and, on request, the profile along a line."""
+    from anisoscope.report.renderings import Heights
+
+    if cut is None:
+        return Heights(*ends)
+    (rows, cols), pixel = found.shape, found.pixel_um
+    half = 0.5 * rows * pixel
+    if not abs(cut) < half:
+        raise UsageError(
+            f"--cut takes a place within ±{half:.4g} µm of the middle of the picture, not {cut:g}"
+        )
+    row = min(int(np.floor((half - cut) / pixel)), rows - 1)
+    x: FloatArray = (np.arange(cols, dtype=np.float64) - 0.5 * (cols - 1)) * pixel
+    return Heights(*ends, row, x, heights[row], found.pictures[0].radiance[row].astype(np.float64))

@@ -75,6 +75,66 @@ def test_checkerboard_has_the_radiances_that_predict_prints(anisoscope, tmp_path
     assert raw[1, 10, 10] == pytest.approx(at[90], rel=1e-5)
 
 
+RECIPE = """schema = 1
+product = "plate with a measured lobe"
+[surface]
+pitch_um = 80.0
+reflections = "all"
+[surface.design]
+ridge_angle_deg = 9.0
+edge_radius_um = 2.0
+wall = 5.0
+[material]
+alpha_along = 0.07
+alpha_across = 0.11
+albedo = 0.15
+tail = 0.6
+u_tail = 0.0
+[poses]
+angles_deg = [0.0, 40.0, 90.0, -90.0, -50.0]
+tilts_deg = [-8.0]
+facet_azimuth_deg = 20.0
+[acquisition]
+exposure_s = 0.0015
+[region]
+size_mm = [1.0, 1.0]
+"""
+
+
+@pytest.mark.parametrize(("reflections", "bounces"), [("all", "all"), ("direct", 1)])
+def test_fields_have_the_radiance_that_predict_has_of_the_recipe(here, tmp_path, reflections, bounces):
+    """Crest radius, draft, tail and orientation of the recipe; the same model, to 1e-7 by quadrature of reflections."""
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(RECIPE.replace('"all"', f'"{reflections}"'), encoding="utf-8")
+    plate = here(
+        "render", "checkerboard", "--recipe", recipe, "--bounces", bounces, "--angles", "0,40,90", "--tilt=-8",
+        "--panel", 70, "--out", tmp_path / "b.png", "--json",
+    )  # fmt: skip
+    assert plate.code == 0, plate.err
+    assert plate.json["material"]["tail"] == 0.6
+    predicted = here("predict", "--recipe", recipe, "--json")
+    assert predicted.code == 0, predicted.err
+    at = {pose["stage_deg"]: pose["radiance"] for pose in predicted.json["poses"]}
+    for panel, stage in zip(plate.json["panels"], (0, 40, 90), strict=True):
+        assert panel["first"] == pytest.approx(at[stage], rel=1e-7)
+        assert panel["second"] == pytest.approx(at[stage - 90], rel=1e-7)
+
+
+def test_a_recipe_with_a_measured_lobe_is_rendered(here, tmp_path):
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(RECIPE, encoding="utf-8")
+    same = ("--recipe", recipe, "--panel", 64, "--tilt=-8", "--out", tmp_path / "o.png")
+    done = here("render", "frame", *same, "--angles", "0", "--json")
+    assert done.code == 0, done.err
+    assert (done.json["material"]["tail"], done.json["convention"]["facet_azimuth_deg"]) == (0.6, 20.0)
+    assert done.json["surface"] == "Ideal ridges, 9°, pitch 80 µm, wall of 5° draft, crest radius 2 µm"
+    predicted = here("predict", "--recipe", recipe, "--json").json["poses"][0]
+    # a map of the ridges has facets across the wall and the crest, which the outline of the design has not
+    assert done.json["panels"][0]["mean_of_surface"] == pytest.approx(predicted["radiance"], rel=0.03)
+    beside = here("render", "beside", *same, "--cut", "5")
+    assert beside.code == 0, beside.err
+
+
 def test_the_png_shows_the_radiances_pixel_for_pixel(here, tmp_path):
     done = here(
         "render", "checkerboard", "--out", tmp_path / "b.png", "--raw", tmp_path / "b.tif", "--white", 0.4,
@@ -201,9 +261,9 @@ def test_a_region_is_the_part_of_the_map_that_was_asked_for(here, tmp_path, heig
 
 
 def test_a_large_map_is_cut_to_its_middle_and_that_is_said(here, tmp_path, height_map, monkeypatch):
-    from anisoscope.cli.render import scene as render_scene
+    from anisoscope.operations import render as operation
 
-    monkeypatch.setattr(render_scene, "MAX_POINTS", 15_000)
+    monkeypatch.setattr(operation, "MAX_POINTS", 15_000)
     frame = ("render", "frame", height_map, "--stage", 0, "--json", "--out", tmp_path / "f.png")
     done = here(*frame)
     assert done.code == 0, done.err
@@ -273,6 +333,11 @@ def test_beside_draws_heights_and_radiance_of_the_same_place(here, tmp_path, hei
         (["frame", "map.x3p", "--region", "0,0,2,2", "--out", "o.png"], 64, "fewer than"),
         (["frame", "--ridge-angle", "5", "--na", "1.2", "--out", "o.png"], 64, "aperture"),
         (["frame", "--ridge-angle", "5", "--magnification", "0", "--out", "o.png"], 64, "--magnification"),
+        (
+            ["frame", "map.x3p", "--edge-radius", "2", "--out", "o.png"],
+            64,
+            "--edge-radius belongs to ideal ridges",
+        ),
         (["beside", "map.x3p", "--cut", "9000", "--out", "o.png"], 64, "--cut"),
     ],
 )

@@ -11,6 +11,10 @@ from anisoscope.base.language import language
 from anisoscope.cli import app, run
 from anisoscope.kinds.registry import kind_of
 from anisoscope.operations import project_place
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.comparison import turned_over
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import ridges
 from anisoscope.rig.rigfile import read_rig
 
 
@@ -91,26 +95,46 @@ def test_completion_of_bash_knows_the_commands(tmp_path, capsys):
     assert run(["completion", "bash", "--out", "x"]) == 64
 
 
-def test_plastic_and_surface_of_a_recipe_are_options_of_other_commands(job, capsys):
-    recipe = str(job / "recipe.toml")
-    text = (job / "recipe.toml").read_text()
-    (job / "recipe.toml").write_text(
-        re.sub(r"^alpha_along = .*$", "alpha_along = 0.0712345678901234", text, flags=re.MULTILINE)
-    )
-    drawn = bound("render", "frame", "--recipe", recipe, "--out", "x.png")
-    assert (drawn["plastic"].alpha_along, drawn["surface"].ridge_angle) == (0.0712345678901234, 8.0)
+@pytest.fixture
+def drawn(job, capsys):
+    """JSON of a small picture by the recipe of the job, which gets replacements first."""
+
+    def render(replaced, *options):
+        text = (job / "recipe.toml").read_text(encoding="utf-8")
+        for pattern, line in replaced.items():
+            text = re.sub(pattern, line, text, flags=re.MULTILINE)
+        (job / "recipe.toml").write_text(text, encoding="utf-8")
+        small = ("--angles", "0", "--bounces", "1", "--panel", "64", "--out", "x.png", "--json")
+        code = run(["render", "frame", "--recipe", str(job / "recipe.toml"), *small, *options])
+        captured = capsys.readouterr()
+        assert code == 0, captured.err
+        return json.loads(captured.out)
+
+    return render
+
+
+def test_plastic_and_surface_of_a_recipe_are_those_of_other_commands(job, drawn, capsys):
+    found = drawn({r"^alpha_along = .*$": "alpha_along = 0.0712345678901234"}, "--albedo", "0.5")
+    assert (found["material"]["alpha_along"], found["material"]["albedo"]) == (0.0712345678901234, 0.5)
+    assert found["surface"].startswith("Ideal ridges, 8°, pitch 100 µm")
     assert run(["optimise", "--recipe", str(job / "rig.toml")]) == 78
     assert "are the two swapped?" in capsys.readouterr().err
 
 
-def test_a_recipe_with_a_height_map_is_rendered_as_its_map(job):
-    text = (job / "recipe.toml").read_text()
-    (job / "recipe.toml").write_text(
-        re.sub(r"^design = .*$", 'height_map = "part.x3p"', text, flags=re.MULTILINE)
-    )
-    drawn = bound("render", "frame", "--recipe", str(job / "recipe.toml"), "--out", "x.png")
-    assert drawn["height_map"] == job / "part.x3p"
-    assert drawn.get("surface") is None or drawn["surface"].ridge_angle is None
+def test_a_recipe_with_a_height_map_is_rendered_as_its_map(job, drawn, capsys):
+    surface = ridges(RidgeDesign(100.0, 8.0), (60, 400), 1.0)
+    for name, part in (("part.x3p", surface), ("tool.x3p", turned_over(surface))):
+        write_height_map(part, job / name)
+    of_part = drawn({r"^design = .*$": 'height_map = "part.x3p"'})
+    assert of_part["surface"] == "part.x3p"
+    of_tool = drawn({r"^height_map = .*$": 'height_map = "tool.x3p"\nrole = "tool"'})
+    assert of_tool["surface"] == "tool.x3p"
+    mean = of_part["panels"][0]["mean_of_surface"]
+    assert of_tool["panels"][0]["mean_of_surface"] == pytest.approx(mean, rel=1e-6)
+    assert drawn({}, "--ridge-angle", "5")["surface"].startswith("Ideal ridges, 5°")
+    board = ["render", "checkerboard", "--recipe", str(job / "recipe.toml"), "--out", "b.png"]
+    assert run(board) == 64
+    assert "its surface is a height map; say the --ridge-angle of the plate" in capsys.readouterr().err
 
 
 def test_the_command_line_names_the_language_before_the_project_file(job, capsys):

@@ -9,11 +9,12 @@ from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.microscope import Microscope
 from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, plain, with_options
 
-MODELS = (Convention, InputUncertainty, Material, Optics, RidgeDesign)
+MODELS = (Convention, InputUncertainty, Material, Microscope, Optics, RidgeDesign)
 
 
 @dataclass(frozen=True)
@@ -140,9 +141,6 @@ BY_HAND = {
     "profile make",
     "profile texture",
     "recipe new",
-    "render beside",
-    "render checkerboard",
-    "render frame",
     "rig commission",
 }
 """Commands that still declare fields of a model themselves."""

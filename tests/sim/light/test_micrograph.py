@@ -4,11 +4,12 @@ import pytest
 from anisoscope.base.errors import ModelError
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.microscope import Lens
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.light import relief
 from anisoscope.sim.light.geometry import directions
-from anisoscope.sim.light.micrograph import Lens, blurred, micrograph, subpixels
+from anisoscope.sim.light.micrograph import blurred, micrograph, subpixels
 from anisoscope.sim.light.picture import View, view_of
 
 SHARP = Lens(na=0.0)
