@@ -73,7 +73,7 @@ class DesignPart(Part):
 
 
 def _pitch(value: object) -> object:
-    """A pitch as a number of µm, or as text with its unit; one that may have been meant in mm is asked about."""
+    """Pitch in µm, from a number or from text with its unit; ValueError where mm may have been meant."""
     if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
         return read_number(str(value), "pitch_um", "um", LIKELY_PITCH)
     return value

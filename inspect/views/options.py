@@ -222,7 +222,7 @@ def _or_number(text: str, option: str, unit: str, words: Sequence[str]) -> float
 
 
 def quantity(name: str, likely: Likely | None = None) -> Parameter:
-    """What makes an option read a number as people write it, with the unit at the end of a parameter's name."""
+    """Parameter of an option that takes a number with or without the unit at the end of a field's name."""
     unit = unit_of(name)
     return Parameter(
         converter=_converter(lambda text, option: read_number(text, option, unit, likely)), n_tokens=1
