@@ -81,7 +81,7 @@ class Axis(Device):
         await asyncio.to_thread(self._axis.stop)
 
     async def locate(self) -> dict[str, float]:
-        """Where it was sent, and where it is."""
+        """Target and position."""
         place = await asyncio.to_thread(self._place)
         return {"setpoint": place if self._target is None else self._target, "readback": place}
 

@@ -100,7 +100,7 @@ class Exposure:
         return np.sqrt(noise.variance(np.maximum(rate, 0.0) * self.time_s + self.dark_signal))
 
     def floor(self, noise: SensorNoise) -> FloatArray:
-        """Signal in counts that stands out of the noise in the dark."""
+        """Signal in counts above the noise in the dark."""
         return NEAR_DARK_SIGMA * np.sqrt(noise.variance(self.dark_signal))
 
 
@@ -218,7 +218,7 @@ def _first_estimate(exposures: Sequence[Exposure], use: Mask) -> FloatArray:
 def _selection(
     exposures: Sequence[Exposure], clipped: npt.NDArray[np.bool_], rate: FloatArray, noise: SensorNoise
 ) -> Mask:
-    """Which readings count, (exposures, rows, cols)."""
+    """(exposures, rows, cols) mask of the readings that count."""
     known = np.nan_to_num(rate)
     use = ~clipped
     for number, exposure in enumerate(exposures):
@@ -254,7 +254,7 @@ def _weighted(
 
 
 def _lost(exposures: Sequence[Exposure], use: Mask, rate: FloatArray, noise: SensorNoise) -> Mask:
-    """Where some exposure counts, but light stands out of the noise in none of those that do."""
+    """Mask of pixels with valid exposures, none of which exceeds the noise."""
     stands_out = np.zeros(rate.shape, dtype=bool)
     for exposure, good in zip(exposures, use, strict=True):
         stands_out |= good & (np.nan_to_num(rate) * exposure.time_s >= exposure.floor(noise))

@@ -19,7 +19,7 @@ UNCALIBRATED = (
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """What is fixed about a camera.
+    """Fixed properties of a camera.
 
     Attributes:
         model: maker's name of the camera.
@@ -69,7 +69,7 @@ class Camera(Protocol):
 
     @property
     def info(self) -> CameraInfo:
-        """What is fixed about the camera."""
+        """Fixed properties of the camera."""
         ...
 
     def configure(self, exposure_s: float, gain: float) -> CameraSettings:

@@ -103,7 +103,7 @@ class Guard:
 
     @contextmanager
     def motion(self, table: str, *targets: float) -> Iterator[None]:
-        """Allow one motion of an axis from where it stands over target readings; a reference search without any.
+        """Allow one motion of an axis from its position over target readings; a reference search without any.
 
         Raises:
             LimitExceeded: a row forbids it; it is named, and nothing was moved.
@@ -154,7 +154,7 @@ class Guard:
         raise refused
 
     def check_together(self, readings: Mapping[str, float]) -> None:
-        """Check that axes may stand at these readings at the same time; errors as for `order`."""
+        """Check that axes may have these readings at the same time; errors as for `order`."""
         for name, reading in readings.items():
             self._check(name, (reading,), readings.get)
 

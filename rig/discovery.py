@@ -66,7 +66,7 @@ class FoundPort:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of asking on a port: the driver that found its device, with the device's name; or why none did."""
+    """Result of probing a port: the driver that found its device, with the device's name; or why none did."""
 
     driver: str = ""
     device: str = ""

@@ -84,7 +84,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Header:
-    """The metadata of a frame, as they stand in the file."""
+    """Metadata of a frame, as in the file."""
 
     anisoscope_frame: Literal[1]
     kind: FrameKind
@@ -140,7 +140,7 @@ _JPEG_XL_EFFORT = 3
 
 
 def _packing(frame: Frame, compression: Compression) -> dict[str, Any]:
-    """What tifffile is to do with the counts: strips of a quarter of a megabyte are packed in threads."""
+    """Options of tifffile: strips of a quarter of a megabyte are packed in threads."""
     if compression == "none":
         return {}
     if compression == "jpeg-xl":
@@ -228,7 +228,7 @@ def frame_of(content: bytes, path: Path) -> Frame:
 
 
 def header_of(file: Path | bytes) -> Header | None:
-    """What a frame of ours says of itself in its metadata, without its picture; None where it is no frame of ours.
+    """Metadata of a frame without its picture; None for a file that is no frame of this program.
 
     Args:
         file: the file, or its bytes.

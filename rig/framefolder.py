@@ -362,7 +362,7 @@ def write_frame_folder(
 
 
 def same_pose(a: FrameEntry, b: FrameEntry) -> bool:
-    """Whether two frames stand at the same pose, full turns aside."""
+    """Whether two frames have the same pose, apart from full turns."""
     turned = (a.stage_deg - b.stage_deg + 180.0) % 360.0 - 180.0
     return abs(turned) <= POSE_TOLERANCE_DEG and abs(a.tilt_deg - b.tilt_deg) <= POSE_TOLERANCE_DEG
 

@@ -44,7 +44,7 @@ KINDS = {CameraPart: "camera", LightPart: "light"}
 
 
 def key_of(part: Part) -> str:
-    """What an owner and a client agree on: kind, driver, port and options of a device."""
+    """Key of a shared device: its kind, driver, port and options."""
     kind = KINDS.get(type(part), "axis")
     named: list[object] = [kind, part.driver, _port_of(part), dict(sorted(part.options.items()))]
     if isinstance(part, LightPart) and part.channels:
@@ -76,7 +76,7 @@ class SharedCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """What is fixed about the camera."""
+        """Fixed properties of the camera."""
         return self._camera.info
 
     def configure(self, exposure_s: float, gain: float) -> CameraSettings:
@@ -167,7 +167,7 @@ class Owner:
         return found
 
     def action(self, request: Mapping[str, Any]) -> tuple[Callable[[], Any], Callable[[], None]]:
-        """What a request wants done, and what is done when its client goes away meanwhile.
+        """Action of a request, and the one to take when its client goes away meanwhile.
 
         Raises:
             RigError: it is not from this user, or names nothing that is held.
@@ -395,7 +395,7 @@ class HeldStage:
         return float(self._line.ask(self._key, "move_by", delta_deg))
 
     def stop(self) -> None:
-        """Stop at once, on a connection of its own."""
+        """Stop at once, on a separate connection."""
         line = HoldLine(self._holder)
         try:
             line.ask(self._key, "stop")

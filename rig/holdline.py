@@ -71,7 +71,7 @@ class HoldLine:
         return answer
 
     def describe(self, device: str) -> dict[str, Any]:
-        """What a device is; errors as for `ask`, after which nothing is open."""
+        """Description of the device; errors as for `ask`, after which nothing is open."""
         try:
             return cast("dict[str, Any]", self.ask(device, "describe"))
         except BaseException:

@@ -57,7 +57,7 @@ _KEY = re.compile(rb"\x1b\[[0-9]*[A-Za-z~]|\x1bO[A-Z]|.", re.DOTALL)
 
 
 def commands_of(data: bytes) -> Iterator[Command]:
-    """What the keys in some bytes of a terminal mean; others are ignored."""
+    """Commands of the keys in bytes of a terminal; other keys are ignored."""
     for key in _KEY.findall(data):
         plain = key.replace(b"\x1bO", b"\x1b[")  # arrows in the application mode of some terminals
         if (found := KEYS.get(plain)) is not None:
@@ -65,7 +65,7 @@ def commands_of(data: bytes) -> Iterator[Command]:
 
 
 class Jogger:
-    """Moves axes by steps in a thread of its own, until its context ends.
+    """Jogging of axes in a thread, until its context ends.
 
     Args:
         axes: homed axes by their tables of the rig file.
@@ -122,7 +122,7 @@ class Jogger:
         return STEPS[unit_of(self.axes[axis])][self._size]
 
     def state(self) -> str:
-        """Where the axes stood after their last steps, sizes of the steps, and what the last motion failed at."""
+        """Positions after the last steps, sizes of the steps, and the error of the last motion."""
         units = {table: unit_of(axis) for table, axis in self.axes.items()}
         places = [f"{table} {at:.4g}{SYMBOLS[units[table]]}" for table, at in self._at.items()]
         sizes = [f"{STEPS[unit][self._size]:g}{SYMBOLS[unit]}" for unit in dict.fromkeys(units.values())]
@@ -217,7 +217,7 @@ class Gamepad:
         return cls(found[0])
 
     def commands(self, ended: threading.Event) -> Iterator[Command]:
-        """Commands as they come, until the end of the pad's file or of what `ended` stands for.
+        """Commands as they come, until the pad's file ends or `ended` is true.
 
         Raises:
             NotConnected: the pad was unplugged.

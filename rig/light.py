@@ -52,7 +52,7 @@ class FilterWheel(Protocol):
         ...
 
     def go(self, place: int) -> None:
-        """Turn a place into the beam; return when it stands there."""
+        """Turn a place into the beam; return on arrival."""
         ...
 
     def close(self) -> None:
@@ -62,7 +62,7 @@ class FilterWheel(Protocol):
 
 @dataclass(frozen=True)
 class Channel:
-    """What a light channel switches.
+    """Switchable light channel.
 
     Attributes:
         levels_percent: level of every lamp that shines; empty for the only lamp of a light.

@@ -269,7 +269,7 @@ class MicroManagerLight:
 
 @dataclass(frozen=True)
 class Usual:
-    """What is usual of a stage: micrometres of Micro-Manager for one of its unit, tolerance and smallest step."""
+    """Usual properties of a stage: micrometres of Micro-Manager per unit, tolerance and smallest step."""
 
     units: float
     tolerance: float

@@ -52,7 +52,7 @@ class Holder:
 
     @property
     def is_alive(self) -> bool:
-        """Whether that very process still runs."""
+        """Whether the same process still runs."""
         return _started(self.pid) == self.started != ""
 
     def interrupt(self) -> None:
@@ -113,7 +113,7 @@ def release(note: Path | None) -> None:
 
 
 def holder_of(port: str) -> Holder | None:
-    """The other process that holds a port, as far as it is one of ours."""
+    """The other process of this program that holds a port, or None."""
     found = _noted(port)
     return None if found is None or found.pid == os.getpid() or not found.is_alive else found
 

@@ -20,7 +20,7 @@ AXES = ("stage", "tilt", "x", "y", "z")
 
 
 class MotorPart(Part):
-    """An axis of the rig, as far as its driver needs it; what it moves stands at a place, its scale shows a reading.
+    """Axis of the rig: driver, port, zero, sense and limits; a place is of the part, a reading of the scale.
 
     Attributes:
         unit: in which it counts: degrees, or millimetres of a linear axis.
@@ -285,7 +285,7 @@ class LightPart(Part):
 
 
 class GeometryPart(Part):
-    """How the camera arm stands: `tilt_deg` from the normal of the stage, where no axis tilts it."""
+    """Fixed tilt of the camera arm from the normal of the stage, where no axis tilts it."""
 
     tilt_deg: Annotated[float, Field(gt=-90.0, lt=90.0)] = 0.0
 
@@ -332,7 +332,7 @@ class RigAxes(Part):
         return {name: part for name, part in found.items() if part is not None}
 
     def moved_with(self, *tables: str) -> dict[str, MotorPart]:
-        """These axes, and those that stand in a row of `collisions` with one of them, by their tables."""
+        """These axes and the axes that share a row of `collisions` with one of them, by their tables."""
         found = set(tables)
         while more := {
             name for row in self.collisions if found & row.ranges.keys() for name in row.ranges.keys() - found
@@ -347,7 +347,7 @@ class RigAxes(Part):
         return {name: part for name, part in found.items() if part is not None}
 
     def uncalibrated(self, info: CameraInfo) -> bool:
-        """Whether contrasts of its camera are: it is not linear, and no calibration knows how it is bent."""
+        """Whether contrasts are uncalibrated: the camera is not linear, and no response is known."""
         return not info.linear and (self.calibration is None or self.calibration.linearity is None)
 
     @model_validator(mode="after")
@@ -411,7 +411,7 @@ class RigFile(RigAxes):
 
     @property
     def without_devices(self) -> bool:
-        """Whether it describes geometry and calibrations alone, so that nothing can be photographed with it."""
+        """Whether it has geometry and calibrations only, so that nothing can be photographed."""
         return NO_DEVICE in {self.stage.driver, self.camera.driver}
 
 
@@ -419,7 +419,7 @@ TILT_TOLERANCE_DEG = 0.01
 
 
 def check_arm(rig: RigFile, tilts_deg: Iterable[float]) -> None:
-    """Check that a camera arm without an axis stands at all of these tilts, in degrees.
+    """Check that a camera arm without an axis is at all of these tilts, in degrees.
 
     Raises:
         RigError: it does not.
@@ -452,7 +452,7 @@ class ReplayRigFile(RigFile):
 
 
 def read_rig(path: Path, *, here: Path | None = None, channel: str | None = None) -> RigFile:
-    """Read a rig file; ``${here}`` in it stands for its own folder.
+    """Read a rig file; ``${here}`` in it is the folder of the file.
 
     Args:
         path: the file.

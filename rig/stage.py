@@ -91,7 +91,7 @@ def check_limits(stage: RotationStage, angle_deg: float) -> None:
 
 @dataclass(frozen=True)
 class MotionState:
-    """What a stage does now.
+    """State of a motion.
 
     Attributes:
         moving: whether it turns.
@@ -116,7 +116,7 @@ def motion_state(stage: RotationStage, clock: Clock = SYSTEM) -> MotionState:
 
 
 def between_readings(read_deg: Callable[[], float], still_deg: float, clock: Clock) -> MotionState:
-    """State of a stage from two readings, `OBSERVED_S` apart; up to `still_deg` it stands."""
+    """State of a stage from two readings, `OBSERVED_S` apart; up to `still_deg` it is at rest."""
     before_deg, before_s = read_deg(), clock()
     clock.sleep(OBSERVED_S)
     now_deg, now_s = read_deg(), clock()
@@ -155,7 +155,7 @@ def within_a_turn(stage: RotationStage, angle_deg: float) -> float:
 
 @dataclass(frozen=True)
 class MotionRules:
-    """How exactly and how fast a stage moves.
+    """Accuracy and speed of a stage.
 
     Attributes:
         tolerance_deg: a stage this near to the target has arrived.

@@ -14,7 +14,7 @@ LEAST_STEP = 1.5
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the sample stands: angle of the sample and tilt of the camera arm, in degrees."""
+    """Pose: angle of the sample and tilt of the camera arm, in degrees."""
 
     stage_deg: float
     tilt_deg: float = 0.0
@@ -22,7 +22,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Seat:
-    """Where a part lies on the plate, and how x, y and z bring it below the camera.
+    """Place of a part on the plate, and the travel of x, y and z that brings it below the camera.
 
     The axes x and y shift the stage with its axis, so that a part off that axis is followed around it: at the sample
     angle ψ the axis has to stand at −R(ψ)·place from the middle of the picture.
@@ -42,7 +42,7 @@ class Seat:
     focus_mm: float | None = None
 
     def travel_mm(self, stage_deg: float) -> tuple[float, float]:
-        """How far x and y have to go from the centre, at a sample angle in degrees."""
+        """(x, y) travel in mm from the centre, at a sample angle in degrees."""
         turn = complex(math.cos(math.radians(stage_deg)), math.sin(math.radians(stage_deg)))
         to = -turn * complex(*self.place_mm)
         along, up = (math.radians(one) for one in self.directions_deg)
@@ -113,7 +113,7 @@ class _Stop:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to photograph: dark frames first, then every pose, and at the end the first pose once more.
+    """Acquisition plan of a part: dark frames, every pose, and the first pose again at the end.
 
     Attributes:
         poses: where the sample is photographed, in order; every tilt is visited once.
@@ -204,12 +204,12 @@ class Plan:
         return tuple(range(k * count, (k + 1) * count) for k in range(len(self.exposures_s) if count else 0))
 
     def complete(self, done: Collection[int]) -> set[int]:
-        """Those of the steps that belong to stops of which every frame is done."""
+        """Steps of the stops whose frames are all done."""
         whole = [stop.steps for stop in self._stops() if all(step in done for step in stop.steps)]
         return {step for steps in whole for step in steps}
 
     def remaining(self, done: Collection[int]) -> Iterator[Event]:
-        """What is still to be done when the frames of some steps are there.
+        """Steps that remain when the frames of some are there.
 
         The frames of a pose are averaged, so a pose of which one is missing is taken anew. Where frames of the
         first pose are kept, it is photographed once more before anything else: lamp and sample may have changed.

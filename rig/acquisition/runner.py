@@ -91,7 +91,7 @@ def readings_at(pose: Pose, seat: Seat, file: RigFile) -> dict[str, float]:
 def _ways(
     targets: Mapping[str, float], standing: Mapping[str, float], file: RigFile
 ) -> dict[str, tuple[float, ...]]:
-    """Readings over which every axis goes that has to move: below its target if it stands higher, then the target."""
+    """Readings on the way of every moving axis: below its target if it is higher, then the target."""
     below = {table: target - file.axes[table].approach for table, target in targets.items()}
     return {
         table: (below[table], target) if standing[table] > below[table] else (target,)
@@ -150,7 +150,7 @@ class Watch:
 
     @property
     def stop_requested(self) -> bool:
-        """Whether the acquisition shall stop, even if the rig is not stopped yet."""
+        """Whether the acquisition is to stop, even if the rig is not stopped yet."""
         return self._cancel.is_set() or self._trouble.is_set()
 
     def _work(self) -> None:

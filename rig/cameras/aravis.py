@@ -238,7 +238,7 @@ class AravisFeatures:
         return self._kind(name) != "" and bool(self._call("is_feature_available", name))
 
     def writable(self, name: str) -> bool:
-        """Whether it can be set now."""
+        """Whether the feature can be set now."""
         return bool(self._call("get_feature_access_mode", name) != 0)
 
     def get(self, name: str) -> Value:
@@ -294,7 +294,7 @@ def _on(library: Library, device: int, function: str, name: str, *arguments: Any
 
 @dataclass(frozen=True)
 class Stamp:
-    """What came with a frame.
+    """Metadata that came with a frame.
 
     Attributes:
         frame_id: the camera's number of the frame.
@@ -309,7 +309,7 @@ class Stamp:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is set at every connection."""
+    """Settings of every connection."""
 
     pixel_format: str
     size: tuple[int, int]
@@ -589,7 +589,7 @@ class AravisCamera(GenicamCamera):
         return _as_ours(self._name)
 
     def _is_gone(self) -> bool:
-        """Whether it went away, or lost its settings, as after a loss of power."""
+        """Whether the camera went away, or lost its settings, as after a loss of power."""
         if self._connection is None or not self._connection.controls():
             return True
         name = "ExposureTime" if self._features.readable("ExposureTime") else "ExposureTimeAbs"

@@ -115,7 +115,7 @@ class PylonFeatures:
         return self._node(name) is not None
 
     def writable(self, name: str) -> bool:
-        """Whether it can be set now."""
+        """Whether the feature can be set now."""
         return bool(self._genicam.IsWritable(getattr(self._device, name)))
 
     def get(self, name: str) -> Value:

@@ -22,7 +22,7 @@ Picture = npt.NDArray[Any]
 
 
 class Capture(Protocol):
-    """What is used of ``cv2.VideoCapture``."""
+    """Used part of ``cv2.VideoCapture``."""
 
     def isOpened(self) -> bool: ...  # noqa: D102, N802 - OpenCV's names
     def set(self, prop: int, value: float, /) -> bool: ...  # noqa: D102
@@ -33,7 +33,7 @@ class Capture(Protocol):
 
 
 class CaptureThread:
-    """A capture that is opened, used and released in a thread of its own."""
+    """Capture that is opened, used and released in one thread."""
 
     def __init__(self, open_capture: Callable[[], Capture], name: str, timeout_s: float) -> None:
         """Open a capture.

@@ -35,7 +35,7 @@ class Features(Protocol):
         ...
 
     def writable(self, name: str) -> bool:
-        """Whether it can be set now."""
+        """Whether the feature can be set now."""
         ...
 
     def get(self, name: str) -> Value:
@@ -216,7 +216,7 @@ def _pairs(wanted: str) -> list[tuple[str, str]]:
 
 
 def _assign_text(features: Features, name: str, text: str) -> None:
-    """Set a feature to a value that stands in a rig file, in the feature's own type."""
+    """Set a feature to a value of a rig file, in the feature's type."""
     where = f"camera.options.features: {name}"
     if not features.readable(name):
         raise RigFileError(f"{where}: the camera has no such feature")

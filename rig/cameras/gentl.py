@@ -131,7 +131,7 @@ class GenApiFeatures:
         return hasattr(node, "value") and bool(self._genapi.is_readable(node.get_access_mode()))
 
     def writable(self, name: str) -> bool:
-        """Whether it can be set now."""
+        """Whether the feature can be set now."""
         return bool(self._genapi.is_writable(self._node(name).get_access_mode()))
 
     def get(self, name: str) -> Value:

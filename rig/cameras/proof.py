@@ -23,7 +23,7 @@ _LEAST_FACTOR = 1.5
 
 @dataclass(frozen=True)
 class ExposureProof:
-    """What was measured.
+    """Measured exposures of a camera.
 
     Attributes:
         exposures_s: exposures that the camera reported, the first one again at the end.

@@ -155,7 +155,7 @@ def _curve(coefficients: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _residual(light: FloatArray, usable: Mask, times_s: FloatArray) -> float:
-    """How far the exposures disagree about the (groups, exposures) light of like pixels, relative, rms."""
+    """Relative rms disagreement of the exposures about the (groups, exposures) light of like pixels."""
     exposed_s = np.where(usable, times_s, 0.0).sum(axis=1)
     several = usable.sum(axis=1) > 1
     rate = np.where(usable, light, 0.0)[several].sum(axis=1) / exposed_s[several]
@@ -173,7 +173,7 @@ _MOST_LOWEST = 0.15
 
 
 class ResponseCurve(BaseModel):
-    """A response curve, as it stands in its file.
+    """Response curve, as in its file.
 
     Attributes:
         camera: serial number of the camera.

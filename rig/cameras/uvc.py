@@ -175,7 +175,7 @@ _SYSFS = Path("/sys/class/video4linux")
 
 @dataclass(frozen=True)
 class PictureSetup:
-    """What the camera delivers: its format, (rows, cols), and how many frames may wait in the driver."""
+    """Format, (rows, cols) and length of the driver's queue of a camera's pictures."""
 
     fourcc: str
     size: tuple[int, int]
@@ -285,7 +285,7 @@ def set_exposure(capture: CaptureThread, backend: Backend, exposure_s: float) ->
 
 
 def name_of(device: int | str, sysfs: Path = _SYSFS) -> tuple[str, str]:
-    """Model and serial number from Linux; elsewhere the number of the camera stands for both."""
+    """Model and serial number from Linux; elsewhere the number of the camera in place of both."""
     node = f"video{device}" if isinstance(device, int) else Path(device).resolve().name
     place = sysfs / node
     model = _line(place / "name") or f"UVC camera {device}"

@@ -21,7 +21,7 @@ _MODEL = re.compile(rb"XMODEL=([ -~]+)\r?\n$")
 
 @dataclass(frozen=True)
 class LampState:
-    """What the controller reports of a lamp; one that is not selected stays dark."""
+    """State of a lamp as the controller reports it; a lamp that is not selected stays dark."""
 
     selected: bool
     on: bool

@@ -70,7 +70,7 @@ SERVOS = frozenset({"KDC101", "TDC001", "KBD101", "TBD001"})
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What a controller drives: counts for one degree or 1 mm, and the travel in the same unit."""
+    """Mechanics of a controller: counts for one degree or 1 mm, and the travel in the same unit."""
 
     counts: float
     unit: Unit

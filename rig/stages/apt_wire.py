@@ -127,7 +127,7 @@ class DeviceInfo:
 
 @dataclass(frozen=True)
 class Status:
-    """Where the motor stands, in counts, and the 32 status bits; the same for steppers and servos."""
+    """Position of the motor in counts, and the 32 status bits; the same for steppers and servos."""
 
     counts: int
     bits: int

@@ -170,7 +170,7 @@ def counts_from_hex(digits: str) -> int:
 
 
 def error_of_status(name: str, status: int, doing: str) -> RigError:
-    """Return the error that a status code other than 0 stands for."""
+    """Error of a status code other than 0."""
     text = STATUS_TEXTS.get(status, "a status this driver does not know")
     kind = _STATUS_ERRORS.get(status, RigError)
     return device_error(kind, f"{name}: {doing}: the stage reports {text} (GS{status:02X})")

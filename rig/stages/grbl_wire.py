@@ -194,14 +194,14 @@ def _answer(match: re.Match[bytes]) -> Message:
 
 
 def error_of_refusal(name: str, code: int, doing: str) -> RigError:
-    """Return the error that an error number stands for."""
+    """Error of an error number."""
     text = _ERROR_TEXTS.get(code, "a line it does not take")
     kind = _ERROR_KINDS.get(code, ProtocolError)
     return device_error(kind, f"{name}: {doing}: the board reports {text} (error:{code})")
 
 
 def error_of_alarm(name: str, code: int) -> RigError:
-    """Return the error that an alarm number stands for."""
+    """Error of an alarm number."""
     text = _ALARM_TEXTS.get(code, "an alarm this driver does not know")
     return _ALARM_KINDS.get(code, RigError)(
         f"{name}: {text} (ALARM:{code}); its position is uncertain; home it again"

@@ -106,7 +106,7 @@ class ManualStage:
         """Nothing moves by itself."""
 
     def close(self) -> None:
-        """What the operator does from here on is not known."""
+        """Forget the angle: the operator may turn the stage from here on."""
         self._at_deg, self.is_homed = None, False
 
     def _set(self, angle_deg: float) -> float:

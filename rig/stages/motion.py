@@ -138,7 +138,7 @@ class StageBase(ABC):
             return now_deg
 
     def motion_state(self) -> MotionState:
-        """What the stage does now, without waiting for the end of a motion; may be called from any thread.
+        """State of the motion, without waiting for its end; may be called from any thread.
 
         A motion of this connection is known by it; any other one by two readings.
         """
@@ -239,7 +239,7 @@ class StageBase(ABC):
         )
 
     def _check_reference(self, now_deg: float) -> None:
-        """A stage that does not stand where it was left has lost its count: a power cycle, or a hand."""
+        """Refuse a stage that is not at its last position: a power cycle or a hand has lost its count."""
         if self._left_at_deg is None:
             return
         if abs(now_deg - self._left_at_deg) > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
@@ -300,7 +300,7 @@ class StageBase(ABC):
                 )
 
     def _observe(self, what: str) -> None:
-        """Sample the angle of a stage that moves; raise where it reports motion and stands still."""
+        """Sample the angle of a moving stage; raise where it reports motion and rests."""
         now = self._clock()
         if self._samples and now - self._samples[-1][0] < SAMPLE_S:
             return

@@ -15,7 +15,7 @@ _log = logging.getLogger(__name__)
 
 
 class PortStage(StageBase):
-    """What drivers on a port share; a driver takes the transport first, then its options by name.
+    """Base of drivers on a port; a driver takes the transport first, then its options by name.
 
     Several stages may share an open transport. Only `open` makes a stage that closes it.
 
@@ -29,7 +29,7 @@ class PortStage(StageBase):
 
     @property
     def _clock(self) -> Clock:
-        """Time of the port: a simulated device may have one of its own."""
+        """Clock of the port; a simulated device may have another one."""
         return self._transport.clock
 
     @classmethod

@@ -128,7 +128,7 @@ class State:
 
 
 def error_of_letter(name: str, letter: str, doing: str) -> RigError:
-    """Return the error that a letter of TE stands for."""
+    """Error of a letter of TE."""
     text = _ERROR_TEXTS.get(letter, "an error this driver does not know")
     kind = _ERROR_KINDS.get(letter, ProtocolError)
     return device_error(kind, f"{name}: {doing}: the controller reports {text} (TE {letter})")

@@ -136,7 +136,7 @@ class Reply:
 
     @property
     def faulty(self) -> bool:
-        """Whether the flag stands for a fault that ends a motion."""
+        """Whether the flag is of a fault that ends a motion."""
         return self.flag.startswith("F")
 
 
@@ -152,17 +152,17 @@ def is_alert_of(line: bytes, device: int) -> bool:
 
 
 def deg_s_of_speed(data: float, counts_per_deg: float) -> float:
-    """Speed in degrees per second that a setting such as ``maxspeed`` stands for."""
+    """Speed in degrees per second of a setting such as ``maxspeed``."""
     return data / SPEED_FACTOR / counts_per_deg
 
 
 def deg_s2_of_acceleration(data: float, counts_per_deg: float) -> float:
-    """Acceleration in degrees per second squared that a setting such as ``accel`` stands for."""
+    """Acceleration in degrees per second squared of a setting such as ``accel``."""
     return data / ACCELERATION_FACTOR / counts_per_deg
 
 
 def error_of_flag(name: str, flag: str) -> RigError:
-    """Return the error that a warning flag stands for."""
+    """Error of a warning flag."""
     if flag in NO_REFERENCE:
         return NotHomed(
             f"{name} has no reference position ({flag}): it was switched off, or lost it; home it again"
@@ -172,7 +172,7 @@ def error_of_flag(name: str, flag: str) -> RigError:
 
 
 def error_of_rejection(name: str, words: str, reply: Reply) -> RigError:
-    """Return the error that a rejected command stands for."""
+    """Error of a rejected command."""
     if reply.data == "BADDATA" and reply.flag in NO_REFERENCE and words.startswith("move"):
         return error_of_flag(name, reply.flag)
     kind, text = _REJECTIONS.get(reply.data, (ProtocolError, "for a reason that this driver does not know"))
@@ -381,12 +381,12 @@ def read_pace(line: ZaberLine, counts_per_deg: float) -> tuple[float, float]:
 
 
 def read_flags(line: ZaberLine) -> tuple[str, ...]:
-    """The warning flags that stand, the gravest first."""
+    """Active warning flags, the gravest first."""
     return tuple(line.command("warnings").data.split()[1:])  # before them: how many
 
 
 def acknowledge_flags(line: ZaberLine) -> tuple[str, ...]:
-    """Clear a fault of the past, which is latched until then, and return the flags that stand.
+    """Clear a latched fault of the past, and return the active flags.
 
     Raises:
         RigError: a fault stays; it is of now.
@@ -482,7 +482,7 @@ class Zaber(PortStage):
         return command(device, number, NUMBERS - 1, "stop")
 
     def warnings(self) -> tuple[str, ...]:
-        """Read the warning flags that stand, such as ``WR``, the gravest first."""
+        """Read the active warning flags, such as ``WR``, the gravest first."""
         with self._bus:
             return read_flags(self._line)
 

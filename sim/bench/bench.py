@@ -227,7 +227,7 @@ def image_of_code(
     shift_mm: tuple[float, float],
     plate: float,
 ) -> Image:
-    """What the label with the code adds to the reflectance of the plate, (rows, cols).
+    """(rows, cols) reflectance that the label with the code adds to the plate.
 
     Args:
         code: what is printed where.
@@ -337,7 +337,7 @@ class Bench:
 
     @property
     def light_on(self) -> bool:
-        """Whether the lamp shines; setting it switches the lamp to full level, or off."""
+        """Whether the lamp shines; set, it switches the lamp to full level, or off."""
         return self.lamp.level > 0.0
 
     @light_on.setter
@@ -346,7 +346,7 @@ class Bench:
 
     @property
     def sample_angle_deg(self) -> float:
-        """The angle at which the sample truly stands now."""
+        """True angle of the sample now."""
         sense = 1.0 if self.file.stage.turns == "ccw" else -1.0
         return sense * (self.axis.load_deg() - self.file.stage.zero_deg)
 
@@ -359,25 +359,25 @@ class Bench:
         return fixed + part.sign * (self.tilt_axis.load_deg() - part.zero_deg)
 
     def _moved_mm(self, name: str) -> float:
-        """How far a linear axis truly moved the plate; 0 without it."""
+        """True travel of a linear axis; 0 without it."""
         part = self.file.linear.get(name)
         return 0.0 if part is None else part.sign * (self.linear[name].load_deg() - part.zero_mm)
 
     @property
     def shift_mm(self) -> tuple[float, float]:
-        """How far the stage is truly shifted, to the right and up."""
+        """True shift of the stage, to the right and up."""
         return self._moved_mm("x"), self._moved_mm("y")
 
     @property
     def defocus_mm(self) -> float:
-        """How far the plate below the middle of the picture truly stands above the plane of focus."""
+        """True height of the plate below the middle of the picture above the plane of focus."""
         turn = np.radians(self.sample_angle_deg)
         x, y = self.shift_mm
         seen = -x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) - y * np.cos(turn)
         return self._moved_mm("z") + self.file.tray.height_mm(*(float(one) for one in seen))
 
     def device(self, name: str) -> Firmware:
-        """What answers on a line of this rig: the axes of a protocol, ``light`` or ``coolled``, or ``fw102c``.
+        """Device on a line of this rig: the axes of a protocol, ``light`` or ``coolled``, or ``fw102c``.
 
         Raises:
             UsageError: this rig has no such device.
@@ -519,7 +519,7 @@ _InFocus = tuple[float, float, tuple[float, float]]
 
 
 class _Pose(NamedTuple):
-    """Where everything truly stands when a picture is taken."""
+    """True pose of everything when a picture is taken."""
 
     angle_deg: float
     tilt_deg: float

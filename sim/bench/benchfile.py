@@ -228,7 +228,7 @@ class LinearPart(Part):
 
 
 class TrayPart(Part):
-    """Where equal samples lie on the plate, in mm from the axis of the stage; and how uneven the plate is.
+    """Places of equal samples on the plate, in mm from the axis of the stage, and unevenness of the plate.
 
     Every one carries the markers of ``fixture`` about its middle.
 
@@ -246,14 +246,14 @@ class TrayPart(Part):
 
 
 class GeometryPart(Part):
-    """Where camera and light truly stand; with a tilt axis, ``tilt_deg`` comes on top of it."""
+    """True directions of camera and light; with a tilt axis, ``tilt_deg`` is added."""
 
     light_angle_deg: float = 10.0
     tilt_deg: float = 0.0
 
 
 class LampPart(Part):
-    """One of several lamps: where it truly stands, how bright it is, and its wavelength where a wafer's differs."""
+    """One of several lamps: its true direction, brightness, and wavelength where a wafer's differs."""
 
     light_angle_deg: float = 10.0
     brightness: Positive = 1.0
@@ -317,7 +317,7 @@ class BenchFile(Part):
 
 
 def read_bench(path: Path) -> BenchFile:
-    """Read a bench file; ``${here}`` in it stands for its own folder.
+    """Read a bench file; ``${here}`` in it is the folder of the file.
 
     Raises:
         RigFileError: the file is missing or wrong, or a print's ink or spectrum cannot be used; the message names the

@@ -33,7 +33,7 @@ POLL_S = 0.05
 
 
 class CameraServer:
-    """Serves a camera; a context manager, which serves in threads of its own.
+    """Server of a camera; a context manager, which serves in threads.
 
     Args:
         open_one: makes a camera for a client; each has settings of its own.

@@ -187,7 +187,7 @@ _TRANSFER_STEPS = 256
 
 
 def defocused(image: FloatArray, part: OpticsPart, defocus_mm: float) -> Image:
-    """What a telecentric lens makes of a picture when the object stands out of focus; diffraction included.
+    """Picture of a telecentric lens with the object out of focus; diffraction included.
 
     Args:
         image: (rows, cols) picture in perfect focus.

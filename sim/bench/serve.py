@@ -76,7 +76,7 @@ class PtyServer(Server):
 
     @property
     def url(self) -> str:
-        """What to hand to a `Transport`."""
+        """Port name for a `Transport`."""
         return self.port
 
     def close(self) -> None:
@@ -147,7 +147,7 @@ class TcpServer(Server):
 
     @property
     def url(self) -> str:
-        """What to hand to a `Transport`."""
+        """Port name for a `Transport`."""
         return f"socket://{self.port}"
 
     def close(self) -> None:

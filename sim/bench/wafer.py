@@ -150,7 +150,7 @@ class WaferSample:
 
 
 def _lamp_points() -> FloatArray:
-    """(N, 2) points that stand for equal shares of a unit disc."""
+    """(N, 2) points that represent equal shares of a unit disc."""
     radius = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
     turn = 2.0 * np.pi * (np.arange(SPOKES) + np.arange(RINGS)[:, None] / RINGS) / SPOKES
     points = radius[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)

@@ -120,7 +120,7 @@ class AntiMirror:
         return np.asarray(np.repeat(np.repeat(cells, y, axis=0), x, axis=1), dtype=np.uint16)
 
     def _orders(self, count: int, many: int, rng: np.random.Generator) -> Integers:
-        """(count, many) random orders in which every level stands equally often."""
+        """(count, many) random orders with every level equally often."""
         row = np.arange(many) % self.levels
         return rng.permuted(np.tile(row, (count, 1)), axis=1)
 

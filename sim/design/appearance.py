@@ -145,7 +145,7 @@ def pattern_under(
 
 @dataclass(frozen=True)
 class Screen:
-    """Lamp, sample and screen. The sample lies at the origin, its normal along z.
+    """Lamp, sample and screen. The sample is at the origin, its normal along z.
 
     Attributes:
         distance_mm: from the sample to where the mirrored beam meets the screen, the origin of the screen.
@@ -191,7 +191,7 @@ class Screen:
         )
 
     def places(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where (…, 3) directions meet the screen, (…, 2) in mm along its axes, and r²/cos θ there in mm².
+        """(…, 2) places in mm at which (…, 3) directions meet the screen, and r²/cos θ there in mm².
 
         Raises:
             ModelError: a direction that does not meet the screen.

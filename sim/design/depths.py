@@ -190,7 +190,7 @@ WIDTH_BIAS_NM = (0.0, 25.0, 50.0, 100.0, 200.0)
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What one error does.
+    """Effect of one error.
 
     Attributes:
         over_etch_nm: every pass etches deeper by this.

@@ -38,7 +38,7 @@ class Dot:
 
 @dataclass(frozen=True)
 class DotTask:
-    """What dots are drawn from, and what they are to reflect.
+    """Drawing task of dots: their source, and the reflectance that they are to have.
 
     Attributes:
         widths_x: distribution of widths along x.

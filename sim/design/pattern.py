@@ -205,7 +205,7 @@ def make_layout(
 
 
 def _tile_count(design: DesignFile, count: int) -> int:
-    """How many tiles a design takes: of a mixture so many that its smallest share has one."""
+    """Number of tiles of a design: a mixture has so many that its smallest share gets one."""
     if isinstance(design.model, MirrorModel):
         return 1
     if isinstance(design.model, MixtureModel):
@@ -244,7 +244,7 @@ def make_tile(
 
 
 def dot_task(design: DesignFile, model: LobeModel, dot_um: float) -> DotTask:
-    """What the refinement needs to know of a design."""
+    """Task of the refinement for a design."""
     x, y = model.axes(design.min_width_um)
     return DotTask(x, y, design.depths.levels_um, dot_um, design.coherence_um, 1e-3 * design.wavelength_nm)
 

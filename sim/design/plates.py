@@ -158,7 +158,7 @@ class PictureDesign:
 
 @dataclass(frozen=True, eq=False)
 class Gamut:
-    """What a field can show at all stage angles.
+    """Range of radiances of a field over all stage angles.
 
     Attributes:
         radiance: (N, K) in 1/sr.

@@ -214,7 +214,7 @@ def density(task: TargetTask, model: Single, h: FloatArray) -> FloatArray:
 
 
 def candidates(task: TargetTask) -> list[Single]:
-    """What can be mixed: rectangles of several widths, anti-mirrors whose blocks hold all levels, and the mirror."""
+    """Candidates of a mixture: rectangles of several widths, anti-mirrors with all levels, and the mirror."""
     found: list[Single] = [
         LobeModel(widths_x_um=(x,), p_a_x=(1.0,), widths_y_um=(y,), p_a_y=(1.0,))
         for x in _widths(task, WIDTHS)

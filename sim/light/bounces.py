@@ -167,7 +167,7 @@ class Groove:
         return np.asarray(back.reshape(field.shape))
 
     def shown(self, side: int, field: FieldArray, camera: FloatArray, seen: FloatArray) -> FloatArray:
-        """What the camera sees on ``side`` of light that leaves the other side, in length/sr.
+        """Light in view of the camera on ``side`` from the other side, in length/sr.
 
         Args:
             side: 0 or 1.
@@ -328,7 +328,7 @@ def _angles(
 
 
 class _Ends(NamedTuple):
-    """Both ends of N ways of light, and where the lobes about them stand.
+    """Both ends of N ways of light, and the directions of the lobes about them.
 
     Attributes:
         light: to the light, in the frame of the first side.

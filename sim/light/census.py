@@ -73,7 +73,7 @@ class Census:
     rows: int
 
     def band(self, first: int, last: int) -> "Census":
-        """That of the rows of cells from ``first`` to before ``last``, for what is hidden in them."""
+        """Census of the rows of cells from ``first`` to before ``last``, for the light hidden in them."""
         parts = 2 if len(self.u) > self.rows else 1
         u, v = (
             a.reshape(parts, self.rows, -1)[:, first:last].reshape(parts * (last - first), -1)
@@ -90,7 +90,7 @@ class Census:
 
 
 def _in(cells: Cells, first: int, last: int) -> Cells:
-    """Those of some rows, counted from the first of them."""
+    """Entries of some rows, counted from the first of them."""
     where, slopes = cells
     inside = (where[:, 0] >= first) & (where[:, 0] < last)
     return where[inside] - np.array([first, 0]), slopes[inside]
@@ -196,7 +196,7 @@ def _sky(census: Census, at_nodes: FloatArray) -> Floats:
 
 
 def added(census: Census, shine: Shine, horizon: Horizon, at_nodes: FloatArray) -> float:
-    """What shadows take from the sum over the counted facets, all lit and seen, and what facets apart add to it.
+    """Loss by shadows from the sum over the counted facets, all lit and seen, and gain by facets apart.
 
     Args:
         census: of the map, or of a band of its rows.

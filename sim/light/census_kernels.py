@@ -244,7 +244,7 @@ def shine_at(
 
 @jit_kernel(inline="always")
 def _between(shine: Floats, grid: FloatArray, u: float, v: float) -> float:
-    """What a normal shines, from the values at the nodes around it."""
+    """Radiance of a normal, from the values at the nodes around it."""
     x, y = (u - grid[0]) * grid[1], (v - grid[2]) * grid[3]
     i, j = np.uintp(x), np.uintp(y)
     x0, x1, x2, x3 = cubic(x - i)
@@ -268,7 +268,7 @@ def hidden(
     seen: Floats,
     same_side: bool,
 ) -> float:
-    """What the counted facets would add were they not in shadow or hidden.
+    """Radiance of the counted facets, were they not in shadow or hidden.
 
     ``shine`` holds (nv, nu) values at the nodes of the grid; ``lit`` and ``seen`` (rows, C) shares, ``u``, ``v``
     (R, C) coordinates with R = rows or, with triangles, 2·rows.
@@ -344,7 +344,7 @@ def counted_in_cells(
 
 @jit_kernel(inline="always")
 def _facet_shine(slope: FloatArray, lit: float, seen: float, same_side: bool, shine: Shine) -> float:
-    """What one facet sends to the camera; its slope (before, after, first, gy) may change at an edge."""
+    """Radiance of one facet; its slope (before, after, first, gy) may change at an edge."""
     before, after, first, gy = slope[0], slope[1], slope[2], slope[3]
     if first < 1.0:
         shares = split_shares((before, after, first), gy, lit, seen, shine.light, shine.camera)
@@ -389,7 +389,7 @@ def apart_shine(
     same_side: bool,
     shine: Shine,
 ) -> float:
-    """What the facets beyond the grid add, one by one; arguments as above."""
+    """Radiance of the facets beyond the grid, one by one; arguments as above."""
     total = 0.0
     for n in range(len(where)):
         r, c = where[n, 0], where[n, 1]

@@ -23,7 +23,7 @@ BAND_POINTS = 1_000_000  # facets of a band of rows, so that its shares stay in 
 
 
 class Ground(Protocol):
-    """What the horizon must know of a surface; `relief.Relief` is one."""
+    """Surface as the horizon needs it; `relief.Relief` is one."""
 
     @property
     def rows_first(self) -> Floats:

@@ -208,7 +208,7 @@ def split_shares(
     light: Vector,
     camera: Vector,
 ) -> tuple[float, float]:
-    """How much of a cell that straddles an edge is both lit and seen, before and after the edge.
+    """Shares of a cell across an edge that are both lit and seen, before and after the edge.
 
     ``edge``: slopes before and after, share of the first.
     """
@@ -232,7 +232,7 @@ def facet_radiance(
     stop: int,
     result: ShareArray,
 ) -> None:
-    """What each cell adds to the radiance per macroscopic area: V·f·cos_i·cos_o / (n_z · ω_o·n).
+    """Contribution of each cell to the radiance per macroscopic area: V·f·cos_i·cos_o / (n_z · ω_o·n).
 
     Along is the direction of +y within a facet. ``lit`` and ``seen`` are (rows − 1, cols − 1) shares. The rows
     from ``begin`` to ``stop`` of ``result`` (rows − 1, cols − 1) are filled with values in 1/sr; NaN where one of the

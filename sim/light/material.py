@@ -284,7 +284,7 @@ class Rays(NamedTuple):
     shadow: FloatArray
 
     def at(self, place: Any) -> "Rays":  # noqa: ANN401 - whatever an array takes
-        """Those at some places."""
+        """Rays at some places."""
         return Rays(*(one[place] for one in self))
 
 

@@ -71,7 +71,7 @@ def subpixels(view: View, facet_um: tuple[float, float], lens: Lens) -> int:
 def facet_lookup(
     view: View, shape: tuple[int, int], facet_um: tuple[float, float], fine: int
 ) -> tuple[npt.NDArray[np.int32], BoolArray]:
-    """Which facet stands at every point of the picture.
+    """Index of the facet at every point of the picture.
 
     Args:
         view: the view; the middle of the map stands on the rotation axis.

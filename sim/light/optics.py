@@ -23,7 +23,7 @@ _FIELD_NODES = 3  # Gauss-Legendre, on each axis of the field
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """Directions that stand for P poses, Q pairs each.
+    """Directions that represent P poses, Q pairs each.
 
     Attributes:
         to_light: (P, Q, 3) unit vectors in the frame of the sample.
@@ -38,7 +38,7 @@ class Bundle:
 
 
 def bundle(to_light: FloatArray, to_camera: FloatArray, optics: Optics) -> Bundle:
-    """The directions that stand for each pose.
+    """Directions that represent each pose.
 
     Args:
         to_light: (P, 3) unit vectors from the middle of the field, in the frame of the sample.

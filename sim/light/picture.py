@@ -31,7 +31,7 @@ LEAST_LATTICE, MAX_LATTICE = 9, 201
 
 @dataclass(frozen=True)
 class View:
-    """How a camera sees the plane of the sample; the rotation axis stands in the middle of the picture.
+    """View of a camera onto the plane of the sample; the rotation axis is in the middle of the picture.
 
     Attributes:
         shape: (rows, cols) of the picture.

@@ -270,7 +270,7 @@ def radiance(
     idle, lock, done = list[Horizon](), Lock(), 0
 
     def predict(work: tuple[tuple[int, int], range]) -> FloatArray:
-        """What is hidden in a band of rows, in each of some poses."""
+        """Hidden light of a band of rows, in each of some poses."""
         nonlocal done
         band, some = work
         part = census if len(rows) == 1 else census.band(*band)

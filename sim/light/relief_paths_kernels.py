@@ -44,7 +44,7 @@ class Draws(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What paths that begin in one direction are followed for.
+    """Arguments of the paths that begin in one direction.
 
     Attributes:
         origin: unit vector from which paths are followed.

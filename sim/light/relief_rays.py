@@ -151,7 +151,7 @@ def height(terrain: Terrain, row: int, col: int, u: float, v: float) -> float:
 def _meet_bent(
     bend: tuple[float, float], entry: float, leave: float, gap: float, left: float, first: bool
 ) -> tuple[float, float]:
-    """Where a ray meets a bent facet, as a share of its way through the cell, and by how much it is lifted.
+    """Point at which a ray meets a bent facet, as a share of its way through the cell, and its lift.
 
     ``entry`` and ``leave`` are u of both ends of that way, ``gap`` and ``left`` its heights there over the chord.
     """

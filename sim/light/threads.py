@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 
 def count() -> int:
-    """How many threads kernels may use: numba's number, which follows NUMBA_NUM_THREADS and the cores."""
+    """Number of threads of kernels: numba's, which follows NUMBA_NUM_THREADS and the cores."""
     from numba import get_num_threads  # noqa: PLC0415 - loaded when first needed
 
     return int(get_num_threads())

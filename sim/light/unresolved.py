@@ -36,7 +36,7 @@ class Resolved:
     bandwidth_um: tuple[float, float]
 
     def lobe(self, plastic: Material) -> Material:
-        """What a plastic with its roughness at all scales leaves for the facets of the map, at least ``SMOOTHEST``."""
+        """Lobe that a plastic, rough at all scales, leaves for the facets of the map, at least ``SMOOTHEST``."""
         left = plastic.alpha_along**2 - self.along**2, plastic.alpha_across**2 - self.across**2
         along, across = (float(np.sqrt(max(square, SMOOTHEST**2))) for square in left)
         return replace(plastic, alpha_along=along, alpha_across=across)

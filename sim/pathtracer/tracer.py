@@ -69,7 +69,7 @@ class Interface(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """Where a ray meets the surface, and the slopes of the triangle along x and y in µm per µm."""
+    """Point at which a ray meets the surface, and slopes of the triangle along x and y in µm per µm."""
 
     met: bool
     place: Vector
@@ -174,7 +174,7 @@ def _met_within(
 
 @_compiled
 def first_hit(mesh: Mesh, place: Vector, way: Vector) -> Hit:
-    """Where a ray from above the surface or on it meets the surface first."""
+    """First point at which a ray from above the surface or on it meets the surface."""
     u, v, height = place
     du, dv, dz = way
     col, row = math.floor(u), math.floor(v)
@@ -523,7 +523,7 @@ def _path(
 
 @_compiled
 def _start(mesh: Mesh, u: float, v: float, toward: Vector) -> Vector:
-    """Where a path from far away enters that meets the plane at half the height at a share (u, v) of the map."""
+    """Point of entry of a path from far away that meets the plane at half the height at a share (u, v) of the map."""
     rows, cols = mesh.z.shape
     rise = 0.5 * mesh.top / toward[2]
     return (

@@ -97,7 +97,7 @@ MOST_DOTS = 400_000_000
 
 @dataclass(frozen=True, eq=False)
 class Halftone:
-    """Where which ink goes.
+    """Map of the inks of a print.
 
     Attributes:
         dots: (rows, cols) 0 for no ink, 1 to K for the inks; one number a dot, so that inks cannot meet.
@@ -232,7 +232,7 @@ Placer = Callable[[Float32, int, Dots], None]
 
 
 def _placer(method: Method, cols: int, inks: int) -> Placer | None:
-    """What places the dots of a band after those of the band above; None where bands do not depend on each other."""
+    """Placement of the dots of a band after the band above; None where bands do not depend on each other."""
     if method == "mask":
         return None
     from anisoscope.sim.proof.kernels import diffuse  # noqa: PLC0415 - loads the compiler

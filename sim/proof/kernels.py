@@ -212,7 +212,7 @@ def limit_sum(cover: Float32, counts: Int64) -> None:
 
 @jit_kernel(nogil=True)
 def screen(cover: Float32, thresholds: Float32, first_row: int, dots: Dots) -> None:
-    """Dot off dot: the k-th ink where the threshold lies between the sums of coverages before and after it.
+    """Dot off dot: the k-th ink where the threshold is between the sums of coverages before and after it.
 
     Args:
         cover: (rows, cols, K), sums at most 1.

@@ -40,7 +40,7 @@ class Mesh:
 
 @dataclass
 class _Text:
-    """Parsed lines of a file: numbers as they stand, corners as (position, uv, normal), −1 for none."""
+    """Parsed lines of a file: numbers as written, corners as (position, uv, normal), −1 for none."""
 
     path: Path
     position: list[tuple[float, ...]] = field(default_factory=list)

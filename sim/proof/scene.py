@@ -63,7 +63,7 @@ def cylinder_size(aspect: float) -> tuple[float, float]:
 
 
 def surface(scene: Scene, rows: int, cols: int) -> Surface:
-    """What the eye sees of a scene, pixel by pixel.
+    """Surface in view of the eye, pixel by pixel.
 
     Raises:
         ModelError: a picture without pixels, a shape that is not known, a mesh that is missing, or angles that are not

@@ -40,7 +40,7 @@ TOLERANCE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Separation:
-    """How colours become coverages.
+    """Separation of colours into coverages.
 
     Attributes:
         way: "match": mixed from the inks' colours; "channels": R, G, B of the linear image are the coverages, and what

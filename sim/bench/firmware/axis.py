@@ -80,7 +80,7 @@ class RotaryAxis:
             return self._elapsed(now) < self._duration(abs(self._to_deg - self._from_deg))
 
     def stalled(self, now: float | None = None) -> bool:
-        """Whether the motor stands at the obstacle instead of at its target."""
+        """Whether the motor is at the obstacle instead of at its target."""
         with self._lock:
             return self._stalled and not self.busy(now)
 

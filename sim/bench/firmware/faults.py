@@ -8,7 +8,7 @@ from anisoscope.base.errors import UsageError
 
 
 class FaultKind(StrEnum):
-    """What goes wrong; the meaning of the parameter in brackets, with its default."""
+    """Kind of fault; the meaning of the parameter in brackets, with its default."""
 
     SILENT = "silent"
     """Answers nothing [after so many commands, 0]."""

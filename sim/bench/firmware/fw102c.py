@@ -15,7 +15,7 @@ STEP_S = 0.3
 
 
 class WheelFirmware(SimulatedDevice):
-    """One wheel. It echoes what it takes, and its prompt comes when it stands.
+    """One wheel. It echoes its input, and prompts on arrival.
 
     Args:
         model: FW102C with six places, or FW212C with twelve.

@@ -124,7 +124,7 @@ OVERFLOW = 11
 
 
 class GrblLine(SimulatedDevice):
-    """A board as far as its line goes; what it does with bytes and lines is added by `_real_time` and `_obey`."""
+    """Line of a board; `_real_time` and `_obey` add its behaviour."""
 
     _rx: bytearray
 
@@ -292,7 +292,7 @@ class GrblBoard(GrblLine):
             self._alarm(int(self.faults[FaultKind.LATCHED_ERROR]))
 
     def _restart(self) -> None:
-        """What power-up and a reset have in common."""
+        """Common part of power-up and reset."""
         self._rx = bytearray()
         self._modes = Modes()
         self._planned = self._planner.position

@@ -32,7 +32,7 @@ _JOG_WORDS = frozenset({"distance", "units", "once"})
 
 @dataclass(frozen=True)
 class Modes:
-    """What stays in force from block to block."""
+    """Modal state from block to block."""
 
     motion: str = "G0"
     system: str = "G54"
@@ -55,7 +55,7 @@ class Modes:
 
 @dataclass(frozen=True)
 class Block:
-    """What a block of G-code does: moves, a pause in seconds, and how the program goes on (M0, M2 …)."""
+    """Effect of a block of G-code: moves, a pause in seconds, and the end of the program (M0, M2 …)."""
 
     modes: Modes
     moves: tuple[Move, ...] = ()

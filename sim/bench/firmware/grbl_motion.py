@@ -120,7 +120,7 @@ class Planner:
 
     @property
     def blocked(self) -> bool:
-        """Whether a load stands at an obstacle instead of moving on."""
+        """Whether a load is blocked by an obstacle."""
         return any(stepper.axis.stalled() for stepper in self.steppers)
 
     @property

@@ -76,7 +76,7 @@ MODELS = {"uno": UNO, "a4988-belt": BELT, "native-usb": NATIVE_USB}
 
 @dataclass
 class Memory:
-    """What survives a power cycle.
+    """Memory that survives a power cycle.
 
     Attributes:
         settings: by number.

@@ -22,7 +22,7 @@ COMPLAINTS = {UNKNOWN: "unknown command", OUT_OF_RANGE: "number out of range", T
 
 
 class Dimmable(Protocol):
-    """What the controller drives."""
+    """Lamp of the controller."""
 
     level: float
     attend: Callable[[], None]

@@ -10,7 +10,7 @@ STALL_S = 2.0
 
 
 class Motion(StrEnum):
-    """What the motor does, or what has just ended."""
+    """Motion of the motor, or the one that has just ended."""
 
     HOME = "home"
     MOVE = "move"

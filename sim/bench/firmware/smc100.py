@@ -109,7 +109,7 @@ class SmcModel:
 
     @property
     def stepper(self) -> bool:
-        """Whether it drives a stepper (PP) instead of a servo motor with an encoder (CC)."""
+        """Whether the motor is a stepper (PP) instead of a servo with an encoder (CC)."""
         return "FRM" in self.parameters
 
 
@@ -155,7 +155,7 @@ RESTART_S = 3.0
 
 
 class Smc100States(SimulatedDevice):
-    """A controller, as far as it moves.
+    """States of a controller.
 
     Args:
         axis: the axis it turns; by default one that stands at 0° and moves in real time.

@@ -40,7 +40,7 @@ DEVICE, AXIS = 0, 1
 
 @dataclass(frozen=True)
 class ZaberModel:
-    """What distinguishes a stage: id, microsteps per turn, top speed in degrees per second, acceleration setting.
+    """Model of a stage: id, microsteps per turn, top speed in degrees per second, acceleration setting.
 
     Attributes:
         counts_per_mm: of a linear stage, in place of those per turn; then the speed is in mm/s.
@@ -103,12 +103,12 @@ class Setting:
         return str(self.value() if callable(self.value) else self.value)
 
     def takes(self, number: int) -> bool:
-        """Whether a number may be written to it."""
+        """Whether the setting takes a number."""
         return self.lowest <= number <= self.highest
 
     @property
     def writable(self) -> bool:
-        """Whether anything may be written to it."""
+        """Whether the setting can be written."""
         return self.lowest < self.highest
 
 
@@ -243,7 +243,7 @@ def frame(kind: str, body: str, *, checked: bool) -> bytes:
 
 
 def flag_of_number(number: float) -> str:
-    """The flag that a number as the parameter of a fault stands for.
+    """Flag of a number, the parameter of a fault.
 
     Raises:
         UsageError: there is none.
@@ -305,7 +305,7 @@ class ZaberController(SimulatedDevice):
     @property
     @abstractmethod
     def flags(self) -> tuple[str, ...]:
-        """The warning flags that stand, the gravest first."""
+        """Active warning flags, the gravest first."""
 
     @property
     @abstractmethod
@@ -469,7 +469,7 @@ class ZaberFirmware(ZaberController):
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """The warning flags that stand, the gravest first."""
+        """Active warning flags, the gravest first."""
         standing = self._flags if self.motor.referenced else self._flags | {"WR"}
         return tuple(flag for flag in FLAGS + MILD_FLAGS if flag in standing)
 

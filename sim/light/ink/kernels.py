@@ -57,7 +57,7 @@ def _cosines(work: Float32, x: float, y: float, z: float, into: int) -> None:
 
 @jit_kernel(fastmath=True)
 def _places(work: Float32, last: float) -> None:
-    """Where in the table the goniochromatic model looks (Eq. 6), cosines cut to [0, 1]."""
+    """Place in the table of the goniochromatic model (Eq. 6), cosines cut to [0, 1]."""
     lit, seen, found = work[4], work[3], work[5]
     for c in range(found.size):
         i = min(max(lit[c], ZERO), ONE)
@@ -186,7 +186,7 @@ def _put_together(work: Float32, result: Float32) -> None:
 
 @jit_kernel(inline="always")
 def _run_end(lobes: Float32, first: int) -> int:
-    """Where the run of inks with the same lobe as the first one ends."""
+    """End of the run of inks with the same lobe as the first one."""
     stop = first + 1
     while stop < lobes.shape[0]:
         for j in range(lobes.shape[1]):

@@ -44,7 +44,7 @@ def brdf(
     *,
     tio2_source: str = tio2.DEFAULT,
 ) -> FloatArray:
-    """(…, W) BRDF in 1/sr at (…, 3) unit vectors in the frame of the surface; 0 where one lies below it.
+    """(…, W) BRDF in 1/sr at (…, 3) unit vectors in the frame of the surface; 0 below it.
 
     Raises:
         ModelError: no such model or TiO2 data set, or wavelengths for which its index is not known.
@@ -188,7 +188,7 @@ def _brush_to_surface(ink: Ink, vectors: FloatArray) -> FloatArray:
 
 
 def albedo_warning(ink: Ink, model: Model = "goniochromatic") -> str | None:
-    """Where the albedo exceeds 1 for light at up to 80°; None where it does not."""
+    """Warning where the albedo exceeds 1 for light at up to 80°; else None."""
     found = directional_albedo(ink, np.array(WATCHED_DEG, dtype=np.float64), model, shares=16, azimuths=24)
     if found.max() <= 1.0:
         return None

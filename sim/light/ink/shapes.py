@@ -16,7 +16,7 @@ Float32 = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What a camera sees of a shape, pixel by pixel.
+    """Surface of a shape in view of a camera, pixel by pixel.
 
     Attributes:
         normal: (rows, cols, 3) unit normals; zero where there is nothing to see.

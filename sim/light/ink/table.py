@@ -100,6 +100,6 @@ def _seen(weights: FloatArray) -> slice:
 
 
 def _part(ink: Ink, seen: slice) -> Ink:
-    """The ink at these wavelengths; where the outermost one lies just beyond what is seen, it counts as the edge."""
+    """The ink at these wavelengths; an outermost one just beyond the visible counts as its edge."""
     nm = tuple(float(value) for value in np.clip(ink.wavelengths_nm[seen], *VISIBLE_NM))
     return replace(ink, wavelengths_nm=nm, rho=ink.rho[seen], c=ink.c[seen])

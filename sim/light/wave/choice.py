@@ -76,7 +76,7 @@ def structure_of(surface: WaveSurface, wavelength_um: float) -> Structure:
 
 
 def is_stepped(lines: list[npt.NDArray[np.float32]], wavelength_um: float) -> bool:
-    """Whether most of the surface is level and nearly all of its relief stands in jumps from pixel to pixel."""
+    """Whether most of the surface is level and nearly all of its relief is jumps from pixel to pixel."""
     change = np.concatenate([np.abs(np.diff(line)) for line in lines])
     jump = change > 0.02 * wavelength_um
     total = float(change.sum())
@@ -179,7 +179,7 @@ EDGE_ERROR, SHADOW_ERROR = 1.05, 2.4
 
 
 def stepped_error(depth_um: float, width_um: float, wavelength_um: float, slant: float) -> float:
-    """What scalar waves without shadows neglect on level steps: edges of metal, and shadows of the walls.
+    """Error of scalar waves without shadows on level steps: edges of metal, and shadows of the walls.
 
     λ/w·(1.05 + 2.4·tan θ)·min(1, 5·d/λ) bounds the error of every order of two-level gratings of aluminium, as a share
     of the brightest one (two thirds of it suffice), and all light that is misplaced or lost. Source: rigorous coupled
@@ -200,7 +200,7 @@ EDGE_REACH, EDGE_DEPTH, EDGE_SLANT, LEAST_STEP = 0.4, 4.5, 2.0, 0.5
 
 
 def edge_widening_um(depth_um: float, wavelength_um: float, slant: float) -> float:
-    """Largest modulus of the complex widening of etched features that stands for what scalar waves neglect at edges.
+    """Largest modulus of the complex widening of etched features that represents the error of scalar waves at edges.
 
     Every edge adds a wave of its own: that of a strip ε wide, in some phase. A scalar strip that changes sides adds
     (exp(iφ) − 1)·δ/2, φ the phase of a step there and back; so δ = 2ε/|exp(iφ) − 1|, of which the real part is a
@@ -220,7 +220,7 @@ def edge_widening_um(depth_um: float, wavelength_um: float, slant: float) -> flo
 
 @dataclass(frozen=True)
 class OpticsChoice:
-    """Which optics, and why.
+    """Chosen optics, with the reason.
 
     Attributes:
         model: "geometric" or "wave".

@@ -55,7 +55,7 @@ class Decimation:
         return half // self.step + (self.count - 1 + half) // self.step + 1
 
     def equaliser(self, frequency: FloatArray) -> FloatArray:
-        """What (F,) frequencies in cycles per µm must be multiplied with: 1/H in the pass band, tapered to 0."""
+        """(F,) factors of frequencies in cycles per µm: 1/H in the pass band, tapered to 0."""
         offset = (np.arange(self.taps.size) - self.taps.size // 2) * self.pixel_um
         response = np.cos(2.0 * np.pi * np.outer(frequency, offset)) @ self.taps.astype(np.float64)
         end = 0.5 / (self.step * self.pixel_um)

@@ -100,7 +100,7 @@ THREADS = 128  # of a block, along a row
 
 @dataclass(frozen=True, eq=False)
 class ArrayLibrary:
-    """Where arrays are, and what computes on them.
+    """Array library, and the device of its arrays.
 
     Attributes:
         xp: functions of arrays: numpy, or cupy.

@@ -116,7 +116,7 @@ def _readonly(height_um: npt.NDArray[np.floating]) -> Heights:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How finely a map samples the phase.
+    """Sampling of the phase by a map.
 
     Attributes:
         share: share of the pixels from which the height to a neighbour changes by more than the limit, 0 to 1;
@@ -158,7 +158,7 @@ def slope_limit_deg(pixel_um: float, wavelength_um: float, h_z: float = 1.0) -> 
 
 
 def sampling_of(surface: WaveSurface, wavelength_um: float, h_z: float = 1.0) -> Sampling:
-    """How finely a surface samples the phase at a wavelength; in blocks of rows, so that memory stays small."""
+    """Sampling of the phase by a surface at a wavelength; in blocks of rows, so that memory stays small."""
     limit = wavelength_um / (4.0 * h_z)
     rows, cols = surface.shape
     count, worst, place = 0, 0.0, (0, 0)

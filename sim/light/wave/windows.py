@@ -97,7 +97,7 @@ class Window:
         return found
 
     def half_width(self, wavelength_um: float, h_z: float) -> tuple[float, float]:
-        """How far along x and y the window reaches around its middle, in cycles per µm."""
+        """(x, y) half width of the window in cycles per µm."""
         found = np.add(self.source.reach, self.aperture.reach) / wavelength_um
         if self.slope_variance is not None:
             sigma = np.sqrt(np.diag(self.slope_variance))
