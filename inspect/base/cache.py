@@ -232,7 +232,7 @@ def _search_locations(package: str) -> tuple[Path, ...]:
 
 
 def _state(file: Path) -> list[int]:
-    """What changes whenever a file is written or replaced; the time of change cannot be set by a copying program."""
+    """State that changes whenever a file is written or replaced; a copying program cannot set the time of change."""
     found = file.stat()
     return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
 

@@ -32,7 +32,7 @@ _Getter = TypeVar("_Getter", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class _Shown:
-    """How a field is shown: key (None: name of the field), conversion, keys of the value among those of the result."""
+    """JSON of a field: key (None: name of the field), conversion, keys of the value among those of the result."""
 
     key: str | None = None
     by: Callable[[Any], Any] | None = None
@@ -57,7 +57,7 @@ def json_field(
 
 
 def in_json(key: str | None = None) -> Callable[[_Getter], _Getter]:
-    """Mark the getter of a property as part of the JSON of its class; stands below ``@property``.
+    """Mark the getter of a property as part of the JSON of its class; placed below ``@property``.
 
     Args:
         key: in place of the property's name.

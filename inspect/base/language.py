@@ -200,7 +200,7 @@ def _own(text: str) -> int:
 
 
 def _expression(text: str) -> re.Pattern[str]:
-    """An expression that finds a message whatever stands in its places; a place that comes twice holds the same."""
+    """Expression that finds a message with any texts in its places; a place that comes twice holds the same."""
     parts = _PLACE.split(text)
     seen: set[str] = set()
     expression = ""

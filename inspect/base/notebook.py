@@ -28,7 +28,7 @@ def html_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[objec
 
 
 def html_picture(figure: "Figure", title: str) -> str:
-    """A figure as an image that stands in the page itself, its title as the alternative text."""
+    """Figure as an image within the page, its title as the alternative text."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=80)
     data = base64.b64encode(stream.getvalue()).decode()

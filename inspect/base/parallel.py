@@ -115,7 +115,7 @@ if hasattr(os, "register_at_fork"):
 
 
 class _BlasThreads:
-    """How many callers want one thread, and the limit that holds meanwhile."""
+    """Number of callers that want one thread, and the limit meanwhile."""
 
     def __init__(self) -> None:
         self._lock, self._callers = Lock(), 0

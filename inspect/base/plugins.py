@@ -10,11 +10,11 @@ from anisoscope.base.errors import AnisoscopeError
 
 
 class Placed(Protocol):
-    """What a registry holds: it has a name, and a place in lists."""
+    """Item of a registry: it has a name, and a place in lists."""
 
     @property
     def name(self) -> str:
-        """That of its entry point."""
+        """Name of its entry point."""
         ...
 
     @property

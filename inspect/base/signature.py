@@ -163,14 +163,14 @@ def signed(kind: str, statement: Mapping[str, Any], signer: Signer) -> str:
 
 
 def _encoded(kind: str, payload: bytes) -> bytes:
-    """What is signed: DSSE's pre-authentication encoding."""
+    """Signed bytes: DSSE's pre-authentication encoding."""
     name = _TYPE.format(kind).encode()
     return b"DSSEv1 %d %s %d %s" % (len(name), name, len(payload), payload)
 
 
 @dataclass(frozen=True)
 class Signed:
-    """What an envelope says, its signature checked with the key that it names.
+    """Content of an envelope, its signature checked with the key that it names.
 
     Attributes:
         content: the statement.

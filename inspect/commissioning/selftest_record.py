@@ -156,7 +156,7 @@ class SelfTest(_Part):
 
 
 def write_self_test(result: SelfTest, folder: Path) -> Path:
-    """Write the result to a file of its own in a folder, with the hash of its content; return its path.
+    """Write the result to a file in a folder, with the hash of its content; return its path.
 
     Raises:
         RecordError: the folder cannot be made or written.

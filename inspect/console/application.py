@@ -176,7 +176,7 @@ class NewAccount(_Reasoned):
 
 
 class ChangedAccount(_Reasoned):
-    """What is to change about an account, and why."""
+    """Change of an account, with its reason."""
 
     role: Role | None = None
     password: str | None = Field(None, max_length=1000)
@@ -246,7 +246,7 @@ def create_app(
 
 
 def permissions_of(app: FastAPI) -> dict[tuple[str, str], Needs | None]:
-    """What every route of an application of `create_app` needs, by method and path.
+    """Permission that every route of an application of `create_app` needs, by method and path.
 
     Raises:
         ValueError: a route of another sort, which would be answered without a question.

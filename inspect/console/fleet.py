@@ -67,7 +67,7 @@ Number = Annotated[int, InPath(ge=1, lt=2**62)]
 
 
 class Asked(BaseModel):
-    """What the address of a view asks for; empty fields of a form ask for nothing."""
+    """Query of a view; empty fields of a form ask for nothing."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -240,7 +240,7 @@ class _Views:
 
 @dataclass(frozen=True, eq=False)
 class _Fleet:
-    """What the pages show of a history."""
+    """Views of a history."""
 
     place: str | Path | None
     now: Callable[[], datetime]
@@ -267,7 +267,7 @@ class _Fleet:
         return facts, facts.ordered(chosen)
 
     def state(self) -> object:
-        """What views depend on: the newest rows, what stations do, and the minute, for ages are in words."""
+        """State on which views depend: the newest rows, the stations, and the minute, for ages are in words."""
         minute = int(self.now().timestamp() // 60)
         with self.history() as history:
             if history is None:
@@ -309,7 +309,7 @@ class _Fleet:
         }
 
     def stations(self) -> list["StationNow"]:
-        """What every station does; the silent ones are known by their inspections."""
+        """State of every station; silent ones are known by their inspections."""
         with self.history() as history:
             if history is None:
                 return []
@@ -333,7 +333,7 @@ class _Fleet:
         return content | {"names": names, "charts": charts, "left_out": left_out}
 
     def maps(self, asked: Asked) -> dict[str, Any]:
-        """Where the latest ones deviate, by product and cavity."""
+        """Maps of the deviations of the latest ones, by product and cavity."""
         with self.history() as history:
             facts, places = self.selected(history, asked)
             ids = _ids(facts, places[-heat_maps.MAPPED :])
@@ -422,7 +422,7 @@ def _choices(facts: Facts) -> dict[str, list[str]]:
 
 
 class StationNow(BaseModel):
-    """What a station does.
+    """Present state of a station.
 
     Attributes:
         station: its name.
@@ -440,7 +440,7 @@ class StationNow(BaseModel):
 
 @dataclass(frozen=True)
 class Station:
-    """A station as far as the history knows it.
+    """Station, as known from the history.
 
     Attributes:
         name: "" where none was stated.
@@ -650,7 +650,7 @@ def _chart(title: str, name: str, part: Readings) -> Chart:
 
 
 def _spread(levels: list[tuple[float, str, str]]) -> list[tuple[float, float, str, str]]:
-    """Levels from the top, their texts moved down as far as they would overlap."""
+    """Levels from the top, their texts moved down where they would overlap."""
     found, free = [], 0.0
     for y, text, kind in sorted(levels):
         at = max(y + 4.0, free)

@@ -39,7 +39,7 @@ Rows = Sequence[Sequence[str]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step found: whether it may go on, rows of a table, and notes."""
+    """Result of a step: whether it may go on, rows of a table, and notes."""
 
     good: bool
     rows: Rows = ()
@@ -48,7 +48,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Step:
-    """What to do at the stage, and what is done then.
+    """Step of guided work: the operator's task at the stage, and the action then.
 
     Attributes:
         ask: what to put on the stage, in the language of the page.
@@ -93,7 +93,7 @@ class Guide:
 
 
 class GuideState(BaseModel):
-    """Where a guide stands; what it has done is in ``results``, a row of tables for each step."""
+    """State of a guide; ``results`` has a row of tables for each finished step."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -109,7 +109,7 @@ class GuideState(BaseModel):
 
 
 class Begin(BaseModel):
-    """What guided work is to begin, with what, and why."""
+    """Request to begin guided work: its name, values and reason."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -121,7 +121,7 @@ class Begin(BaseModel):
 
 @dataclass(frozen=True)
 class Entered:
-    """What a form has, read and checked."""
+    """Fields of a form, read and checked."""
 
     recipe: Path
     entry: RecipeEntry
@@ -151,7 +151,7 @@ class Entered:
         return found
 
     def _value(self, name: str) -> float:
-        """What a field has, NaN if that is no number."""
+        """Value of a field, NaN if it is no number."""
         try:
             return float(self.values[name])
         except (KeyError, ValueError):
@@ -174,7 +174,7 @@ class Entered:
 
 
 def entered(recipes: Path, given: "Begin | GuideState", who: str) -> Entered:
-    """What a form has.
+    """Form fields.
 
     Raises:
         UsageError: there is no such recipe, or it cannot be used.
@@ -263,7 +263,7 @@ class Guided:
         self._write()
 
     def shown(self) -> dict[str, Any] | None:
-        """What a page shows."""
+        """State of guided work for its page."""
         if self.state is None or self.guide is None:
             return None
         steps, at = self._steps(self.state), self.state.at
@@ -381,7 +381,7 @@ def commission_rig(place: Workplace, advance: Advance, *, recipe: Path, entry: R
 
 
 def write_findings(place: Workplace, advance: Advance) -> Outcome:
-    """What commissioning found into the rig file, as `anisoscope rig commission --write`."""
+    """Write the findings of commissioning into the rig file, as `anisoscope rig commission --write`."""
     from anisoscope.commissioning.commissioning import write_to_rig_file  # noqa: PLC0415
     from anisoscope.commissioning.record import default_record_path, read_commissioning  # noqa: PLC0415
 

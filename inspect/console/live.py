@@ -106,7 +106,7 @@ class EventLog:
 
 @dataclass(frozen=True)
 class Eyes:
-    """What the live picture needs of a rig; the channel is that of the light where none is named."""
+    """Camera and light of the live picture; the light's channel where none is named."""
 
     camera: SharedCamera
     light: Light | None
@@ -220,7 +220,7 @@ class Live:
 
 
 def exposure_advice(mean: float, saturated_share: float) -> list[str]:
-    """What to change about the exposure, in English; empty where it is right."""
+    """Advice on the exposure, in English; empty where it is right."""
     if saturated_share > SATURATED_SHARE:
         return ["too bright: shorten the exposure"]
     return ["too dark: lengthen the exposure"] if mean < DARK_MEAN else []

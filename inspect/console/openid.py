@@ -84,7 +84,7 @@ class Begun:
 
 @dataclass(frozen=True)
 class Person:
-    """Who has logged in: name, roles, and the provider's own id (``sub``)."""
+    """Person who has logged in: name, roles, and the provider's id (``sub``)."""
 
     name: str
     roles: frozenset[Role]
@@ -112,7 +112,7 @@ class OpenId:
         self._forged: tuple[type[Exception], ...] = (JoseError, ValueError, TypeError, KeyError)
 
     def begin(self, back: str) -> tuple[str, Begun]:
-        """Where to send the browser, and what is to be remembered until it is back.
+        """Address for the browser, and the state to remember until it is back.
 
         Args:
             back: address of the console to which the provider sends the browser.
@@ -132,7 +132,7 @@ class OpenId:
         return str(address), begun
 
     def finish(self, begun: Begun | None, back: str, answer: Mapping[str, str]) -> Person:
-        """Who has logged in, from the provider's answer.
+        """Person who has logged in, from the provider's answer.
 
         Args:
             begun: of the browser that brings the answer; None where it has begun no login.

@@ -22,7 +22,7 @@ from anisoscope.rig.jogging import Jogger, Step
 
 
 def _picture_words(away: str) -> dict[str, str]:
-    """What the script of the live picture says; ``away``: when nothing answers."""
+    """Words of the script of the live picture; ``away``: when nothing answers."""
     return {
         "away": away,
         "good": message("exposure is good; no picture so far was sharper (move the focus to compare)"),
@@ -32,7 +32,7 @@ def _picture_words(away: str) -> dict[str, str]:
 
 
 def _words() -> dict[str, str]:
-    """What the scripts of the station page say."""
+    """Words of the scripts of the station page."""
     away = message("The console does not answer. The inspection goes on; Stop at the rig itself.")
     return _picture_words(away) | {
         "frame": message("frame"),

@@ -32,7 +32,7 @@ MOST_STREAMS = 200
 
 
 class Start(BaseModel):
-    """What to inspect; x and y are the place of the part, in mm right and up of the stage's axis at sample angle 0."""
+    """Request to inspect; x and y of the part are mm right and up of the stage's axis at sample angle 0."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -54,7 +54,7 @@ class Named(BaseModel):
 
 @dataclass
 class _Present:
-    """What the page shows."""
+    """State for the page."""
 
     state: Literal["idle", "running", "stopping", "done", "failed"] = "idle"
     task: dict[str, Any] = field(default_factory=dict)
@@ -511,14 +511,14 @@ class Station:
 
 
 def _browser(one: tuple[str, str] | None) -> dict[str, str] | None:
-    """Who holds the rig or asks for it; without accounts that is this computer, in the language of the page."""
+    """Name of who holds the rig or asks for it; without accounts this computer, in the language of the page."""
     if one is None:
         return None
     return {"id": one[0], "name": message("this computer") if one[1] == SINGLE_USER else one[1]}
 
 
 def _in_short(now: _Present) -> "tuple[Doing, str]":
-    """What a station does, for the page of all stations; a fault is what ended the last task, but not a stop."""
+    """State of a station for the page of all stations; a fault ended its last task, a stop is none."""
     if now.state in {"running", "stopping"}:
         return "running", now.task.get("serial") or now.task.get("folder", "")
     if now.state == "failed" and now.failure is not None and not now.failure["stopped"]:

@@ -24,7 +24,7 @@ _ENDING = ".certificate.json"
 
 @dataclass(frozen=True)
 class FalseAlarmCertificate:
-    """What the verdicts of good parts, which are not golden ones, prove about false alarms.
+    """Proof about false alarms by the verdicts of good parts that are not golden ones.
 
     Free of any distribution: the rate after C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404; the level by
     order statistics after S. S. Wilks, Annals of Mathematical Statistics 12 (1941) 91.
@@ -140,7 +140,7 @@ class StoredCertificate(BaseModel):
     def of(
         cls, recipe_path: Path, found: FalseAlarmCertificate, serials: Sequence[str], day: str
     ) -> "StoredCertificate":
-        """What a certificate proves of a recipe and its golden parts as they are now."""
+        """Certificate of a recipe and its present golden parts."""
         return cls(
             recipe=sha256_of(recipe_path),
             golden=_golden_hash(recipe_path),

@@ -152,7 +152,7 @@ def _predictions(recipe: SurfaceRecipe, design: Expectation, mapped: Expectation
 
 
 def _texture_text(mapped: Expectation) -> str:
-    """That the roughness of the map's texture is missing in the design, where it is more than `TEXTURE`; else empty."""
+    """Note that the roughness of the map's texture is missing in the design, where it exceeds `TEXTURE`; else empty."""
     if mapped.surface is None:
         return ""
     shown = resolve(Relief(mapped.surface, direction_deg=mapped.turn_deg, turn_deg=mapped.turn_deg))

@@ -24,7 +24,7 @@ With three golden parts, ridges of 5, 10 and 15° and tilts of 0 and ±10°, it 
 
 
 class Equipment(Part):
-    """Camera, lens and lamp of an inspection, as far as they are known.
+    """Camera, lens and lamp of an inspection; None where unknown.
 
     Attributes:
         camera: its name, which ends with its serial number; None where frames do not state it.
@@ -40,12 +40,12 @@ class Equipment(Part):
 
     @classmethod
     def of_rig(cls, rig: RigFile, camera: str | None = None) -> Self:
-        """Those of a rig file; the camera is that of its flat, or of the frames."""
+        """Equipment of a rig file; the camera comes from the flat, else from the frames."""
         return cls._of(rig.model_dump(mode="json", include={"camera", "light"}), camera)
 
     @classmethod
     def of_record(cls, record: Record) -> Self | None:
-        """Those of a finished inspection; None where its record does not hold them."""
+        """Equipment of a finished inspection; None where its record does not hold it."""
         try:
             return cls._of(record.rig, record.camera)
         except KeyError:
@@ -64,7 +64,7 @@ class Equipment(Part):
         return cls(camera=known, pixel_um=lens["pixel_um"], light_angle_deg=lamp["angle_deg"], light=light)
 
     def other(self, here: "Equipment") -> Difference | None:
-        """What is another one here, or None if all is the same; only what both state is compared."""
+        """Difference from other equipment, or None; only items that both state are compared."""
         if self.camera and here.camera and not _same_camera(self.camera, here.camera):
             return Difference("camera", "", self.camera, here.camera)
         if abs(here.pixel_um / self.pixel_um - 1.0) > SAME_PIXEL_SHARE:

@@ -51,7 +51,7 @@ _DETERMINED = 0.5  # degrees of freedom below which an input is not determined
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How contrasts of good parts scatter on one rig.
+    """Scatter of the contrasts of good parts on one rig.
 
     Attributes:
         response: change of the m contrasts with K inputs, to second order.
@@ -214,7 +214,7 @@ def predictive_test(scatter: Scatter, golden: FloatArray, value: FloatArray, alp
 
 
 def separations(scatter: Scatter, count: int, alpha: float) -> tuple[Direction, ...]:
-    """How well ``count`` golden parts show each named defect; of no part: scores are zero, p values one.
+    """Power of ``count`` golden parts for each named defect; of no part: scores are zero, p values one.
 
     Args:
         scatter: of good parts on this rig.
@@ -433,7 +433,7 @@ class _Null:
         return np.array([float(calibrated(theory[[k]], drawn)[0]) for k, drawn in enumerate(self.scores)])
 
     def score_limits(self, levels: FloatArray) -> FloatArray:
-        """(..., C) scores beyond which each direction is significant at (..., C) levels of its own."""
+        """(..., C) scores beyond which each direction is significant at (..., C) levels."""
         theory = self.score_theory(_SCORES)
         chances = [calibrated(theory, drawn) for drawn in self.scores]
         return np.stack([np.interp(-levels[..., k], -one, _SCORES) for k, one in enumerate(chances)], axis=-1)

@@ -124,7 +124,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
 
     @classmethod
     def restricted(cls, record: Record, then: RecipeT, recipe: RecipeT) -> tuple[Record, RecipeT]:
-        """An inspection by another recipe as far as it serves this one; a kind that shares nothing returns it as it is.
+        """Part of an inspection by another recipe that serves this one; a kind that shares nothing returns it whole.
 
         Args:
             record: of the inspection.
@@ -146,7 +146,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         return None
 
     def judged_text(self, rule: Any) -> str:  # noqa: ANN401 - of the kind
-        """How parts must have been judged to count for the limit of the area."""
+        """Verdicts of parts that count for the limit of the area."""
         raise NotImplementedError
 
     # ---- what all sets have in common -------------------------------------------------------------------------
@@ -230,7 +230,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
 
     @classmethod
     def anew(cls) -> str:
-        """What to do with a set that does not fit."""
+        """Remedy for a set that does not fit."""
         return f"inspect good {cls.thing}s anew, add them to an empty set, and delete the old file"
 
     @classmethod
@@ -517,7 +517,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
 
     @classmethod
     def earlier_keys(cls, recipe: SurfaceRecipe) -> tuple[str, ...]:
-        """Key of the whole acquisition, as far as there was one."""
+        """Key of the whole acquisition, if there was one."""
         exposed = recipe.acquisition.model_dump(mode="json")
         known = {k: v for k, v in exposed.items() if k in _EARLIER or (k == "brackets" and v)}
         return (cls._hashed(recipe, known),)

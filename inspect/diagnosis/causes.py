@@ -80,7 +80,7 @@ def all_causes(ridge_angle_deg: float | None = None, pitch_um: float = 100.0) ->
 
 
 def tail_cause(tail: float = 0.0) -> Cause:
-    """A lobe with another tail than the recipe's: no cause of its own, but a sign of another plastic.
+    """Lobe with another tail than the recipe's: no separate cause, but a sign of another plastic.
 
     Args:
         tail: of the recipe's lobe.

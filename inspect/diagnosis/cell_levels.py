@@ -84,7 +84,7 @@ class Deviating:
 
     @classmethod
     def of(cls, over: npt.NDArray[np.bool_]) -> "Deviating":
-        """Those of (cell rows, cell cols) True where a cell deviates."""
+        """Levels of (cell rows, cell cols), True where a cell deviates."""
         _, _, stats, _ = cv2.connectedComponentsWithStats(over.astype(np.uint8), connectivity=8)
         sizes = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
         return cls(float(over.mean()), float(np.sum(sizes**2)) / over.size**2, form_of(over))

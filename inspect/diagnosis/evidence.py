@@ -171,7 +171,7 @@ class Inputs:
         return np.asarray(alone + tangent @ np.swapaxes(tangent, -1, -2))
 
     def of(self, poses: Sequence[int]) -> "Inputs":
-        """Those of some of the poses."""
+        """Restrict to selected poses."""
         selected = list(poses)
         whole = self.response
         response = Response(whole.sources, whole.slope[selected], whole.bend[selected])

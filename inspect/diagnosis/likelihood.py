@@ -474,7 +474,7 @@ def _with_tail(
     low, high = np.array([one.bounds for one in acting]).T
 
     def at(extents: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """What is left of the deviation, its covariance, gradient and curvature of the extents."""
+        """Residual of the deviation, its covariance, gradient and curvature of the extents."""
         changes = np.stack([one.at(extent)[0] for one, extent in zip(acting, extents, strict=True)])
         slopes = np.stack([one.slope(extent)[0] for one, extent in zip(acting, extents, strict=True)])
         covariance = base + np.diag(np.sum((doubts[:, None] * changes) ** 2, axis=0))

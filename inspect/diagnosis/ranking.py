@@ -275,7 +275,7 @@ def _without_severity(
     tie: bool = False,
     components: tuple[ComponentRecord, ...] = (),
 ) -> CauseRecord:
-    """A hypothesis that has no extent of its own."""
+    """Hypothesis without an extent."""
     return CauseRecord(
         cause=name,
         title=title,

@@ -64,7 +64,7 @@ class Separability:
 
 
 def planned_components(recipe: SurfaceRecipe, expected: Expectation) -> tuple[Component, ...]:
-    """Measurement components that an inspection by this recipe will add, as far as the recipe states them.
+    """Measurement components that an inspection by this recipe will add and the recipe states.
 
     Noise of the pictures is negligible and left out; the lamp is assumed to drift by a quarter of its limit. The names
     are those of a measurement.

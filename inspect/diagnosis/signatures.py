@@ -135,7 +135,7 @@ class Signature:
         return np.asarray(np.interp(extent, self.extents, self.u_share) ** 2)
 
     def of(self, poses: Sequence[int]) -> "Signature":
-        """That of some of the poses, by their numbers."""
+        """Restrict the signature to selected poses."""
         tangents = self.tangents and self.tangents.of(poses)
         change = self.change[:, list(poses)]
         return replace(self, change=change, tangents=tangents, levels=None, forms=None, u_share=None)
@@ -214,7 +214,7 @@ class Signatures:
         return replace(self, share=share, found=found)
 
     def of(self, poses: Sequence[int]) -> "Signatures":
-        """Those of some of the poses, by their numbers."""
+        """Restrict the signatures to selected poses."""
         selected = list(poses)
         return replace(
             self,

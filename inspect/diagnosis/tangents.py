@@ -67,7 +67,7 @@ class Tangents:
         return np.asarray(found[..., columns] * known)
 
     def of(self, poses: Sequence[int]) -> "Tangents":
-        """Those of some of the poses."""
+        """Restrict to selected poses."""
         return Tangents(self.extents, self.slope[:, list(poses)])
 
 

@@ -29,7 +29,7 @@ SPOT_CELLS = 6
 
 
 def deviation_map(cells: CellMap) -> FloatArray:
-    """(cell rows, cell cols) deviation of every cell in ln ratio, for the pair of angles where it stands out most."""
+    """(cell rows, cell cols) deviation of every cell in ln ratio, for the pair of angles where it is largest."""
     return np.asarray(np.take_along_axis(cells.off, _most(cells)[None], axis=0)[0])
 
 

@@ -75,7 +75,7 @@ class Stack:
 
     @cached_property
     def hot(self) -> Mask:
-        """Pixels whose signal stands out by more than 12 robust standard deviations: in the dark, hot ones."""
+        """Pixels whose signal deviates by more than 12 robust standard deviations: in the dark, hot ones."""
         middle = _middle(self.mean)
         spread = 1.4826 * float(np.median(np.abs(_thinned(self.mean) - np.float32(middle)))) + 0.5
         reach = np.float32(HOT_PIXEL_SIGMA * spread)
@@ -243,7 +243,7 @@ class RadianceImage:
 
 
 def hot_pixels(dark: Stack) -> Mask:
-    """Pixels whose dark signal stands out by more than 12 robust standard deviations."""
+    """Pixels whose dark signal deviates by more than 12 robust standard deviations."""
     return dark.hot
 
 

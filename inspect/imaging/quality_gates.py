@@ -196,14 +196,14 @@ def _off_median(values: FloatArray) -> FloatArray:
 
 
 def check_edges(cells: FloatArray, grid: Grid, recipe: RecipeBase) -> None:
-    """Check that no corner of the region lies beyond the part; cells as for `overhangs`."""
+    """Check that no corner of the region is beyond the part; cells as for `overhangs`."""
     found = beyond_part(cells, grid, recipe)
     if found is not None:
         raise MeasurementError(found)
 
 
 def beyond_part(cells: FloatArray, grid: Grid, recipe: RecipeBase) -> str | None:
-    """Which corners of the region lie beyond the part by more than the recipe allows; None if none does.
+    """Corners of the region that are beyond the part by more than the recipe allows; None if none is.
 
     Args:
         cells: as for `overhangs`.
@@ -332,7 +332,7 @@ def measured_pitch(measured: Measured, recipe: SurfaceRecipe) -> tuple[float, fl
 
 
 def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: SurfaceRecipe) -> None:
-    """Compare pitch and direction of the ridges with the recipe; passes where no ridges stand out."""
+    """Compare pitch and direction of the ridges with the recipe; passes where no ridges are found."""
     pitch_um = recipe.surface.pitch_um
     found = find_ridges(aligned, grid.pixel_mm * 1000.0, pitch_um)
     if found is None or found.share < CLEAR_PEAK:

@@ -512,7 +512,7 @@ def _fetch(store: Store, file: ArchivedFile, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Proven:
-    """What a sample says of an archive.
+    """Result of a sample of an archive.
 
     Attributes:
         inspections: manifests that were read.

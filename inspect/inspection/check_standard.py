@@ -37,7 +37,7 @@ SERIAL = "check-standard"
 
 @dataclass(frozen=True)
 class Standard:
-    """What the check standard was taught to show.
+    """Taught values of the check standard.
 
     Attributes:
         serial: which part it is.
@@ -145,7 +145,7 @@ def run_check(
 
 
 def standard_of(record: CalibrationRecord, path: Path) -> Standard:
-    """What a record of the check standard was taught.
+    """Taught values from a record of the check standard.
 
     Raises:
         CalibrationError: it holds nothing of the kind.

@@ -74,7 +74,7 @@ def _shot(
 
 
 def _loader(folder: Path, manifest: Manifest) -> Callable[[bytes, str], Frame]:
-    """What decodes the bytes of a frame of a name; frames of a replay are described by their table."""
+    """Decoder of the bytes of a frame by its name; frames of a replay are described by their table."""
     if manifest.origin == "rig":
         return lambda content, name: frame_of(content, folder / name)
     entries = {entry.path: entry for entry in frame_entries(folder / FRAMES)}

@@ -26,7 +26,7 @@ from anisoscope.rig.frame import header_of
 
 @dataclass(frozen=True)
 class Verified:
-    """What became of the files of an inspection folder; names relative to it.
+    """State of the files of an inspection folder; names relative to it.
 
     Attributes:
         finished: whether there is a record.
@@ -104,7 +104,7 @@ def verify(folder: Path, trust: Trust | None = None) -> Verified:
 
 
 def _signature(folder: Path, trust: Trust | None, *, finished: bool) -> tuple[str | None, tuple[str, ...]]:
-    """Who signed the record, and why that does not count."""
+    """Signer of the record, and the reason why the signature does not count."""
     if not finished:
         return None, () if trust is None else ("the inspection is not finished, so that nothing is signed",)
     try:
@@ -130,12 +130,12 @@ def _strangers(folder: Path, signed: Mapping[str, object]) -> Iterator[str]:
 
 
 def _count(report: ReportState | None, present: set[str]) -> int:
-    """How many files of the report were compared besides those that the record lists."""
+    """Number of files of the report compared besides the files that the record lists."""
     return 0 if report is None or report.by_record else len({REPORT_NAME, SEAL_NAME} & present)
 
 
 def _begun(folder: Path) -> tuple[list[InputFile], list[str]]:
-    """What an inspection without a record knows of its files, and which of its own files are damaged."""
+    """Listed files of an inspection without a record, and its damaged files."""
     found: list[InputFile] = []
     changed = []
     try:

@@ -81,7 +81,7 @@ class Job:
         return Viewing(self.white, self.calibrations, self.fixture, pixel_um, self.recipe, guides)
 
     def plan(self, place_mm: tuple[float, float] | None = None) -> Plan:
-        """What is to be photographed; with the place of the part on the plate, (x, y) in mm from the stage's axis.
+        """Acquisition plan of a part, with its place (x, y) on the plate in mm from the stage's axis.
 
         Raises:
             CalibrationError: the place is beyond the focus map of the rig.

@@ -86,7 +86,7 @@ _FAMILIES: dict[Lobe, tuple[Family, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What is scanned, and how.
+    """Setup of a scan.
 
     Attributes:
         specimen: its model.
@@ -228,7 +228,7 @@ def _part(recipe: SurfaceRecipe, optics: Optics) -> Specimen:
 
 
 def plan_scan(setup: Setup) -> ScanPlan:
-    """What a scan takes and what it would say."""
+    """Planned poses and duration of a scan, and the uncertainty that it would reach."""
     information = planned(setup.specimen, setup.material, setup.poses, setup.convention)
     judged, design = JUDGED_POSES, JUDGED_DESIGN
     seconds = None
@@ -400,7 +400,7 @@ def calibrate_material(
 
 
 def residual_test(found: LobeFit) -> ResidualPart:
-    """What the residuals of a fit say of its family of lobes, as a material file states it."""
+    """Test of a family of lobes by the residuals of a fit, as a material file states it."""
     return ResidualPart(
         residual_over_noise=found.residual_over_noise,
         birge_ratio=found.birge_ratio,

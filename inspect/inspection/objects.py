@@ -200,7 +200,7 @@ def _blocks(frame: Frame) -> FloatArray:
 
 
 def shared_darks(folder: Path, plan: Plan, rig: Rig, now: datetime) -> SharedDarks | None:
-    """The dark frames of the present series of a rig, or None where an inspection has to take all of its own.
+    """The dark frames of the present series of a rig, or None where an inspection has to take all of them.
 
     Args:
         folder: the inspection folder.

@@ -41,7 +41,7 @@ def recipe_path(folder: Path, name: str) -> Path:
 
 
 def recipe_entry(path: Path) -> RecipeEntry:
-    """What a recipe says of itself; one that cannot be read says why."""
+    """Name and product of a recipe; an unreadable one gives the reason."""
     from anisoscope.kinds.registry import read_any_recipe  # noqa: PLC0415 - loads the kinds
     from anisoscope.recipe.logo import logo_uri  # noqa: PLC0415
 

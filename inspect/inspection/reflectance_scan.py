@@ -59,7 +59,7 @@ _SPREAD = 0.4  # share of the poses that are spread evenly, whatever the lobe
 
 
 class Lamps(BaseModel):
-    """A scan with several lamps, one after the other, each in a folder of its own; ``lamps.json`` of the folder."""
+    """Scan with several lamps, one after the other, each in a subfolder; ``lamps.json`` of the folder."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -76,7 +76,7 @@ class Lamps(BaseModel):
 
 
 class ScanSettings(BaseModel):
-    """What is scanned; ``scan.json`` of the folder."""
+    """Settings of a scan; ``scan.json`` of the folder."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -150,7 +150,7 @@ class ScanResult:
 
 @dataclass(frozen=True, eq=False)
 class CouponSeat:
-    """How a coupon lies on the stage, found from its scan.
+    """Seat of a coupon on the stage, found from its scan.
 
     Attributes:
         about_x_deg, about_y_deg: seating, as of `seating_rotation`.

@@ -26,7 +26,7 @@ State = Literal["written", "missing", "changed"]
 
 @dataclass(frozen=True)
 class ReportState:
-    """What became of the report of a finished inspection.
+    """State of the report of a finished inspection.
 
     Attributes:
         state: "written" and as it was, "missing" (not written yet, or removed), or "changed".

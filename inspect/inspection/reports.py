@@ -47,7 +47,7 @@ class PendingReport:
     discard: Callable[[], None] = lambda: None
 
     def write(self) -> tuple[str, ...]:
-        """Write it; record and verdict stand, whatever goes wrong here.
+        """Write the report; record and verdict are safe, whatever goes wrong here.
 
         Returns:
             Notes for the user; one that says so where there is no report.

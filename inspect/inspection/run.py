@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 def predict_cached(job: Job) -> Expected:
-    """What the part of a job should show; every part of one recipe on one rig is predicted once."""
+    """Prediction of the part of a job; every part of one recipe on one rig is predicted once."""
     found: Expected = job.kind.predict(job.recipe, job.rig, cached=True)
     return found
 

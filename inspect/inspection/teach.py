@@ -129,7 +129,7 @@ MAX_TRIES = 8
 
 @dataclass(frozen=True, eq=False)
 class _Probe:
-    """One picture a pose: the exposure, pictures above black, and where the part stands in them.
+    """One picture a pose: the exposure, pictures above black, and the place of the part in them.
 
     Attributes:
         exposure_s: exposure; the shortest one of brackets.

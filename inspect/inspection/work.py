@@ -77,7 +77,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Workplace:
-    """Where inspections are made, and what becomes of them; a process receives it.
+    """Place of inspections, and functions that take their results; handed to a process.
 
     Attributes:
         rig: rig file.
@@ -217,7 +217,7 @@ def _carry_out(task: Task, place: Workplace, emit: Emit, cancel: threading.Event
 
 
 def _finish(folder: Path, place: Workplace, emit: Emit) -> None:
-    """What may be missing of an inspection that has its record: its row in the history and its report."""
+    """Complete an inspection that has its record: its row in the history and its report."""
     from anisoscope.inspection.reports import Reports, gets_report  # noqa: PLC0415 - as for `_inspect`
     from anisoscope.inspection.run import Inspected, missing_report  # noqa: PLC0415
     from anisoscope.report.inspection_page import REPORT_NAME  # noqa: PLC0415

@@ -37,7 +37,7 @@ from anisoscope.rig.rigfile import RigFile, check_arm, read_replay_rig
 
 
 class Expected(Protocol):
-    """A prediction, as far as all kinds have it in common."""
+    """Common part of the predictions of all kinds."""
 
     @property
     def model(self) -> str:
@@ -66,7 +66,7 @@ class Expected(Protocol):
 
 
 class Measured(Protocol):
-    """A measurement, as far as all kinds have it in common."""
+    """Common part of the measurements of all kinds."""
 
     @property
     def drift(self) -> float | None:
@@ -75,7 +75,7 @@ class Measured(Protocol):
 
 
 class Decided(Protocol):
-    """A verdict, as far as all kinds have it in common."""
+    """Common part of the verdicts of all kinds."""
 
     @property
     def verdict(self) -> Verdict:
@@ -180,7 +180,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Explanation:
-    """What explains a verdict and never changes it: the diagnosis, further fields of the details, and notes."""
+    """Explanation of a verdict, which never changes it: diagnosis, further fields of the details, and notes."""
 
     diagnosis: DiagnosisRecord | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
@@ -220,7 +220,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         return False
 
     def read_recipe(self, path: Path) -> RecipeT:
-        """Read a recipe; ``${here}`` in it stands for its own folder.
+        """Read a recipe; ``${here}`` in it is the folder of the file.
 
         Raises:
             RecipeError: the file is missing or wrong; the message names file, key and what is expected.

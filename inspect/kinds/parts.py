@@ -33,7 +33,7 @@ OfKind = Any
 
 
 class Named(Protocol):
-    """A kind, as far as messages name it."""
+    """Kind, as messages name it."""
 
     one: str
 
@@ -167,7 +167,7 @@ class Redeciding(ABC):
 
     @abstractmethod
     def kept(self, recipe: OfKind, measured: OfKind) -> Mapping[str, Any] | None:
-        """What a changed recipe needs to decide anew (`decide_again`): arrays, numbers and texts by name.
+        """Data for a decision by a changed recipe (`decide_again`): arrays, numbers and texts by name.
 
         None, the default, where that takes the frames.
         """
@@ -277,7 +277,7 @@ def taught(kind: Named, recipe_path: Path) -> Teaching:
 
 
 def untaught(kind: Named, recipe_path: Path) -> str:
-    """That good parts do not teach a recipe by themselves."""
+    """Error: good parts do not teach a recipe by themselves."""
     return (
         f"{recipe_path} is the recipe of {kind.one}: good parts alone do not teach it, only beside a part that is "
         "inspected, with --serial"
@@ -323,7 +323,7 @@ def stating(kind: object, recipe: RecipeBase) -> Tolerances:
 
 
 def without_tolerances(recipe: RecipeBase) -> str:
-    """That a recipe gives none."""
+    """Error: a recipe gives no tolerances."""
     return f"the recipe of {recipe.product} gives no tolerances: give --lower and --upper"
 
 
@@ -336,11 +336,11 @@ class Reporting:
         return {}
 
     def finding(self, record: Record) -> str:
-        """What was found by numbers alone: a sentence with the size of the largest deviation, no full stop."""
+        """Finding by numbers alone: a sentence with the size of the largest deviation, no full stop."""
         return record.reasons[0] if record.reasons else ""
 
     def nominal(self, record: Record) -> Mapping[str, float]:
-        """What the extent of a cause is added to, by cause, such as the ridge angle of the design."""
+        """Nominal value to which the extent of a cause is added, by cause, such as the ridge angle of the design."""
         del record
         return {}
 
@@ -369,7 +369,7 @@ _PLAIN = Reporting()
 
 
 def reporting(kind: object) -> Reporting:
-    """What reports on a kind of part: itself, or what holds for every kind."""
+    """Reporting of a kind of part: its own, or the one for every kind."""
     return kind if isinstance(kind, Reporting) else _PLAIN
 
 

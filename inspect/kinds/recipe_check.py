@@ -58,7 +58,7 @@ class RecipeCheck:
         return (*notes, *(Finding("warning", text) for text in self.complaints))
 
     def output(self) -> CommandOutput:
-        """What ``anisoscope recipe check`` prints."""
+        """Output of ``anisoscope recipe check``."""
         causes = (causes_table(self.causes),) if self.causes else ()
         lines = tuple(one.text for one in self.findings)
         return CommandOutput(as_json(self), (*self.tables(), *causes), lines)

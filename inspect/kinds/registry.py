@@ -132,7 +132,7 @@ def add_golden(recipe: Path, folders: Sequence[Path]) -> tuple[Any, list[str]]:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    """What is in the file; what is wrong with it shows when the recipe is read."""
+    """Table of the file; faults of it are named when the recipe is read."""
     try:
         return read_toml(path)
     except ConfigError:

@@ -277,7 +277,7 @@ class SurfaceKind(
         return measured, self.decide(cast("Sitting", None), recipe, expected, measured, reference)
 
     def part_scatter(self, recipe: SurfaceRecipe, light_angle_deg: float) -> PartScatter | None:
-        """How good parts scatter; None where only their own scatter counts."""
+        """Scatter of good parts; None where only their own scatter counts."""
         if recipe.scatter is None or not self.reference_set.predictive:
             return None
         return part_scatter(recipe, light_angle_deg, self.optics)

@@ -56,7 +56,7 @@ class Refused(UsageError):
 
 
 class Order(BaseModel):
-    """What a controller orders: a part, by a recipe. The id is the controller's; printable, 1 to 200 characters."""
+    """Order of a controller: a part, by a recipe. The id is the controller's; printable, 1 to 200 characters."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -99,7 +99,7 @@ class JobLine(BaseModel):
 
 @dataclass(frozen=True)
 class Job:
-    """A job, as far as it has come.
+    """State of a job.
 
     Attributes:
         order: what was ordered.
@@ -329,7 +329,7 @@ class Jobs:
         return self._now().isoformat(timespec="milliseconds")
 
     def _take(self, line: JobLine) -> Job:
-        """What a line of the journal says of a job."""
+        """Take over a line of the journal."""
         if line.order is not None:
             job = Job(line.order, "running", line.at)
         elif line.job not in self._jobs:
@@ -401,7 +401,7 @@ class Jobs:
 
 
 def _lines_of(job: Job) -> tuple[JobLine, JobLine]:
-    """What the journal says of a job that has ended."""
+    """Lines of the journal for a job that has ended."""
     assert job.ended_at is not None
     folder = None if job.folder is None else job.folder.name
     more = {"state": job.state, "folder": folder, "verdict": job.verdict, "problem": job.problem}
@@ -415,7 +415,7 @@ _END: dict[State, Kind] = {"done": "done", "failed": "failed", "stopped": "stopp
 
 
 class _AtWork:
-    """What is heard of a job at work."""
+    """Messages of a job at work."""
 
     def __init__(self, jobs: Jobs, job: Job, cancel: threading.Event) -> None:
         self._jobs, self._job, self._cancel = jobs, job, cancel

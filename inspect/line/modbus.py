@@ -53,7 +53,7 @@ class Io(Protocol):
 
 @dataclass(frozen=True)
 class Addresses:
-    """Where inputs and outputs are, counted from 0.
+    """Addresses of inputs and outputs, counted from 0.
 
     Attributes:
         trigger: discrete input.

@@ -83,7 +83,7 @@ def broker_of(address: str) -> Broker:
 
 
 class _State(BaseModel):
-    """What a node remembers: the number of its last session, and the last inspection that the broker acknowledged."""
+    """Memory of a node: the number of its last session, and the last inspection that the broker acknowledged."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -181,7 +181,7 @@ class EdgeNode:
         write_text(self._memory, self._remembered.model_dump_json())
 
     def _begin(self) -> None:
-        """What the births say: the latest inspections. Without a memory, what is in the history counts as published."""
+        """Begin with births of the latest inspections. Without a memory, the history counts as published."""
         with open_history(self._history, create=self._jobs is not None) as history:
             last = history.last_id()
             before = history.after(max(last - LATEST, 0), LATEST)

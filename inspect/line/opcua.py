@@ -82,7 +82,7 @@ class Step:
 
 
 def _steps() -> dict[tuple[str, str], Step]:
-    """What follows in each state on each method of the specification, and on what the rig does by itself."""
+    """Transitions of each state by each method of the specification, and by events of the rig."""
     found = {
         (PREOPERATIONAL, "SelectModeAutomatic"): Step(INITIALIZED, ("PreoperationalToInitialized",)),
         (PREOPERATIONAL, "Halt"): Step(HALTED, ("PreoperationalToHalted",)),
@@ -141,7 +141,7 @@ SAYS = {
 
 
 class _No(Exception):
-    """A call that is answered with an error of its own, and an event that says it in words."""
+    """Refusal of a call: its error code, and an event with the reason in words."""
 
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
@@ -418,7 +418,7 @@ class VisionServer:
         await self._fire("VisionInformationEventType", text, 400, CausePath="anisoscope")
 
     async def _follow(self) -> None:
-        """What the jobs do by themselves, in its order."""
+        """Events of the jobs, in order."""
         while True:
             kind, job, record = await self._heard.get()
             try:
@@ -630,7 +630,7 @@ class VisionServer:
     async def _result_fields(
         self, job: Job, record: Record | None = None, *, content: bool = True
     ) -> dict[str, Any]:
-        """What a result says, by the names of ResultDataType that the event has too."""
+        """Fields of a result, by the names of ResultDataType that the event has too."""
         if content and record is None:
             try:
                 record = await asyncio.to_thread(self._jobs.record, job.id)
@@ -765,7 +765,7 @@ def _parameters(given: list[Any]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _refusals() -> Any:  # noqa: ANN401
-    """What the jobs refuse, as an error of the call."""
+    """Refusals of the jobs as errors of the call."""
     try:
         yield
     except Refused as refused:
@@ -776,7 +776,7 @@ def _refusals() -> Any:  # noqa: ANN401
 
 @contextlib.contextmanager
 def long_lived() -> Iterator[None]:
-    """What is made meanwhile stays as long as the process: no garbage is looked for among it, now or at any job."""
+    """Keep objects made meanwhile out of garbage collection: they last as long as the process."""
     gc.disable()
     try:
         yield

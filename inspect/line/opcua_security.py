@@ -330,7 +330,7 @@ class Security:
 def read_security(
     certificate: Path | None, key: Path | None, peers: Path | None, say: Say
 ) -> Security | None:
-    """What the options ``--certificate``, ``--key`` and ``--peers`` name; None without any of them.
+    """Security by the options ``--certificate``, ``--key`` and ``--peers``; None without any of them.
 
     Raises:
         UsageError: one of them is missing, or as `read_identity` and `Peers`.
@@ -354,7 +354,7 @@ class _NamedServer(Server):  # type: ignore[misc]
 
 
 class _GuardedServer(InternalServer):  # type: ignore[misc]
-    """What asyncua's server has inside, with sessions that are bound to the certificate of their connection."""
+    """Internal server of asyncua, with sessions that are bound to the certificate of their connection."""
 
     def __init__(self, peers: Peers, log_in: LogIn | None) -> None:
         super().__init__(user_manager=self)

@@ -34,7 +34,7 @@ Take = Callable[[Sequence[CycleData]], object]
 
 
 def cycle_of(event: Event, wanted: Sequence[str], source: str) -> tuple[CycleData, list[str]]:
-    """What an event says of a cycle.
+    """Cycle data of an event.
 
     Args:
         event: with its fields by browse names.

@@ -160,7 +160,7 @@ def milliseconds(moment: datetime) -> int:
 
 
 def checked_name(name: str, what: str) -> str:
-    """A group, node or device as it may stand in a topic.
+    """Checked name of a group, node or device in a topic.
 
     Raises:
         UsageError: it may not.

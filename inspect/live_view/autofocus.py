@@ -70,7 +70,7 @@ class Peak:
 
 @dataclass(frozen=True)
 class Focus:
-    """What a search for the focus found; lengths in mm of the reading.
+    """Result of a search for the focus; lengths in mm of the reading.
 
     Attributes:
         best: mean place of the sharpest picture over the fine sweeps.
@@ -329,7 +329,7 @@ def fit_plane(places_mm: FloatArray, readings: FloatArray, repeatability: float)
 
 @dataclass(frozen=True)
 class Sweep:
-    """How the focus is searched at every seat: from and to a reading of z in mm, steps, repeats, measure and frames."""
+    """Search for the focus at every seat: from and to a reading of z in mm, steps, repeats, measure and frames."""
 
     low: float
     high: float

@@ -12,7 +12,7 @@ RotationSense = Literal["ccw", "cw"]
 
 @dataclass(frozen=True)
 class Convention:
-    """How angles are counted.
+    """Convention of angles.
 
     Attributes:
         light_angle_deg: angle between light and camera θl in degrees, −90 to 90.

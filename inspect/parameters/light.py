@@ -7,7 +7,7 @@ from anisoscope.base.errors import ModelError
 
 @dataclass(frozen=True)
 class LightSpectrum:
-    """What wavelengths the light has.
+    """Spectrum of the light, as lines.
 
     Attributes:
         wavelengths_um: W wavelengths in µm.

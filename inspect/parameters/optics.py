@@ -8,7 +8,7 @@ from anisoscope.base.errors import ModelError
 
 @dataclass(frozen=True)
 class Optics:
-    """Apertures, and where the lamp stands.
+    """Apertures of lamp and lens, distance of the lamp, and size of the field.
 
     Attributes:
         lamp_half_angle_deg: half of the angle that the lamp subtends at the sample, degrees.

@@ -134,7 +134,7 @@ class RidgeDesign:
         return CrestArc(x, z + full, radius, first, 0.5 * math.pi - theta)
 
     def profile(self, x_um: "FloatArray") -> "FloatArray":
-        """Height in µm above the foot at positions x in µm; an uncut crest stands at x = 0."""
+        """Height in µm above the foot at positions x in µm; an uncut crest is at x = 0."""
         import numpy as np  # noqa: PLC0415 - options and recipes are made without it
 
         position = np.mod(x_um, self.pitch_um)

@@ -33,7 +33,7 @@ class Details(BaseModel):
         return None
 
     def compared(self) -> dict[str, float]:
-        """Those of the numbers by which a part is compared with others of its lot."""
+        """Numbers by which a part is compared with others of its lot."""
         return {}
 
     @classmethod
@@ -43,7 +43,7 @@ class Details(BaseModel):
 
 
 class RecordedKind(Protocol):
-    """A kind of part as far as records need it; `anisoscope.kinds.kind.Kind` is the whole of it."""
+    """Kind of part as records need it; `anisoscope.kinds.kind.Kind` is the whole."""
 
     name: str
     fallback: bool

@@ -36,7 +36,7 @@ class InputFile(_Part):
 
 
 class Particulars(_Part):
-    """Operator, lot, cavity, station and job, as far as stated; (x, y) of the part in mm from the axis of the stage.
+    """Operator, lot, cavity, station and job, where stated; (x, y) of the part in mm from the axis of the stage.
 
     ``job`` is the id under which the controller of a line ordered the inspection.
     """
@@ -217,7 +217,7 @@ class CauseRecord(_Part):
 
 
 class DiagnosisRecord(_Part):
-    """What is wrong: one line, and the causes, the best first; none where nothing was to be explained.
+    """Diagnosis: one line, and the causes, the best first; none where nothing was to be explained.
 
     ``tells`` names what would separate the tied causes, where that was computed.
     """
@@ -559,7 +559,7 @@ def recorded_files(folder: Path) -> tuple[InputFile, ...]:
 
 
 def _content_of(path: Path) -> tuple[Any, bool]:
-    """What is in the file of a record, without its seal, and whether it bears one."""
+    """Content of the file of a record without its seal, and whether it bears one."""
     try:
         text = bounded_bytes(path).decode()
         content = parsed_json(text)
@@ -574,7 +574,7 @@ def _content_of(path: Path) -> tuple[Any, bool]:
 
 
 def _later(content: object) -> str | None:
-    """What in a record this version cannot know."""
+    """Fields of a record that this version does not know."""
     if not isinstance(content, dict):
         return None
     schema = content.get("schema", SCHEMA)

@@ -78,7 +78,7 @@ def value_texts(name: str, one: Value) -> tuple[str, str, str, str]:
 
 
 def pictures(sheet: CameraSheet) -> tuple[Picture, ...]:
-    """The three pictures, as far as the record holds a curve."""
+    """The three pictures, or fewer where the record holds no curve."""
     if sheet.curve is None:
         return ()
     gain = sheet.record.number("gain")

@@ -247,7 +247,7 @@ def comparison_numbers(found: Comparison) -> list[tuple[str, str, str, str]]:
 
 
 def comparison_notes(found: Comparison) -> list[str]:
-    """What a reader has to know about the registration."""
+    """Notes on the registration."""
     placed, notes = found.placed, []
     if found.mirrored:
         notes.append("A, the tool, was negated and mirrored along x first; what is lost was not filled")

@@ -80,7 +80,7 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """What the report shows of one kind of part; sources are Jinja templates, which may use ``content``.
+    """Sections of the report for one kind of part; sources are Jinja templates, which may use ``content``.
 
     Attributes:
         rule: the rule that decided, in one sentence; without one the page names none, except of an INVALID part.

@@ -75,7 +75,7 @@ def ready_template(template: str, filters: Filters | None = None) -> "jinja2.Tem
 
 
 def scripted(data: Mapping[str, Any], *scripts: str) -> dict[str, Any]:
-    """What a template with a script needs: ``data`` as JSON, ``script``, and its ``script_hash`` for the policy.
+    """Values of a template with a script: ``data`` as JSON, ``script``, and its ``script_hash`` for the policy.
 
     Args:
         data: finite numbers, texts, and lists and tables of them.
@@ -102,7 +102,7 @@ def packed(numbers: npt.NDArray[np.generic]) -> str:
 
 @cache
 def _environment(_template: str) -> "jinja2.Environment":
-    """An environment of its own for every template, because each brings filters of its own."""
+    """Environment of one template, because each brings its filters."""
     import jinja2
 
     environment = jinja2.Environment(

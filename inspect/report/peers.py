@@ -29,7 +29,7 @@ class Lot:
 
     @property
     def verdicts(self) -> str:
-        """How often each verdict was given, the most frequent first."""
+        """Number of each verdict, the most frequent first."""
         found = Counter(part.verdict for part in self.parts).most_common()
         return ", ".join(f"{count} {verdict}" for verdict, count in found)
 
@@ -72,7 +72,7 @@ def lot_of(record: Record, mates: Sequence[LotMate]) -> Lot | None:
 
 
 def _part(mate: LotMate, labels: Sequence[str]) -> LotPart:
-    """What a mate shows; none of its contrasts where some are not those of this part."""
+    """Values of a mate; none of its contrasts where some are not contrasts of this part."""
     known = all(label in mate.numbers for label in labels)
     return LotPart(mate.serial, mate.verdict, tuple(mate.numbers[label] for label in labels) if known else ())
 

@@ -154,7 +154,7 @@ def selftest_cases(stages_deg: tuple[float, ...], elevation_deg: float) -> list[
 
 
 class EtchedDots(Protocol):
-    """What the page shows of a layout of dots, as `anisoscope.sim.design.layout.Layout` has it."""
+    """Layout of dots for the page, as in `anisoscope.sim.design.layout.Layout`."""
 
     @property
     def tiles(self) -> npt.NDArray[np.uint16]:

@@ -108,7 +108,7 @@ def _golden(record: Record, found: SurfaceDetails) -> Peers | None:
 
 
 def _lot_peers(record: Record, found: SurfaceDetails, lot: Lot | None) -> Peers | None:
-    """The part among its lot, as far as parts were measured alike."""
+    """The part among the parts of its lot that were measured alike."""
     count = len(found.contrasts)
     known = [part.contrasts for part in lot.parts if len(part.contrasts) == count] if lot else []
     if not known or not count:
@@ -120,7 +120,7 @@ def _lot_peers(record: Record, found: SurfaceDetails, lot: Lot | None) -> Peers 
 
 
 def _on_map(record: Record, place_mm: tuple[float, float]) -> tuple[float, float]:
-    """A place of the part at 0° along the axes of the map, whose ridges stand upright; both from the rotation axis."""
+    """Place of the part at 0° along the axes of the map, whose ridges are upright; both from the rotation axis."""
     (x, y), turn = place_mm, np.radians(record.recipe["poses"]["facet_azimuth_deg"])
     return float(np.cos(turn) * x + np.sin(turn) * y), float(np.cos(turn) * y - np.sin(turn) * x)
 

@@ -55,7 +55,7 @@ class Picture3D:
 
 @dataclass(frozen=True)
 class SceneScale:
-    """How much of a map is drawn in 3-D, and how large its heights.
+    """Scale of the 3-D view: points drawn of a map, and magnification of its heights.
 
     Attributes:
         field_um: sides of the part that is drawn, from the first point on.
@@ -187,7 +187,7 @@ def _reduced(
 
 
 def _entries(source: bytes, kinds: tuple[str, ...]) -> dict[str, Entry]:
-    """Where the pictures of a map are cached, by kind of file."""
+    """Cache entries of the pictures of a map, by kind of file."""
     drawn = hashlib.sha256(source).hexdigest()
     return {
         kind: Cache().entry("height-map-pictures", [drawn, kind], DRAWN_BY, libraries=DRAWN_WITH)
@@ -233,7 +233,7 @@ def flat_drawings(surface: HeightMap) -> tuple[str, str]:
 
 
 class SurfaceView:
-    """Draws a height map in the background: in 3-D in a process of its own, flat in a thread.
+    """Drawing of a height map in the background: in 3-D in a process, flat in a thread.
 
     Args:
         surface: the height map, levelled.

@@ -13,7 +13,7 @@ U_LEGEND = "U = 2u: expanded uncertainty"
 
 
 def filters() -> Filters:
-    """What the template calls by name: numbers with a true minus sign, chances, times."""
+    """Filters of templates: numbers with a true minus sign, chances, times."""
     return {
         "short": lambda value: f"{value:.4f}" if value >= 5e-5 else "< 0.0001",
         "signed": signed,
@@ -73,7 +73,7 @@ def weight_text(weight: float) -> str:
 
 
 def cause_range(cause: CauseRecord | ComponentRecord) -> str:
-    """How well a severity is known: its 95 % interval, such as ``95 %: −2.5° to −1.7°``."""
+    """95 % interval of a severity, such as ``95 %: −2.5° to −1.7°``."""
     unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
     if cause.interval is None:  # records of earlier versions
         return message("not determined") if cause.u is None else decimal(f"± {cause.u:.2g}{unit}")

@@ -153,7 +153,7 @@ def _harmonic(surface: HeightMap, wanted: Mask) -> FloatArray:
 
 
 def outlier_mask(surface: HeightMap, limit: float, window: int) -> Mask:
-    """Points (rows, cols) that stand out of the median of their surroundings.
+    """(rows, cols) mask of outliers from the median of their surroundings.
 
     A point stands out where it is further from the local median than ``limit`` times the larger of the local and the
     global standard deviation, both from the median of absolute deviations; steps and edges are spread too, and stay.

@@ -46,7 +46,7 @@ SMOOTH_PIXELS = 1.0
 
 @dataclass(frozen=True)
 class Placed:
-    """Where the points of a first map lie in a second one.
+    """Places of the points of a first map in a second one.
 
     A point at p from the middle of the first map lies at R(angle)·p + (x, y) from the middle of the second; heights of
     the second exceed those of the first by the plane offset + slope_x·x + slope_y·y about the middle of the first.
@@ -344,7 +344,7 @@ class _Correlated:
 
 
 def _correlations(a: FloatArray, b: FloatArray, least: float) -> FloatArray:
-    """Correlation of the common measured points at every shift; (i, j) from the middle: b lies i rows, j columns on.
+    """Correlation of the common measured points at every shift; (i, j) from the middle: b is i rows, j columns on.
 
     −1 where less than the share ``least`` of the smaller map is common. Source: Padfield 2012, eq. 18.
     """
@@ -519,7 +519,7 @@ class _Fit:
         return np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0])
 
     def unchanged(self) -> npt.NDArray[np.bool_]:
-        """Which points of the pair lie away from places where the maps differ.
+        """Mask of points of the pair away from places where the maps differ.
 
         Next to a change the difference is too small to be rejected, but not zero.
         """
@@ -535,7 +535,7 @@ class _Fit:
         return np.asarray(~changed[self.whole.places])
 
     def cost(self) -> float:
-        """How badly the heights agree: their deviation, larger where few points are common."""
+        """Cost of the fit: deviation of the heights, larger where few points are common."""
         _, _, _, known, sigma = self._system()
         least = LEAST_COST * float(np.std(self.z))
         return float(np.hypot(sigma, least)) / float(np.sqrt(np.mean(known)))
@@ -551,7 +551,7 @@ class _Fit:
         return float(np.mean(1.0 - (1.0 - apart**2) ** 3))
 
     def unrejected_step(self, *, edges: bool) -> FloatArray:
-        """How far (x, y, turn · length, scale) the fit would move if no point were rejected.
+        """Step (x, y, turn · length, scale) of the fit if no point were rejected.
 
         Args:
             edges: whether steep places count like others.
@@ -620,7 +620,7 @@ class _Fit:
     def _linear_step(
         self, design: FloatArray, weight: FloatArray, known: npt.NDArray[np.bool_]
     ) -> FloatArray:
-        """How far the fit would move if heights between points were linear: what interpolation does not know."""
+        """Step of the fit if heights between points were linear, which bounds the error of interpolation."""
         py, px = _moved(self.y[known], self.x[known], self.motion, self.pair.middle)
         change = self.pair.linear.at(py, px) - self.pair.between.at(py, px)
         change = np.where(np.isfinite(change), change, 0.0)

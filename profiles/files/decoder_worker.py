@@ -61,7 +61,7 @@ def _open_library(path: str, format_: str | None) -> Any:  # noqa: ANN401 - the 
 
 
 def _metadata(info: dict[str, Any]) -> dict[str, Any]:
-    """Instrument and date as far as the file gives them, as plain texts."""
+    """Instrument and date that the file gives, as plain texts."""
     given = info.get("instrument")
     names = {"vendor": "manufacturer", "name": "model", "serial": "serial", "software": "version"}
     instrument = {

@@ -230,7 +230,7 @@ def write_layer(surface: HeightMap, name: str, path: Path | str) -> None:
 
 
 def write_tiff(surface: HeightMap, path: Path | str) -> None:
-    """Write the heights in µm as a float32 TIFF, first row at the top; pixel and unit stand in its description.
+    """Write the heights in µm as a float32 TIFF, first row at the top; pixel and unit are in its description.
 
     Raises:
         HeightMapError: the file cannot be written.

@@ -99,7 +99,7 @@ class Table:
     endless: int = 0
 
     def corrected(self) -> dict[str, list[str]]:
-        """What was changed on the way, for the origin."""
+        """Corrections on the way, for the origin."""
         return {"corrected": [f"{self.endless} infinite heights are missing points"]} if self.endless else {}
 
 

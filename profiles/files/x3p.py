@@ -93,7 +93,7 @@ class Header:
     annotations: Sequence[tuple[str, str]] = ()
 
     def metadata(self) -> dict[str, Any]:
-        """Instrument, date and other metadata as far as the file has them."""
+        """Instrument, date and other metadata of the file."""
         instrument = {
             key.lower(): text
             for key in ("Manufacturer", "Model", "Serial", "Version")

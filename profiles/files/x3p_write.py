@@ -73,7 +73,7 @@ def add_ulps(height_um: FloatArray, entry: bytes, digest: bytes) -> None:
 
 
 def listed_digest(metres: FloatArray) -> bytes:
-    """Checksum of heights that stand in ``main.xml``."""
+    """Checksum of heights within ``main.xml``."""
     return hashlib.md5(_known(metres).tobytes(), usedforsecurity=False).digest()
 
 
@@ -111,7 +111,7 @@ def _dates(origin: dict[str, Any], key: str, tag: str) -> str:
 
 
 def _record2(origin: dict[str, Any]) -> str:
-    """What is known of the measurement; what is not is left out, or says so, and is never made up."""
+    """Known data of the measurement; unknown ones are left out or marked, and never made up."""
     given = origin.get("instrument")
     instrument = given if isinstance(given, dict) else {}
     probing = origin.get("probing")

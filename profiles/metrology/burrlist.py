@@ -19,7 +19,7 @@ MARGIN = 3
 
 @dataclass(frozen=True)
 class Outlier:
-    """A place that stands out of the ridges.
+    """Outlier from the ridges.
 
     Attributes:
         kind: "burr" (raised) or "pit" (sunken) of more than four points, or "spike" of fewer, up or down.
@@ -48,7 +48,7 @@ ASIDE = 0.1  # of the range over two bins
 def limits(
     sigma_um: float, spread_um: FloatArray, height_um: FloatArray, inside: Mask, *, resolved: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """(bins,) outline and least peak height of what stands out.
+    """(bins,) outline and least peak height of outliers.
 
     Off the facets the spread about the median ridge counts. Where walls are not resolved, one that stands a little
     aside makes large differences, and the height range of the median ridge within a bin is added; where they are, what
@@ -79,7 +79,7 @@ def find_outliers(
     peak_um: FloatArray,
     pixel_um: tuple[float, float],
 ) -> tuple[tuple[Outlier, ...], Mask]:
-    """List what stands out, largest volume first, and mask it with a margin.
+    """List outliers, largest volume first, and mask them with a margin.
 
     Points beyond the outline, of one sign, with gaps of four pixels at most, count together if one of them reaches the
     least peak height of its place. The gaps are for burrs that lie across a wall, where the outline is higher.

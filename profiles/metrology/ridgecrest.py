@@ -23,7 +23,7 @@ FEWEST_PLACES = 3
 
 @dataclass(frozen=True)
 class Crest:
-    """What the walls and crests are like.
+    """Shape of walls and crests.
 
     Attributes:
         wall_angle_deg: against the plane of the surface; a lower bound where the wall is narrower than two pixels.
@@ -105,7 +105,7 @@ def _wall_slope(sums: FloatArray) -> tuple[float, float, float]:
 
 
 def _carries_slope(sums: FloatArray, width: float) -> bool:
-    """Whether the points between the positions of the core, ``width`` µm apart, stand at more than one place.
+    """Whether the points between the positions of the core, ``width`` µm apart, are at more than one place.
 
     Walls along the grid, whole pixels apart, may all be sampled at a single one: then no regression is possible,
     and rounding errors would make a slope.

@@ -196,14 +196,14 @@ def _angle_and_tilt(total: FloatArray) -> FloatArray:
 
 
 def slope_of_ends(folded: Folded, facet: Facet, pitch_um: float) -> float:
-    """How much steeper the median facet is without a tenth of its width at either end: 0 for a straight one."""
+    """Excess slope of the median facet without a tenth of its width at either end: 0 for a straight one."""
     cut = ENDS * (facet.end - facet.begin)
     inner = facet_line(folded, Facet(facet.begin + cut, facet.end - cut), pitch_um)[1]
     return inner - facet_line(folded, facet, pitch_um)[1]
 
 
 def facet_bow(folded: Folded, facet: Facet, pitch_um: float) -> float:
-    """How far the median facet is from straight: rms distance of its eighths from its line, as a share of its rise."""
+    """Bow of the median facet: rms distance of its eighths from its line, as a share of its rise."""
     place = (np.arange(folded.height_um.size) + folded.shift) / folded.height_um.size
     on = (place >= facet.begin) & (place <= facet.end)
     height, slope = facet_line(folded, facet, pitch_um)

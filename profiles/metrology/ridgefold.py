@@ -33,7 +33,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Course:
-    """How the ridges run over the grid.
+    """Course of the ridges over the grid.
 
     Attributes:
         pitch_um: distance of the walls.
@@ -161,7 +161,7 @@ def _falling_run(height: FloatArray) -> tuple[int, int]:
 
 
 def orient(grid: Grid, course: Course) -> tuple[Course, Facet, Folded]:
-    """Turn and shift a course so that the large facets fall along it and the walls stand at whole pitches.
+    """Turn and shift a course so that the large facets fall along it and the walls are at whole pitches.
 
     The large facet is the longest run of one sign of slope, one pixel and 1 % of the pitch less at both ends. Symmetric
     ridges have two such runs; then the longer one is taken.
@@ -213,7 +213,7 @@ CLIP = 4.0
 
 @dataclass(frozen=True)
 class Positions:
-    """Where the ridges stand.
+    """Positions of the ridges.
 
     Attributes:
         course: the course after correction.
@@ -316,7 +316,7 @@ def refine(grid: Grid, course: Course, folded: Folded, wall_um: float) -> Positi
 
 
 def _corrected(course: Course, start: float, by_r: float, by_v: float) -> Course:
-    """The course whose walls stand ``start`` + ``by_r``·(q·pitch) + ``by_v``·v µm further."""
+    """The course whose walls are ``start`` + ``by_r``·(q·pitch) + ``by_v``·v µm further."""
     ex, ey = course.downhill()
     fx = ((1.0 - by_r) * ex + by_v * ey) / course.pitch_um
     fy = ((1.0 - by_r) * ey - by_v * ex) / course.pitch_um

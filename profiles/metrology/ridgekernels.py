@@ -16,7 +16,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 class Frame(NamedTuple):
-    """Where a point of the grid stands: q = i·qi + j·qj − q0 pitches across, v = i·vi + j·vj − v0 µm along.
+    """Coordinates of a point of the grid: q = i·qi + j·qj − q0 pitches across, v = i·vi + j·vj − v0 µm along.
 
     Ridge k holds the points with ⌊q⌋ = k + first; t = q − ⌊q⌋ is their place on it, 0 to 1, from the middle of the wall
     down the large facet to the next wall. Tiles cut the ridges into lengths of ``tile`` µm. Bin b of a folded profile

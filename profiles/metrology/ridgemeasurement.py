@@ -131,7 +131,7 @@ class RidgeMeasurement:
         return self.facet_bow <= MOST_BOW
 
     def remarks(self) -> tuple[str, ...]:
-        """What a reader of the numbers must know: round flanks, ridges of another direction, form that was removed."""
+        """Remarks on the numbers: round flanks, ridges of another direction, form that was removed."""
         found = []
         if not self.straight:
             found.append(
@@ -150,7 +150,7 @@ class RidgeMeasurement:
         return tuple(found)
 
     def stated(self) -> Self:
-        """What table, page and JSON state: no numbers of straight facets where there are none."""
+        """Numbers for table, page and JSON: none of straight facets where there are none."""
         if self.straight:
             return self
         none = Quantity(None)

@@ -144,7 +144,7 @@ def _without_form(surface: HeightMap, period: Period) -> tuple[HeightMap, Period
 
 
 def _moved(before: Course, after: Course, grid: Grid) -> float:
-    """How far a new course moves the ridges at the rim of the map, in pixels across."""
+    """Shift of the ridges at the rim of the map by a new course, in pixels across."""
     pixel = np.array(grid.pixel)
     half = 0.5 * float(np.hypot(*(np.array(grid.z.shape) * pixel)))
     stretch = abs(after.pitch_um / before.pitch_um - 1.0)
@@ -208,7 +208,7 @@ def _resolved_wall(folded: Folded, course: Course, grid: Grid) -> float:
 def _outliers(
     grid: Grid, course: Course, facet: Facet, folded: Folded, planes: Planes
 ) -> tuple[FloatArray, npt.NDArray[np.int16], tuple[Outlier, ...], kernels.Mask]:
-    """Heights over the ridges, the ridge of every facet point, what stands out, and its mask."""
+    """Heights over the ridges, the ridge of every facet point, outliers, and their mask."""
     frame = course.frame(grid, folded.shift)
     line = facet_line(folded, facet, course.pitch_um)
     mean = np.array([*line, 0.0])

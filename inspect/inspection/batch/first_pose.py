@@ -21,7 +21,7 @@ from anisoscope.rig.rigfile import read_rig
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """How the camera reads codes: kind, and exposure (None: that of the recipe)."""
+    """Reading of codes by the camera: kind, and exposure (None: the recipe's)."""
 
     kind: Kind = "any"
     exposure_s: float | None = None

@@ -86,7 +86,7 @@ class BatchFile(_Part):
 
     @property
     def exit_code(self) -> int:
-        """That of the first hardware fault; else of the worst verdict; 75 where only slots were left out."""
+        """Exit code of the first hardware fault; else of the worst verdict; 75 where only slots were left out."""
         faults = [one.exit_code or 0 for one in self.slots if one.state == "fault"]
         hardware = next((code for code in faults if code >= HARDWARE), None)
         if hardware is not None:

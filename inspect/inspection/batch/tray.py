@@ -63,7 +63,7 @@ class Tray:
 
     @property
     def placed(self) -> bool:
-        """Whether it says of every part where on the plate it lies, so that they are put on all at once."""
+        """Whether every part has a place on the plate, so that all are put on at once."""
         return all(slot.place_mm is not None for slot in self.slots)
 
 
@@ -180,7 +180,7 @@ def _slot(fields: list[str], columns: tuple[str, ...], path: Path, number: int) 
 
 
 def _place(texts: Mapping[str, str], place: str) -> tuple[float, float] | None:
-    """Where the part lies on the plate."""
+    """Place of the part on the plate."""
     found = {column: texts.get(column) for column in ("x_mm", "y_mm")}
     if not any(found.values()):
         return None

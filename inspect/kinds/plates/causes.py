@@ -91,7 +91,7 @@ def plate_words() -> Mapping[str, CauseWords]:
 def explain_plate(
     recipe: PlateRecipe, expected: ExpectedPlate, measured: MeasuredPlate, decided: PlateDecision
 ) -> DiagnosisRecord:
-    """What is wrong with a plate: defects of its fields, and the cause of what all classes show.
+    """Diagnosis of a plate: defects of its fields, and the cause of a deviation of all classes.
 
     Args:
         recipe: its recipe.

@@ -41,7 +41,7 @@ class Grade:
 
 @dataclass(frozen=True)
 class Cells:
-    """What is graded of a symbol.
+    """Graded cells of a symbol.
 
     Attributes:
         radiance: (rows, cols) of the fields of the plan in 1/sr.

@@ -84,7 +84,7 @@ def _placed(mask: Mask, shape: tuple[int, ...], box: tuple[slice, slice]) -> Mas
 
 
 def _quiet_sides(shape: tuple[int, ...], box: tuple[slice, slice]) -> dict[str, Mask]:
-    """Quiet zone left of and below an L, as far as the plan holds it."""
+    """Quiet zone left of and below an L within the plan."""
     left, below = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     if box[1].start > 0:
         left[box[0], box[1].start - 1] = True

@@ -278,7 +278,7 @@ def _share(one: Component, gradient: FloatArray) -> FloatArray:
 def predicted_code(
     expected: ExpectedPlate, symbology: Symbology
 ) -> tuple[tuple[str | None, ...], tuple[tuple[Grade, ...], ...]]:
-    """What a reader makes of the predicted fields in every pose, and their grades; no grades without a symbol."""
+    """Reading of the predicted fields in every pose, and their grades; no grades without a symbol."""
     fields, cosines = predicted_fields(expected), _light_cosines(expected)
     readings = tuple(read_fields(one, symbology) for one in fields)
     symbol = _symbol(expected, symbology)
@@ -382,7 +382,7 @@ def _of_fields(details: PlateDetails, recipe: PlateRecipe) -> tuple[list[str], l
 
 
 def _together(details: PlateDetails, recipe: PlateRecipe, p_value: float) -> str | None:
-    """What all classes together show, where that is significant."""
+    """Significant deviation of all classes together, or None."""
     if p_value >= recipe.decision.alpha / TESTS:
         return None
     text = p_value_text(p_value)

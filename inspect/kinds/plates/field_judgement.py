@@ -174,7 +174,7 @@ def looks_like(
 
 
 def fields_text(fields: list[FieldRecord]) -> str:
-    """How many fields deviate, and the first of them with what they look like."""
+    """Number of deviating fields, and the first of them with their appearance."""
     named = "; ".join(_field_text(one) for one in fields[:LISTED])
     more = len(fields) - LISTED
     if len(fields) == 1:
@@ -185,7 +185,7 @@ def fields_text(fields: list[FieldRecord]) -> str:
 
 
 def places_text(fields: list[FieldRecord]) -> str:
-    """Where fields are, row by row, those that are most off alone where they are many."""
+    """Places of fields, row by row; of many only the most deviating ones."""
     listed = sorted(fields[:LISTED], key=lambda one: (one.row, one.col))
     named = "; ".join(f"row {one.row + 1}, column {one.col + 1}" for one in listed)
     more = len(fields) - LISTED

@@ -224,7 +224,7 @@ class Plates(
         *,
         cached: bool = False,
     ) -> Explanation:
-        """What is wrong with single fields, and with the plate as a whole."""
+        """Diagnosis of single fields and of the plate as a whole."""
         del sitting, reference, cached
         advance("causes", 0, 1)
         try:
@@ -426,7 +426,7 @@ class Plates(
 
 
 def code_lines(found: PlateDetails) -> tuple[str, ...]:
-    """What the code says, and its grades, a line each; and what the test of single fields would find."""
+    """Lines of the code's text, its grades, and the sensitivity of the test of single fields."""
     code, lines = found.code, []
     if code is not None:
         read = ", ".join("not read" if one is None else repr(one) for one in code.readings)

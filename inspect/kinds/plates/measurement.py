@@ -172,7 +172,7 @@ def moved_grid(grid: Grid, x_mm: float, y_mm: float) -> Grid:
 
 
 def check_places(places: tuple[FieldPlaces | None, ...], module_mm: float) -> tuple[float, float]:
-    """Check that the plate lies in its seat.
+    """Check that the plate is in its seat.
 
     Returns:
         Shift (x, y) of the fields in mm, y up; 0 where no borders show.

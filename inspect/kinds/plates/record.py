@@ -65,7 +65,7 @@ class PowerRecord(_Part):
 
 
 class PlacementRecord(_Part):
-    """How the fields of a pose lie against the fixture: shift (x, y) in mm, turn, and the non-uniformities."""
+    """Placement of the fields of a pose against the fixture: shift (x, y) in mm, turn, and the non-uniformities."""
 
     shift_mm: tuple[float, float]
     turn_deg: float

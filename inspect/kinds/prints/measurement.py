@@ -62,7 +62,7 @@ class MeasuredPrint:
 
 
 def cell_grid(recipe: PrintRecipe) -> Grid:
-    """Raster of whole cells in the region; where no map is judged, one cell that stands for all of it."""
+    """Raster of whole cells in the region; where no map is judged, one cell for all of it."""
     width, height = recipe.region.size_mm
     if recipe.area is None:
         return Grid(recipe.region.center_mm, min(width, height), (1, 1), recipe.poses.facet_azimuth_deg)
@@ -330,7 +330,7 @@ def _inside(view: View, recipe: PrintRecipe, shape: tuple[int, int]) -> Mask:
 
 
 def _alike(maps: list[Image], least: float) -> Mask:
-    """Where all poses are off by more than what counts and what scatters, to the same side and by about as much."""
+    """Mask of cells whose poses all deviate by more than limit and scatter, to the same side and by about as much."""
     scatter = max(1.4826 * float(np.nanmedian(np.abs(one))) for one in maps)
     threshold = max(least, SIGMAS * scatter)
     low, high = np.min(maps, axis=0), np.max(maps, axis=0)  # NaN where one pose does not show the place

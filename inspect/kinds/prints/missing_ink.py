@@ -64,7 +64,7 @@ class Bare:
 
     @property
     def reason(self) -> str:
-        """What is wrong, in a sentence."""
+        """Reason in a sentence."""
         if self.high < 1.0:
             return (
                 f"{self.missing:.1%} of the ink is missing ({self.low:.1%} to {self.high:.1%}), so that hardly any "

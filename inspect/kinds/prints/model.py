@@ -23,7 +23,7 @@ _FAINTEST = 600.0
 
 @dataclass(frozen=True)
 class State:
-    """How a print differs from its recipe, and the rig from its file; all zero: as they should be.
+    """Deviation of a print from its recipe and of the rig from its file; zero where there is none.
 
     Attributes:
         alpha: change of ln α, alike in all directions.

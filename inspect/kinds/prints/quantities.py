@@ -82,7 +82,7 @@ class Judge:
         )
 
     def curl(self, found: PrintMap) -> Quantity:
-        """How much the lean of the flakes changes across the region."""
+        """Change of the lean of the flakes across the region."""
         size = float(np.linalg.norm(found.record.curl_deg, 2))
         return self._guarded(
             "curl",

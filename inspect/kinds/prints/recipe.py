@@ -42,7 +42,7 @@ def ink_file(name: str) -> Path:
 
 
 class PrintPart(Part):
-    """What is printed.
+    """Ink of the print, and its inks by mistake.
 
     ``ink`` is an ink file, or an ink that comes with the package; ``coverage`` the share of the area that carries it;
     ``substrate`` the diffuse reflectance of what lies below and between. ``lobe`` says what the distribution of the

@@ -34,7 +34,7 @@ _DRAWS, _SEED = 2000, 7
 
 @dataclass(frozen=True)
 class PlannedQuantity:
-    """What an inspection will know of a quantity: its standard uncertainty, and T/U of the limit.
+    """Planned knowledge of a quantity: its standard uncertainty, and T/U of the limit.
 
     ``passing`` is the share of good prints, as they vary by what the recipe says is uncertain, that will pass it.
     """
@@ -155,7 +155,7 @@ def check_print_recipe(recipe: PrintRecipe, expected: PrintExpectation) -> Print
 def planned_quantities(
     recipe: PrintRecipe, expected: PrintExpectation, decision: PrintDecision
 ) -> tuple[PlannedQuantity, ...]:
-    """What an inspection will know, by the decision on a print that shows exactly what is predicted."""
+    """Planned quantities of an inspection, by the decision on a print exactly as predicted."""
     return tuple(
         PlannedQuantity(
             one.name,

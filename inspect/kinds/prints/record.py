@@ -203,7 +203,7 @@ class PrintDetails(Details):
 
     @classmethod
     def of_schema_1(cls, record: dict[str, Any]) -> dict[str, Any] | None:
-        """What a record of schema 1 had under ``print``."""
+        """Details from the key ``print`` of a record of schema 1."""
         found: dict[str, Any] | None = record.pop("print", None)
         return found
 

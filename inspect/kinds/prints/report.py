@@ -421,7 +421,7 @@ def _extent(
 def lean_map(
     lean_deg: FloatArray, size_mm: tuple[float, float], center_mm: tuple[float, float] = (0.0, 0.0)
 ) -> str:
-    """How the flakes lean in every cell against the whole region: size in colour, direction and size as arrows.
+    """Lean of the flakes in every cell against the whole region: size in colour, direction and size as arrows.
 
     An arrow that reaches to the next one leans as far as the scale goes, so that noise does not look like a lean.
     """

@@ -134,7 +134,7 @@ def _limit(recipe: PrintRecipe, key: str, value: float, why: str) -> TaughtLimit
 
 
 def _reached(name: str, one: _Spread, alpha: float) -> float:
-    """What one more good print exceeds with a probability of alpha."""
+    """Limit that one more good print exceeds with a probability of alpha."""
     from scipy.special import stdtrit  # noqa: PLC0415 - heavy
 
     count = len(one.deviations)
@@ -151,7 +151,7 @@ def _reached(name: str, one: _Spread, alpha: float) -> float:
 
 
 def _quantities(golden: GoldenPrints, recipe: PrintRecipe, expected: PrintExpectation) -> dict[str, _Spread]:
-    """What golden prints show of every quantity, judged by the recipe and the prediction of now."""
+    """Values of every quantity in golden prints, by the present recipe and prediction."""
     plain = recipe.model_copy(update={"area": None})
     measured = [_measured(logs, plain) for logs in golden.logs()]
     decisions = [decide_print(expected, one, plain) for one in measured]

@@ -297,7 +297,7 @@ def _signature(
     log_radiance: LogRadiance,
     good: FloatArray,
 ) -> Signature:
-    """What a cause changes, at a third of its extents, both ends and 0 among them."""
+    """Changes by a cause, at a third of its extents, both ends and 0 among them."""
     side = [extent for extent in cause.extents if extent > 0.0][::-1][::_EVERY]
     extents = sorted({0.0, *side, *(-extent for extent in side if -extent in cause.extents)})
     changes = [

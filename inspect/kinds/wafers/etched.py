@@ -45,7 +45,7 @@ class WaferLight:
 
     @property
     def spectrum(self) -> LightSpectrum:
-        """The lines that stand for the lamp."""
+        """Spectral lines that represent the lamp."""
         return line_spectrum(self.wavelength_nm, self.bandwidth_nm)
 
     @property

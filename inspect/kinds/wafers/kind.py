@@ -71,7 +71,7 @@ class WaferOptics:
         nominal: State,
         convention: Convention,
     ) -> list[Component]:
-        """What good etching and the stated lamp and lens leave open; every source shared by all poses."""
+        """Uncertainty from good etching and the stated lamp and lens; every source shared by all poses."""
         wafer, predictor = of_wafer(recipe), models.model
         assert isinstance(predictor, EtchedPredictor)
         assert wafer.light is not None
@@ -197,7 +197,7 @@ class Wafers(SurfaceKind[WaferRecipe]):
         return tile_means(measured.cells), "the mean of every tile that repeats"
 
     def recognises(self, table: Mapping[str, Any]) -> bool:
-        """What is reflected, whatever the angle, only a mirror states."""
+        """A stated reflectance, whatever the angle, is that of a mirror."""
         return recognises(table)
 
 

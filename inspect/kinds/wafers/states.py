@@ -40,7 +40,7 @@ def width_step_nm(recipe: WaferRecipe) -> float:
 
 
 def edges_u_nm(recipe: WaferRecipe, wafer: EtchedPredictor, light_angle_deg: float) -> float:
-    """Standard uncertainty, in nm, of either part of the widening that stands for the waves of edges.
+    """Standard uncertainty, in nm, of either part of the widening by the waves of edges.
 
     Half the bound's modulus: that of a disc on which all values are equally likely. The recipe may state another one.
     """
