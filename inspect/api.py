@@ -74,6 +74,8 @@ if TYPE_CHECKING:
     from anisoscope.study.part_yield import PartYield
     from anisoscope.study.sweep import Workers
 
+    __version__: str
+
 DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
 _HOME = {
@@ -221,6 +223,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - type checkers read the block of imports
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("anisoscope")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
     module, _, original = _HOME[name].partition(":")

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tarfile
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,10 @@ def test_the_list_for_type_checkers_is_the_list_of_modules():
 @pytest.mark.parametrize("name", an.__all__)
 def test_every_name_is_there_and_says_what_it_is(name):
     assert getattr(an, name).__doc__
+
+
+def test_the_version_is_that_of_the_distribution():
+    assert an.__version__ == version("anisoscope")
 
 
 def test_a_name_that_is_none_is_an_attribute_error():
