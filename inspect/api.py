@@ -29,11 +29,23 @@ if TYPE_CHECKING:
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.run import Inspected
     from anisoscope.live_view.autofocus import Autofocus
+    from anisoscope.operations.design.etched import (
+        dot_pattern,
+        etch_depths,
+        etched_antimirror,
+        etched_lobe,
+        mirror_design,
+        refine_dot,
+    )
+    from anisoscope.operations.design.pictures import etched_hologram, etched_picture
+    from anisoscope.operations.design.plates import design_code, design_plate
     from anisoscope.operations.optimising import optimise
     from anisoscope.operations.remembering import lot_mates, remember
     from anisoscope.operations.render import render_frame, render_plate
+    from anisoscope.parameters.fabrication import Fabrication
     from anisoscope.parameters.geometry import Convention, Pose
     from anisoscope.parameters.inputs import InputUncertainty
+    from anisoscope.parameters.manufacture import Manufacture
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.microscope import Microscope
     from anisoscope.parameters.optics import Optics
@@ -79,6 +91,18 @@ if TYPE_CHECKING:
 DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
 _HOME = {
+    "Manufacture": "anisoscope.parameters.manufacture",
+    "Fabrication": "anisoscope.parameters.fabrication",
+    "design_code": "anisoscope.operations.design.plates",
+    "design_plate": "anisoscope.operations.design.plates",
+    "etched_hologram": "anisoscope.operations.design.pictures",
+    "etched_picture": "anisoscope.operations.design.pictures",
+    "refine_dot": "anisoscope.operations.design.etched",
+    "mirror_design": "anisoscope.operations.design.etched",
+    "etched_lobe": "anisoscope.operations.design.etched",
+    "etched_antimirror": "anisoscope.operations.design.etched",
+    "etch_depths": "anisoscope.operations.design.etched",
+    "dot_pattern": "anisoscope.operations.design.etched",
     "render_plate": "anisoscope.operations.render",
     "render_frame": "anisoscope.operations.render",
     "Microscope": "anisoscope.parameters.microscope",
@@ -147,6 +171,7 @@ __all__ = [
     "Autofocus",
     "ControlStudy",
     "Convention",
+    "Fabrication",
     "Filters",
     "Fit",
     "HeightMap",
@@ -157,6 +182,7 @@ __all__ = [
     "Inspected",
     "LobeTask",
     "MachineChange",
+    "Manufacture",
     "Material",
     "Microscope",
     "Noise",
@@ -177,10 +203,18 @@ __all__ = [
     "compare_maps",
     "contrasts",
     "control_chart",
+    "design_code",
     "design_lobe",
+    "design_plate",
+    "dot_pattern",
     "drift_study",
     "drivers",
     "edit_map",
+    "etch_depths",
+    "etched_antimirror",
+    "etched_hologram",
+    "etched_lobe",
+    "etched_picture",
     "find_illuminant",
     "find_ink",
     "find_ports",
@@ -192,6 +226,7 @@ __all__ = [
     "line_parameters",
     "lot_mates",
     "measure_ridges",
+    "mirror_design",
     "mould",
     "open_camera",
     "open_history",
@@ -206,6 +241,7 @@ __all__ = [
     "read_rig",
     "recipe_yield",
     "recompute",
+    "refine_dot",
     "remember",
     "render_frame",
     "render_plate",

@@ -100,6 +100,7 @@ class Options:
         without: field -> reason why this command has no option for it.
         readers: field -> function of the text and the option that makes its value.
         required: fields without which the command does not run.
+        flags: whether fields that are true or false have one option each, which makes them true.
     """
 
     model: type
@@ -110,6 +111,7 @@ class Options:
     default: object = None
     without: Mapping[str, str] = field(default_factory=dict)
     readers: Mapping[str, Callable[[str, str], Any]] = field(default_factory=dict)
+    flags: bool = False
 
     def option(self, name: str) -> str:
         """Option of a field."""
@@ -149,7 +151,7 @@ def _class_of(options: Options) -> type:
         reader = options.readers.get(one.name) or _reader(kind, one.name, likely)
         parameter = Parameter(
             name=name,
-            negative=() if kind is not bool else None,
+            negative=() if kind is not bool or options.flags else None,
             help=options.help.get(one.name, texts.get(one.name, "")),
             show_default=False if default in (MISSING, None) else _shown(default),
             converter=None if reader is None else _converter(reader),

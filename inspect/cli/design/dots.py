@@ -1,4 +1,4 @@
-"""``anisoscope design refine`` and ``design pattern``: dots, and surfaces of many of them."""
+"""``anisoscope design``: dots, surfaces of many of them, their masks, heights and pages."""
 
 import sys
 from pathlib import Path
@@ -7,26 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.design.image import read_image
-from anisoscope.cli.design.output import check_seed
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    from anisoscope.sim.design.designfile import DesignFile
-    from anisoscope.sim.design.layout import Layout
-    from anisoscope.sim.design.refine import Refined
+    from anisoscope.profiles.heightmap import HeightMap
 
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 DotOption = Annotated[float, Parameter(help="Side of a dot, µm; 112 are 227 dpi.")]
 SeedOption = Annotated[int, Parameter(help="Seed of everything random.")]
-MIRROR = "mirror"
-SECONDS = 30.0
+GDS = (".gds", ".gds2", ".gdsii")
+USUAL = "16:16,56:16,112:16,160:16,160:80"
+MOST_RANDOM = 100
 
 
 def refine(
@@ -61,46 +55,37 @@ def refine(
     Examples:
         anisoscope design refine wide.toml --seconds 2 --dot 56 --out dot.npz --png dot.png
     """
-    import numpy as np
-
-    from anisoscope.sim.design.designfile import read_design
-    from anisoscope.sim.design.models import LobeModel
-    from anisoscope.sim.design.pattern import dot_task
-    from anisoscope.sim.design.refine import Limits
-    from anisoscope.sim.design.refine import refine as refined
+    from anisoscope.operations.design.etched import check_dot, check_seed, refine_dot
+    from anisoscope.sim.design.designfile import read_design, write_layout
 
     check_seed(seed)
     _check_written(out, png, html)
-    _check_dot(dot)
-    if seconds is None and generations is None:
-        seconds = SECONDS
+    check_dot(dot)
     chosen = read_design(design)
-    if not isinstance(chosen.model, LobeModel):
-        raise UsageError(f"{design}: a {chosen.model.kind} has no widths to draw from: refine takes a lobe")
-    side = round(dot / chosen.grid_um) * chosen.grid_um
     with progress("refine", quiet=json_) as advance:
-        found = refined(
-            dot_task(chosen, chosen.model, side), np.random.default_rng(seed), Limits(seconds, generations, good),
-            method=search, population=population, on_progress=advance,
-        )  # fmt: skip
-    layout = _one_dot(chosen, found)
-    _write(layout, (chosen,), out, None)
+        found = refine_dot(
+            chosen,
+            dot_um=dot,
+            seconds=seconds,
+            generations=generations,
+            good=good,
+            method=search,
+            population=population,
+            seed=seed,
+            on_progress=advance,
+        )
+    if out is not None:
+        write_layout(found.layout, out, (chosen,))
     if png is not None:
         from anisoscope.sim.design.mask import write_tile_preview
 
-        write_tile_preview(layout, 0, png)
+        write_tile_preview(found.layout, 0, png)
     if html is not None:
-        from anisoscope.cli.design.report import write_refined_report
+        from anisoscope.operations.design.pages import write_refined_report
 
-        write_refined_report(chosen, layout, found, html)
+        write_refined_report(chosen, found.layout, found.found, html)
     if json_:
-        print_json(
-            {
-                "design": chosen.name, "error": found.error, "start_error": found.start_error,
-                "generations": found.generations, "stopped": found.stopped, "method": search, "seed": seed,
-                "seconds": found.history[-1][0], "dot_um": side, "history": [list(one) for one in found.history],
-            }
-        )  # fmt: skip
+        print_json(found)
         return 0
     print_table(
         f"dot of {chosen.name}",
@@ -108,25 +93,12 @@ def refine(
         [
             ["relative error of the best random dot", f"{found.start_error:.4f}", "1"],
             ["relative error", f"{found.error:.4f}", "1"],
-            ["best found after", f"{found.history[-1][0]:.2f}", "s"],
+            ["best found after", f"{found.seconds:.2f}", "s"],
             ["generations", str(found.generations), ""],
             ["ended by", found.stopped, ""],
         ],
     )
     return _print_written(out, png, html)
-
-
-def _one_dot(design: "DesignFile", found: "Refined") -> "Layout":
-    import numpy as np
-
-    from anisoscope.sim.design.layout import Layout
-    from anisoscope.sim.design.pattern import rasterised
-
-    tile = rasterised(found.dot, design.grid_um)
-    return Layout(
-        tile[None], np.zeros(1, dtype=np.int64), np.zeros((1, 1), dtype=np.uint16), design.passes_nm, design.grid_um,
-        (design.name,), design.wavelength_nm, design.coherence_um,
-    )  # fmt: skip
 
 
 def pattern(
@@ -160,45 +132,56 @@ def pattern(
     Examples:
         anisoscope design pattern disc.png --classes wide.toml,mirror --out disc.npz --html disc.html
     """
-    import numpy as np
-
-    from anisoscope.sim.design.pattern import PatternOptions, classes_of, make_layout
+    from anisoscope.operations.design.etched import (
+        MIRROR,
+        check_dot,
+        check_seed,
+        dot_pattern,
+        mirror_design,
+        resized,
+    )
+    from anisoscope.operations.design.pictures import read_image
+    from anisoscope.sim.design.designfile import read_design, write_layout
 
     check_seed(seed)
     _check_written(out, png, html)
-    _check_dot(dot)
-    designs = _designs(classes)
-    labels = classes_of(_picture(image, plate_size, dot), len(designs), dither=dither)
+    check_dot(dot)
+    designs = [mirror_design() if part == MIRROR else read_design(Path(part)) for part in classes.split(",")]
+    grey = read_image(image)
+    if plate_size is not None:
+        wide = parse_numbers(plate_size, "--plate-size")
+        if len(wide) not in (1, 2) or min(wide) <= 0.0:
+            raise UsageError(f"--plate-size takes one or two positive numbers of mm, not {plate_size!r}")
+        grey = resized(grey, (wide[0], wide[-1]), dot)
     with progress("pattern", quiet=json_) as advance:
-        layout = make_layout(
-            labels, designs, np.random.default_rng(seed), PatternOptions(dot, tiles, refine, dither), advance
+        found = dot_pattern(
+            grey,
+            designs,
+            dot_um=dot,
+            tiles=tiles,
+            refine_s=refine,
+            dither=dither,
+            seed=seed,
+            on_progress=advance,
         )
-    _write(layout, designs, out, png)
-    if html is not None:
-        from anisoscope.cli.design.report import write_pattern_report
+    if out is not None:
+        write_layout(found.layout, out, found.designs)
+    if png is not None:
+        from anisoscope.sim.design.mask import write_preview
 
-        write_pattern_report(layout, designs, html)
-    counts = np.bincount(layout.classes.ravel(), minlength=len(designs))
-    rows, cols = layout.index.shape
+        write_preview(found.layout, png)
+    if html is not None:
+        from anisoscope.operations.design.pages import write_pattern_report
+
+        write_pattern_report(found.layout, designs, html)
     if json_:
-        print_json(
-            {
-                "rows": rows, "cols": cols, "dot_um": layout.dot_um, "size_mm": [1e-3 * s for s in layout.size_um],
-                "tiles": len(layout.tiles), "depths_nm": list(layout.passes_nm), "seed": seed,
-                "classes": [
-                    {"name": name, "dots": int(count)} for name, count in zip(layout.names, counts, strict=True)
-                ],
-            }
-        )  # fmt: skip
+        print_json(found)
         return 0
-    high, wide = (1e-3 * side for side in layout.size_um)
+    (high, wide_mm), dots = found.size_mm, found.rows * found.cols
     print_table(
-        f"{cols} × {rows} dots of {layout.dot_um:g} µm, {wide:.2f} × {high:.2f} mm, {len(layout.tiles)} tiles",
+        f"{found.cols} × {found.rows} dots of {found.dot_um:g} µm, {wide_mm:.2f} × {high:.2f} mm, {found.tiles} tiles",
         ["reflectance", "dots", "share [%]"],
-        [
-            [name, str(int(count)), f"{100.0 * count / counts.sum():.1f}"]
-            for name, count in zip(layout.names, counts, strict=True)
-        ],
+        [[one.name, str(one.dots), f"{100.0 * one.dots / dots:.1f}"] for one in found.classes],
     )
     return _print_written(out, png, html)
 
@@ -248,50 +231,193 @@ def _check_written(out: Path | None, *others: Path | None) -> None:
             raise UsageError(f"{path}: there is no folder {path.parent}; make it first")
 
 
-def _check_dot(dot: float) -> None:
-    if not 0.0 < dot < float("inf"):
-        raise UsageError(f"--dot must be a positive length in µm, not {dot:g}")
-
-
-def _designs(text: str) -> "tuple[DesignFile, ...]":
-    from anisoscope.sim.design.designfile import DesignFile, read_design
-    from anisoscope.sim.design.models import MirrorModel
-
-    mirror = DesignFile(name=MIRROR, model=MirrorModel(), passes_nm=(), band_nm=(400.0, 700.0))
-    return tuple(mirror if part == MIRROR else read_design(Path(part)) for part in text.split(","))
-
-
-def _picture(image: Path, size: str | None, dot: float) -> "npt.NDArray[np.uint8]":
-    """Grey values, as many pixels as dots."""
-    import cv2
-    import numpy as np
-
-    grey = read_image(image)
-    if size is None:
-        return grey
-    wide = parse_numbers(size, "--plate-size")
-    if len(wide) not in (1, 2) or min(wide) <= 0.0:
-        raise UsageError(f"--plate-size takes one or two positive numbers of mm, not {size!r}")
-    cols, rows = (max(1, round(1e3 * side / dot)) for side in (wide[0], wide[-1]))
-    if rows * cols > 10**7:
-        raise UsageError(
-            f"--plate-size {size} mm with --dot {dot:g} µm are {rows * cols} dots: take larger dots"
-        )
-    nearest = cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(nearest, dtype=np.uint8)
-
-
-def _write(layout: "Layout", designs: "tuple[DesignFile, ...]", out: Path | None, png: Path | None) -> None:
-    if out is not None:
-        from anisoscope.sim.design.designfile import write_layout
-
-        write_layout(layout, out, designs)
-    if png is not None:
-        from anisoscope.sim.design.mask import write_preview
-
-        write_preview(layout, png)
-
-
 def _print_written(*paths: Path | None) -> int:
     sys.stdout.write("".join(f"written: {path}\n" for path in paths if path is not None))
     return 0
+
+
+def mask(
+    layout: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="Masks to write, *.gds.")],
+    png: Annotated[Path | None, Parameter(help="Write a picture of the classes, one pixel per dot.")] = None,
+    json_: Json = False,
+) -> int:
+    """Write etch masks as GDSII: one cell per tile, one layer per pass, units µm.
+
+    Args:
+        layout: Layout *.npz of ``design pattern`` or ``design refine``.
+
+    Examples:
+        anisoscope design mask disc.npz --out disc.gds --png classes.png
+    """
+    from anisoscope.sim.design.designfile import read_layout
+    from anisoscope.sim.design.mask import FIRST_LAYER, write_gds, write_preview
+
+    if out.suffix.lower() not in GDS:
+        raise UsageError(f"masks are written as *.gds, not {out.name}")
+    found, _ = read_layout(layout)
+    counts = write_gds(found, out)
+    if png is not None:
+        write_preview(found, png)
+    high, wide = (1e-3 * side for side in found.size_um)
+    layers = {str(FIRST_LAYER + n): depth for n, depth in enumerate(found.passes_nm)}
+    if json_:
+        print_json({**counts, "layers_nm": layers, "size_mm": [high, wide], "bytes": out.stat().st_size})
+        return 0
+    print_table(
+        out.name,
+        ["quantity", "value", "unit"],
+        [
+            ["size along x, y", f"{wide:.3f}, {high:.3f}", "mm"],
+            *([f"depth of layer {layer}", f"{depth:.1f}", "nm"] for layer, depth in layers.items()),
+            ["cells", str(counts["cells"]), ""],
+            ["rectangles in cells", str(counts["polygons"]), ""],
+            ["references", str(counts["references"]), ""],
+        ],
+    )
+    return 0
+
+
+def height(
+    source: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="Map to write: x3p or npz; npy row by row, for any size.")],
+    corner: Annotated[str, Parameter(help="Lower left corner X,Y of the window, µm.")] = "0,0",
+    window_size: Annotated[
+        str | None, Parameter(help="Size W,H of the window, µm; all if not given.")
+    ] = None,
+    dots: Annotated[int, Parameter(help="Dots along each side, of a design *.toml.")] = 4,
+    dot: Annotated[float, Parameter(help="Side of a dot, µm, of a design *.toml.")] = 112.0,
+    seed: Annotated[int, Parameter(help="Seed, of a design *.toml.")] = 0,
+    depths: Annotated[
+        str | None, Parameter(help="Depth of every pass in nm, of a GDSII that does not say.")
+    ] = None,
+    pixel: Annotated[float | None, Parameter(help="Pixel size in µm, of a GDSII.")] = None,
+    overwrite: Annotated[bool, Parameter(negative="", help="Replace the map if it exists.")] = False,
+    json_: Json = False,
+) -> int:
+    """Make a height map of a design, a layout or a GDSII file: ``predict`` and the virtual rig read it.
+
+    Args:
+        source: Design *.toml, layout *.npz or masks *.gds.
+
+    Examples:
+        anisoscope design height disc.gds --window-size 60,40 --out masks.x3p
+    """
+    from anisoscope.operations.design.etched import check_seed, layout_of, write_heights
+
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; give another name, or --overwrite")
+    if not out.parent.is_dir():
+        raise UsageError(f"{out}: there is no folder {out.parent}; make it first")
+    check_seed(seed)
+    at = parse_numbers(corner, "--corner")
+    extent = None if window_size is None else parse_numbers(window_size, "--window-size")
+    if len(at) != 2 or (extent is not None and (len(extent) not in (1, 2) or min(extent) <= 0.0)):
+        raise UsageError("--corner takes X,Y in µm, --window-size one or two positive numbers of µm")
+    # Options are X,Y; windows of a layout count rows (y) first.
+    low, window = (at[1], at[0]), None if extent is None else (extent[-1], extent[0])
+    kind = source.suffix.lower()
+    if kind not in GDS and (depths is not None or pixel is not None):
+        raise UsageError(f"--depths and --pixel are for GDSII files; {source.name} says its own")
+    if kind in GDS:
+        from anisoscope.sim.design.maskreading import read_gds
+
+        passes = None if depths is None else parse_numbers(depths, "--depths")
+        if pixel is not None and not pixel > 0.0:
+            raise UsageError(f"--pixel must be positive, not {pixel:g} µm")
+        return _deliver(
+            read_gds(source, corner_um=low, size_um=window, grid_um=pixel, passes_nm=passes),
+            out,
+            as_json=json_,
+        )
+    layout = layout_of(source, dots, dot, seed)
+    # A whole pattern can exceed the memory: .npy is written strip by strip.
+    if out.suffix.lower() == ".npy" and extent is None and low == (0.0, 0.0):
+        found = write_heights(layout, out)
+        if json_:
+            print_json(found)
+            return 0
+        sys.stdout.write(
+            f"written: {out}, {found.rows} × {found.cols} heights in µm, pixel {found.pixel_um:g} µm (--pixel)\n"
+        )
+        return 0
+    return _deliver(layout.window(low, window), out, as_json=json_)
+
+
+def _deliver(surface: "HeightMap", out: Path, *, as_json: bool) -> int:
+    from anisoscope.cli.profile.surfaces_output import deliver
+
+    return deliver(surface, out, as_json=as_json)
+
+
+def resolution(
+    design: Path,
+    /,
+    *,
+    sizes: Annotated[
+        str, Parameter(help="Dot and coherence length in µm, DOT:COHERENCE, comma-separated.")
+    ] = USUAL,
+    random_dots: Annotated[int, Parameter(help="Random dots of every pair, 1 to 100.")] = 8,
+    seed: Annotated[int, Parameter(help="Seed of the dots.")] = 0,
+    png: Annotated[
+        Path | None, Parameter(help="Picture of expected and observed reflectance: *.png or *.svg.")
+    ] = None,
+    json_: Json = False,
+) -> int:
+    """Show how far random dots are from the expected reflectance: spatial against directional resolution.
+
+    A dot averages n = (dot/coherence)² windows; its error falls as 1/√n.
+
+    Args:
+        design: Lobe or anti-mirror, *.toml.
+
+    Examples:
+        anisoscope design resolution wide.toml
+        anisoscope design resolution wide.toml --sizes 16:16,160:16,160:80 --png resolution.png
+    """
+    import numpy as np
+
+    from anisoscope.operations.design.etched import check_seed
+    from anisoscope.sim.design.designfile import read_design
+    from anisoscope.sim.design.resolution import tradeoff
+
+    check_seed(seed)
+    if png is not None and png.suffix.lower() not in (".png", ".svg"):
+        raise UsageError(f"--png {png}: a picture is named *.png or *.svg")
+    if not 1 <= random_dots <= MOST_RANDOM:
+        raise UsageError(f"--random-dots takes 1 to {MOST_RANDOM}, not {random_dots}")
+    pairs = [_pair(part) for part in sizes.split(",")]
+    chosen = read_design(design)
+    found = tradeoff(chosen, pairs, random_dots, np.random.default_rng(seed))
+    if png is not None:
+        from anisoscope.operations.design.pages import draw_tradeoff
+
+        draw_tradeoff(chosen, found, png)
+    if json_:
+        print_json({"design": chosen.name, "seed": seed, "random_dots": random_dots, "pairs": found})
+        return 0
+    print_table(
+        f"{chosen.name}: random dots against the expectation, |h| ≤ 0.2",
+        ["dot [µm]", "dpi", "Δc [µm]", "source at 500 nm [°]", "windows n", "relative error", "from dot to dot"],
+        [
+            [
+                f"{one.dot_um:g}", f"{25400.0 / one.dot_um:.0f}", f"{one.coherence_um:g}", f"{one.source_deg:.2f}",
+                f"{one.windows:.3g}", f"{one.error:.3f}", "–" if np.isnan(one.scatter) else f"± {one.scatter:.3f}",
+            ]
+            for one in found
+        ],
+    )  # fmt: skip
+    if png is not None:
+        sys.stdout.write(f"written: {png}\n")
+    return 0
+
+
+def _pair(text: str) -> tuple[float, float]:
+    parts = text.split(":")
+    if len(parts) != 2:
+        raise UsageError(f"--sizes takes pairs DOT:COHERENCE in µm, such as 112:16, not {text!r}")
+    return parse_numbers(parts[0], "--sizes", "112:16")[0], parse_numbers(parts[1], "--sizes", "112:16")[0]

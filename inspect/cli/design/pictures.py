@@ -1,30 +1,49 @@
-"""``anisoscope design picture`` and ``design hologram``: surfaces whose angular reflectance is a picture."""
+"""``anisoscope design picture``, ``hologram`` and ``compare-lobe``: angular reflectance that is a picture."""
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.design.image import check_target, draw_panels, read_image
-from anisoscope.cli.design.output import check_seed
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
+from anisoscope.parameters.fabrication import Fabrication
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.base.arrays import FloatArray
-    from anisoscope.sim.design.gradient import Judged, PictureTask
+    from anisoscope.operations.design.pictures import Hologram
+    from anisoscope.sim.design.appearance import LobeComparison
     from anisoscope.sim.design.targets import TargetDesign
-    from anisoscope.sim.light.colour.illuminant import Illuminant
 
-POINTS = 121
+MARKS = "COL,ROW=X,Y of four marks, ;-separated"
+STEPS = Group("Light and fabrication")
+OF_TARGET = Options(
+    Fabrication,
+    STEPS,
+    without=dict.fromkeys(("depths_nm", "band_nm"), "a quarter wave and its halves: --etch-passes"),
+)
+OF_HOLOGRAM = Options(
+    Fabrication,
+    STEPS,
+    help={
+        "wavelength_nm": "Wavelength of a grey picture, nm.",
+    },
+    default=Fabrication(550.0, min_width_um=0.5),
+    without={
+        "depths_nm": "--passes-nm",
+        "band_nm": "that of the picture's light",
+        "grid_um": "cells are the grid",
+        "coherence_um": "its default is that of the unit",
+    },
+)
 
 
+@with_options(fabrication=OF_TARGET)
 def picture(
     targets: list[Path],
     /,
@@ -33,14 +52,9 @@ def picture(
         str | None, Parameter(help="Weight of every target in their sum, comma-separated; 1 if not given.")
     ] = None,
     reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y| of a target.")] = 0.2,
-    wavelength: Annotated[float, Parameter(help="Wavelength, nm.")] = 500.0,
-    coherence: Annotated[float, Parameter(help="Coherence length of the source, µm.")] = 16.0,
+    fabrication: Given[Fabrication],
     etch_passes: Annotated[int, Parameter(help="Passes of a quarter wave and its halves: 1 to 4.")] = 1,
-    min_width: Annotated[
-        float, Parameter(help="Smallest feature, µm: 2 for optical lithography, less for electron beams.")
-    ] = 2.0,
     max_width: Annotated[float, Parameter(help="Widest step, µm.")] = 20.0,
-    grid: Annotated[float, Parameter(help="Grid that all edges lie on, µm.")] = 0.25,
     nearest: Annotated[
         bool, Parameter(negative="", help="Take the nearest reflectance if the wanted one is out of reach.")
     ] = False,
@@ -59,74 +73,33 @@ def picture(
         anisoscope design picture ring.csv --out ring.toml --png ring.png
         anisoscope design picture box.png ring.csv --weights 1,0.5 --nearest --png sum.png
     """
-    import numpy as np
-
-    from anisoscope.sim.design.designfile import DesignFile, write_design
-    from anisoscope.sim.design.targets import TargetTask, design_target
+    from anisoscope.operations.design.pictures import check_target, draw_target, etched_picture, read_target
+    from anisoscope.sim.design.designfile import write_design
 
     check_target(png, ".png", "--png")
     check_target(out, ".toml", "--out")
-    if not 1 <= etch_passes <= 4:
-        raise UsageError(f"--etch-passes takes 1 to 4, not {etch_passes}")
-    factors = [1.0] * len(targets) if weights is None else list(parse_numbers(weights, "--weights"))
-    if len(factors) != len(targets) or min(factors) < 0.0 or max(factors) <= 0.0:
-        raise UsageError(f"--weights takes a weight of 0 or more for each of the {len(targets)} targets")
-    each = [factor * _target(path, reach) for path, factor in zip(targets, factors, strict=True)]
-    wanted = np.sum(each, axis=0)
-    task = TargetTask(
-        wanted, reach, 2**etch_passes, min_width, max_width, grid, 1e-3 * wavelength, coherence
-    )  # fmt: skip
-    found = design_target(task)
-    if not nearest:
-        found.check()
-    # levels even over half a wave of height: λ/4, λ/8, … have a zero mean phase
-    passes = tuple(sorted(wavelength / 4.0 / 2**number for number in range(etch_passes)))
-    figures = {"rel_l2": found.rel_l2, "unreachable": found.unreachable_share, "asymmetric": found.asymmetric}
-    design = DesignFile(
-        name=targets[0].stem, model=found.model, passes_nm=passes, wavelength_nm=wavelength,
-        band_nm=(wavelength, wavelength), coherence_um=coherence, min_width_um=min_width, grid_um=grid,
-        figures=figures,
-    )  # fmt: skip
+    found = etched_picture(
+        [read_target(path, reach) for path in targets],
+        weights=None if weights is None else parse_numbers(weights, "--weights"),
+        reach=reach,
+        etch_passes=etch_passes,
+        fabrication=fabrication.over(Fabrication()),
+        max_width_um=max_width,
+        nearest=nearest,
+        name=targets[0].stem,
+    )
     if out is not None:
-        write_design(design, out)
+        write_design(found.design, out)
     if png is not None:
-        _draw(found, png)
+        draw_target(found.found, png)
     if json_:
-        parts = [
-            {"share": share, **model.model_dump(mode="json")}
-            for share, model in zip(found.shares, found.models, strict=True)
-        ]
-        print_json({"name": design.name, **figures, "depths_nm": list(passes), "parts": parts})
+        print_json(found)
         return 0
-    _print(found)
+    _print_target(found.found)
     return _written(out, png)
 
 
-def _target(path: Path, reach: float) -> "FloatArray":
-    """(121, 121) target of one file, its largest value 1."""
-    import cv2
-    import numpy as np
-
-    from anisoscope.base.csv_table import read_table
-    from anisoscope.sim.design.targets import radial_target
-
-    if path.suffix.lower() == ".csv":
-        table = read_table(path, (("h", "density"),), not_negative=("h", "density"))
-        found = radial_target(table.column("h"), table.column("density"), POINTS, reach)
-    else:
-        grey = read_image(path, others=", or a CSV h,density")
-        side = min(grey.shape)
-        top, left = (grey.shape[0] - side) // 2, (grey.shape[1] - side) // 2
-        square = grey[top : top + side, left : left + side].astype(np.float64)
-        how = cv2.INTER_AREA if side > POINTS else cv2.INTER_LINEAR
-        small = cv2.resize(square, (POINTS, POINTS), interpolation=how)
-        found = np.asarray(small[::-1], dtype=np.float64)
-    if float(found.max()) <= 0.0:
-        raise UsageError(f"{path}: wants no light at |h| up to {reach:g}")
-    return np.asarray(found / found.max(), dtype=np.float64)
-
-
-def _print(found: "TargetDesign") -> None:
+def _print_target(found: "TargetDesign") -> None:
     print_table(
         "closest reflectance",
         ["quantity", "value", "unit"],
@@ -149,31 +122,18 @@ def _print(found: "TargetDesign") -> None:
     print_table("shares of the area", ["%", "dots of"], rows)
 
 
-def _draw(found: "TargetDesign", path: Path) -> None:
-    import numpy as np
-
-    reach = found.task.reach
-    top = max(float(np.percentile(found.wanted, 99.7)), float(np.percentile(found.achieved, 99.7)))
-    panels = (
-        (found.wanted, "wanted", "inferno", 0.0),
-        (found.achieved, "achieved", "inferno", 0.0),
-        (found.unreachable, "wanted − achieved", "PuOr", -top),
-    )
-    draw_panels([(values, title, colours, low, top) for values, title, colours, low in panels], reach, path)
-
-
 def _written(*paths: Path | None) -> int:
     sys.stdout.write("".join(f"written: {path}\n" for path in paths if path is not None))
     return 0
 
 
+@with_options(fabrication=OF_HOLOGRAM)
 @everyday(
     *(
         "out",
         "picture_light",
-        "wavelength",
+        "fabrication",
         "passes_nm",
-        "min_width",
         "coherence",
         "reach",
         "search_steps",
@@ -192,15 +152,12 @@ def hologram(
     line_width: Annotated[
         float, Parameter(help="Full width of the three lines at half of their height, nm.")
     ] = 10.0,
-    wavelength: Annotated[float, Parameter(help="Wavelength of a grey picture, nm.")] = 550.0,
+    fabrication: Given[Fabrication],
     passes_nm: Annotated[
         str | None,
         Parameter(help="Depths of 1 to 4 etch passes, nm; else parts of half a wave, in colour 40 to 320."),
     ] = None,
     cells: Annotated[int, Parameter(help="Cells of the unit along each axis, 64 to 1024.")] = 512,
-    min_width: Annotated[
-        float, Parameter(help="Smallest feature, µm: 2 for optical lithography, less for electron beams.")
-    ] = 0.5,
     coherence: Annotated[
         float | None,
         Parameter(
@@ -227,142 +184,55 @@ def hologram(
         anisoscope design hologram picture.png --out unit.npz --png unit.png
         anisoscope design hologram picture.png --picture-light d65 --out unit.npz --png unit.png
     """
-    import numpy as np
-
-    from anisoscope.sim.design.depths import Depths
+    from anisoscope.operations.design.etched import check_seed
+    from anisoscope.operations.design.pictures import (
+        HOLOGRAM,
+        check_target,
+        draw_hologram,
+        etched_hologram,
+        picture_lamp,
+        read_wanted,
+    )
     from anisoscope.sim.design.designfile import write_layout
-    from anisoscope.sim.design.gradient import BAND_NM, PictureTask, design_picture, judged
-    from anisoscope.sim.design.layout import Layout
-    from anisoscope.sim.proof.separation import decode_srgb
 
     check_seed(seed)
     check_target(png, ".png", "--png")
     check_target(out, ".npz", "--out")
-    if not 64 <= cells <= 1024 or not 16 <= picture_points <= 256:
+    if not 16 <= picture_points <= 256:
         raise UsageError("--cells takes 64 to 1024, --picture-points 16 to 256")
-    if not -20.0 <= over_etch <= 20.0:
-        raise UsageError(f"--over-etch takes −20 to 20 %, not {over_etch:g}")
-    lamp = None if picture_light is None else _lamp(picture_light, line_width)
-    if passes_nm is not None:
-        passes = tuple(sorted(parse_numbers(passes_nm, "--passes-nm")))
-    elif lamp is not None:
-        passes = (40.0, 80.0, 160.0, 320.0)
-    else:
-        passes = tuple(wavelength / 32.0 * 2**number for number in range(4))
-    if not 1 <= len(passes) <= 4:
-        raise UsageError(f"--passes-nm takes 1 to 4 etch passes, not {len(passes)}")
-    band = BAND_NM if lamp is not None else (wavelength, wavelength)
-    wanted = _wanted(image, picture_points, colour=lamp is not None)
-    linear = np.asarray(decode_srgb()[np.rint(255.0 * wanted).astype(np.uint8)], dtype=np.float64)
-    coherence = 0.5 * cells * min_width if coherence is None else coherence
-    task = PictureTask(
-        linear, Depths(passes, band).levels_um, lamp, 1e-3 * wavelength, cells, min_width, coherence, reach
-    )
-    light = HologramLight.of(task)
+    lamp = None if picture_light is None else picture_lamp(picture_light, line_width)
     with progress("hologram", quiet=json_) as advance:
-        found = design_picture(task, np.random.default_rng(seed), search_steps, advance=advance)
-    plain, deep = judged(found), judged(found, 1.0 + 0.01 * over_etch)
+        found = etched_hologram(
+            read_wanted(image, picture_points, colour=lamp is not None),
+            lamp=lamp,
+            passes_nm=None if passes_nm is None else parse_numbers(passes_nm, "--passes-nm"),
+            fabrication=fabrication.over(HOLOGRAM),
+            cells=cells,
+            coherence_um=coherence,
+            reach=reach,
+            search_steps=search_steps,
+            over_etch_percent=over_etch,
+            seed=seed,
+            name=image.stem,
+            on_progress=advance,
+        )
     if out is not None:
-        layout = Layout(
-            found.labels[None], np.zeros(1, dtype=np.int64), np.zeros((1, 1), dtype=np.uint16), passes, min_width,
-            (image.stem,), wavelength if lamp is None else 550.0, coherence,
-        )  # fmt: skip
-        write_layout(layout, out)
+        write_layout(found.layout, out)
     if png is not None:
-        shown = [(wanted, "wanted"), (plain.srgb, "achieved"), (deep.srgb, f"depths {over_etch:+g} %")]
-        draw_panels(
-            [(one[..., 0] if one.shape[2] == 1 else one, title, "gray", 0.0, 1.0) for one, title in shown],
-            reach, png,
-        )  # fmt: skip
+        draw_hologram(found, reach, png)
     if json_:
-        print_json(
-            {
-                "depths_nm": list(passes), "unit_um": cells * min_width, "error": found.error, "seed": seed,
-                "light": light,
-                "history": list(found.history), "achieved": plain, "over_etch_percent": over_etch, "over_etched": deep,
-            }
-        )  # fmt: skip
+        print_json(found)
         return 0
-    _print_judged(plain, deep, over_etch, light)
+    _print_judged(found)
     return _written(out, png)
 
 
-@dataclass(frozen=True)
-class HologramLight:
-    """What a picture assumes of light and eye.
-
-    Attributes:
-        spectrum: name of the light, or its wavelength.
-        lamp_deg: side of the square lamp, as seen from the unit.
-        picture_deg: side of the picture from the middle, as seen from the unit.
-        pupil_deg: most that the eye's or camera's pupil may subtend: a direction of the picture.
-    """
-
-    spectrum: str
-    lamp_deg: float
-    picture_deg: float
-    pupil_deg: float
-
-    @classmethod
-    def of(cls, task: "PictureTask") -> "HologramLight":
-        """Of a task, light and eye near the normal."""
-        import numpy as np
-
-        design = task.wavelength_um if task.illuminant is None else 0.55
-        name = f"{1e3 * design:g} nm" if task.illuminant is None else task.illuminant.name
-        reach, step = 2.0 * task.reach, 4.0 * task.reach / (task.wanted.shape[0] - 1)
-        return cls(
-            name, *(float(np.degrees(one)) for one in (design / task.coherence_um, np.arcsin(reach), step))
-        )
-
-
-def _lamp(text: str, width_nm: float) -> "Illuminant":
-    """A light by name, or three lines balanced to the white of sRGB."""
-    import numpy as np
-
-    from anisoscope.sim.light.colour.illuminant import Illuminant
-    from anisoscope.sim.light.colour.observer import matching_functions
-    from anisoscope.sim.light.colour.spaces import SRGB_WHITE
-    from anisoscope.sim.materials.spectra import find_illuminant
-
-    if "," not in text:
-        return find_illuminant(text)
-    middles = parse_numbers(text, "--picture-light", "620,530,450")
-    if len(middles) != 3 or not 1.0 <= width_nm <= 40.0 or min(middles) < 410.0 or max(middles) > 690.0:
-        raise UsageError("--picture-light takes three lines of 410 to 690 nm, --line-width 1 to 40 nm")
-    nm = np.arange(380.0, 731.0)
-    lines = np.exp(-4.0 * np.log(2.0) * ((nm - np.array(middles)[:, None]) / width_nm) ** 2)
-    fine, matching = matching_functions()
-    each = np.stack([np.interp(fine, nm, one) @ matching for one in lines])
-    share = np.linalg.solve(each.T, SRGB_WHITE)
-    if float(share.min()) <= 0.0:
-        raise UsageError(
-            f"--picture-light {text}: white is no mixture of these lines: take a red, a green and a blue"
-        )
-    return Illuminant(
-        f"lines of {text} nm, {width_nm:g} nm wide", tuple(nm.tolist()), tuple((share @ lines).tolist())
-    )
-
-
-def _wanted(path: Path, points: int, *, colour: bool) -> "FloatArray":
-    """(points, points, 1 or 3) encoded sRGB, rows along rising h_y."""
-    import cv2
-    import numpy as np
-
-    found = read_image(path, colour=colour)
-    how = cv2.INTER_AREA if min(found.shape[:2]) > points else cv2.INTER_LINEAR
-    small = cv2.resize(found, (points, points), interpolation=how)[::-1]
-    if not small.any():
-        raise UsageError(f"{path}: is black: there is no light to design")
-    values = small[..., ::-1] if colour else small[..., None]
-    return np.asarray(values / 255.0, dtype=np.float64)
-
-
-def _print_judged(plain: "Judged", deep: "Judged", over_etch: float, light: HologramLight) -> None:
+def _print_judged(found: "Hologram") -> None:
+    light, plain, deep = found.light, found.achieved, found.over_etched
     rows = [
         [name, f"{one.ssim:.3f}", "–" if one.median_de2000 is None else f"{one.median_de2000:.2f}",
          f"{100.0 * one.light_share:.1f}"]
-        for name, one in (("as designed", plain), (f"depths {over_etch:+g} %".replace("-", "−"), deep))
+        for name, one in (("as designed", plain), (f"depths {found.over_etch_percent:+g} %".replace("-", "−"), deep))
     ]  # fmt: skip
     print_table(
         "picture",
@@ -370,4 +240,134 @@ def _print_judged(plain: "Judged", deep: "Judged", over_etch: float, light: Holo
         rows,
         caption=f"{light.spectrum}, square lamp of {light.lamp_deg:.2f}°; picture to ±{light.picture_deg:.1f}°, for a "
         f"pupil of {light.pupil_deg:.2f}° at most (or a screen); light and eye near the normal, no shadows",
+    )
+
+
+@everyday(
+    "design",
+    "wavelength",
+    "distance",
+    "light",
+    "screen_tilt",
+    "marks",
+    "pixel_mm",
+    "background",
+    "reach",
+    "png",
+    "json_",
+)
+def compare_lobe(
+    photo: Path,
+    /,
+    *,
+    design: Annotated[Path, Parameter(help="Design *.toml or layout *.npz that the sample was made of.")],
+    wavelength: Annotated[float, Parameter(help="Wavelength of the lamp, nm.")],
+    distance: Annotated[
+        float, Parameter(help="From the sample to where the mirrored beam meets the screen, mm.")
+    ],
+    light: Annotated[
+        str, Parameter(help="Direction of the light: inclination and azimuth, degrees.")
+    ] = "0,0",
+    screen_tilt: Annotated[
+        str, Parameter(help="Turns of the screen about its x and y axes, degrees; 0,0 faces the beam.")
+    ] = "0,0",
+    marks: Annotated[
+        str | None, Parameter(help=f"{MARKS}: pixels, and mm on the screen from the mirrored beam.")
+    ] = None,
+    pixel_mm: Annotated[
+        float | None, Parameter(help="Instead of marks: mm on the screen of a pixel; seen straight on.")
+    ] = None,
+    center: Annotated[
+        str | None,
+        Parameter(help="With --pixel-mm: COL,ROW of the mirrored beam; the middle if not given."),
+    ] = None,
+    from_behind: Annotated[
+        bool, Parameter(negative="", help="With --pixel-mm: the camera looks at the back of the screen.")
+    ] = False,
+    background: Annotated[float, Parameter(help="Grey value without the lamp.")] = 0.0,
+    tone: Annotated[
+        Literal["linear", "srgb"],
+        Parameter(help="Greys of the photograph: proportional to light, or sRGB of a camera for people."),
+    ] = "linear",
+    lamp_half_angle: Annotated[
+        float | None,
+        Parameter(
+            help="Half of the angle subtended by a round lamp, degrees; the design's source if not given."
+        ),
+    ] = None,
+    reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y|, from the mirrored beam.")] = 0.12,
+    points: Annotated[int, Parameter(help="Directions along each axis, 16 to 256.")] = 64,
+    png: Annotated[Path | None, Parameter(help="Picture of photograph, design and their difference.")] = None,
+    json_: Json = False,
+) -> int:
+    """Read a lobe back from a photograph of the screen it falls on, and compare it with the design.
+
+    Lamp, sample and screen are known; four marks on the screen, or the scale of the picture, fix the camera.
+    Prints SSIM, correlation and the light of sixteen areas. Clipped pixels count for nothing.
+
+    Args:
+        photo: Grey or colour photograph, 8 or 16 bits.
+
+    Examples:
+        anisoscope design compare-lobe lobe.png --design unit.npz --wavelength 532 --distance 500 --pixel-mm 0.5
+    """
+    from anisoscope.operations.design import pictures as taken
+    from anisoscope.sim.design.appearance import Screen
+
+    taken.check_target(png, ".png", "--png")
+    if not 16 <= points <= 256 or not 100.0 <= wavelength <= 20000.0:
+        raise UsageError("--points takes 16 to 256, --wavelength 100 to 20000 nm")
+    if (marks is None) == (pixel_mm is None):
+        raise UsageError(f"give either --marks ({MARKS}), or --pixel-mm")
+    screen = Screen(distance, taken.pair_of(light, "--light"), taken.pair_of(screen_tilt, "--screen-tilt"))
+    seen = taken.read_photograph(photo, background, tone)
+    to_pixels = (
+        taken.pixels_of_marks(marks)
+        if marks is not None
+        else taken.pixels_of_scale(pixel_mm, center, seen.shape, from_behind=from_behind)
+    )
+    found = taken.compare_lobe(
+        seen,
+        taken.read_sample_design(design),
+        wavelength,
+        screen,
+        to_pixels,
+        lamp_half_angle_deg=lamp_half_angle,
+        reach=reach,
+        points=points,
+    )
+    if png is not None:
+        taken.draw_comparison(found, reach, png)
+    if json_:
+        print_json(found)
+        return 0
+    _print_compared(found, png)
+    return 0
+
+
+def _print_compared(found: "LobeComparison", png: Path | None) -> None:
+    h_x, h_y = found.shift_h
+    print_table(
+        "photographed lobe against its design",
+        ["quantity", "value", "unit"],
+        [
+            ["SSIM", f"{found.ssim:.3f}", "1"],
+            ["correlation", f"{found.correlation:.4f}", "1"],
+            ["difference, relative L2", f"{found.rel_l2:.3f}", "1"],
+            ["displaced along h_x, h_y", f"{h_x:+.4f}, {h_y:+.4f}".replace("-", "−"), "1"],
+            ["directions that the camera clipped", f"{100.0 * found.clipped:.1f}", "%"],
+        ],
+    )
+    many = len(found.areas)
+    print_table(
+        "light of each area over that of the design (share of the designed light), top: largest h_y",
+        [f"column {number + 1}" for number in range(many)],
+        [
+            [
+                f"{ratio:.2f} ({100.0 * share:.1f} %)" if share > 1e-4 else "–"
+                for ratio, share in zip(ratios, shares, strict=True)
+            ]
+            for ratios, shares in zip(found.areas[::-1], found.designed_areas[::-1], strict=True)
+        ],
+        caption="" if png is None else f"written: {png}",
     )

@@ -1,41 +1,71 @@
-"""``anisoscope design plate``: grey pictures made of ridges, another one after a turn of the stage."""
+"""``anisoscope design plate`` and ``design code``: pictures and codes made of ridges."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.design.manufacture import (
-    Manufacture,
-    inspected_at,
-    new_folder,
-    plan_text,
-    recipe_of,
-    recipe_text,
-)
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
+from anisoscope.parameters.manufacture import Manufacture
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.sim.design.plates import PictureDesign
+    from anisoscope.operations.design.plates import DesignedPlate
 
-Tone = Literal["linear", "srgb"]
+OF_MOULD = Options(
+    Manufacture, Group("Mould and tool", sort_key=20), names={"base_mm": "--base-mm"}, flags=True
+)
+OF_CODE = replace(
+    OF_RIDGES,
+    names={"wall": "--draft", "edge_radius_um": "--tool-radius"},
+    help={
+        "wall": "Draft of the walls in degrees from the vertical; perpendicular to the facets if not given.",
+        "edge_radius_um": "Radius of the tool's tip in µm, that of the crests.",
+    },
+    default=RidgeDesign(50.0, 10.0),
+    without={"height_loss": "a design has whole crests"},
+)
+OF_PICTURE = replace(
+    OF_CODE,
+    help={
+        "pitch_um": "Pitch of the ridges in µm, 50 or more.",
+        "wall": "Draft of walls and borders in degrees from the vertical, 1 or more.",
+        "edge_radius_um": "Radius of the tool's tip in µm, that of the crests.",
+    },
+    default=RidgeDesign(50.0, 8.0, 10.0, edge_radius_um=1.0),
+    without={"height_loss": "a design has whole crests", "ridge_angle_deg": "chosen for every field"},
+)
+UNMEASURED = "the recipe to begin with has an unmeasured lobe"
+OF_LOBE = replace(
+    OF_PLASTIC, without=dict.fromkeys(("internal_reflection", "tail", "second_lobe"), UNMEASURED)
+)
+OutOption = Annotated[Path, Parameter(help="Folder for the files; made if it is missing.")]
+PixelOption = Annotated[float, Parameter(help="Pixel size of the height maps in µm.")]
+TrialOption = Annotated[
+    bool, Parameter(negative="", help="Trial on the virtual rig: photograph the plate, and compare.")
+]
+OverwriteOption = Annotated[bool, Parameter(negative="", help="Replace files that exist.")]
 
 
+@with_options(ridges=OF_PICTURE, plastic=OF_LOBE, manufacture=OF_MOULD)
 @everyday(
-    "out", "angles", "field_count", "field_um", "pitch", "draft", "manufacture", "trial", "overwrite", "json_"
+    *("out", "angles", "field_count", "field_um", "ridges", "plastic", "manufacture"),
+    *("trial", "overwrite", "json_"),
 )
 def plate(
     first: Path,
     second: Path | None = None,
     /,
     *,
-    out: Annotated[Path, Parameter(help="Folder for tables, maps and pictures; made if it is missing.")],
+    out: OutOption,
     angles: Annotated[str, Parameter(help="Stage angles at which the pictures are seen.")] = "0,90",
     field_count: Annotated[
         int | None,
@@ -47,34 +77,23 @@ def plate(
     field_um: Annotated[
         float, Parameter(help="Side of a field in µm, two ridges or more, whole ones.")
     ] = 100.0,
-    pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm, 50 or more.")] = 50.0,
-    draft: Annotated[
-        float, Parameter(help="Draft of walls and borders in degrees from the vertical, 1 or more.")
-    ] = 10.0,
-    tool_radius: Annotated[
-        float, Parameter(help="Radius of the tool's tip in µm, that of the crests.")
-    ] = 1.0,
+    ridges: Given[RidgeDesign],
     class_count: Annotated[
         int,
         Parameter("--class-count", help="Most classes of fields: directions and ridge angles that differ."),
     ] = 64,
     tone: Annotated[
-        Tone,
+        Literal["linear", "srgb"],
         Parameter(
             help="Greys of the pictures: proportional to radiance, as a camera sees them, or sRGB, for the eye."
         ),
     ] = "linear",
-    pixel: Annotated[float, Parameter(help="Pixel size of the height maps in µm.")] = 5.0,
-    alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06,
-    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,
-    albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2,
+    pixel: PixelOption = 5.0,
+    plastic: Given[Material],
     light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
-    manufacture: Manufacture | None = None,
-    trial: Annotated[
-        bool,
-        Parameter(negative="", help="Trial on the virtual rig: photograph the plate, and compare."),
-    ] = False,
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
+    manufacture: Given[Manufacture],
+    trial: TrialOption = False,
+    overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
     """Make a plate of ridges that shows a grey picture, and another one when it is turned.
@@ -93,156 +112,142 @@ def plate(
         anisoscope design plate portrait.png --field-count 128 --out portrait
         anisoscope design plate day.png night.png --angles 0,90 --field-um 150 --stl --path --out day-and-night
     """
-    from anisoscope.kinds.registry import kind_named
-    from anisoscope.operations.demo.plates import check_trial, photograph
-    from anisoscope.parameters.material import Material
-    from anisoscope.parameters.ridges import RidgeDesign
-    from anisoscope.report.plate_page import write_plate_page
-    from anisoscope.sim.design.plates import design_pictures
+    from anisoscope.operations.design.plates import PICTURE_RIDGES, design_plate, read_grey
 
     paths = (first,) if second is None else (first, second)
     stages = parse_numbers(angles, "--angles")[: len(paths)]
     if len(stages) != len(paths):
         raise UsageError(f"--angles must name a stage angle a picture, {len(paths)} of them, not {angles}")
-    pictures = _pictures(paths, field_count, tone)
-    design, material = (
-        RidgeDesign(pitch, 8.0, draft, edge_radius_um=tool_radius),
-        Material(alpha_along, alpha_across, albedo),
-    )
-    found = design_pictures(pictures, stages, design, field_um, material, light_angle, class_count)
-    make = manufacture or Manufacture()
-    make.check(found.plan, design, pixel)
-    if trial:
-        check_trial(found.plan)
-    shown = [f"predicted-{stage:g}.png" for stage in stages]
-    seen = [f"camera-{stage:g}.png" for stage in stages] if trial else []
-    names = ["plan.csv", "fields.csv", "recipe.toml", "appearance.html", *shown, *seen, *make.names()]
-    new_folder(out, names, overwrite=overwrite)
-    length_m = make.write(out, found.plan, design, pixel)
-    (out / "plan.csv").write_text(plan_text(found.plan), encoding="utf-8")
-    (out / "fields.csv").write_text(_fields_text(found), encoding="utf-8")
-    tables = recipe_of(found.plan, design, f"plate that shows {' and '.join(path.name for path in paths)}")
-    lobe = {"alpha_along": alpha_along, "alpha_across": alpha_across, "albedo": albedo}
-    tables |= {"material": lobe, "poses": {"angles_deg": inspected_at(stages)}}
-    (out / "recipe.toml").write_text(recipe_text(tables), encoding="utf-8")
-    kind_named("plates").read_recipe(out / "recipe.toml")
-    title = " and ".join(path.stem for path in paths)
-    write_plate_page(
-        out / "appearance.html",
-        title,
-        found.plan,
-        design,
-        material,
-        light_angle,
-        stages,
-        (found.black, found.white),
-    )
-    for name, one in zip(shown, found.shown, strict=True):
-        _write_picture(out / name, one, found)
-    rows, tried = {"predicted": found.likeness()}, None
-    if trial:
-        with progress("trial", quiet=json_) as advance:
-            tried = photograph(out, found.plan, design, lobe, advance)
-        photographs = tried.radiance[: len(stages)]
-        for name, one in zip(seen, photographs, strict=True):
-            _write_picture(out / name, one, found)
-        rows["camera"] = found.likeness(photographs)
+    pictures = [read_grey(path, field_count, tone) for path in paths]
+    with progress("trial", quiet=json_) as advance:
+        found = design_plate(
+            pictures,
+            out,
+            stages_deg=stages,
+            names=[path.name for path in paths],
+            field_um=field_um,
+            ridges=ridges.over(PICTURE_RIDGES),
+            material=plastic.over(Material()),
+            light_angle_deg=light_angle,
+            class_count=class_count,
+            pixel_um=pixel,
+            make=manufacture.over(Manufacture()),
+            trial=trial,
+            overwrite=overwrite,
+            on_progress=advance,
+        )
     if json_:
-        files = [str(out / name) for name in names]
-        report = None if tried is None else {"verdict": tried.verdict, "report": str(tried.report)}
-        print_json(_content(found, rows, length_m, files) | {"trial": report})
+        print_json(found)
     else:
-        written = f"in {out}: {', '.join(names)}"
-        written += "" if tried is None else f"; inspected: {tried.verdict}, {tried.report}"
-        _print(found, rows, [path.name for path in paths], light_angle, length_m, written)
+        _print(found, [path.name for path in paths], out)
     return 0
 
 
-def _content(
-    found: "PictureDesign", rows: dict[str, Any], length_m: float | None, files: list[str]
-) -> dict[str, Any]:
-    likeness = {name: {"ssim": ssim, "cross_talk": talk} for name, (ssim, talk) in rows.items()}
-    return {
-        "fields": found.plan.shape,
-        "size_mm": found.plan.size_mm,
-        "stages_deg": found.stages_deg,
-        **likeness["predicted"],
-        "camera": likeness.get("camera"),
-        "black_per_sr": found.black,
-        "white_per_sr": found.white,
-        "classes": len(found.plan.letters),
-        "missed": found.missed,
-        "cut_length_m": length_m,
-        "files": files,
-    }
-
-
-def _print(
-    found: "PictureDesign",
-    rows: dict[str, Any],
-    pictures: list[str],
-    light_angle: float,
-    length_m: float | None,
-    files: str,
-) -> None:
-    plan = found.plan
-    cuts = "" if length_m is None else f"; cuts of {length_m:.3g} m"
+def _print(found: "DesignedPlate", pictures: list[str], out: Path) -> None:
+    plan, design = found.found.plan, found.found
+    cuts = "" if found.cut_length_m is None else f"; cuts of {found.cut_length_m:.3g} m"
+    files = f"in {out}: {', '.join(path.name for path in found.files)}"
+    files += "" if found.trial is None else f"; inspected: {found.trial.verdict}, {found.trial.report}"
+    judged = [("predicted", found.likeness)] + ([("camera", found.camera)] if found.camera else [])
     print_table(
         f"{plan.shape[1]} × {plan.shape[0]} fields of {len(plan.letters)} classes, {plan.size_mm[0]:g} mm × "
         f"{plan.size_mm[1]:g} mm{cuts}",
         ["stage [°]", "picture", "", "SSIM", "cross-talk"],
         [
-            [f"{stage:g}", picture, name, f"{ssim[number]:.3f}", f"{talk[number]:.1%}"]
-            for name, (ssim, talk) in rows.items()
+            [f"{stage:g}", picture, name, f"{like.ssim[number]:.3f}", f"{like.cross_talk[number]:.1%}"]
+            for name, like in judged
             for number, (stage, picture) in enumerate(zip(found.stages_deg, pictures, strict=True))
         ],
-        caption=f"black {found.black:.4f}/sr, white {found.white:.4f}/sr ({found.white / found.black:.1f} times), "
-        f"greys are missed by {found.missed:.1%} of that at most; direct light {light_angle:g}° from the camera; "
-        f"written {files}",
+        caption=f"black {design.black:.4f}/sr, white {design.white:.4f}/sr ({design.white / design.black:.1f} times), "
+        f"greys are missed by {found.missed:.1%} of that at most; direct light {found.light_angle_deg:g}° from the "
+        f"camera; written {files}",
     )
 
 
-def _fields_text(found: "PictureDesign") -> str:
-    plan = found.plan
-    tail = {one: f"{one},{plan.azimuths_deg[one]:g},{plan.ridge_angles_deg[one]:g}\n" for one in plan.letters}
-    lines = [f"{row},{col},{tail[one]}" for row, text in enumerate(plan.rows) for col, one in enumerate(text)]
-    return "row,column,class,facet_azimuth_deg,ridge_angle_deg\n" + "".join(lines)
+@with_options(ridges=OF_CODE, manufacture=OF_MOULD)
+@everyday(
+    *("out", "symbology", "ridges", "module_mm", "plate_mm", "manufacture", "trial", "overwrite", "json_")
+)
+def code(
+    text: str,
+    /,
+    *,
+    out: OutOption,
+    symbology: Annotated[
+        Literal["datamatrix", "qr"], Parameter(help="Kind of code; the smallest symbol that holds the text.")
+    ] = "datamatrix",
+    ridges: Given[RidgeDesign],
+    module_mm: Annotated[float, Parameter(help="Side of a module in mm, two ridges or more.")] = 0.2,
+    facet_azimuths: Annotated[
+        str,
+        Parameter(help="Azimuths toward which the facets of light and dark modules fall at stage angle 0."),
+    ] = "0,-90",
+    plate_mm: Annotated[
+        float | None, Parameter(help="Side of the plate in mm, which the code must fit; any if not given.")
+    ] = None,
+    pixel: PixelOption = 2.0,
+    manufacture: Given[Manufacture],
+    trial: TrialOption = False,
+    overwrite: OverwriteOption = False,
+    json_: Json = False,
+) -> int:
+    """Make a code of ridges in two directions, which exchange light and dark when the part is turned.
 
+    Writes plan.csv, recipe.toml of kind plates, the height maps part.x3p and insert.x3p (mirrored negative, for the
+    mould) and appearance.html, a page to turn the part under light from any side; on request, bodies of part and insert
+    as STL, and the cuts of the insert. Prints the contrast that is predicted and its grade.
 
-def _write_picture(path: Path, radiance: np.ndarray, found: "PictureDesign") -> None:
-    """Write radiances as grey levels from black to white."""
-    import cv2
+    Args:
+        text: What the code says.
 
-    grey = np.clip((radiance - found.black) / (found.white - found.black), 0.0, 1.0)
-    cv2.imwrite(str(path), np.rint(255.0 * grey).astype(np.uint8))
-
-
-def _pictures(paths: tuple[Path, ...], fields: int | None, tone: Tone) -> np.ndarray:
-    """(K, rows, cols) grey pictures from 0 to 1.
-
-    Raises:
-        UsageError: one cannot be read, or they differ in shape.
+    Examples:
+        anisoscope design code A17 --out code
+        anisoscope design code "LOT 7" --symbology qr --module-mm 0.16 --pitch 40 --draft 5 --stl --out qr-code
     """
-    import cv2
+    from anisoscope.kinds.plates.code_grades import OVERALL
+    from anisoscope.operations.design.plates import CODE_RIDGES, LIGHT_DEG, design_code
 
-    found = []
-    for path in paths:
-        content = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.zeros(0, np.uint8)
-        decoded = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if content.size else None
-        if decoded is None:
-            raise UsageError(f"{path}: there is no such picture, or it cannot be read")
-        grey = np.asarray(decoded, dtype=np.float64) / 255.0
-        if tone == "srgb":
-            # IEC 61966-2-1
-            grey = np.where(grey <= 0.04045, grey / 12.92, ((grey + 0.055) / 1.055) ** 2.4)
-        if fields is not None:
-            if fields < 1:
-                raise UsageError(f"--field-count must be 1 or more, not {fields}")
-            scale = fields / max(grey.shape)
-            size = tuple(max(1, round(scale * n)) for n in grey.shape[::-1])
-            grey = np.asarray(cv2.resize(grey, (size[0], size[1]), interpolation=cv2.INTER_AREA))
-        found.append(grey)
-    if len({one.shape for one in found}) > 1:
-        shapes = " and ".join(f"{one.shape[1]} × {one.shape[0]}" for one in found)
-        raise UsageError(f"the two pictures have {shapes} fields: give pictures of one shape")
-    return np.array(found)
+    azimuths = parse_numbers(facet_azimuths, "--facet-azimuths")
+    if len(azimuths) != 2:
+        raise UsageError(
+            f"--facet-azimuths takes two azimuths, of light and of dark modules, not {facet_azimuths}"
+        )
+    with progress("trial", quiet=json_) as advance:
+        found = design_code(
+            text,
+            out,
+            symbology=symbology,
+            ridges=ridges.over(CODE_RIDGES),
+            module_mm=module_mm,
+            facet_azimuths_deg=(azimuths[0], azimuths[1]),
+            plate_mm=plate_mm,
+            pixel_um=pixel,
+            make=manufacture.over(Manufacture()),
+            trial=trial,
+            overwrite=overwrite,
+            on_progress=advance,
+        )
+    if json_:
+        print_json(found)
+        return 0
+    tried = (
+        "" if found.trial is None else f"; on the virtual rig: {found.trial.verdict}, {found.trial.report}"
+    )
+    print_table(
+        f"{symbology} {text!r}: {found.modules[1]} × {found.modules[0]} modules of {module_mm:g} mm",
+        ["stage [°]", "light [1/sr]", "dark [1/sr]", "cell contrast", OVERALL, "predicted picture says"],
+        [
+            [
+                f"{one.stage_deg:g}",
+                f"{one.light:.4f}",
+                f"{one.dark:.4f}",
+                f"{1.0 - one.dark / one.light:.2f}",
+                str(one.grades[0].grade),
+                f"{one.reads!r}" + (", inverted" if one.inverted else ""),
+            ]
+            for one in found.poses
+        ],
+        caption=f"light {LIGHT_DEG:g}° from the camera; grades after ISO/IEC 29158 and 15415; written in {out}: "
+        f"{', '.join(path.name for path in found.files)}{tried}",
+    )
+    return 0

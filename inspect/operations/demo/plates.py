@@ -1,7 +1,7 @@
 """Plates on the virtual rig: the demo (a Data Matrix of ridges, good, with three dead fields, and worn), and trials."""
 
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +10,7 @@ import tomli_w
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.base.progress import Advance
 from anisoscope.operations.demo.folder import (
     FIXTURE,
@@ -156,7 +157,7 @@ class Trial:
         report: page of the inspection.
     """
 
-    radiance: FloatArray
+    radiance: FloatArray = field(metadata=LEFT_OUT)
     verdict: str
     report: Path
 

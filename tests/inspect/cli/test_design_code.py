@@ -90,7 +90,7 @@ def test_a_qr_code_with_draft_is_read_in_its_predicted_picture(anisoscope, tmp_p
         (("--pixel", "0.1"), 64, "a larger --pixel"),
         (("--draft", "0"), 64, "hold the part in its mould"),
         (("--path",), 64, "give --tool-radius"),
-        (("--ridge-angle", "95"), 65, "ridge angle"),
+        (("--ridge-angle", "95"), 64, "--ridge-angle: the ridge angle"),
     ],
 )
 def test_what_cannot_be_made_is_one_line_and_leaves_nothing(anisoscope, tmp_path, options, code, match):

@@ -6,15 +6,17 @@ import pytest
 from cyclopts import App, Group
 
 from anisoscope.base.errors import ModelError, UsageError
+from anisoscope.parameters.fabrication import Fabrication
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import InputUncertainty
+from anisoscope.parameters.manufacture import Manufacture
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Microscope
 from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, plain, with_options
 
-MODELS = (Convention, InputUncertainty, Material, Microscope, Optics, RidgeDesign)
+MODELS = (Convention, Fabrication, InputUncertainty, Manufacture, Material, Microscope, Optics, RidgeDesign)
 
 
 @dataclass(frozen=True)
@@ -130,8 +132,6 @@ BY_HAND = {
     "bsdf fit",
     "bsdf textures",
     "calibrate material",
-    "design code",
-    "design plate",
     "fit brdf",
     "fit experiment",
     "fit plates",

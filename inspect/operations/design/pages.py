@@ -1,12 +1,13 @@
-"""Pages of ``anisoscope design``: content for `report.design_page`."""
+"""Pages and pictures of etched designs: content for `report.design_page`, and half vectors in colours."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from anisoscope.cli.design.output import figure_rows
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_bytes
 from anisoscope.report.design_page import (
     CaptionedPicture,
     DesignPage,
@@ -14,16 +15,38 @@ from anisoscope.report.design_page import (
     PhaseCurve,
     write_design_page,
 )
+from anisoscope.report.figures import BLUE, MUTED, new_figure
 from anisoscope.sim.design.appearance import Picture, mirrored_dots, pattern_under, screen
 from anisoscope.sim.design.depths import tolerances
+from anisoscope.sim.design.designfile import DesignFile
+from anisoscope.sim.design.layout import Layout
+from anisoscope.sim.design.lobe import AxisLobe
 from anisoscope.sim.design.models import LobeModel, MixtureModel, model_density
 from anisoscope.sim.design.pattern import PatternOptions, make_layout
+from anisoscope.sim.design.refine import Refined
+from anisoscope.sim.design.resolution import PICTURE, REACH, Tradeoff, expected
+from anisoscope.sim.light.colour.spaces import encode
 
-if TYPE_CHECKING:
-    from anisoscope.sim.design.designfile import DesignFile
-    from anisoscope.sim.design.layout import Layout
-    from anisoscope.sim.design.lobe import AxisLobe
-    from anisoscope.sim.design.refine import Refined
+UNITS = {
+    "sigma_x": ("σ_h along x", "1"),
+    "sigma_y": ("σ_h along y", "1"),
+    "rel_l2": ("missed, relative L2, both axes", "1"),
+    "rel_l2_x": ("missed along x", "1"),
+    "rel_l2_y": ("missed along y", "1"),
+    "one_width_x": ("missed with one width along x", "1"),
+    "one_width_y": ("missed with one width along y", "1"),
+    "intrinsic_x": ("missed with steps of any width, along x", "1"),
+    "intrinsic_y": ("missed with steps of any width, along y", "1"),
+    "unreachable_x": ("wanted light that stays out of reach, along x", "1"),
+    "unreachable_y": ("wanted light that stays out of reach, along y", "1"),
+    "hole_x": ("width of the hole along h_x", "1"),
+    "hole_y": ("width of the hole along h_y", "1"),
+    "ring_x": ("end of the ring at h_x", "1"),
+    "ring_y": ("end of the ring at h_y", "1"),
+    "hole_floor": ("floor of the hole over the ring, from the source", "1"),
+}
+"""What the figures of a design file mean, and their units."""
+
 
 LOOK_H = 0.06
 """Half vector of the two lights under which patterns are shown: a lamp 7° from the camera."""
@@ -36,7 +59,7 @@ DRAWN_BAND = (380.0, 750.0)
 
 
 def write_design_report(
-    design: "DesignFile", path: Path, axes: "Sequence[AxisLobe]" = (), warnings: Sequence[str] = ()
+    design: DesignFile, path: Path, axes: Sequence[AxisLobe] = (), warnings: Sequence[str] = ()
 ) -> None:
     """Write the page of one reflectance.
 
@@ -62,7 +85,7 @@ def write_design_report(
     )
 
 
-def write_refined_report(design: "DesignFile", layout: "Layout", found: "Refined", path: Path) -> None:
+def write_refined_report(design: DesignFile, layout: Layout, found: Refined, path: Path) -> None:
     """Write the page of a refined dot.
 
     Raises:
@@ -95,7 +118,7 @@ def write_refined_report(design: "DesignFile", layout: "Layout", found: "Refined
     )
 
 
-def write_pattern_report(layout: "Layout", designs: "Sequence[DesignFile]", path: Path) -> None:
+def write_pattern_report(layout: Layout, designs: Sequence[DesignFile], path: Path) -> None:
     """Write the page of a pattern.
 
     Raises:
@@ -144,10 +167,8 @@ def write_pattern_report(layout: "Layout", designs: "Sequence[DesignFile]", path
 
 
 def _encoded(
-    linear: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
-) -> "np.ndarray[tuple[int, ...], np.dtype[np.float64]]":
-    from anisoscope.sim.light.colour.spaces import encode
-
+    linear: FloatArray,
+) -> FloatArray:
     return encode(np.repeat(linear[..., None], 3, axis=-1)).srgb[..., 0]
 
 
@@ -155,13 +176,13 @@ def _brightness_note() -> str:
     return "Pictures are scaled to their brightest parts; a specular spike may burn out."
 
 
-def _subtitle(design: "DesignFile") -> str:
+def _subtitle(design: DesignFile) -> str:
     kind = {"lobe": "glossy lobe", "antimirror": "anti-mirror", "mirror": "mirror", "mixture": "mixture"}
     passes = " + ".join(f"{depth:.1f}" for depth in design.passes_nm)
     return f"{kind[design.model.kind]}; {2 ** len(design.passes_nm)} levels from etch passes of {passes} nm"
 
 
-def _curves(design: "DesignFile", axes: "Sequence[AxisLobe]") -> tuple[LobeCurves, ...]:
+def _curves(design: DesignFile, axes: Sequence[AxisLobe]) -> tuple[LobeCurves, ...]:
     if axes:
         return tuple(
             LobeCurves(name, one.h, one.target, one.achieved)
@@ -175,12 +196,12 @@ def _curves(design: "DesignFile", axes: "Sequence[AxisLobe]") -> tuple[LobeCurve
     return LobeCurves("x", h, None, along_x), LobeCurves("y", h, None, along_y)
 
 
-def _phase(design: "DesignFile") -> PhaseCurve:
+def _phase(design: DesignFile) -> PhaseCurve:
     nm = np.linspace(min(DRAWN_BAND[0], design.band_nm[0]), max(DRAWN_BAND[1], design.band_nm[1]), 371)
     return PhaseCurve(nm, design.depths.tau(nm), design.band_nm)
 
 
-def _pictures(design: "DesignFile") -> tuple[CaptionedPicture, ...]:
+def _pictures(design: DesignFile) -> tuple[CaptionedPicture, ...]:
     found: list[Picture] = [
         screen(design, white=False), screen(design, white=True),
         mirrored_dots(design, white=False), mirrored_dots(design, white=True),
@@ -188,7 +209,7 @@ def _pictures(design: "DesignFile") -> tuple[CaptionedPicture, ...]:
     return tuple(CaptionedPicture(one.srgb, one.caption) for one in found)
 
 
-def tolerance_rows(design: "DesignFile", layout: "Layout") -> list[list[str]]:
+def tolerance_rows(design: DesignFile, layout: Layout) -> list[list[str]]:
     """Rows of the table of tolerances."""
     if not design.passes_nm:
         return []
@@ -208,7 +229,7 @@ def tolerance_rows(design: "DesignFile", layout: "Layout") -> list[list[str]]:
     ]  # fmt: skip
 
 
-def mean_width_um(design: "DesignFile") -> float:
+def mean_width_um(design: DesignFile) -> float:
     """Geometric mean of the mean widths of the steps along both axes."""
     model = design.model
     if isinstance(model, MixtureModel):
@@ -217,3 +238,78 @@ def mean_width_um(design: "DesignFile") -> float:
         x, y = (widths.mean_um for widths in model.axes(0.0))
         return float(np.sqrt(x * y))
     return float(np.sqrt(np.prod(model.widths_um))) if model.kind == "antimirror" else 1.0
+
+
+def figure_rows(design: DesignFile) -> list[tuple[str, str, str]]:
+    """(quantity, value, unit) of a design."""
+    rows = [
+        (UNITS[key][0], f"{value:.4g}", UNITS[key][1])
+        for key, value in design.figures.items()
+        if key in UNITS
+    ]
+    if design.passes_nm:
+        rows.append(("etch passes", ", ".join(f"{depth:.1f}" for depth in design.passes_nm), "nm"))
+        low, high = design.band_nm
+        span = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
+        rows.append((f"largest mean phase |τ| {span}", f"{design.depths.epsilon:.4f}", "1"))
+    rows += [
+        ("design wavelength", f"{design.wavelength_nm:g}", "nm"),
+        ("coherence length", f"{design.coherence_um:g}", "µm"),
+        ("smallest feature", f"{design.min_width_um:g}", "µm"),
+    ]
+    return rows
+
+
+def draw_panels(panels: list[tuple[FloatArray, str, str, float, float]], reach: float, path: Path) -> None:
+    """Draw (values, title, colours, low, top) of half vectors side by side into a PNG."""
+    with new_figure(3.4 * len(panels), 3.2) as (figure, axes):
+        axes.remove()
+        for panel, (values, title, colours, low, top) in zip(
+            figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
+        ):
+            shown = panel.imshow(
+                values,
+                origin="lower",
+                cmap=colours,
+                vmin=low,
+                vmax=top,
+                extent=(-reach, reach, -reach, reach),
+            )
+            if values.ndim == 2:
+                figure.colorbar(shown, ax=panel, shrink=0.8)
+            panel.set_title(title, fontsize=9)
+            panel.set_xlabel("h_x [1]")
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
+    write_bytes(path, stream.getvalue())
+
+
+def draw_tradeoff(design: DesignFile, found: tuple[Tradeoff, ...], path: Path) -> None:
+    """Expected reflectance, one dot of each pair, and the error over n."""
+    h = np.linspace(-REACH, REACH, PICTURE)
+    panels = [(expected(design, found[0].coherence_um, h, found[0].dot_um), "expected")]
+    panels += [(one.observed, f"Δd {one.dot_um:g}, Δc {one.coherence_um:g} µm") for one in found]
+    with new_figure(2.1 * len(panels) + 3.2, 2.6) as (figure, axes):
+        axes.remove()
+        row = figure.subplots(1, len(panels) + 1, width_ratios=[1.0] * len(panels) + [1.4])
+        for panel, (density, title) in zip(row, panels, strict=False):
+            panel.imshow(
+                density, origin="lower", cmap="gray", extent=(-REACH, REACH, -REACH, REACH),
+                vmin=0.0, vmax=float(np.percentile(density, 99.7)),
+            )  # fmt: skip
+            panel.set_title(title, fontsize=8)
+            panel.set_xlabel("h_x [1]")
+        n = np.array([one.windows for one in found])
+        last = row[-1]
+        last.loglog(n, [one.error for one in found], "o", color=BLUE)
+        line = np.array([n.min(), n.max()])
+        last.loglog(line, found[-1].error * np.sqrt(n[-1] / line), "--", color=MUTED, linewidth=1.0)
+        last.set_xlabel("windows n; dashed: 1/√n")
+        last.set_ylabel("relative error [1]")
+        last.grid()
+        stream = io.BytesIO()
+        kind = path.suffix.lower()[1:]
+        figure.savefig(
+            stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else {"Software": None}
+        )
+    write_bytes(path, stream.getvalue())

@@ -1,0 +1,1 @@
+"""Designing surfaces: plates of ridges with the files of their mould, and etched steps."""
