@@ -87,6 +87,15 @@ if TYPE_CHECKING:
     from anisoscope.study.sweep import Workers
 
     __version__: str
+    from anisoscope.experiment.experiment import Setup as ExperimentSetup
+    from anisoscope.experiment.experiment import read_measured as read_measured_contrasts
+    from anisoscope.experiment.experiment import run_experiment as experiment
+    from anisoscope.experiment.findings_map import findings_maps as findings_map
+    from anisoscope.operations.detecting import detection_of_masters, detection_of_parts
+    from anisoscope.report.experiment_page import write_experiment_page, write_findings_page
+    from anisoscope.report.study_page import StudyPage
+    from anisoscope.study.best_angle import best_angle
+    from anisoscope.study.convergence import convergence
 
 DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
@@ -163,6 +172,17 @@ _HOME = {
     "Scoring": "anisoscope.study.objective",
     "Tolerances": "anisoscope.study.objective",
     "Workers": "anisoscope.study.sweep",
+    "convergence": "anisoscope.study.convergence",
+    "best_angle": "anisoscope.study.best_angle",
+    "experiment": "anisoscope.experiment.experiment:run_experiment",
+    "ExperimentSetup": "anisoscope.experiment.experiment:Setup",
+    "findings_map": "anisoscope.experiment.findings_map:findings_maps",
+    "read_measured_contrasts": "anisoscope.experiment.experiment:read_measured",
+    "write_experiment_page": "anisoscope.report.experiment_page",
+    "write_findings_page": "anisoscope.report.experiment_page",
+    "detection_of_masters": "anisoscope.operations.detecting",
+    "detection_of_parts": "anisoscope.operations.detecting",
+    "StudyPage": "anisoscope.report.study_page",
 }
 
 __all__ = [
@@ -171,6 +191,7 @@ __all__ = [
     "Autofocus",
     "ControlStudy",
     "Convention",
+    "ExperimentSetup",
     "Fabrication",
     "Filters",
     "Fit",
@@ -194,18 +215,23 @@ __all__ = [
     "RidgeMeasurement",
     "Scoring",
     "Specification",
+    "StudyPage",
     "Tolerances",
     "UsageError",
     "Workers",
     "add_to_history",
+    "best_angle",
     "commission",
     "compare",
     "compare_maps",
     "contrasts",
     "control_chart",
+    "convergence",
     "design_code",
     "design_lobe",
     "design_plate",
+    "detection_of_masters",
+    "detection_of_parts",
     "dot_pattern",
     "drift_study",
     "drivers",
@@ -215,9 +241,11 @@ __all__ = [
     "etched_hologram",
     "etched_lobe",
     "etched_picture",
+    "experiment",
     "find_illuminant",
     "find_ink",
     "find_ports",
+    "findings_map",
     "fit_ridges",
     "ideal_ridges",
     "ink_brdf",
@@ -236,6 +264,7 @@ __all__ = [
     "optimise",
     "predict",
     "read_height_map",
+    "read_measured_contrasts",
     "read_recipe",
     "read_record",
     "read_rig",
@@ -252,6 +281,8 @@ __all__ = [
     "srgb",
     "texture",
     "verify",
+    "write_experiment_page",
+    "write_findings_page",
     "write_height_map",
     "write_height_map_report",
     "write_nexus",

@@ -37,6 +37,7 @@ class _Shown:
     key: str | None = None
     by: Callable[[Any], Any] | None = None
     merged: bool = False
+    only_given: bool = False
 
 
 LEFT_OUT: Mapping[str, Any] = {_METADATA: None}
@@ -44,7 +45,11 @@ LEFT_OUT: Mapping[str, Any] = {_METADATA: None}
 
 
 def json_field(
-    key: str | None = None, *, by: Callable[[Any], Any] | None = None, merged: bool = False
+    key: str | None = None,
+    *,
+    by: Callable[[Any], Any] | None = None,
+    merged: bool = False,
+    only_given: bool = False,
 ) -> Mapping[str, Any]:
     """Metadata of a field that is shown in another way.
 
@@ -52,19 +57,21 @@ def json_field(
         key: in place of the field's name.
         by: makes what is shown of the value.
         merged: the keys of the value, a dataclass or mapping, stand among those of the result.
+        only_given: no key where the value is None or an empty tuple.
     """
-    return {_METADATA: _Shown(key, by, merged)}
+    return {_METADATA: _Shown(key, by, merged, only_given)}
 
 
-def in_json(key: str | None = None) -> Callable[[_Getter], _Getter]:
+def in_json(key: str | None = None, *, only_given: bool = False) -> Callable[[_Getter], _Getter]:
     """Mark the getter of a property as part of the JSON of its class; placed below ``@property``.
 
     Args:
         key: in place of the property's name.
+        only_given: no key where the value is None or an empty tuple.
     """
 
     def mark(getter: _Getter) -> _Getter:
-        setattr(getter, _MARK, key or getter.__name__)
+        setattr(getter, _MARK, (key or getter.__name__, only_given))
         return getter
 
     return mark
@@ -78,21 +85,31 @@ def fields_of(result: "DataclassInstance") -> dict[str, Any]:
         if shown is None:
             continue
         value = getattr(result, one.name)
+        if shown.only_given and _missing(value):
+            continue
         if shown.by is not None:
             value = shown.by(value)
         if shown.merged:
             found |= fields_of(value) if is_dataclass(value) and not isinstance(value, type) else value
         else:
             found[shown.key or one.name] = value
-    return found | {key: getattr(result, name) for name, key in _properties(type(result)).items()}
+    for name, (key, only_given) in _properties(type(result)).items():
+        value = getattr(result, name)
+        if not (only_given and _missing(value)):
+            found[key] = value
+    return found
+
+
+def _missing(value: Any) -> bool:  # noqa: ANN401
+    return value is None or (isinstance(value, tuple) and not value)
 
 
 _AS_IT_IS = _Shown()
 
 
 @cache
-def _properties(kind: type) -> dict[str, str]:
-    """Names of the marked properties of a class, those of its bases first, and their keys."""
+def _properties(kind: type) -> dict[str, tuple[str, bool]]:
+    """Names of the marked properties of a class, those of its bases first, and their marks."""
     names = dict.fromkeys(name for base in reversed(kind.__mro__) for name in vars(base))
     getters = {name: getattr(getattr(kind, name, None), "fget", None) for name in names}
     return {name: getattr(getter, _MARK) for name, getter in getters.items() if hasattr(getter, _MARK)}

@@ -8,12 +8,16 @@ the shape (ridge angles, tilts, pairs); NaN is not measured.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_style import csv_text, number_text
+from anisoscope.base.csv_table import read_table
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, fields_of, in_json, json_field
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
@@ -49,13 +53,26 @@ class Setup:
     """
 
     model: Model = "printed"
-    material: Material = field(default_factory=Material)
+    material: Material = field(default_factory=Material, metadata=LEFT_OUT)
     convention: Convention = field(default_factory=Convention)
-    shadow_frame: ShadowFrame = "pitch-normal"
+    shadow_frame: ShadowFrame = field(default="pitch-normal", metadata=LEFT_OUT)
 
     def __post_init__(self) -> None:
         if self.model != "printed" and self.shadow_frame != "pitch-normal":
             raise UsageError(f"the shadow frame {self.shadow_frame} belongs to the printed model only")
+
+    @property
+    @in_json("shadow_frame", only_given=True)
+    def printed_frame(self) -> ShadowFrame | None:
+        """The shadow frame of the printed model; None of the corrected one."""
+        return self.shadow_frame if self.model == "printed" else None
+
+    @property
+    def model_text(self) -> str:
+        """The model in words."""
+        return f"model {self.model}" + (
+            f", shadow frame {self.shadow_frame}" if self.model == "printed" else ""
+        )
 
 
 @dataclass(frozen=True)
@@ -83,6 +100,19 @@ class Findings:
             and self.best_ridge_angle_deg == PUBLISHED_BEST_DEG
         )
 
+    @property
+    def text(self) -> str:
+        """The findings in words."""
+        zero, sides, first = (
+            "yes" if found else "no"
+            for found in (self.max_at_zero_tilt, self.falls_on_both_sides, self.first_pair_larger)
+        )
+        best = "none" if self.best_ridge_angle_deg is None else f"{self.best_ridge_angle_deg:g}°"
+        return (
+            f"largest at zero tilt: {zero} (falling on both sides: {sides}); 0° / 90° larger than 90° / 180°: "
+            f"{first}; best ridge angle: {best}"
+        )
+
 
 @dataclass(frozen=True)
 class Mean:
@@ -96,7 +126,7 @@ class Mean:
         measured_rows: how many were measured.
     """
 
-    level_deg: tuple[float, ...]
+    level_deg: tuple[float, ...] = field(metadata=json_field(by=lambda it: it[0] if len(it) == 1 else it))
     predicted: float
     measured: float | None
     predicted_same_rows: float | None
@@ -115,11 +145,47 @@ class Experiment:
         rms_residual: root mean square of predicted - measured over the measured rows, or None.
     """
 
-    setup: Setup
+    setup: Setup = field(metadata=json_field(merged=True))
     k: float
-    predicted: FloatArray
-    measured: FloatArray | None
-    rms_residual: float | None
+    predicted: FloatArray = field(metadata=LEFT_OUT)
+    measured: FloatArray | None = field(metadata=LEFT_OUT)
+    rms_residual: float | None = field(metadata=json_field(only_given=True))
+
+    @property
+    @in_json()
+    def material(self) -> Material:
+        """The plastic."""
+        return self.setup.material
+
+    @property
+    @in_json()
+    def unit(self) -> str:
+        """Unit of the contrasts."""
+        return "1/sr" if self.measured is None else "as measured"
+
+    @property
+    @in_json()
+    def rows(self) -> list[dict[str, float]]:
+        """Every combination with its predicted contrast, and the measured one where there is one."""
+        rows = []
+        for place, row in combinations():
+            found = dict(zip(COLUMNS, (*row, float(self.predicted[place])), strict=True))
+            if self.measured is not None and np.isfinite(self.measured[place]):
+                found["measured"] = float(self.measured[place])
+            rows.append(found)
+        return rows
+
+    def csv(self) -> str:
+        """One line a combination, as ``read_measured`` reads it."""
+        heads = (*COLUMNS, *(() if self.measured is None else ("measured",)))
+        lines = [
+            [
+                number_text(repr(row[name]) if name in heads[4:] else f"{row[name]:g}") if name in row else ""
+                for name in heads
+            ]
+            for row in self.rows
+        ]
+        return csv_text([list(heads), *lines], file=False)
 
     @property
     def complete(self) -> bool:
@@ -127,11 +193,13 @@ class Experiment:
         return self.measured is not None and bool(np.isfinite(self.measured).all())
 
     @property
+    @in_json()
     def findings(self) -> Findings:
         """Findings in the predicted contrasts."""
         return findings(self.predicted)
 
     @property
+    @in_json(only_given=True)
     def measured_findings(self) -> Findings | None:
         """Findings in the measured contrasts; None unless all rows were measured."""
         return findings(self.measured) if self.measured is not None and self.complete else None
@@ -140,6 +208,16 @@ class Experiment:
     def means(self) -> dict[str, tuple[Mean, ...]]:
         """The three marginal means of Fig. 8, keyed "ridge_angle", "tilt" and "pair"."""
         return {name: tuple(self._means(axis)) for axis, name in enumerate(AXES)}
+
+    @property
+    @in_json("means")
+    def shown_means(self) -> dict[str, list[dict[str, Any]]]:
+        """The means, without numbers of measured contrasts where there are none."""
+        shown = slice(2 if self.measured is None else None)
+        return {
+            name: [dict(list(fields_of(one).items())[shown]) for one in means]
+            for name, means in self.means.items()
+        }
 
     def _means(self, axis: int) -> Iterator[Mean]:
         measured = np.full(SHAPE, np.nan) if self.measured is None else self.measured
@@ -193,17 +271,45 @@ def contrast_table(
     return np.abs(np.diff(table, axis=2))
 
 
-def run_experiment(setup: Setup, measured: FloatArray | None = None) -> Experiment:
+def read_measured(path: Path) -> FloatArray:
+    """Measured contrasts from a CSV file with the columns ``COLUMNS``; rows may be missing, none twice.
+
+    Returns:
+        Contrasts in the unit of the file, NaN where not measured.
+
+    Raises:
+        UsageError: the file cannot be read, or a line of it cannot be used.
+    """
+    table = read_table(path, (COLUMNS,), not_negative=("contrast",), what="contrasts")
+    where = {row: index for index, row in combinations()}
+    measured = np.full(SHAPE, np.nan)
+    for number, (*row, contrast) in enumerate(table.rows.tolist()):
+        index = where.get((row[0], row[1], row[2], row[3]))
+        if index is None:
+            raise UsageError(
+                f"{table.place(number)}: the experiment has no ridge angle {row[0]:g}°, tilt {row[1]:g}°, "
+                f"pair {row[2]:g}°/{row[3]:g}°"
+            )
+        if not np.isnan(measured[index]):
+            raise UsageError(f"{table.place(number)}: this combination is given twice")
+        measured[index] = contrast
+    return measured
+
+
+def run_experiment(setup: Setup | None = None, measured: FloatArray | Path | str | None = None) -> Experiment:
     """Predict the experiment and, where contrasts were measured, fit the one global scale k to them.
 
     Args:
-        setup: what to predict.
-        measured: contrasts, NaN where not measured.
+        setup: what to predict; the published model by default.
+        measured: contrasts, NaN where not measured, or the CSV file of them.
 
     Raises:
         ModelError: light or camera stands below the horizon in some pose.
-        UsageError: no positive scale fits, as where all measured rows are zero or predicted as zero.
+        UsageError: no positive scale fits, as where all measured rows are zero or predicted as zero; or a file
+            that cannot be used.
     """
+    setup = Setup() if setup is None else setup
+    measured = read_measured(Path(measured)) if isinstance(measured, Path | str) else measured
     predicted = absolute_contrasts(setup)
     if measured is None:
         return Experiment(setup, 1.0, predicted, None, None)

@@ -1,15 +1,19 @@
 """For which roughness the published findings hold: the experiment over a grid of α_u and α_v."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.experiment.experiment import (
     PUBLISHED_BEST_DEG,
     STAGE_DEG,
     TILTS_DEG,
+    Model,
     Setup,
     contrast_table,
     findings,
@@ -34,20 +38,29 @@ class FindingsMap:
         best_at_five: the finding "5° gives the highest contrast" holds.
     """
 
-    setup: Setup
-    alpha_along: FloatArray
-    alpha_across: FloatArray
-    max_at_zero_tilt: BoolArray
-    falls_on_both_sides: BoolArray
-    first_pair_larger: BoolArray
-    best_at_five: BoolArray
+    setup: Setup = field(metadata=json_field(merged=True))
+    alpha_along: FloatArray = field(metadata=LEFT_OUT)
+    alpha_across: FloatArray = field(metadata=LEFT_OUT)
+    max_at_zero_tilt: BoolArray = field(metadata=LEFT_OUT)
+    falls_on_both_sides: BoolArray = field(metadata=LEFT_OUT)
+    first_pair_larger: BoolArray = field(metadata=LEFT_OUT)
+    best_at_five: BoolArray = field(metadata=LEFT_OUT)
 
     @property
+    @in_json()
+    def shares(self) -> dict[str, float]:
+        """Share of the grid on which each finding holds, 0 to 1."""
+        names = ("max_at_zero_tilt", "falls_on_both_sides", "first_pair_larger", "best_at_five")
+        return {name: float(getattr(self, name).mean()) for name in names}
+
+    @property
+    @in_json()
     def all_three(self) -> BoolArray:
         """Grid points at which the three findings hold together."""
         return self.max_at_zero_tilt & self.first_pair_larger & self.best_at_five
 
     @property
+    @in_json()
     def share(self) -> float:
         """Share of the grid on which the three findings hold together, 0 to 1."""
         return float(self.all_three.mean())
@@ -58,13 +71,46 @@ class FindingsMap:
         return self.all_three & self.falls_on_both_sides
 
     @property
-    def extent(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Smallest and largest α_u, then α_v, at which all three hold; None where they nowhere do."""
+    @in_json()
+    def share_falling_too(self) -> float:
+        """Share of the grid on which they hold and the mean contrast falls on both sides, 0 to 1."""
+        return float(self.falling_too.mean())
+
+    @property
+    @in_json()
+    def extent(self) -> dict[str, tuple[float, float]] | None:
+        """Smallest and largest alpha_along and alpha_across at which all three hold; None where they nowhere do."""
         if not self.all_three.any():
             return None
         along = self.alpha_along[self.all_three.any(axis=1)]
         across = self.alpha_across[self.all_three.any(axis=0)]
-        return (float(along[0]), float(along[-1])), (float(across[0]), float(across[-1]))
+        ends = {"alpha_along": along, "alpha_across": across}
+        return {name: (float(values[0]), float(values[-1])) for name, values in ends.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class FindingsMaps:
+    """The maps of both planes of tilt, over the same roughnesses."""
+
+    maps: tuple[FindingsMap, ...]
+
+    @property
+    @in_json()
+    def model(self) -> Model:
+        """Model of the prediction."""
+        return self.maps[0].setup.model
+
+    @property
+    @in_json()
+    def alpha_along(self) -> FloatArray:
+        """(A,) α_u."""
+        return self.maps[0].alpha_along
+
+    @property
+    @in_json()
+    def alpha_across(self) -> FloatArray:
+        """(B,) α_v."""
+        return self.maps[0].alpha_across
 
 
 class _SharedTables(Material):
@@ -106,3 +152,37 @@ def findings_share(setup: Setup, alpha_along: FloatArray, alpha_across: FloatArr
                 found.best_ridge_angle_deg == PUBLISHED_BEST_DEG,
             )
     return FindingsMap(setup, np.asarray(alpha_along), np.asarray(alpha_across), *held)
+
+
+def findings_maps(
+    setup: Setup | None = None, *, alpha_from: float = 0.03, alpha_to: float = 0.3, grid_points: int = 24
+) -> FindingsMaps:
+    """Where the findings come out, for both planes of tilt, on a grid that is even in the logarithm.
+
+    Args:
+        setup: model, convention, index and albedo.
+        alpha_from: smallest roughness of the grid.
+        alpha_to: largest.
+        grid_points: per side, 2 to 100.
+
+    Raises:
+        UsageError: another number of points, or roughnesses that do not rise from above 0.
+        ModelError: a roughness or a pose outside what the model means.
+    """
+    setup = Setup() if setup is None else setup
+    if not 2 <= grid_points <= 100:
+        raise UsageError(f"--grid-points takes 2 to 100, not {grid_points}")
+    if not 0.0 < alpha_from < alpha_to:
+        raise UsageError(f"--alpha-from {alpha_from} must lie above 0 and below --alpha-to {alpha_to}")
+    replace(setup.material, alpha_along=alpha_from, alpha_across=alpha_to)
+    alphas = np.geomspace(alpha_from, alpha_to, grid_points)
+    alphas[[0, -1]] = alpha_from, alpha_to
+    planes: tuple[Literal["perpendicular", "in-plane"], ...] = ("perpendicular", "in-plane")
+    return FindingsMaps(
+        tuple(
+            findings_share(
+                replace(setup, convention=replace(setup.convention, tilt_plane=plane)), alphas, alphas
+            )
+            for plane in planes
+        )
+    )

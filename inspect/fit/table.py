@@ -187,7 +187,7 @@ def experiment_problem(
     """A problem from measured absolute contrasts.
 
     Args:
-        measured: (ridge angle, tilt, pair) contrasts, NaN where not measured (`measured_table.read_measured`).
+        measured: (ridge angle, tilt, pair) contrasts, NaN where not measured (`experiment.read_measured`).
         convention: how the angles are counted.
         optics: keywords of `Scene`: model, bounces (1 by default, as `experiment.Setup` predicts), wall,
             internal_reflection.

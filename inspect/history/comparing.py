@@ -4,11 +4,11 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from anisoscope.base.errors import RecordError
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.json_fields import in_json
-from anisoscope.history.rows import Row, seal_of
+from anisoscope.history.rows import Row, row_of, seal_of
 from anisoscope.record.schema import Record, read_record
 
 _PREFIXES = ("u ", "deviation ", "tolerance ")
@@ -52,7 +52,10 @@ class Change:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two inspections compared; ``notes`` name unreadable records, and what is therefore not compared."""
+    """Two inspections compared; ``notes`` name unreadable records, and what is therefore not compared.
+
+    The row of an inspection that was not taken from a history has the number 0.
+    """
 
     first: Row
     second: Row
@@ -62,15 +65,36 @@ class Comparison:
     notes: tuple[str, ...]
 
 
-def compare(first: Row, second: Row) -> Comparison:
-    """Compare two inspections: by the history, and where their folders still exist also by their records."""
+class Finished(Protocol):
+    """A finished inspection, as ``inspect`` and ``resume`` return it."""
+
+    @property
+    def record(self) -> Record:
+        """Its record."""
+        ...
+
+
+def compare(
+    first_of: Row | Record | Finished | Path | str, second_of: Row | Record | Finished | Path | str
+) -> Comparison:
+    """Compare two inspections: by their numbers, and as far as they can be read also by their records.
+
+    Args:
+        first_of: a row of a history, a record, an inspection that was just finished, or an inspection folder.
+        second_of: the other one, of the same or another of these.
+
+    Raises:
+        UsageError: something else.
+        RecordError: the record of a folder cannot be read.
+    """
+    first, second = _row(first_of), _row(second_of)
     compared = [_compared(label, first, second) for label in _labels(first, second)]
     contrasts = tuple(one for one in compared if one.u is not None or _has_u(one.label, first, second))
     changes = list(_row_changes(first, second))
     records, notes = [], []
-    for row in (first, second):
+    for given, row in ((first_of, first), (second_of, second)):
         try:
-            records.append(record_of(row))
+            records.append(record_of(row) if isinstance(given, Row) else _record(given))
         except RecordError as error:
             notes.append(f"recipe, rig and calibrations in detail are not compared: {error}")
     if len(records) == 2:
@@ -83,6 +107,25 @@ def compare(first: Row, second: Row) -> Comparison:
         tuple(changes[:MAX_CHANGES]),
         (*notes, *_too_many(len(changes))),
     )
+
+
+def _record(given: Record | Finished | Path | str) -> Record:
+    if isinstance(given, Path | str):
+        return read_record(Path(given))
+    found = given if isinstance(given, Record) else getattr(given, "record", None)
+    if not isinstance(found, Record):
+        raise UsageError(
+            "compare takes two inspections, each a row of a history, a record, what inspect returned, or an inspection "
+            f"folder, not {type(given).__name__}"
+        )
+    return found
+
+
+def _row(given: Row | Record | Finished | Path | str) -> Row:
+    if isinstance(given, Row):
+        return given
+    folder = given if isinstance(given, Path | str) else getattr(given, "folder", None)
+    return Row(id=0, **vars(row_of(_record(given), None if folder is None else Path(folder))))
 
 
 def _too_many(count: int) -> Iterator[str]:

@@ -72,12 +72,12 @@ class Row(NewRow):
         )
 
 
-def row_of(record: Record, folder: Path) -> NewRow:
+def row_of(record: Record, folder: Path | None) -> NewRow:
     """Row of a finished inspection.
 
     Args:
         record: its record.
-        folder: its folder, in which the record lies.
+        folder: its folder, in which the record lies; None leaves folder and seal empty.
 
     Raises:
         RecordError: the record cannot be read there.
@@ -95,8 +95,8 @@ def row_of(record: Record, folder: Path) -> NewRow:
         operator=_text_or_none(who.operator),
         verdict=record.verdict,
         reasons=_shortened(record.reasons),
-        folder=str(folder.resolve()),
-        seal=seal_of(folder),
+        folder="" if folder is None else str(folder.resolve()),
+        seal="" if folder is None else seal_of(folder),
         software=record.software,
         numbers=numbers_of(record),
     )

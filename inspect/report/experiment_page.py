@@ -160,12 +160,11 @@ def findings_svg(maps: Sequence[FindingsMap]) -> str:
     return base64.b64decode(findings_chart(maps).partition(",")[2]).decode("utf-8")
 
 
-def write_experiment_page(result: Experiment, unit: str, path: Path) -> None:
+def write_experiment_page(result: Experiment, path: Path | str) -> None:
     """Write the page of one experiment, atomically.
 
     Args:
         result: the experiment.
-        unit: unit of the contrasts.
         path: file to write.
 
     Raises:
@@ -174,7 +173,7 @@ def write_experiment_page(result: Experiment, unit: str, path: Path) -> None:
     charts = []
     for name, axis in AXIS_NAMES.items():
         means = result.means[name]
-        uri = bar_chart([level_text(m.level_deg) for m in means], _series(means, result), axis, unit)
+        uri = bar_chart([level_text(m.level_deg) for m in means], _series(means, result), axis, result.unit)
         charts.append((uri, _chart_text(name, means), f"by {axis}"))
     rows = [
         (
@@ -184,11 +183,11 @@ def write_experiment_page(result: Experiment, unit: str, path: Path) -> None:
         )
         for index, row in combinations()
     ]
-    content = {"result": result, "unit": unit, "charts": charts, "rows": rows}
-    _write(path, "Ridge experiment", [result.setup.convention], content)
+    content = {"result": result, "unit": result.unit, "charts": charts, "rows": rows}
+    _write(Path(path), "Ridge experiment", [result.setup.convention], content)
 
 
-def write_findings_page(maps: Sequence[FindingsMap], path: Path) -> None:
+def write_findings_page(maps: Sequence[FindingsMap], path: Path | str) -> None:
     """Write the page of the map of findings, atomically.
 
     Raises:
@@ -198,7 +197,7 @@ def write_findings_page(maps: Sequence[FindingsMap], path: Path) -> None:
         f"tilt {m.setup.convention.tilt_plane}: all three on {m.share:.1%} of the grid" for m in maps
     )
     _write(
-        path,
+        Path(path),
         "Where the findings of the ridge experiment hold",
         [m.setup.convention for m in maps],
         {

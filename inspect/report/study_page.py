@@ -170,22 +170,33 @@ class Table:
     note: str = ""
 
 
-def write_study_page(
-    path: Path,
-    title: str,
-    subtitle: str,
-    charts: Sequence[Chart | Map],
-    tables: Sequence[Table],
-    notes: Sequence[str],
-) -> None:
-    """Write the page of one study, atomically.
+@dataclass(frozen=True, eq=False)
+class StudyPage:
+    """What a study shows: in the terminal tables, subtitle and notes, in HTML all of it, as a picture the charts."""
 
-    Raises:
-        RecordError: the file cannot be written.
-    """
-    pictures = [(chart_uri(chart), chart.title) for chart in charts]
-    content = {"title": title, "subtitle": subtitle, "pictures": pictures, "tables": tables, "notes": notes}
-    write_page(path, "study.html", content)
+    title: str
+    subtitle: str
+    charts: Sequence[Chart | Map]
+    tables: Sequence[Table]
+    notes: Sequence[str]
+
+    def write(self, path: Path | str) -> None:
+        """Write the page, atomically.
+
+        Raises:
+            RecordError: the file cannot be written.
+        """
+        pictures = [(chart_uri(chart), chart.title) for chart in self.charts]
+        write_page(Path(path), "study.html", {**vars(self), "pictures": pictures})
+
+    def write_picture(self, path: Path | str) -> None:
+        """Write all charts as one PNG or SVG picture, atomically.
+
+        Raises:
+            RecordError: the file cannot be written.
+            UsageError: the file name says no kind of picture.
+        """
+        write_picture(Path(path), self.charts)
 
 
 def chart_uri(chart: Chart | Map) -> str:

@@ -6,13 +6,14 @@ experiment is followed over the ridge angle.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.experiment.experiment import (
     PAIRS_DEG,
@@ -27,11 +28,20 @@ from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs
+from anisoscope.report.study_page import Chart, Curve, StudyPage, Table
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
-from anisoscope.study.convergence import PITCH_UM, Sampling, ideal_map, signed_contrasts
+from anisoscope.study.convergence import (
+    PITCH_UM,
+    QUALITIES,
+    Quality,
+    Sampling,
+    ideal_map,
+    quality_text,
+    signed_contrasts,
+)
 from anisoscope.study.ridges import ridge_radiance
 from anisoscope.study.sweep import Workers, sweep
 
@@ -50,11 +60,11 @@ class Imperfection:
         is_slow: is computed at whole degrees only.
     """
 
-    name: str
-    what: str
-    severities: tuple[float, ...]
-    is_random: bool = False
-    is_slow: bool = False
+    name: str = field(metadata=json_field("imperfection"))
+    what: str = field(metadata=json_field("severity_is"))
+    severities: tuple[float, ...] = field(metadata=LEFT_OUT)
+    is_random: bool = field(default=False, metadata=LEFT_OUT)
+    is_slow: bool = field(default=False, metadata=LEFT_OUT)
 
 
 IMPERFECTIONS = {
@@ -84,6 +94,10 @@ IMPERFECTIONS = {
 }
 
 
+def _of_curve(found: Findings) -> dict[str, bool]:
+    return {"max_at_zero_tilt": found.max_at_zero_tilt, "first_pair_larger": found.first_pair_larger}
+
+
 @dataclass(frozen=True, eq=False)
 class AngleCurve:
     """Mean absolute contrast over the ridge angle, for one severity.
@@ -104,18 +118,37 @@ class AngleCurve:
     severity: float
     angles_deg: FloatArray
     contrast: FloatArray
-    sd: FloatArray
-    published: tuple[float, ...]
+    sd: FloatArray = field(metadata=json_field("contrast_sd"))
+    published: tuple[float, ...] = field(metadata=LEFT_OUT)
     best_published_deg: float
     best_deg: float
     best_sd_deg: float
     at_edge: bool
-    findings: Findings
+    findings: Findings = field(metadata=json_field(by=_of_curve, merged=True))
 
     @property
+    @in_json()
     def ten_over_five(self) -> float:
         """Contrast at 10° over that at 5°: above 1 where the measured order of the two comes out."""
         return self.published[1] / self.published[0]
+
+    def drawn(self) -> Curve:
+        """Contrast over its maximum, with a band of one standard deviation where something is random."""
+        top = self.contrast.max()
+        ends = (self.contrast - self.sd, self.contrast + self.sd) if self.sd.any() else ()
+        return Curve(f"{self.severity:g}", self.angles_deg, self.contrast / top, *(end / top for end in ends))
+
+    def row(self) -> tuple[str, ...]:
+        """Best angle, contrasts at the published ones and findings in words."""
+        best = f"{self.best_deg:.2f}" + (f" ± {self.best_sd_deg:.2f}" if self.best_sd_deg else "")
+        return (
+            f"{self.severity:g}",
+            best + (" (edge)" if self.at_edge else ""),
+            f"{self.best_published_deg:g}",
+            *(f"{value:.5f}" for value in self.published),
+            f"{self.ten_over_five:.3f}",
+            "yes" if self.findings.max_at_zero_tilt else "no",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +157,14 @@ class AngleStudy:
 
     Attributes:
         imperfection: which.
-        material: the plastic without it.
         curves: one a severity.
     """
 
-    imperfection: Imperfection
-    material: Material
+    imperfection: Imperfection = field(metadata=json_field(merged=True))
     curves: tuple[AngleCurve, ...]
 
     @property
+    @in_json("ten_overtakes_five_at")
     def turns_at(self) -> float | None:
         """Severity at which 10° overtakes 5°, interpolated; None where it never does, or always."""
         found = self.curves
@@ -141,6 +173,70 @@ class AngleStudy:
             if (a < 0.0) != (b < 0.0) and high.severity > low.severity:
                 return float(low.severity + (high.severity - low.severity) * a / (a - b))
         return None
+
+    def table(self) -> Table:
+        """A row a severity; the note says which of 5° and 10° is better, and from where."""
+        turns, always = self.turns_at, self.curves[0].ten_over_five > 1.0
+        first, then = ("10°", "5°") if always else ("5°", "10°")
+        note = (
+            f"{first} exceeds {then} throughout"
+            if turns is None
+            else f"{then} overtakes {first} at {turns:.3g}"
+        )
+        columns = (
+            self.imperfection.what,
+            "best [°]",
+            "best of the four [°]",
+            *(f"{angle:g}° [1/sr]" for angle in RIDGE_ANGLES_DEG),
+            "10° / 5° [1]",
+            "most at zero tilt",
+        )
+        return Table(self.imperfection.name, columns, tuple(curve.row() for curve in self.curves), note)
+
+    def chart(self) -> Chart:
+        """Contrast over the ridge angle, a curve a severity."""
+        curves = tuple(curve.drawn() for curve in self.curves)
+        return Chart(
+            self.imperfection.what, "ridge angle [°]", "mean |C| / its maximum [1]", curves, points=False
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BestAngle:
+    """All imperfections.
+
+    Attributes:
+        imperfections: a study of each.
+        material: the plastic without any.
+        sampling: of height maps with burrs.
+        seed: of the pieces of surface.
+    """
+
+    imperfections: tuple[AngleStudy, ...]
+    material: Material = field(metadata=LEFT_OUT)
+    sampling: Sampling = field(metadata=LEFT_OUT)
+    seed: int = field(metadata=LEFT_OUT)
+
+    def page(self) -> StudyPage:
+        """Charts, tables and notes."""
+        plastic = self.material
+        return StudyPage(
+            "Best ridge angle of the published experiment",
+            f"roughness {plastic.alpha_along:g}/{plastic.alpha_across:g}, albedo {plastic.albedo:g}, but for the "
+            f"imperfection; {quality_text(self.sampling, self.seed)}",
+            [study.chart() for study in self.imperfections],
+            [study.table() for study in self.imperfections],
+            [
+                (
+                    "Contrast: mean of |C| over the 5 tilts and 2 pairs of the published experiment, 1/sr; corrected "
+                    "model in direct light, with burrs the relief predictor, reflections where they are what grows."
+                ),
+                (
+                    "Best angle: over 2° to 25°, not only the four published ones; ± is the standard deviation of the "
+                    "mean by the pieces of surface."
+                ),
+            ],
+        )
 
 
 @dataclass(frozen=True)
@@ -233,43 +329,42 @@ def _with_burrs(task: _Task, to_light: FloatArray, to_camera: FloatArray) -> Flo
 
 
 def best_angle(
-    names: Sequence[str],
-    material: Material,
-    sampling: Sampling,
-    workers: Workers,
+    names: Sequence[str] = (),
+    material: Material | None = None,
+    sampling: Sampling | Quality = "quick",
+    workers: Workers | None = None,
     *,
     step_deg: float = 0.5,
     seed: int = 1,
-    advance: Advance = silent,
-) -> tuple[AngleStudy, ...]:
+    on_progress: Advance = silent,
+) -> BestAngle:
     """Follow the best ridge angle while each imperfection grows.
 
     Args:
-        names: of ``IMPERFECTIONS``.
+        names: of ``IMPERFECTIONS``; all where none is named.
         material: the plastic without the imperfection.
         sampling: of height maps with burrs.
-        workers: processes or cluster.
+        workers: processes or cluster; one process by default.
         step_deg: of the ridge angles from 2° to 25°; slow imperfections take at least 1°.
         seed: of the pieces of surface.
-        advance: progress.
+        on_progress: called with the work being done, steps done and steps in all.
 
     Raises:
         UsageError: no such imperfection.
     """
+    names, material = names or tuple(IMPERFECTIONS), material or Material()
+    sampling = sampling if isinstance(sampling, Sampling) else QUALITIES[sampling]
     unknown = [name for name in names if name not in IMPERFECTIONS]
-    if unknown or not names:
-        raise UsageError(
-            f"{unknown[0] if unknown else ''!r} is no imperfection; there are {', '.join(IMPERFECTIONS)}"
-        )
+    if unknown:
+        raise UsageError(f"{unknown[0]!r} is no imperfection; there are {', '.join(IMPERFECTIONS)}")
     tasks = [
         _Task(name, severity, float(angle), material, sampling, seed)
         for name in names
         for severity in IMPERFECTIONS[name].severities
         for angle in _angles(IMPERFECTIONS[name], step_deg)
     ]
-    values = dict(
-        zip(tasks, sweep(_contrasts, tasks, workers, advance=advance, doing="ridge angles"), strict=True)
-    )
+    found = sweep(_contrasts, tasks, workers or Workers(), advance=on_progress, doing="ridge angles")
+    values = dict(zip(tasks, found, strict=True))
     studies = []
     for name in names:
         kind = IMPERFECTIONS[name]
@@ -278,8 +373,8 @@ def best_angle(
         for severity in kind.severities:
             rows = [values[_Task(name, severity, float(angle), material, sampling, seed)] for angle in angles]
             curves.append(_angle_curve(severity, angles, np.array(rows)))
-        studies.append(AngleStudy(kind, material, tuple(curves)))
-    return tuple(studies)
+        studies.append(AngleStudy(kind, tuple(curves)))
+    return BestAngle(tuple(studies), material, sampling, seed)
 
 
 def _angles(kind: Imperfection, step_deg: float) -> FloatArray:

@@ -7,12 +7,15 @@ is common to all defective surfaces, the scatter differs from one piece of surfa
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Literal
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.experiment.experiment import STAGE_DEG, TILTS_DEG
 from anisoscope.parameters.geometry import Convention
@@ -22,6 +25,7 @@ from anisoscope.profiles.defects import burrs, ridge_angle_error
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.profiles.period import Period
+from anisoscope.report.study_page import Chart, Curve, StudyPage, Table
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.relief import Relief
@@ -31,6 +35,7 @@ from anisoscope.study.sweep import Workers, sweep
 FITTED = 4  # mildest severities that give the order
 PITCH_UM = 100.0
 FINE_PIXEL_UM = PITCH_UM / 4000
+IDEAL = RidgeDesign(PITCH_UM, 10.0)
 _BOOTSTRAPS = 400
 
 
@@ -51,11 +56,18 @@ class Sampling:
     seeds: int
 
 
-QUALITIES = {
+Quality = Literal["quick", "normal", "fine"]
+QUALITIES: dict[Quality, Sampling] = {
     "quick": Sampling(4, 200.0, 1.0, 4),
     "normal": Sampling(4, 300.0, 1.0, 12),
     "fine": Sampling(8, 600.0, 0.5, 32),
 }
+
+
+def quality_text(sampling: Sampling, seed: int) -> str:
+    """Quality and seed of a study in words."""
+    name = next((name for name, one in QUALITIES.items() if one == sampling), f"{sampling.seeds} pieces")
+    return f"quality {name}, seed {seed}"
 
 
 @dataclass(frozen=True)
@@ -91,6 +103,30 @@ class Convergence:
     orders: dict[str, Order]
     sampling_bias: float
 
+    @property
+    @in_json()
+    def unit(self) -> str:
+        """Unit of the severity."""
+        return IMPERFECTIONS[self.defect].unit
+
+    def chart(self) -> Chart:
+        """Deviations over the severity, with slopes of order 1 and 2."""
+        lines = [Curve("total", self.severity, self.total)]
+        if "scatter" in self.orders:
+            lines += [Curve("bias", self.severity, self.bias), Curve("scatter", self.severity, self.scatter)]
+        for order in (1, 2):
+            guide: FloatArray = self.total[-1] * (self.severity / self.severity[-1]) ** order
+            lines.append(Curve(f"order {order}", self.severity, guide, dashed=True))
+        return Chart(self.defect, f"severity [{self.unit}]", "deviation / ideal [1]", tuple(lines), log=True)
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Deviation by severity, the largest first."""
+        columns = self.severity, self.total, self.bias, self.scatter, self.mean_contrast
+        return [
+            (self.defect, f"{size:.4g} {self.unit}", *map(_percent, shares), f"{mean:.4f}")
+            for size, *shares, mean in zip(*(column[::-1] for column in columns), strict=True)
+        ]
+
 
 @dataclass(frozen=True, eq=False)
 class ConvergenceStudy:
@@ -101,12 +137,60 @@ class ConvergenceStudy:
         material: the plastic, with the roughness that the maps do not resolve.
         sampling: of the maps with random defects.
         curves: one a defect.
+        seed: of the pieces of surface.
     """
 
     design: RidgeDesign
     material: Material
     sampling: Sampling
-    curves: tuple[Convergence, ...]
+    curves: tuple[Convergence, ...] = field(metadata=json_field("defects"))
+    seed: int = field(metadata=LEFT_OUT)
+
+    def page(self) -> StudyPage:
+        """Charts, tables and notes."""
+        orders = tuple(
+            (curve.defect, name, f"{order.slope:.2f}", f"{order.low:.2f} … {order.high:.2f}")
+            for curve in self.curves
+            for name, order in curve.orders.items()
+        )
+        rows = tuple(row for curve in self.curves for row in curve.rows())
+        plastic = self.material
+        return StudyPage(
+            "Convergence to the ideal prediction",
+            f"ridge angle {self.design.ridge_angle_deg:g}°, unresolved roughness "
+            f"{plastic.alpha_along:g}/{plastic.alpha_across:g}, albedo {plastic.albedo:g}; published poses; "
+            + quality_text(self.sampling, self.seed),
+            [curve.chart() for curve in self.curves],
+            [
+                Table(
+                    "Order of convergence", ("defect", "deviation", "order [1]", "95 % interval [1]"), orders
+                ),
+                Table(
+                    "Deviation by severity",
+                    ("defect", "severity", "total [%]", "bias [%]", "scatter [%]", "mean |C| / ideal [1]"),
+                    rows,
+                ),
+            ],
+            [
+                (
+                    "Deviation: rms of C − C(ideal) over the 10 signed differences, relative to the rms of C(ideal); "
+                    "both by the relief predictor on the same points, direct light."
+                ),
+                (
+                    "Bias is what all surfaces have in common, scatter what differs between pieces of "
+                    f"{self.sampling.ridges * PITCH_UM:g} × {self.sampling.length_um:g} µm; order: slope of the four "
+                    "mildest sizes in the logarithm, 95 % interval."
+                ),
+                (
+                    "Sampling itself, relief of the unspoiled surface against the corrected model: "
+                    f"{max(curve.sampling_bias for curve in self.curves):.3%}."
+                ),
+            ],
+        )
+
+
+def _percent(share: float) -> str:
+    return f"{share:.3%}" if isfinite(share) else "–"
 
 
 @dataclass(frozen=True)
@@ -225,38 +309,38 @@ def _contrasts(task: _Task) -> FloatArray:
 
 
 def convergence(
-    defects: Sequence[str],
-    design: RidgeDesign,
-    material: Material,
-    sampling: Sampling,
-    workers: Workers,
+    defects: Sequence[str] = (),
+    design: RidgeDesign | None = None,
+    material: Material | None = None,
+    sampling: Sampling | Quality = "normal",
+    workers: Workers | None = None,
     *,
     severities: int = 6,
     seed: int = 1,
-    advance: Advance = silent,
+    on_progress: Advance = silent,
 ) -> ConvergenceStudy:
     """Follow the deviation of every defect from its largest size down, each step half the one before.
 
     Args:
-        defects: which.
-        design: the ridges.
+        defects: which of ``IMPERFECTIONS``; all where none is named.
+        design: the ridges; 100 µm and 10° by default.
         material: the plastic.
         sampling: of the maps with random defects.
-        workers: processes or cluster.
+        workers: processes or cluster; one process by default.
         severities: how many sizes, at least 3.
         seed: of the pieces of surface.
-        advance: progress.
+        on_progress: called with the work being done, steps done and steps in all.
 
     Raises:
         UsageError: fewer than three sizes, or none of the defects known.
     """
     if severities < 3:
         raise UsageError(f"an order needs at least three severities, not {severities}")
+    defects, design, material = defects or tuple(IMPERFECTIONS), design or IDEAL, material or Material()
+    sampling = sampling if isinstance(sampling, Sampling) else QUALITIES[sampling]
     unknown = [defect for defect in defects if defect not in IMPERFECTIONS]
-    if unknown or not defects:
-        raise UsageError(
-            f"{unknown[0] if unknown else ''!r} is no defect; there are {', '.join(IMPERFECTIONS)}"
-        )
+    if unknown:
+        raise UsageError(f"{unknown[0]!r} is no defect; there are {', '.join(IMPERFECTIONS)}")
     if not design.ridge_angle_deg > 0.0:
         raise UsageError("a flat surface has no contrast to converge to: take a ridge angle above 0°")
     steps = 0.5 ** np.arange(severities)[::-1]
@@ -269,7 +353,8 @@ def convergence(
             for size in sizes
             for piece in range(finely.seeds if size else 1)
         ]
-    found = iter(sweep(_contrasts, tasks, workers, advance=advance, doing="spoiling and predicting"))
+    doing = "spoiling and predicting"
+    found = iter(sweep(_contrasts, tasks, workers or Workers(), advance=on_progress, doing=doing))
     to_light, to_camera = directions(pose_grid(STAGE_DEG, TILTS_DEG), Convention())
     exact = signed_contrasts(corrected.radiance(to_light, to_camera, design, material))
     curves = []
@@ -280,7 +365,7 @@ def convergence(
         severity: FloatArray = np.asarray(IMPERFECTIONS[defect].largest * steps, dtype=np.float64)
         table = np.reshape(rows, (severities, pieces, -1, ideal.size))
         curves.append(_curve(defect, severity, table, ideal, exact, seed))
-    return ConvergenceStudy(design, material, sampling, tuple(curves))
+    return ConvergenceStudy(design, material, sampling, tuple(curves), seed)
 
 
 def _curve(

@@ -213,6 +213,28 @@ class Scoring:
         return first, second
 
     @property
+    def unit(self) -> str:
+        """Unit of the contrast."""
+        return "1/sr" if self.contrast == "difference" else "1"
+
+    @property
+    def text(self) -> str:
+        """The objective in words."""
+        pairs = ", ".join(f"{a:g}° / {b:g}°" for a, b in self.pairs_deg)
+        tilts = ", ".join(f"{t:g}°" for t in self.tilts_deg)
+        text = f"{self.over} |{self.contrast}| [{self.unit}], pairs {pairs}, tilts {tilts}"
+        text += ", direct light" if self.bounces == 1 else f", {self.bounces} reflections"
+        if self.score == "snr":
+            text += ", over its standard deviation"
+        if self.tolerances is not None:
+            sizes = ", ".join(f"{name} {value:g}" for name, value in asdict(self.tolerances).items() if value)
+            rule = "" if self.score == "snr" else f", mean − {self.z:g} sd"
+            if self.quantile is not None:
+                rule = f", quantile {self.quantile:g}"
+            text += f"{rule}; sd: {sizes or 'none'}; {self.samples} parts"
+        return text
+
+    @property
     def nominal(self) -> "Scoring":
         """The same without tolerances; a signal-to-noise ratio without noise becomes the contrast."""
         return replace(

@@ -7,13 +7,15 @@ how precisely each parameter has to be met, other samples of the same tolerances
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
+from operator import attrgetter
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.study.box import LIMITS, Bounds, Box, check_bounds, scores_of_task, tabled, value_of
 from anisoscope.study.objective import Part, Scored, Scoring, score
@@ -62,7 +64,7 @@ class Landscape:
 
     names: tuple[str, ...]
     axes: tuple[FloatArray, ...]
-    scores: FloatArray
+    scores: FloatArray = field(metadata=json_field(by=np.ravel))
 
 
 def _scored(
@@ -176,10 +178,10 @@ class Optimum:
     """
 
     part: Part
-    scored: Scored
-    nominal: Scored
-    slices: tuple[Slice, ...]
-    landscape: Landscape
+    scored: Scored = field(metadata=json_field(merged=True))
+    nominal: Scored = field(metadata=json_field("nominal_contrast", by=attrgetter("mean")))
+    slices: tuple[Slice, ...] = field(metadata=json_field("parameters"))
+    landscape: Landscape = field(metadata=LEFT_OUT)
     hills: tuple[float, ...]
     evaluations: int
 

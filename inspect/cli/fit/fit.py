@@ -314,7 +314,7 @@ def experiment(
     Examples:
         anisoscope fit experiment measured.csv
     """
-    from anisoscope.experiment.measured_table import read_measured
+    from anisoscope.experiment.experiment import read_measured
     from anisoscope.fit.parameters import parse_free
     from anisoscope.fit.table import experiment_problem
     from anisoscope.parameters.geometry import Convention

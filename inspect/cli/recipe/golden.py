@@ -158,7 +158,7 @@ def certify(
     from anisoscope.kinds.parts import collecting
     from anisoscope.kinds.registry import kind_of
     from anisoscope.record.schema import sha256_of
-    from anisoscope.report.study_page import Table, write_study_page
+    from anisoscope.report.study_page import StudyPage, Table
 
     if not folders:
         raise UsageError("name the folders of finished inspections of good parts")
@@ -195,7 +195,7 @@ def certify(
         notes.append(f"stored in {certificate_path(recipe)}, for this recipe and these golden parts alone")
     if html is not None:
         table = Table("False alarms", ("", "value"), rows)
-        write_study_page(html, "Certificate of false alarms", str(recipe), [], [table], notes)
+        StudyPage("Certificate of false alarms", str(recipe), [], [table], notes).write(html)
     if json_:
         print_json(found)
     else:

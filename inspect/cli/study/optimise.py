@@ -1,208 +1,24 @@
 """``anisoscope optimise``: the ridge design with the most contrast, nominal or under tolerances."""
 
 import math
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, Json, RecipeOption, parse_numbers
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import print_lines, print_table
+from anisoscope.cli.tables import hand_out
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.report.study_page import Chart, Map, Table
-    from anisoscope.study.objective import Noise, Scoring, Tolerances
-    from anisoscope.study.optimum import Optimum
-
-
-LABELS = {
-    "ridge_angle": "ridge angle [°]",
-    "pitch": "pitch [µm]",
-    "alpha_along": "alpha along [1]",
-    "alpha_across": "alpha across [1]",
-}
-
-
-CONTRAST_UNITS = {"difference": "1/sr", "michelson": "1", "log_ratio": "1"}
-
-
-def scoring_text(scoring: "Scoring") -> str:
-    """Objective in words."""
-    pairs = ", ".join(f"{a:g}° / {b:g}°" for a, b in scoring.pairs_deg)
-    tilts = ", ".join(f"{t:g}°" for t in scoring.tilts_deg)
-    text = f"{scoring.over} |{scoring.contrast}| [{CONTRAST_UNITS[scoring.contrast]}], pairs {pairs}, tilts {tilts}"
-    text += ", direct light" if scoring.bounces == 1 else f", {scoring.bounces} reflections"
-    if scoring.score == "snr":
-        text += ", over its standard deviation"
-    if scoring.tolerances is not None:
-        sizes = ", ".join(f"{name} {value:g}" for name, value in asdict(scoring.tolerances).items() if value)
-        rule = "" if scoring.score == "snr" else f", mean − {scoring.z:g} sd"
-        if scoring.quantile is not None:
-            rule = f", quantile {scoring.quantile:g}"
-        text += f"{rule}; sd: {sizes or 'none'}; {scoring.samples} parts"
-    return text
-
-
-def _optimum_as_json(found: "Optimum") -> dict[str, Any]:
-    return {
-        "part": found.part,
-        "score": found.scored.score,
-        "mean": found.scored.mean,
-        "sd": found.scored.sd,
-        "nominal_contrast": found.nominal.mean,
-        "parameters": found.slices,
-        "hills": found.hills,
-        "evaluations": found.evaluations,
-    }
-
-
-def best_as_json(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> dict[str, Any]:
-    """The optimum as a table for JSON."""
-    shape = best.landscape
-    return {
-        "scoring": scoring,
-        "unit": CONTRAST_UNITS[scoring.contrast],
-        "optimum": _optimum_as_json(best),
-        "nominal_optimum": None if plain is None else _optimum_as_json(plain),
-        "landscape": {
-            "names": shape.names,
-            "axes": shape.axes,
-            "scores": shape.scores.ravel(),
-        },
-    }
-
-
-def tables(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> "list[Table]":
-    """The tables of terminal and page."""
-    from anisoscope.report.study_page import Table
-    from anisoscope.study.objective import score
-
-    unit = CONTRAST_UNITS[scoring.contrast]
-    rows = []
-    for one in best.slices:
-        remark = (
-            "flat: it hardly matters" if one.flat else f"at the {one.at_bound} bound" if one.at_bound else ""
-        )
-        spread = "–" if one.sampling_sd is None else f"{one.sampling_sd:.2g}"
-        value = getattr(best.part, one.name)
-        rows.append(
-            (LABELS[one.name], f"{value:.4g}", f"{one.kept[0]:.4g} … {one.kept[1]:.4g}", spread, remark)
-        )
-    columns = ("parameter", "optimum", "keeps 99 % of the score", "sd between samples", "remark")
-    tables = [Table("Optimum", columns, tuple(rows))]
-    parts = [("optimum", best.part, best.scored, best.nominal)]
-    if plain is not None:
-        under = score(plain.part, scoring)
-        parts = [("robust", *parts[0][1:]), ("nominal", plain.part, under, plain.nominal)]
-    names = [one.name for one in best.slices]
-    tables.append(
-        Table(
-            "What it gives",
-            (
-                "design",
-                *(LABELS[n] for n in names),
-                f"contrast, nominal [{unit}]",
-                f"mean [{unit}]",
-                f"sd [{unit}]",
-                "score",
-            ),
-            tuple(
-                (
-                    label,
-                    *(f"{getattr(part, n):.4g}" for n in names),
-                    f"{ideal.mean:.5g}",
-                    f"{scored.mean:.5g}",
-                    f"{scored.sd:.3g}",
-                    f"{scored.score:.5g}",
-                )
-                for label, part, scored, ideal in parts
-            ),
-        )
-    )
-    around = [
-        (LABELS[one.name], f"{value:.4g}", f"{at:.5g}" if math.isfinite(at) else "–")
-        for one in best.slices
-        for value, at in zip(one.values[::6], one.scores[::6], strict=True)
-    ]
-    tables.append(Table("Around the optimum", ("parameter, others held", "value", "score"), tuple(around)))
-    return tables
-
-
-def notes(best: "Optimum", scoring: "Scoring") -> list[str]:
-    """Notes on an optimum."""
-    light = {1: "direct light; reflections between facet and wall are left out", "all": "all reflections"}
-    found = [f"Model: corrected, {light.get(scoring.bounces, f'up to {scoring.bounces} reflections')}."]
-    if best.scored.score <= 0.0:
-        found.append(
-            "The score is not positive: the tolerances exceed the contrast everywhere within these bounds."
-        )
-    if len(best.hills) > 1:
-        heights = ", ".join(f"{value:.4g}" for value in best.hills)
-        found.append(f"Hills climbed: {len(best.hills)}; scores at their tops: {heights}.")
-    if any(one.name == "pitch" for one in best.slices):
-        found.append(
-            "The pitch enters through the edge radius alone: light knows angles only. Wall width, roughness and "
-            "camera pixels beside the pitch, and what the eye resolves, are not part of the score."
-        )
-    return found
-
-
-def print_best(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> None:
-    """Print the optimum."""
-    for table in tables(best, plain, scoring):
-        print_table(table.title, list(table.columns), [list(row) for row in table.rows])
-    print_lines(*(scoring_text(scoring), *notes(best, scoring)))
-
-
-def charts(best: "Optimum", scoring: "Scoring") -> "list[Chart | Map]":
-    """The pictures of the page."""
-    import numpy as np
-
-    from anisoscope.report.study_page import Chart, Curve, Map
-
-    shape = best.landscape
-    unit = "1" if scoring.score == "snr" else CONTRAST_UNITS[scoring.contrast]
-    charts: list[Chart | Map] = []
-    if len(shape.names) > 1:
-        rest = tuple(range(2, len(shape.names)))
-        filled = np.where(np.isfinite(shape.scores), shape.scores, np.nanmin(shape.scores))
-        x, y = shape.names[:2]
-        charts.append(
-            Map(
-                "Score" + (", best over the other parameters" if rest else ""),
-                LABELS[x],
-                LABELS[y],
-                f"score [{unit}]",
-                shape.axes[0],
-                shape.axes[1],
-                filled.max(axis=rest).T if rest else filled.T,
-                (getattr(best.part, x), getattr(best.part, y)),
-                x != "ridge_angle",
-                y != "ridge_angle",
-            )
-        )
-    for number, one in enumerate(best.slices):
-        values, scores = np.array(one.values), np.array(one.scores)
-        if len(shape.names) == 1:
-            values, scores = shape.axes[0], shape.scores
-        finite = np.isfinite(scores)
-        curve = Curve(f"{number}", values[finite], scores[finite])
-        title = f"Score by {one.name.replace('_', ' ')}" + (
-            "" if len(shape.names) == 1 else ", others at the optimum"
-        )
-        mark = getattr(best.part, one.name)
-        charts.append(Chart(title, LABELS[one.name], f"score [{unit}]", (curve,), mark_x=mark, points=False))
-    return charts
-
+    from anisoscope.study.objective import Noise, Tolerances
 
 TOLERANCES = "ridge_angle=0.3,alpha=0.1,height_loss=0.03,seating=0.3,stage=0.2"
 
@@ -288,7 +104,7 @@ def optimise(
     """
     from anisoscope.operations.optimising import optimise as search
     from anisoscope.operations.stated import stated
-    from anisoscope.report.study_page import check_picture, write_picture, write_study_page
+    from anisoscope.report.study_page import check_picture
     from anisoscope.study.objective import Scoring
     from anisoscope.study.sweep import Workers
 
@@ -321,23 +137,7 @@ def optimise(
             workers=Workers(jobs, scheduler),
             on_progress=advance,
         )
-    best, plain = found.optimum, found.nominal
-    if json_:
-        print_json(best_as_json(best, plain, scoring))
-    else:
-        print_best(best, plain, scoring)
-    drawn = charts(best, scoring)
-    if html is not None:
-        write_study_page(
-            html,
-            "Best ridge design",
-            scoring_text(scoring),
-            drawn,
-            tables(best, plain, scoring),
-            notes(best, scoring),
-        )
-    if plot is not None:
-        write_picture(plot, drawn)
+    hand_out(found, found.page(), json_=json_, html=html, plot=plot)
     return 0
 
 

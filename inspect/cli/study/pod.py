@@ -1,22 +1,16 @@
 """``anisoscope research pod``: how probably a defect is found, over its size."""
 
-from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
-from anisoscope.cli.tables import print_lines, print_table
-
-if TYPE_CHECKING:
-    from anisoscope.quality.detection_probability import DetectionCurve
-    from anisoscope.report.study_page import Table
+from anisoscope.cli.tables import hand_out
 
 Scaled = Literal["linear", "log"]
 
@@ -80,89 +74,39 @@ def pod_command(
         anisoscope research pod --recipe recipe.toml --defect height_loss --html pod.html
         anisoscope research pod --csv scratches.csv
     """
-    from anisoscope.quality.detection_probability import Trials, hit_miss, read_trials, signal_over_size
+    from anisoscope.operations.detecting import detection_of_masters, detection_of_parts
+    from anisoscope.study.sweep import Workers
 
     if (recipe is None) == (csv is None):
         raise UsageError("name the parts: --recipe FILE for simulated ones, or --csv FILE for master parts")
     if csv is not None:
-        sizes, signal, hit = read_trials(csv)
-        name, what = csv.stem, str(csv)
-        if signal is None:
-            assert hit is not None
-            found = hit_miss(Trials(sizes, hit), size_scale, link, confidence)
-        elif threshold is None:
-            raise UsageError(f"{csv}: signals need --threshold, from which on a defect counts as found")
-        else:
-            found = signal_over_size(
-                sizes, signal, threshold, (size_scale, signal_scale), noise=noise, saturation=saturation,
-                confidence=confidence,
-            )  # fmt: skip
-    else:
-        from anisoscope.rig.rigfile import read_rig
-        from anisoscope.study.lot import lot_of
-        from anisoscope.study.part_yield import detection_trials
-        from anisoscope.study.sweep import Workers
-
-        assert recipe is not None
-        angle = light_angle if rig is None else read_rig(rig).light.angle_deg
-        lot = lot_of(recipe, angle, parts=parts, rigs=2, golden=golden_parts)
-        with progress(defect, quiet=json_) as advance:
-            trials = detection_trials(lot, defect, largest, Workers(jobs, scheduler), seed, advance)
-        found = hit_miss(trials, size_scale, link, confidence)
-        reference = f"{golden_parts} golden parts" if golden_parts else "the prediction"
-        name, what = defect, f"{recipe.name}: simulated parts, each on a rig of its own, against {reference}"
-    if html is not None:
-        _write_page(html, name, what, found)
-    if json_:
-        print_json(found)
-        return 0
-    for table in _tables(found):
-        print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)
-    print_lines(*(what, f"{name}: {found.verdict}"))
-    return 0
-
-
-def _write_page(path: Path, defect: str, source: str, found: "DetectionCurve") -> None:
-    from anisoscope.report.study_page import Chart, Curve, write_study_page
-
-    curve = Curve("probability of detection", found.grid, found.probability, found.low, found.high)
-    chart = Chart(
-        found.verdict, f"size of {defect}", "probability of detection [1]", (curve,),
-        mark_x=found.sizes[1].size, points=False,
-    )  # fmt: skip
-    note = f"Band and limits: profile likelihood ratio, {found.confidence:.0%}; the line marks a90."
-    tables = _tables(found)
-    write_study_page(
-        path, f"Probability of detection: {defect}", source, [chart], tables, [found.verdict, note]
-    )
-
-
-def _tables(found: "DetectionCurve") -> "list[Table]":
-    from anisoscope.report.study_page import Table
-
-    level = f"{found.confidence:.0%}"
-
-    def text(value: float) -> str:
-        return f"{value:.4g}" if isfinite(value) else "none"
-
-    rows = tuple(
-        (
-            f"a{100 * one.probability:.0f}",
-            *(text(value) for value in (one.size, one.low, one.high, one.bound)),
+        found = detection_of_masters(
+            csv,
+            threshold=threshold,
+            noise=noise,
+            saturation=saturation,
+            size_scale=size_scale,
+            signal_scale=signal_scale,
+            link=link,
+            confidence=confidence,
         )
-        for one in found.sizes
-    )
-    note = f"{found.method}: {found.found} of {found.count} defects found"
-    if found.false_calls is not None:
-        hits, of, low, high = found.false_calls
-        note += f"; false calls: {hits} of {of} parts without one ({low:.1%} to {high:.1%})"
-    columns = ("size found", "estimate", f"{level} from", "to", f"upper {level} limit")
-    fit = tuple((name, f"{value:.6g}") for name, value in found.parameters.items())
-    return [
-        Table("Sizes", columns, rows, note),
-        Table(
-            f"Fit over the {'logarithm of the ' if found.size_scale == 'log' else ''}size",
-            ("parameter", "value"),
-            fit,
-        ),
-    ]
+    else:
+        assert recipe is not None
+        with progress(defect, quiet=json_) as advance:
+            found = detection_of_parts(
+                recipe,
+                defect,
+                parts=parts,
+                largest=largest,
+                golden_parts=golden_parts,
+                rig=rig,
+                light_angle_deg=light_angle,
+                size_scale=size_scale,
+                link=link,
+                confidence=confidence,
+                seed=seed,
+                workers=Workers(jobs, scheduler),
+                on_progress=advance,
+            )
+    hand_out(found, found.page(), json_=json_, html=html)
+    return 0

@@ -16,9 +16,7 @@ from anisoscope.sim.light import printed
 from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.picture import Plate, checkerboard, plate_picture, view_of
 from anisoscope.study.best_angle import best_angle
-from anisoscope.study.convergence import QUALITIES
 from anisoscope.study.papers.rows import Paper, Row, picture
-from anisoscope.study.sweep import Workers
 
 NOTHING = "A drawing: there is nothing to compare."
 
@@ -123,8 +121,7 @@ def _yes(value: bool) -> str:
 
 def fig_8_measured() -> Row:
     """Measured contrasts and the conjecture on surface quality."""
-    (study,) = best_angle(("roughness",), Material(), QUALITIES["quick"], Workers(), step_deg=1.0)
-    turn = study.turns_at
+    turn = best_angle(("roughness",), step_deg=1.0).imperfections[0].turns_at
     return Row(
         "Fig. 8, measured, and section 5", "the measured contrasts have their maximum at 10°, not at 5°",
         "measured best 10°; conjecture: an effect of the surface",

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.report.study_page import Chart, Curve, Table, write_study_page
+from anisoscope.report.study_page import Chart, Curve, StudyPage, Table
 from detection_study.text import COVERED, RULES
 
 Results = dict[str, Any]
@@ -31,7 +31,7 @@ def write_detection_page(path: Path, found: Results) -> None:
     )
     charts = [_power(where, results) for where, results in _cases(found)]
     title = "How often good parts fail and bad ones pass"
-    write_study_page(path, title, subtitle, charts, tables_of(found), found["notes"])
+    StudyPage(title, subtitle, charts, tables_of(found), found["notes"]).write(path)
 
 
 def _cases(found: Results) -> list[tuple[str, Results]]:

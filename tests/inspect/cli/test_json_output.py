@@ -87,6 +87,21 @@ def test_what_differs_from_the_fields_is_declared_there():
     assert as_json(Derived(*values)) == shown | {"says": "of the class"}
 
 
+@dataclass(frozen=True)
+class Partial:
+    limit: float | None = field(default=None, metadata=json_field("most", only_given=True))
+
+    @property
+    @in_json(only_given=True)
+    def sheet(self):
+        return () if self.limit is None else (self.limit,)
+
+
+def test_keys_of_what_may_be_absent():
+    assert as_json(Partial()) == {}
+    assert as_json(Partial(0.0)) == {"most": 0.0, "sheet": [0.0]}
+
+
 def keys(value, at=""):
     """All keys of a JSON document, with those of what they hold; items of a list count as one."""
     if isinstance(value, dict):

@@ -12,10 +12,10 @@ from anisoscope.experiment.experiment import (
     absolute_contrasts,
     combinations,
     findings,
+    read_measured,
     run_experiment,
 )
 from anisoscope.experiment.findings_map import findings_share
-from anisoscope.experiment.measured_table import read_measured
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
@@ -108,7 +108,7 @@ def test_the_findings_need_smooth_ridges_along_their_length():
     found = findings_share(Setup(), GRID, GRID)
     assert 0.3 < found.share < 0.6
     assert found.falling_too.mean() < found.share
-    (low, high), _ = found.extent
+    low, high = found.extent["alpha_along"]
     assert low == GRID[0]
     assert found.all_three[GRID < 0.06].all()
     assert not found.all_three[high < GRID].any()

@@ -2,11 +2,16 @@
 
 import math
 import shutil
+from itertools import product
+from pathlib import Path
 
 import pytest
 
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.history.adding import add_folders
 from anisoscope.history.comparing import MAX_CHANGES, Change, compare
+from anisoscope.inspection.run import Inspected
+from anisoscope.record.schema import read_record
 
 
 @pytest.fixture
@@ -63,6 +68,37 @@ def test_what_changed_in_recipe_rig_calibration_and_software(pair):
     assert "rig: name" not in changes
     assert found.notes == ()
     assert compare(pair[0], pair[0]).changes == ()
+
+
+def test_records_inspections_folders_and_rows_compare_alike(pair, tmp_path):
+    """In any mixture; an inspection that just ended is what has a record and a folder."""
+    changes = compare(*pair).changes
+    assert len(changes) > 3
+    folders = [Path(row.folder) for row in pair]
+    records = [read_record(folder) for folder in folders]
+    ended = [
+        Inspected(record, folder, folder / "report.html")
+        for record, folder in zip(records, folders, strict=True)
+    ]
+    forms = [[str(folder) for folder in folders], folders, records, ended, pair]
+    for form, other in product(forms, forms):
+        found = compare(form[0], other[1])
+        assert found.changes == changes
+        assert found.notes == ()
+        assert (found.first.serial, found.second.software) == ("A1", "anisoscope 0.2.0")
+    numbers = [one.label for one in compare(*pair).numbers]
+    assert [one.label for one in compare(*records).numbers] == numbers
+
+
+@pytest.mark.parametrize("other", [3, None, {"record": 1}])
+def test_what_is_no_inspection_is_refused(pair, other):
+    with pytest.raises(UsageError, match="compare takes two inspections, each a row of a history, a record"):
+        compare(pair[0], other)
+
+
+def test_a_folder_without_a_record_is_refused(pair, tmp_path):
+    with pytest.raises(RecordError, match="cannot read"):
+        compare(pair[0], tmp_path)
 
 
 def test_without_the_folders_the_history_alone_is_compared(pair, tmp_path):

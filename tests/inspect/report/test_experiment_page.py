@@ -44,7 +44,7 @@ def maps():
 def pages(experiments, maps, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     for name, result in experiments.items():
-        write_experiment_page(result, "1/sr", folder / f"{name}.html")
+        write_experiment_page(result, folder / f"{name}.html")
     write_findings_page(maps, folder / "findings.html")
     return folder
 
@@ -147,7 +147,7 @@ def test_bars_stand_where_their_values_are():
 
 def test_a_folder_that_is_not_there_is_one_error(experiments, tmp_path):
     with pytest.raises(RecordError, match="cannot write"):
-        write_experiment_page(experiments["plain"], "1/sr", tmp_path / "nowhere" / "page.html")
+        write_experiment_page(experiments["plain"], tmp_path / "nowhere" / "page.html")
 
 
 @pytest.mark.browser

@@ -16,7 +16,7 @@ SMALL = Sampling(2, 40.0, 1.0, 2)
 
 
 def study(*names, material=None):
-    return best_angle(names, material or Material(), SMALL, Workers(), step_deg=1.0)
+    return best_angle(names, material or Material(), SMALL, Workers(), step_deg=1.0).imperfections
 
 
 def test_published_angles_are_those_of_the_experiment():
