@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
     from anisoscope.base.errors import AnisoscopeError, UsageError
     from anisoscope.base.progress import Advance
+    from anisoscope.calibration.corrections import list_calibrations
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.calibration.linearity import calibrate_linearity, calibrate_response
+    from anisoscope.calibration.pictures import calibrate_dark, calibrate_flat, calibrate_stray
+    from anisoscope.calibration.rotation import calibrate_rotation
     from anisoscope.commissioning.commissioning import Commissioned
     from anisoscope.fit.fitting import Fit
     from anisoscope.history.adding import Added
@@ -25,10 +30,14 @@ if TYPE_CHECKING:
     from anisoscope.history.filters import Filters
     from anisoscope.history.store import History, open_history
     from anisoscope.ink.appearance import show_inks
+    from anisoscope.inspection.archive import parse_rule as retention_rule
+    from anisoscope.inspection.archive_store import open_store as open_archive
     from anisoscope.inspection.integrity import Verified
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.run import Inspected
     from anisoscope.live_view.autofocus import Autofocus
+    from anisoscope.operations.archiving import archived_inspections, pull, push, retain
+    from anisoscope.operations.archiving import hold as hold_archived
     from anisoscope.operations.design.etched import (
         dot_pattern,
         etch_depths,
@@ -40,8 +49,35 @@ if TYPE_CHECKING:
     from anisoscope.operations.design.pictures import etched_hologram, etched_picture
     from anisoscope.operations.design.plates import design_code, design_plate
     from anisoscope.operations.optimising import optimise
+    from anisoscope.operations.past import (
+        add_cycles,
+        bundle,
+        export_aqdef,
+        export_history,
+        read_cycles,
+        verify_history,
+        whatif,
+    )
     from anisoscope.operations.remembering import lot_mates, remember
     from anisoscope.operations.render import render_frame, render_plate
+    from anisoscope.operations.series import batch, watch
+    from anisoscope.operations.statistics import (
+        control_charts,
+        msa_bias,
+        msa_gauge,
+        msa_linearity,
+        msa_process,
+        msa_stability,
+        msa_type1,
+    )
+    from anisoscope.operations.teaching import (
+        add_golden,
+        certify_golden,
+        check_recipe,
+        remove_golden,
+        suggest_poses,
+        teach,
+    )
     from anisoscope.parameters.fabrication import Fabrication
     from anisoscope.parameters.geometry import Convention, Pose
     from anisoscope.parameters.inputs import InputUncertainty
@@ -59,9 +95,13 @@ if TYPE_CHECKING:
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
     from anisoscope.profiles.metrology.ridges import measure_ridges
     from anisoscope.profiles.textures.texture import texture
+    from anisoscope.quality.attribute import attribute_study as msa_attribute
+    from anisoscope.quality.attribute import read_decisions
     from anisoscope.quality.capability import Specification
     from anisoscope.quality.control import ControlStudy
+    from anisoscope.quality.control import Settings as ChartSettings
     from anisoscope.quality.drift import drift_study
+    from anisoscope.quality.readings import Readings, history_readings, read_readings
     from anisoscope.recipe.base import RecipeBase
     from anisoscope.record.schema import Record
     from anisoscope.rig.acquisition.nexus import write_nexus
@@ -85,6 +125,7 @@ if TYPE_CHECKING:
     from anisoscope.study.objective import Noise, Scoring, Tolerances
     from anisoscope.study.part_yield import PartYield
     from anisoscope.study.sweep import Workers
+    from anisoscope.study.whatif import Costs
 
     __version__: str
     from anisoscope.experiment.experiment import Setup as ExperimentSetup
@@ -115,6 +156,50 @@ _HOME = {
     "render_plate": "anisoscope.operations.render",
     "render_frame": "anisoscope.operations.render",
     "Microscope": "anisoscope.parameters.microscope",
+    "list_calibrations": "anisoscope.calibration.corrections",
+    "calibrate_rotation": "anisoscope.calibration.rotation",
+    "calibrate_response": "anisoscope.calibration.linearity",
+    "calibrate_linearity": "anisoscope.calibration.linearity",
+    "calibrate_stray": "anisoscope.calibration.pictures",
+    "calibrate_dark": "anisoscope.calibration.pictures",
+    "calibrate_flat": "anisoscope.calibration.pictures",
+    "Taking": "anisoscope.calibration.frames",
+    "watch": "anisoscope.operations.series",
+    "batch": "anisoscope.operations.series",
+    "retention_rule": "anisoscope.inspection.archive:parse_rule",
+    "hold_archived": "anisoscope.operations.archiving:hold",
+    "archived_inspections": "anisoscope.operations.archiving",
+    "retain": "anisoscope.operations.archiving",
+    "pull": "anisoscope.operations.archiving",
+    "push": "anisoscope.operations.archiving",
+    "open_archive": "anisoscope.inspection.archive_store:open_store",
+    "Costs": "anisoscope.study.whatif",
+    "whatif": "anisoscope.operations.past",
+    "bundle": "anisoscope.operations.past",
+    "export_aqdef": "anisoscope.operations.past",
+    "export_history": "anisoscope.operations.past",
+    "verify_history": "anisoscope.operations.past",
+    "add_cycles": "anisoscope.operations.past",
+    "read_cycles": "anisoscope.operations.past",
+    "certify_golden": "anisoscope.operations.teaching",
+    "remove_golden": "anisoscope.operations.teaching",
+    "add_golden": "anisoscope.operations.teaching",
+    "suggest_poses": "anisoscope.operations.teaching",
+    "teach": "anisoscope.operations.teaching",
+    "check_recipe": "anisoscope.operations.teaching",
+    "read_decisions": "anisoscope.quality.attribute",
+    "msa_attribute": "anisoscope.quality.attribute:attribute_study",
+    "ChartSettings": "anisoscope.quality.control:Settings",
+    "control_charts": "anisoscope.operations.statistics",
+    "msa_process": "anisoscope.operations.statistics",
+    "msa_type1": "anisoscope.operations.statistics",
+    "msa_stability": "anisoscope.operations.statistics",
+    "msa_linearity": "anisoscope.operations.statistics",
+    "msa_bias": "anisoscope.operations.statistics",
+    "msa_gauge": "anisoscope.operations.statistics",
+    "history_readings": "anisoscope.quality.readings",
+    "read_readings": "anisoscope.quality.readings",
+    "Readings": "anisoscope.quality.readings",
     "AnisoscopeError": "anisoscope.base.errors",
     "UsageError": "anisoscope.base.errors",
     "Fit": "anisoscope.fit.fitting",
@@ -189,8 +274,10 @@ __all__ = [
     "AnisoscopeError",
     "AntiMirror",
     "Autofocus",
+    "ChartSettings",
     "ControlStudy",
     "Convention",
+    "Costs",
     "ExperimentSetup",
     "Fabrication",
     "Filters",
@@ -210,22 +297,38 @@ __all__ = [
     "Optics",
     "Pose",
     "Predicted",
+    "Readings",
     "Record",
     "RidgeDesign",
     "RidgeMeasurement",
     "Scoring",
     "Specification",
     "StudyPage",
+    "Taking",
     "Tolerances",
     "UsageError",
     "Workers",
+    "add_cycles",
+    "add_golden",
     "add_to_history",
+    "archived_inspections",
+    "batch",
     "best_angle",
+    "bundle",
+    "calibrate_dark",
+    "calibrate_flat",
+    "calibrate_linearity",
+    "calibrate_response",
+    "calibrate_rotation",
+    "calibrate_stray",
+    "certify_golden",
+    "check_recipe",
     "commission",
     "compare",
     "compare_maps",
     "contrasts",
     "control_chart",
+    "control_charts",
     "convergence",
     "design_code",
     "design_lobe",
@@ -242,20 +345,33 @@ __all__ = [
     "etched_lobe",
     "etched_picture",
     "experiment",
+    "export_aqdef",
+    "export_history",
     "find_illuminant",
     "find_ink",
     "find_ports",
     "findings_map",
     "fit_ridges",
+    "history_readings",
+    "hold_archived",
     "ideal_ridges",
     "ink_brdf",
     "ink_picture",
     "inspect",
     "line_parameters",
+    "list_calibrations",
     "lot_mates",
     "measure_ridges",
     "mirror_design",
     "mould",
+    "msa_attribute",
+    "msa_bias",
+    "msa_gauge",
+    "msa_linearity",
+    "msa_process",
+    "msa_stability",
+    "msa_type1",
+    "open_archive",
     "open_camera",
     "open_history",
     "open_light",
@@ -263,8 +379,13 @@ __all__ = [
     "open_stage",
     "optimise",
     "predict",
+    "pull",
+    "push",
+    "read_cycles",
+    "read_decisions",
     "read_height_map",
     "read_measured_contrasts",
+    "read_readings",
     "read_recipe",
     "read_record",
     "read_rig",
@@ -272,15 +393,23 @@ __all__ = [
     "recompute",
     "refine_dot",
     "remember",
+    "remove_golden",
     "render_frame",
     "render_plate",
     "resume",
+    "retain",
+    "retention_rule",
     "show_inks",
     "sphere",
     "spoil",
     "srgb",
+    "suggest_poses",
+    "teach",
     "texture",
     "verify",
+    "verify_history",
+    "watch",
+    "whatif",
     "write_experiment_page",
     "write_findings_page",
     "write_height_map",

@@ -54,9 +54,9 @@ def print_output(output: "CommandOutput", *, json_: bool) -> None:
     print_lines(*output.lines)
 
 
-def print_lines(*lines: str) -> None:
+def print_lines(*lines: str, stderr: bool = False) -> None:
     """Print lines as they are: neither markup nor wrapping changes them."""
-    out = console()
+    out = console(stderr=stderr)
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
 

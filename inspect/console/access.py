@@ -9,18 +9,20 @@ import math
 import secrets
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
+from pathlib import Path
 from typing import Literal
 
 from fastapi import HTTPException, Request
 
 from anisoscope.base.clock import SYSTEM, Clock
+from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.console.accounts import ROLES, Account, Accounts, Role
 from anisoscope.console.openid import Begun, OpenId, Person
-from anisoscope.console.trail import Trail
+from anisoscope.console.trail import Trail, trail_of
 
 Permission = Literal["look", "stop", "operate", "set up", "review", "audit", "administer"]
 
@@ -224,3 +226,44 @@ class Needs:
                 raise HTTPException(403, "the token of the page is missing or old: load the page again")
         request.state.session = session
         return session
+
+
+def log_in_of(users: Path) -> Callable[[str, str, str], bool]:
+    """Log in by the accounts of the console: with its tries and audit trail, for those who may operate there.
+
+    Args:
+        users: file of users.
+
+    Returns:
+        A function of name, password and address: whether this person may operate.
+
+    Raises:
+        UsageError: the file has no accounts.
+        ConfigError: it cannot be read.
+    """
+    access = Access(accounts_in(users), trail_of(users.resolve()))
+
+    def log_in(name: str, password: str, address: str) -> bool:
+        try:
+            session = access.log_in(name, password, address)
+        except HTTPException:  # too many tries
+            return False
+        if session is None:
+            return False
+        access.end(session)
+        return session.may("operate")
+
+    return log_in
+
+
+def accounts_in(users: Path) -> Accounts:
+    """Accounts of a file of users.
+
+    Raises:
+        UsageError: the file has no accounts.
+        ConfigError: it cannot be read.
+    """
+    accounts = Accounts(users)
+    if not accounts.read():
+        raise UsageError(f"--users {users}: has no accounts; `anisoscope user add` makes the first")
+    return accounts

@@ -431,7 +431,7 @@ def judge_gauge(
     from datetime import UTC  # noqa: PLC0415
 
     from anisoscope.history.rows import row_of  # noqa: PLC0415
-    from anisoscope.quality.gauge import POOR_SHARE, gauge_data, gauge_study  # noqa: PLC0415
+    from anisoscope.quality.gauge import gauge_data, gauge_study  # noqa: PLC0415
     from anisoscope.quality.readings import Readings  # noqa: PLC0415
     from anisoscope.record.schema import read_record  # noqa: PLC0415
     from anisoscope.report.msa_page import components  # noqa: PLC0415
@@ -444,9 +444,8 @@ def judge_gauge(
     numbers = {name: np.array([one.get(name, np.nan) for one in found]) for name in names}
     texts = {"part": tuple(run[0] for run in runs), "appraiser": tuple(run[1] for run in runs)}
     study = gauge_study(gauge_data(Readings("the study", texts, numbers, UTC), number), tolerance)
-    shares = (study.share_of_study(study.gauge), study.share_of_tolerance(study.gauge) or 0.0)
     table = components(study)
-    return Outcome(max(shares) <= POOR_SHARE, [table.columns, *table.rows], study.notes)
+    return Outcome(study.usable, [table.columns, *table.rows], study.notes)
 
 
 def scan_material(place: Workplace, advance: Advance, *, recipe: Path, name: str, who: str) -> Outcome:

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.base.json_fields import in_json
+from anisoscope.base.json_fields import in_json, json_field
+from anisoscope.history.export import with_dispositions
 from anisoscope.history.rows import Row, row_of, seal_of
 from anisoscope.record.schema import Record, read_record
 
@@ -57,8 +58,8 @@ class Comparison:
     The row of an inspection that was not taken from a history has the number 0.
     """
 
-    first: Row
-    second: Row
+    first: Row = field(metadata=json_field(by=with_dispositions))
+    second: Row = field(metadata=json_field(by=with_dispositions))
     contrasts: tuple[Compared, ...]
     numbers: tuple[Compared, ...]
     changes: tuple[Change, ...]

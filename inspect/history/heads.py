@@ -6,7 +6,7 @@ those of RFC 3161; they are read and checked by the package rfc3161-client, an e
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +17,7 @@ from urllib.request import Request, urlopen
 from sqlalchemy import Connection, func, insert, select
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.base.signature import Signed, Signer, Trust, read_signed, signed
 from anisoscope.history import schema
 from anisoscope.history.chain import INSPECTION_FIELDS, START, text_of
@@ -49,7 +50,7 @@ class HeadsVerified:
     unsigned: int
     signed_by: str | None
     stamped_at: datetime | None
-    problems: tuple[str, ...]
+    problems: tuple[str, ...] = field(metadata=LEFT_OUT)
 
 
 def sign_head(history: History, signer: Signer, *, always: bool = False, now: datetime | None = None) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.json_fields import in_json
 from anisoscope.base.signature import Trust
 from anisoscope.inspection.folder import JOB, files_in
 from anisoscope.inspection.kept_measurement import KEPT_NAME
@@ -50,6 +51,7 @@ class Verified:
     distrust: tuple[str, ...] = ()
 
     @property
+    @in_json()
     def intact(self) -> bool:
         """Whether everything is as it was, and signed by whom it should be."""
         return not (self.changed or self.missing or self.additional or self.distrust)

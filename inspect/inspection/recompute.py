@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from anisoscope.base.errors import AnisoscopeError, RecordError
+from anisoscope.base.json_fields import in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.inspection.folder import JOB
 from anisoscope.inspection.frames import read_frames
@@ -37,10 +38,16 @@ class Recomputed:
     """
 
     folder: Path
-    recorded: Record
-    verdict: str
+    recorded: Record = field(metadata=json_field(by=lambda record: record.verdict))
+    verdict: str = field(metadata=json_field("recomputed"))
     differences: tuple[str, ...]
     notes: tuple[str, ...] = ()
+
+    @property
+    @in_json()
+    def same(self) -> bool:
+        """Verdict and numbers are as recorded."""
+        return not self.differences
 
 
 def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:

@@ -20,11 +20,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.json_file import JsonLines
 from anisoscope.history.rows import numbers_of
+from anisoscope.history.signs import Beacon, Doing
 from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path, recipe_paths
 from anisoscope.inspection.reports import Wanted, gets_report
-from anisoscope.inspection.work import LINE, Task, Worker, Workplace
+from anisoscope.inspection.work import LINE, Task, Worker, WorkerProcess, Workplace, held_rig
+from anisoscope.operations.findings import explained
+from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record
 from anisoscope.report.inspection_page import REPORT_NAME
 
@@ -511,3 +514,35 @@ def result_of(job: Job, record: Record | None, reports: Wanted = "all") -> dict[
             "report": report.as_uri() if gets_report(reports, record.verdict) or report.exists() else None,
         },
     }
+
+
+@contextlib.contextmanager
+def jobs_at(
+    rig: Path, recipes: Path, out: Path, history: str | None, station: str | None, reports: Wanted
+) -> Iterator[Jobs]:
+    """The jobs of a rig, which this process holds; not entered.
+
+    Raises:
+        UsageError: there is no folder of recipes, or the rig is set by hand.
+        RigFileError, RigError: the rig cannot be read or opened.
+    """
+    if not recipes.is_dir():
+        raise UsageError(f"--recipes {recipes}: there is no such folder")
+    place = history_place(history, out)
+    rig, out = rig.resolve(), out.resolve()
+    with contextlib.ExitStack() as stack:
+        own = stack.enter_context(held_rig(rig))
+        workplace = Workplace(rig, out, place, remember, lot_mates, explained, reports=reports)
+        worker = WorkerProcess(workplace)
+        stack.callback(worker.close)
+        jobs = Jobs(workplace, recipes.resolve(), worker, own.stop, station)
+        beacon = stack.enter_context(Beacon(place, station, unsigned))
+        jobs.listen(lambda kind, job, _: beacon.show(*_sign(kind, job)))
+        yield jobs
+
+
+def _sign(kind: Kind, job: Job) -> tuple[Doing, str]:
+    """What a station does after something happened to a job."""
+    if kind in {"accepted", "progress"}:
+        return "running", job.order.serial
+    return ("fault", job.problem or "") if kind == "failed" else ("idle", "")

@@ -10,6 +10,7 @@ import contextlib
 import logging
 import math
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,6 +21,7 @@ from asyncua.ua.uaerrors import UaError
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.history.covariates import CycleData
+from anisoscope.history.store import History
 from anisoscope.line.opcua_security import Security
 from anisoscope.line.opcua_types import subtypes
 
@@ -210,3 +212,43 @@ class PressReader:
         if text not in self._said:
             self._said.add(text)
             self._say(text)
+
+
+def follow_press(
+    address: str,
+    opening: Callable[[], History],
+    say: Callable[[str], None],
+    fields: Sequence[str] = (),
+    machine: str = "",
+    cycles: int | None = None,
+    security: Security | None = None,
+) -> None:
+    """Add the cycles of a machine to a history as they come.
+
+    Args:
+        address: ``opc.tcp://host:port/…``.
+        opening: opens the history, for every cycle.
+        say: takes a line for the operator.
+        fields: browse names of the fields to take; none: all that are real numbers.
+        machine: put before the names of the numbers.
+        cycles: end after so many; None: never.
+        security: the own certificate, and the machines that are trusted; None: without encryption.
+
+    Raises:
+        UsageError: the address is not that of a machine with these fields.
+        HistoryError: the history cannot be written.
+    """
+
+    def take(news: Sequence[CycleData]) -> None:
+        named = [
+            replace(one, numbers={f"{machine} {name}".strip(): value for name, value in one.numbers.items()})
+            for one in news
+        ]
+        with opening() as history:
+            added = history.add_covariates(named)
+        say(f"{added} added, {len(news) - added} there already")
+
+    reader = PressReader(address, take, say, fields, security=security)
+    with opening() as history:  # one that cannot be written is said before a cycle is waited for
+        say(f"cycles go to {history.address}")
+    asyncio.run(reader.run(cycles))

@@ -1,6 +1,9 @@
 """Verdict and findings of a record in the operator's words, for terminals, pages and controllers."""
 
+from typing import Any
+
 from anisoscope.base.language import message, translated
+from anisoscope.inspection.run import Inspected
 from anisoscope.kinds.parts import reporting
 from anisoscope.kinds.registry import kind_named
 from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
@@ -27,3 +30,32 @@ def explained(record: Record) -> list[str]:
 
 def _cause_line(cause: CauseRecord) -> str:
     return f"  {cause_text(cause)}, {message('weight')} {weight_text(cause.weight)}"
+
+
+def content_of(inspected: Inspected, notes: tuple[str, ...] = ()) -> dict[str, Any]:
+    """A finished inspection as the keys of its JSON.
+
+    Args:
+        inspected: the inspection.
+        notes: on its report, besides its own.
+    """
+    record, diagnosis = inspected.record, inspected.record.diagnosis
+    same = ("kind", "verdict", "d2", "dof", "p_value", "conformance_probability")
+    common = {name: getattr(record, name) for name in same} | {
+        "finding": None if record.conclusion is None else record.conclusion.finding,
+        "action": None if record.conclusion is None else record.conclusion.action,
+        "reasons": list(record.reasons),
+        "budget": [row.model_dump() for row in record.budget],
+        "diagnosis": [] if diagnosis is None else [cause.model_dump() for cause in diagnosis.causes],
+    }
+    common |= {name: getattr(diagnosis, name, None) for name in ("says", "tells", "unexplained_p")}
+    last = {
+        "rounds": record.rounds,
+        "dropped_markers": [list(pose.dropped) for pose in record.poses],
+        "calibrations": [one.model_dump() for one in record.calibrations],
+        "folder": str(inspected.folder),
+        "report": str(inspected.report),
+        "notes": [*inspected.notes, *notes],
+    }
+    own = reporting(kind_named(record.kind)).summary(record).content
+    return common | own | common | last  # a kind adds keys, and overwrites none

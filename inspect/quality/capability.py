@@ -5,6 +5,7 @@ and Ppk the approximation of A. F. Bissell, Applied Statistics 39 (1990) 331. Bo
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -180,7 +181,7 @@ def recipe_tolerances(recipe: SurfaceRecipe) -> dict[str, float]:
 
 
 def specification(
-    readings: Readings, number: str, tolerances: dict[str, float] | None = None
+    readings: Readings, number: str, tolerances: Mapping[str, float] | None = None
 ) -> Specification | None:
     """Specification limits of a number from a recipe or from the readings' own tolerances.
 

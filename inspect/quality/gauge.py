@@ -359,6 +359,11 @@ class GaugeStudy:
         ) / self.tolerance
 
     @property
+    def usable(self) -> bool:
+        """Measuring makes up 30 % of the study variation, and of the tolerance, at most."""
+        return max(self.share_of_study(self.gauge), self.share_of_tolerance(self.gauge) or 0.0) <= POOR_SHARE
+
+    @property
     @in_json()
     def verdict(self) -> str:
         """The outcome in plain words, by the rules of the AIAG manual."""

@@ -156,7 +156,7 @@ class Readings:
         return {name: known[name] for name in names}
 
 
-def read_readings(path: Path) -> Readings:
+def read_readings(path: Path | str) -> Readings:
     """Read a CSV file: a header, then one reading a line, in the order in which they were measured; or an AQDEF file.
 
     Columns are separated by commas, or by semicolons, and numbers then have a decimal comma.
@@ -167,6 +167,7 @@ def read_readings(path: Path) -> Readings:
     Raises:
         UsageError: the file cannot be read, or a line of it cannot be used; line and column are named.
     """
+    path = Path(path)
     if path.suffix.lower() in SUFFIXES:
         found = read_aqdef(path)
         if not next((len(column) for column in found.numbers.values()), 0):

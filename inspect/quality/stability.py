@@ -16,6 +16,11 @@ class Stability:
     bias: Bias | None
 
     @property
+    def acceptable(self) -> bool:
+        """The chart is stable, and no bias is significant."""
+        return self.chart.stable and (self.bias is None or not self.bias.significant)
+
+    @property
     @in_json()
     def verdict(self) -> str:
         """The outcome in plain words."""

@@ -63,8 +63,7 @@ def serve(
             run_server,
             server_of,
         )
-    from anisoscope.console.access import Access
-    from anisoscope.console.accounts import Accounts
+    from anisoscope.console.access import Access, accounts_in
     from anisoscope.console.fleet import fleet_router
     from anisoscope.console.live import Eyes
     from anisoscope.console.routes import station_router
@@ -79,9 +78,7 @@ def serve(
     check_exposure(host, users=users is not None, tls=tls is not None)
     if not recipes.is_dir():
         raise UsageError(f"--recipes {recipes}: there is no such folder")
-    accounts = None if users is None else Accounts(users)
-    if accounts is not None and not accounts.read():
-        raise UsageError(f"--users {users}: has no accounts; `anisoscope user add` makes the first")
+    accounts = None if users is None else accounts_in(users)
     provider = _provider(openid, users)
     place = history_place(history, out)
     rig, out = rig.resolve(), out.resolve()

@@ -1,23 +1,20 @@
 """``anisoscope archive``: finished inspections on a share or in an object store."""
 
-import getpass
 import threading
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.cli.history.history import write_line
+from anisoscope.cli.history.history import plain, write_line
 from anisoscope.cli.history.options import DEFAULT_OUT
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import answer, print_table
 
 if TYPE_CHECKING:
-    from anisoscope.inspection.archive import Archived, Pushed
     from anisoscope.inspection.archive_store import Store
 
 app = App(name="archive", help="Archive finished inspections on a share or in an object store, by rules.")
@@ -41,23 +38,6 @@ def _store(url: str | None) -> "Store":
             'no archive is meant: name its store with --store, or with store = "…" in anisoscope.toml'
         )
     return open_store(url)
-
-
-def _opened(url: str | None) -> "Store":
-    from anisoscope.inspection.archive import check_format
-
-    store = _store(url)
-    check_format(store)
-    return store
-
-
-def _found(store: "Store", wanted: str) -> "list[Archived]":
-    from anisoscope.inspection.archive import archived, fits_name, read_manifest
-
-    names = [name for name in archived(store) if fits_name(name, wanted)]
-    if not names:
-        raise UsageError(f"{store.url} holds no inspection of {wanted!r}")
-    return [read_manifest(store, name) for name in names]
 
 
 @app.command
@@ -87,47 +67,30 @@ def push(
         anisoscope archive push inspections --store s3://inspections/line-2
         anisoscope archive push inspections --remove --every 300
     """
-    from anisoscope.inspection.archive import push_all
     from anisoscope.inspection.archive_store import ArchiveError
+    from anisoscope.operations.archiving import PushedAll
+    from anisoscope.operations.archiving import push as pushed
 
     store, given = _store(archive), list(places) or [DEFAULT_OUT]
     if every is not None and not every > 0.0:
         raise UsageError(f"--every takes seconds above 0, not {every:g}")
     while True:
-        lines: list[Any] = []
+        found = PushedAll()
         try:
             with progress("archive", quiet=json_) as advance:
-                done, failed = push_all(store, given, remove=remove, tell=lines.append, advance=advance)
+                found = pushed(store, given, remove=remove, on_progress=advance)
         except ArchiveError as error:
             if every is None:
                 raise
             write_line(f"{error}; again in {every:g} s")
-            done = failed = 0
-        _tell_pushed(lines, done, failed, store.url, json_=json_)
+        words = f"{_counted(found.archived, 'inspection')} in {store.url}, {found.new} of them new, "
+        words += f"{found.sent_bytes / 1e6:.1f} MB sent"
+        words += f", {_counted(found.removed, 'local folder')} removed" if found.removed else ""
+        words += f", {found.refused} refused" if found.refused else ""
+        answer(found, map(plain, (*found.failed, words)), json_=json_)
         if every is None:
-            return RecordError.exit_code if failed else 0
+            return RecordError.exit_code if found.refused else 0
         threading.Event().wait(every)
-
-
-def _tell_pushed(lines: "list[Pushed | str]", done: int, failed: int, url: str, *, json_: bool) -> None:
-    problems = [one for one in lines if isinstance(one, str)]
-    pushed = [one for one in lines if not isinstance(one, str)]
-    new = [one for one in pushed if one.new]
-    sent = sum(one.sent_bytes for one in pushed)
-    removed = sum(one.removed for one in pushed)
-    if json_:
-        print_json(
-            {"archived": done, "new": len(new), "failed": problems, "sent_bytes": sent, "removed": removed}
-        )
-        return
-    for one in problems:
-        write_line(one)
-    words = f"{_counted(done, 'inspection')} in {url}, {len(new)} of them new, {sent / 1e6:.1f} MB sent"
-    write_line(
-        words
-        + (f", {_counted(removed, 'local folder')} removed" if removed else "")
-        + (f", {failed} refused" if failed else "")
-    )
 
 
 def _counted(number: int, word: str) -> str:
@@ -148,20 +111,11 @@ def pull(
     Examples:
         anisoscope archive pull A-0001 --out restored
     """
-    from anisoscope.inspection.archive import pull as fetched
+    from anisoscope.operations.archiving import pull as fetched
 
-    store = _opened(archive)
-    folders = []
     with progress("archive", quiet=json_) as advance:
-        wanted = _found(store, inspection)
-        for number, one in enumerate(wanted):
-            advance(one.name, number, len(wanted))
-            folders.append(str(fetched(store, one, out)))
-    if json_:
-        print_json({"folders": folders})
-    else:
-        for folder in folders:
-            write_line(folder)
+        folders = [str(one) for one in fetched(_store(archive), inspection, out, on_progress=advance)]
+    answer({"folders": folders}, map(plain, folders), json_=json_)
     return 0
 
 
@@ -179,12 +133,11 @@ def list_(
         anisoscope archive ls
         anisoscope archive ls A-0001
     """
-    from anisoscope.inspection.archive import archived, fits_name, manifests
+    from anisoscope.operations.archiving import archived_inspections
 
-    store = _opened(archive)
-    names = [name for name in archived(store) if inspection is None or fits_name(name, inspection)]
+    store = _store(archive)
     with progress("archive", quiet=json_) as advance:
-        found = list(manifests(store, names, advance))
+        found = archived_inspections(store, inspection, on_progress=advance)
     if json_:
         print_json(
             {
@@ -238,18 +191,17 @@ def verify(
     store = _store(archive)
     with progress("archive", quiet=json_) as advance:
         found = prove(store, damaged / 100.0, confidence / 100.0, np.random.default_rng(seed), advance)
-    if json_:
-        print_json(found)
-        return 0 if found.intact else 1
-    for name in (*found.missing, *found.damaged):
-        write_line(f"{'missing' if name in found.missing else 'damaged'}: {name}")
-    for line in found.unread:
-        write_line(line)
-    write_line(
+    lines = [
+        f"{'missing' if name in found.missing else 'damaged'}: {name}"
+        for name in (*found.missing, *found.damaged)
+    ]
+    lines += [
+        *found.unread,
         f"{_counted(found.inspections, 'inspection')}, {_counted(found.objects, 'file')}, {found.hashed} hashed: "
         + ("none damaged; " if found.intact else "")
-        + f"at most {100.0 * found.share:.2g} % of the files are damaged ({confidence:g} % confidence)"
-    )
+        + f"at most {100.0 * found.share:.2g} % of the files are damaged ({confidence:g} % confidence)",
+    ]
+    answer(found, map(plain, lines), json_=json_)
     return 0 if found.intact else 1
 
 
@@ -276,38 +228,31 @@ def retain(
     Examples:
         anisoscope archive retain --rule FAIL:3650 --rule PASS:365 --dry-run
     """
-    from anisoscope.inspection.archive import check_clock, clear, due, let_go, parse_rule
+    from anisoscope.inspection.archive import parse_rule
+    from anisoscope.operations.archiving import retain as retained
 
     if not rule:
         raise UsageError("no rule: name one or more with --rule WHAT:DAYS, such as --rule PASS:365")
-    rules, store, now = [parse_rule(text) for text in rule], _opened(archive), datetime.now(UTC)
-    if not dry_run:
-        check_clock(store, now)
-    deleted, objects, size = [], 0, 0
+    rules = [parse_rule(text) for text in rule]
     with progress("archive", quiet=json_) as advance:
-        found = due(store, rules, now, advance)
-        for one in found:
-            if not dry_run and one.held is None:
-                let_go(store, one, getpass.getuser(), now)
-                deleted.append(one.inspection.name)
-        if not dry_run:
-            objects, size = clear(store, now, advance)
-    if json_:
-        lines = [{"name": one.inspection.name, "rule": one.rule, "held": one.held} for one in found]
-        print_json({"due": lines, "deleted": deleted, "objects": objects, "bytes": size, "dry_run": dry_run})
-        return 0
-    for one in found:
-        what = (
+        found = retained(_store(archive), rules, dry_run=dry_run, on_progress=advance)
+    lines = [
+        f"{one.inspection.name} ({one.inspection.verdict}): "
+        + (
             f"stays, held: {one.held}"
             if one.held is not None
             else "would be deleted"
             if dry_run
             else "deleted"
         )
-        write_line(f"{one.inspection.name} ({one.inspection.verdict}): {what}; rule {one.rule}")
-    write_line(
-        f"{len(found)} inspections are due, {len(deleted)} deleted; {objects} files of {size / 1e6:.1f} MB cleared away"
+        + f"; rule {one.rule}"
+        for one in found.due
+    ]
+    lines.append(
+        f"{len(found.due)} inspections are due, {len(found.deleted)} deleted; "
+        f"{found.objects} files of {found.bytes / 1e6:.1f} MB cleared away"
     )
+    answer(found, map(plain, lines), json_=json_)
     return 0
 
 
@@ -326,17 +271,8 @@ def hold(
         anisoscope archive hold A-0001 --reason "claim 2026-17"
         anisoscope archive hold A-0001 --release --reason "claim 2026-17 is settled"
     """
-    from anisoscope.inspection.archive import hold as held
-    from anisoscope.inspection.archive import release as released
+    from anisoscope.operations.archiving import hold as held
 
-    if not (reason or "").strip():
-        raise UsageError(f"a legal hold {'ends' if release else 'begins'} for a reason: --reason TEXT")
-    store = _opened(archive)
-    for one in _found(store, inspection):
-        if not release:
-            held(store, one, str(reason), getpass.getuser())
-            write_line(f"{one.name}: held")
-        else:
-            was = released(store, one, str(reason), getpass.getuser())
-            write_line(f"{one.name}: {'no longer held' if was else 'was not held'}")
+    for name, was in held(_store(archive), inspection, reason or "", release=release).items():
+        write_line(f"{name}: {'held' if not release else 'no longer held' if was else 'was not held'}")
     return 0

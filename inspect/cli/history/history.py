@@ -1,24 +1,25 @@
 """``anisoscope history``, ``show``, ``compare``: past inspections, their dispositions, covariates, and proofs."""
 
+import contextlib
 import math
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
-from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, OwnCertificate, OwnKey, PeersFolder, TrustFile, extra_packages
-from anisoscope.cli.tables import console, print_lines, print_table
+from anisoscope.cli.tables import answer, console, print_lines, print_table
 
 if TYPE_CHECKING:
     from datetime import datetime
 
     from anisoscope.history.adding import Added
     from anisoscope.history.comparing import Compared, Comparison
-    from anisoscope.history.covariates import CycleData
     from anisoscope.history.dispositions import Disposition
-    from anisoscope.history.heads import HeadsVerified
     from anisoscope.history.rows import Row
+    from anisoscope.operations.past import HistoryVerified
     from anisoscope.record.schema import ConclusionRecord, Record
 from pathlib import Path
 from typing import Annotated
@@ -138,20 +139,16 @@ def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> No
         )
 
 
-def print_verified(
-    damage: Sequence[str], count: int, heads: tuple[str, str, str], signed: "HeadsVerified", *, json_: bool
-) -> None:
+def print_verified(found: "HistoryVerified", *, json_: bool) -> None:
     """Print the damage found in a history, and its heads: of inspections, dispositions, cycle data, and signed ones."""
     if json_:
-        found = {"intact": not damage, "inspections": count, "damage": list(damage)}
-        words = {name: value for name, value in asdict(signed).items() if name != "problems"}
-        named = dict(zip(("head", "disposition_head", "covariate_head"), heads, strict=True))
-        print_json(found | named | {"signed": words})
+        print_json(found)
         return
-    for line in damage:
+    signed = found.signed
+    for line in found.damage:
         write_line(line)
-    if not damage:
-        write_line(f"{count} inspections are as they were written")
+    if found.intact:
+        write_line(f"{found.inspections} inspections are as they were written")
     if signed.signed_by is None:
         write_line("note: no head is signed")
     else:
@@ -159,10 +156,10 @@ def print_verified(
         write_line(f"the first {signed.covered} are signed by {signed.signed_by}{after}")
     if signed.stamped_at is not None:
         write_line(f"time stamp: {signed.stamped_at:%Y-%m-%d %H:%M:%S} UTC")
-    write_line(f"head: {heads[0]}")
-    write_line(f"head of the dispositions: {heads[1]}")
-    if heads[2].strip("0"):
-        write_line(f"head of the cycle data: {heads[2]}")
+    write_line(f"head: {found.head}")
+    write_line(f"head of the dispositions: {found.disposition_head}")
+    if found.covariate_head.strip("0"):
+        write_line(f"head of the cycle data: {found.covariate_head}")
 
 
 def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
@@ -242,7 +239,7 @@ def _number_rows(numbers: Mapping[str, float]) -> list[list[str]]:
 def print_comparison(found: "Comparison", *, json_: bool) -> None:
     """Two inspections side by side."""
     if json_:
-        print_json(_comparison_json(found))
+        print_json(found)
         return
     names = [f"{row.serial} ({row.id})" for row in (found.first, found.second)]
     table = [
@@ -261,13 +258,6 @@ def print_comparison(found: "Comparison", *, json_: bool) -> None:
         )
     for note in found.notes:
         write_line(message("note: {note}", note=note))
-
-
-def _comparison_json(found: "Comparison") -> dict[str, Any]:
-    from anisoscope.history.export import with_dispositions
-
-    rows = {"first": with_dispositions(found.first), "second": with_dispositions(found.second)}
-    return fields_of(found) | rows
 
 
 def _compared_row(one: "Compared") -> list[str]:
@@ -412,7 +402,13 @@ def covariates(
             raise UsageError("history covariates: give files or --opcua, not both")
         if cycles is not None and cycles < 1:
             raise UsageError("history covariates: --cycles is at least 1")
-        _follow(opcua, field or [], cycles, machine.strip(), place, (certificate, key, peers))
+        with extra_packages("OPC UA", "line"):
+            from anisoscope.line.opcua_security import read_security
+            from anisoscope.line.press import follow_press
+        security = read_security(certificate, key, peers, write_line)
+        opening = partial(opened, place, create=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            follow_press(opcua, opening, write_line, field or [], machine.strip(), cycles, security)
         return 0
     if field or cycles is not None or any(one is not None for one in (certificate, key, peers)):
         raise UsageError(
@@ -431,92 +427,13 @@ def covariates(
             for name, count in known.items():
                 write_line(f"  {name}: {count}")
         return 0
-    news = [one for path in files for one in _cycles(path, machine.strip())]
+    from anisoscope.operations.past import add_cycles, read_cycles
+
+    news = read_cycles(files, machine)  # before a history is made
     with opened(place, create=True) as found:
-        added = found.add_covariates(news)
-        where = str(found.address)
-    if json_:
-        print_json({"added": added, "known": len(news) - added, "history": where})
-    else:
-        write_line(f"{added} added, {len(news) - added} there already: {where}")
+        added = add_cycles(found, news)
+    answer(added, [f"{added.added} added, {added.known} there already: {added.history}"], json_=json_)
     return 0
-
-
-def _follow(
-    address: str,
-    fields: Sequence[str],
-    cycles: int | None,
-    machine: str,
-    place: str | None,
-    secured: tuple[Path | None, Path | None, Path | None],
-) -> None:
-    """Add the cycles of a machine as they come.
-
-    Raises:
-        UsageError: asyncua is not installed, or the address is not that of a machine with these fields.
-        HistoryError: the history cannot be written.
-    """
-    import asyncio
-    import contextlib
-    from dataclasses import replace
-
-    with extra_packages("OPC UA", "line"):
-        from anisoscope.line.opcua_security import read_security
-        from anisoscope.line.press import PressReader
-
-    def take(news: "Sequence[CycleData]") -> None:
-        named = [
-            replace(one, numbers={f"{machine} {name}".strip(): value for name, value in one.numbers.items()})
-            for one in news
-        ]
-        with opened(place, create=True) as found:
-            added = found.add_covariates(named)
-        write_line(f"{added} added, {len(news) - added} there already")
-
-    security = read_security(*secured, write_line)
-    reader = PressReader(address, take, write_line, fields, security=security)
-    with opened(
-        place, create=True
-    ) as found:  # one that cannot be written is said before a cycle is waited for
-        write_line(f"cycles go to {found.address}")
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(reader.run(cycles))
-
-
-def _cycles(path: Path, machine: str) -> "list[CycleData]":
-    """Cycle data of a file.
-
-    Raises:
-        UsageError: the file cannot be read, or a line of it says neither a time nor a serial number.
-    """
-    from anisoscope.history.covariates import CycleData
-    from anisoscope.quality.readings import read_readings
-
-    readings = read_readings(path)
-    others = sorted(set(readings.texts) - {"time", "serial"})
-    if others or not readings.numbers:
-        what = f"the column {others[0]} holds words" if others else "there is no column of numbers"
-        raise UsageError(f"{path}: {what}: cycle data are time or serial, and numbers")
-    news = []
-    for place in range(len(readings)):
-        said = readings.texts["time"][place] if "time" in readings.texts else ""
-        serial = readings.texts["serial"][place] if "serial" in readings.texts else ""
-        at = readings.moment(place)
-        if (said and at is None) or not (said or serial):
-            wrong = (
-                f"the time {said[:40]!r} is none, write 2026-11-01T14:30"
-                if said
-                else "neither time nor serial"
-            )
-            raise UsageError(f"{path}, entry {place + 1}: {wrong}")
-        numbers = {
-            f"{machine} {name}".strip(): float(column[place])
-            for name, column in readings.numbers.items()
-            if not math.isnan(column[place])
-        }
-        if numbers:
-            news.append(CycleData(at=at, serial=serial or None, source=path.name, numbers=numbers))
-    return news
 
 
 @app.command
@@ -544,29 +461,12 @@ def verify(
     Examples:
         anisoscope history verify
     """
-    from anisoscope.base.signature import read_trust
-    from anisoscope.history.heads import verify_heads
+    from anisoscope.operations.past import verify_history
 
-    for one in head or ():
-        if not _is_hash(one):
-            raise UsageError(
-                f"--head takes the 64 hexadecimal digits that this command prints, not {one[:80]!r}"
-            )
-    with opened(place) as found:
-        damage = [str(one) for one in found.verify_chain()]
-        heads = verify_heads(found, None if trust is None else read_trust(trust), authorities)
-        damage += heads.problems
-        damage += [
-            f"nothing has the head {one[:12].lower()}… that was noted: the history was cut or rewritten since"
-            for one in head or ()
-            if not found.holds(one)
-        ]
-        count = found.count()
-        if count == 0:
-            damage.append("the history holds no inspection: there is nothing to verify")
-        ends = found.head(), found.disposition_head(), found.covariate_head()
-        print_verified(damage, count, ends, heads, json_=json_)
-    return 1 if damage else 0
+    with opened(place) as history:
+        found = verify_history(history, heads=head or (), trust=trust, authorities=authorities)
+    print_verified(found, json_=json_)
+    return 0 if found.intact else 1
 
 
 @app.command
@@ -638,10 +538,6 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror}") from error
-
-
-def _is_hash(text: str) -> bool:
-    return len(text) == 64 and not set(text.lower()) - set("0123456789abcdef")
 
 
 def show(

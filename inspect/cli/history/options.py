@@ -97,6 +97,20 @@ ALL = Which()
 Selection = Annotated[Which, Parameter(name="*")]
 
 
+def meant(place: str | None) -> "str | Path":
+    """Place of the history that is meant.
+
+    Raises:
+        UsageError: none is meant.
+    """
+    from anisoscope.history.address import chosen
+
+    found = chosen(place, DEFAULT_OUT)
+    if found is None:
+        raise UsageError("no history is meant: name one with --history, or unset ANISOSCOPE_HISTORY=none")
+    return found
+
+
 def opened(place: str | None, *, create: bool = False) -> "History":
     """The history that is meant, open.
 
@@ -104,10 +118,6 @@ def opened(place: str | None, *, create: bool = False) -> "History":
         UsageError: none is meant.
         HistoryError: there is none, or it cannot be reached.
     """
-    from anisoscope.history.address import chosen
     from anisoscope.history.store import open_history
 
-    found = chosen(place, DEFAULT_OUT)
-    if found is None:
-        raise UsageError("no history is meant: name one with --history, or unset ANISOSCOPE_HISTORY=none")
-    return open_history(found, create=create)
+    return open_history(meant(place), create=create)

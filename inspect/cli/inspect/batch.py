@@ -1,7 +1,7 @@
 """``anisoscope batch``: inspect the parts of a tray, one after the other."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -9,9 +9,7 @@ from anisoscope.base.language import message, translated
 from anisoscope.cli.inspect.batch_operator import Terminal, table_of
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import HistoryOption, Json
-
-if TYPE_CHECKING:
-    from anisoscope.inspection.batch.journal import BatchFile
+from anisoscope.cli.tables import console, print_lines
 
 CodeKind = Annotated[
     Literal["any", "datamatrix", "code128", "qr"],
@@ -71,59 +69,29 @@ def batch(
         anisoscope batch tray.csv --recipe recipe.toml --rig rig.toml --resume
     """
     from anisoscope.inspection.batch.first_pose import Look
-    from anisoscope.inspection.batch.journal import BATCH_NAME, read_batch
     from anisoscope.inspection.batch.operator import Unattended
-    from anisoscope.inspection.batch.run import run_batch, write_summary
-    from anisoscope.inspection.batch.start import Order
-    from anisoscope.inspection.batch.tray import read_tray
-    from anisoscope.inspection.reports import Reports
-    from anisoscope.operations.remembering import history_place, lot_mates, remember
+    from anisoscope.operations.series import batch as inspected
 
-    listed = read_tray(tray)
-    folder = (out / f"batch-{tray.stem}").resolve()
-    look = Look(code_kind, code_exposure) if read_code else None
-    place = history_place(history, out)
-    order = Order(listed, recipe, rig, folder, operator, station, look, lambda lot: lot_mates(place, lot))
     who = Terminal(quiet=json_, answers=not yes)
-    begun_before = (folder / BATCH_NAME).exists() and not resume
-    for note in listed.notes:
-        who.say(f"note: {note}")
-    try:
-        with Reports() as reports:
-            found = run_batch(
-                order,
-                Unattended() if yes and json_ else who,
-                lambda inspected: remember(inspected, place),
-                resume=resume,
-                reports=reports,
-            )
-            for note in reports.finish():
-                who.say(f"note: {note}")
-    except KeyboardInterrupt:
-        if not begun_before and (folder / BATCH_NAME).exists():
-            write_summary(read_batch(folder), folder)
-        raise
-    page = write_summary(found, folder)
-    _show(found, folder, page, json_=json_)
-    return found.exit_code
-
-
-def _show(found: "BatchFile", folder: Path, page: Path, *, json_: bool) -> None:
-    from anisoscope.cli.tables import console, print_lines
-
-    if json_:
-        content = {
-            "exit_code": found.exit_code,
-            "counts": found.counts,
-            "slots": [slot.model_dump(mode="json") for slot in found.slots],
-            "folder": str(folder),
-            "page": str(page),
-        }
-        print_json(content)
-        return
-    out = console()
-    out.print(table_of(found))
-    print_lines(
-        ", ".join(f"{number} {translated(word)}" for word, number in found.counts.items() if number),
-        message("page: {path}", path=page),
+    found = inspected(
+        tray,
+        recipe,
+        rig,
+        out=out,
+        resume=resume,
+        who=Unattended() if yes and json_ else who,
+        look=Look(code_kind, code_exposure) if read_code else None,
+        operator=operator,
+        station=station,
+        history=history,
+        note=lambda text: who.say(f"note: {text}"),
     )
+    if json_:
+        print_json(found)
+        return found.file.exit_code
+    console().print(table_of(found.file))
+    print_lines(
+        ", ".join(f"{number} {translated(word)}" for word, number in found.file.counts.items() if number),
+        message("page: {path}", path=found.page),
+    )
+    return found.file.exit_code

@@ -1,7 +1,7 @@
 """``anisoscope read-code``: read the code on a part, from a picture or with the camera."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -43,7 +43,7 @@ def read_code(
     counts, where = _picture(picture, rig, recipe, exposure)
     found = read_codes(counts, code_kind)
     if json_:
-        print_json({"codes": [_as_json(one) for one in found]})
+        print_json({"codes": found})
         return 0 if len(found) == 1 else 3
     for line in _lines(one_code(found, code_kind, where)):
         print(line)  # noqa: T201
@@ -74,15 +74,3 @@ def _lines(one: "Code") -> list[str]:
     if scan.gs1:
         lines += [f"serial: {scan.serial or '–'}", f"lot: {scan.lot or '–'}"]
     return lines
-
-
-def _as_json(one: "Code") -> dict[str, Any]:
-    scan = one.scan
-    return {
-        "kind": one.kind,
-        "text": scan.text,
-        "serial": scan.serial,
-        "lot": scan.lot,
-        "gs1": scan.gs1,
-        "corners": [list(corner) for corner in one.corners],
-    }

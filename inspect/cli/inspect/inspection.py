@@ -1,7 +1,7 @@
 """``anisoscope inspect``, ``resume``, ``recompute``, ``verify``: inspect a part, and work with its folder."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -9,7 +9,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.inspect.batch_operator import ask_serial
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import HistoryOption, Json, TrustFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import answer, console, print_lines, print_table
@@ -113,6 +113,7 @@ def inspect(
 
 def _concluded(inspected: "Inspected", reports: "Reports", place: str | Path | None, *, json_: bool) -> int:
     """Print the verdict and enter it into the history, then wait for the report; JSON waits for all of it."""
+    from anisoscope.operations.findings import content_of
     from anisoscope.operations.remembering import remember
 
     try:
@@ -122,7 +123,7 @@ def _concluded(inspected: "Inspected", reports: "Reports", place: str | Path | N
         remember(inspected, place)
     notes = reports.finish()
     if json_:
-        print_json(_as_json(inspected, notes))
+        print_json(content_of(inspected, notes))
     else:
         _print_notes(inspected, notes)
     return _exit_code(inspected)
@@ -132,40 +133,6 @@ def _exit_code(inspected: "Inspected") -> int:
     from anisoscope.record.verdict import Verdict
 
     return Verdict(inspected.record.verdict).exit_code
-
-
-def _as_json(inspected: "Inspected", notes: tuple[str, ...] = ()) -> dict[str, Any]:
-    from anisoscope.kinds.parts import reporting
-    from anisoscope.kinds.registry import kind_named
-
-    record = inspected.record
-    diagnosis = record.diagnosis
-    common = {
-        "kind": record.kind,
-        "verdict": record.verdict,
-        "finding": None if record.conclusion is None else record.conclusion.finding,
-        "action": None if record.conclusion is None else record.conclusion.action,
-        "reasons": list(record.reasons),
-        "d2": record.d2,
-        "dof": record.dof,
-        "p_value": record.p_value,
-        "conformance_probability": record.conformance_probability,
-        "budget": [row.model_dump() for row in record.budget],
-        "diagnosis": [] if diagnosis is None else [cause.model_dump() for cause in diagnosis.causes],
-        "says": None if diagnosis is None else diagnosis.says,
-        "tells": None if diagnosis is None else diagnosis.tells,
-        "unexplained_p": None if diagnosis is None else diagnosis.unexplained_p,
-    }
-    last = {
-        "rounds": record.rounds,
-        "dropped_markers": [list(pose.dropped) for pose in record.poses],
-        "calibrations": [one.model_dump() for one in record.calibrations],
-        "folder": str(inspected.folder),
-        "report": str(inspected.report),
-        "notes": [*inspected.notes, *notes],
-    }
-    own = reporting(kind_named(record.kind)).summary(record).content
-    return common | own | common | last  # a kind adds keys, and overwrites none
 
 
 def _print(inspected: "Inspected") -> None:
@@ -262,8 +229,7 @@ def recompute(
 
     with progress(folder.name, quiet=json_) as advance:
         found = again(folder, advance)
-    content, lines = _compared(found)
-    answer(content, lines, json_=json_)
+    answer(found, _compared(found), json_=json_)
     return 1 if found.differences else 0
 
 
@@ -274,40 +240,28 @@ def _recompute_all(folders: list[Path], jobs: int | None, scheduler: str | None,
 
     with progress("inspections", quiet=json_) as advance:
         found = recompute_all(folders, Workers(jobs, scheduler), advance)
-    contents: list[dict[str, Any]] = []
     lines: list[str] = []
     for folder, one in zip(folders, found, strict=True):
-        if isinstance(one, str):
-            contents.append({"folder": str(folder), "same": None, "problem": one})
-            lines.append(f"{folder}: {one}")
-            continue
-        content, words = _compared(one)
-        contents.append(content)
-        lines += [f"{folder}: {words[0]}", *words[1:]]
-    differing = sum(one["same"] is False for one in contents)
-    unusable = sum(one["same"] is None for one in contents)
-    same = len(found) - differing - unusable
+        first, *rest = [one] if isinstance(one, str) else _compared(one)
+        lines += [f"{folder}: {first}", *rest]
+    unusable = sum(isinstance(one, str) for one in found)
+    same = sum(not isinstance(one, str) and one.same for one in found)
+    differing = len(found) - same - unusable
     lines.append(f"{same} of {len(found)} as recorded, {differing} differ, {unusable} cannot be judged again")
+    contents = [
+        {"folder": str(folder), "same": None, "problem": one} if isinstance(one, str) else one
+        for folder, one in zip(folders, found, strict=True)
+    ]
     answer({"inspections": contents}, lines, json_=json_)
     return 1 if differing else RecordError.exit_code if unusable else 0
 
 
-def _compared(found: "Recomputed") -> tuple[dict[str, Any], list[str]]:
-    """A recomputed inspection as JSON and as lines."""
-    verdict = found.recorded.verdict
-    content: dict[str, Any] = {
-        "folder": str(found.folder),
-        "same": not found.differences,
-        "recorded": verdict,
-        "recomputed": found.verdict,
-        "differences": list(found.differences),
-        "notes": list(found.notes),
-    }
-    if found.differences:
-        lines = [f"{len(found.differences)} values differ:", *(f"  {line}" for line in found.differences)]
+def _compared(found: "Recomputed") -> list[str]:
+    if found.same:
+        lines = [f"{found.recorded.verdict}, and every number, as recorded"]
     else:
-        lines = [f"{verdict}, and every number, as recorded"]
-    return content, [*lines, *(f"note: {note}" for note in found.notes)]
+        lines = [f"{len(found.differences)} values differ:", *(f"  {line}" for line in found.differences)]
+    return [*lines, *(f"note: {note}" for note in found.notes)]
 
 
 def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -> int:
@@ -325,16 +279,6 @@ def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -
 
     found = hashed(folder, None if trust is None else read_trust(trust))
     names = {"changed": found.changed, "missing": found.missing, "additional": found.additional}
-    content = {
-        "folder": str(folder),
-        "intact": found.intact,
-        "finished": found.finished,
-        "files": found.files,
-        "report_written": found.report_written,
-        "signed_by": found.signed_by,
-        "distrust": list(found.distrust),
-    }
-    content |= {what: list(files) for what, files in names.items()}
     lines = [f"{what}: {name}" for what, files in names.items() for name in files]
     lines += found.distrust
     if found.intact:
@@ -347,5 +291,5 @@ def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -
         lines.append(f"note: the report is not written yet: `anisoscope report {folder}` writes it")
     if not found.finished:
         lines.append("note: the inspection is not finished")
-    answer(content, lines, json_=json_)
+    answer({"folder": folder} | fields_of(found), lines, json_=json_)
     return 0 if found.intact else 1

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance
 from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json_line
@@ -67,43 +66,31 @@ def watch(
         anisoscope watch incoming --recipe recipe.toml
         anisoscope watch incoming --recipe recipe.toml --once --json
     """
-    from anisoscope.inspection.batch.watch import Watch, Watched
-    from anisoscope.inspection.reports import Reports
-    from anisoscope.operations.remembering import history_place, lot_mates, remember
+    from anisoscope.operations.series import watch as watched
+    from anisoscope.operations.series import watch_exit_code
 
-    if not (stable_for >= 0.0 and poll > 0.0):
-        raise UsageError(
-            f"--stable-for must be 0 s or more and --poll above 0 s, not {stable_for:g} and {poll:g}"
-        )
-    place = history_place(history, out)
-    what = Watched(
-        folder.resolve(),
-        out.resolve(),
-        recipe,
-        rig,
-        reflectance,
-        stable_for,
-        poll,
-        code_kind if read_code else None,
-        lambda lot: lot_mates(place, lot),
-    )
     teller = Teller(json_=json_)
-    with _until_signalled() as stop, Reports(teller.note) as reports:
-        watching = Watch(what, teller, lambda inspected: remember(inspected, place), reports=reports)
-        with watching.open():
-            teller.say({"event": "watching", "folder": str(what.root)}, f"watching {what.root}; Ctrl-C ends")
-            (watching.run_once if once else watching.run)(stop)
-            reports.finish()
+    with _until_signalled() as stop:
+        watching = watched(
+            folder,
+            recipe,
+            rig,
+            listener=teller,
+            stop=stop,
+            once=once,
+            out=out,
+            reflectance=reflectance,
+            stable_s=stable_for,
+            poll_s=poll,
+            code=code_kind if read_code else None,
+            history=history,
+            note=teller.note,
+            begun=lambda root: teller.say(
+                {"event": "watching", "folder": str(root)}, f"watching {root}; Ctrl-C ends"
+            ),
+        )
     teller.end(watching)
-    return _exit_code(watching) if once else 0
-
-
-def _exit_code(watching: "Watch") -> int:
-    from anisoscope.inspection.batch.journal import VERDICTS
-    from anisoscope.record.verdict import Verdict
-
-    worst = next((word for word in VERDICTS if word in watching.verdicts), "PASS")
-    return RecordError.exit_code if watching.bad else Verdict(worst).exit_code
+    return watch_exit_code(watching) if once else 0
 
 
 class Teller:

@@ -20,10 +20,8 @@ from anisoscope.cli.options import HistoryOption, OwnCertificate, OwnKey, PeersF
 from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
-    from anisoscope.history.signs import Doing
-    from anisoscope.line.jobs import Job, Jobs, Kind
+    from anisoscope.line.jobs import Jobs
     from anisoscope.line.mqtt import Broker
-    from anisoscope.line.opcua_security import LogIn
 
 app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA, MQTT or Modbus/TCP.")
 Recipes = Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")]
@@ -81,10 +79,14 @@ def opcua(
     with extra_packages("OPC UA", "line"):
         from anisoscope.line.opcua import VisionServer, long_lived
         from anisoscope.line.opcua_security import read_security
+    from anisoscope.line.jobs import jobs_at
+
     security = read_security(certificate, key, peers, write_line)
     if users is not None:
         if security is None:
             raise UsageError("--users goes with --certificate: a password is never sent without encryption")
+        with extra_packages("--users", "console"):
+            from anisoscope.console.access import log_in_of
         security = replace(security, log_in=log_in_of(users))
     if security is not None and open_:
         raise UsageError("--open is for a server without --certificate: with it, only --peers may order jobs")
@@ -101,38 +103,6 @@ def opcua(
 
         asyncio.run(serve())
     return 0
-
-
-def log_in_of(users: Path) -> "LogIn":
-    """Log in by the accounts of the console: with its tries and audit trail, for those who may operate there.
-
-    Raises:
-        UsageError: the console is not installed, or the file has no accounts.
-        ConfigError: it cannot be read.
-    """
-    with extra_packages("--users", "console"):
-        from fastapi import HTTPException
-
-        from anisoscope.console.access import Access
-    from anisoscope.console.accounts import Accounts
-    from anisoscope.console.trail import trail_of
-
-    accounts = Accounts(users)
-    if not accounts.read():
-        raise UsageError(f"--users {users}: has no accounts; `anisoscope user add` makes the first")
-    access = Access(accounts, trail_of(users.resolve()))
-
-    def log_in(name: str, password: str, address: str) -> bool:
-        try:
-            session = access.log_in(name, password, address)
-        except HTTPException:  # too many tries
-            return False
-        if session is None:
-            return False
-        access.end(session)
-        return session.may("operate")
-
-    return log_in
 
 
 @app.command
@@ -167,6 +137,7 @@ def mqtt(
         anisoscope line mqtt --broker mqtt://127.0.0.1 --rig rig.toml --recipes recipes
         anisoscope line mqtt --broker mqtts://broker.example --history inspections/history.sqlite
     """
+    from anisoscope.line.jobs import jobs_at
     from anisoscope.operations.remembering import history_place
 
     with extra_packages("MQTT", "line"):
@@ -237,6 +208,7 @@ def modbus(
     with extra_packages("Modbus/TCP", "line"):
         from anisoscope.line.modbus import POLL_S, Addresses, Handshake, Lines, ModbusIo
     from anisoscope.base.errors import NotConnected
+    from anisoscope.line.jobs import jobs_at
 
     host, _, port = plc.partition(":")
     if not host or not (port or "502").isdigit():
@@ -297,44 +269,6 @@ def check_open(host: str, *, open_: bool) -> None:
             f"--host {host} can be reached from other computers, each of which may then move the rig: trust some with "
             "--certificate, --key and --peers, or put it into a network of its own and add --open"
         )
-
-
-@contextlib.contextmanager
-def jobs_at(
-    rig: Path, recipes: Path, out: Path, history: str | None, station: str | None, reports: Wanted
-) -> Iterator["Jobs"]:
-    """The jobs of a rig, which this process holds; not entered.
-
-    Raises:
-        UsageError: there is no folder of recipes, or the rig is set by hand.
-        RigFileError, RigError: the rig cannot be read or opened.
-    """
-    from anisoscope.history.signs import Beacon
-    from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
-    from anisoscope.line.jobs import Jobs
-    from anisoscope.operations.findings import explained
-    from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned
-
-    if not recipes.is_dir():
-        raise UsageError(f"--recipes {recipes}: there is no such folder")
-    place = history_place(history, out)
-    rig, out = rig.resolve(), out.resolve()
-    with contextlib.ExitStack() as stack:
-        own = stack.enter_context(held_rig(rig))
-        workplace = Workplace(rig, out, place, remember, lot_mates, explained, reports=reports)
-        worker = WorkerProcess(workplace)
-        stack.callback(worker.close)
-        jobs = Jobs(workplace, recipes.resolve(), worker, own.stop, station)
-        beacon = stack.enter_context(Beacon(place, station, unsigned))
-        jobs.listen(lambda kind, job, _: beacon.show(*_sign(kind, job)))
-        yield jobs
-
-
-def _sign(kind: "Kind", job: "Job") -> "tuple[Doing, str]":
-    """What a station does after something happened to a job."""
-    if kind in {"accepted", "progress"}:
-        return "running", job.order.serial
-    return ("fault", job.problem or "") if kind == "failed" else ("idle", "")
 
 
 def _say_address(address: str) -> None:

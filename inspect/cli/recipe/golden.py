@@ -1,22 +1,20 @@
 """``anisoscope golden``: parts that are known to be good, against which others are compared."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console, print_lines, print_output, print_table
+from anisoscope.cli.tables import answer, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
-    from anisoscope.kinds.parts import Reference
-    from anisoscope.record.schema import Record
+    from anisoscope.operations.teaching import GoldenParts
 
 app = App(name="golden", help="Manage the golden parts of a recipe: parts that are known to be good.")
 
@@ -43,23 +41,17 @@ def add(
     Examples:
         anisoscope golden add --recipe recipe.toml inspections/GOOD-1-20260115T101500Z
     """
-    from anisoscope.decision.reference_parts import golden_path
-    from anisoscope.kinds.registry import add_golden
+    from anisoscope.operations.teaching import add_golden
 
-    if not folders:
-        raise UsageError("name the folders of one or more finished inspections")
-    path = golden_path(recipe)
     with _as_usage():
-        known, failed = add_golden(recipe, folders)
-    if failed:
-        console(stderr=True).print(
-            f"note: the verdict of {', '.join(failed)} was FAIL: make sure that these parts are good, or take them out "
-            "with `anisoscope golden remove`",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
+        found = add_golden(recipe, folders)
+    if found.failed:
+        print_lines(
+            f"note: the verdict of {', '.join(found.failed)} was FAIL: make sure that these parts are good, or take "
+            "them out with `anisoscope golden remove`",
+            stderr=True,
         )
-    return _print_change(path, len(folders), "added", known, json_=json_)
+    return _print_change(found, json_=json_)
 
 
 @app.command
@@ -69,26 +61,10 @@ def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
     Examples:
         anisoscope golden remove --recipe recipe.toml GOOD-1
     """
-    from anisoscope.decision.reference_parts import golden_path, write_golden
-    from anisoscope.kinds.parts import collecting
-    from anisoscope.kinds.registry import kind_of
+    from anisoscope.operations.teaching import remove_golden
 
-    if not serials:
-        raise UsageError("name the serial numbers of one or more golden parts")
-    path, kind = golden_path(recipe), kind_of(recipe)
-    rules = kind.read_recipe(recipe)
     with _as_usage():
-        known: Any = collecting(kind, rules).read_reference(path, rules)
-        if known is None:
-            raise CalibrationError(f"{path}: there are no golden parts of this recipe")
-        before = len(known.parts)
-        for serial in serials:
-            known = known.without(serial)
-    if known.parts:
-        write_golden(path, known)
-    else:
-        path.unlink()
-    return _print_change(path, before - len(known.parts), "removed", known, json_=json_)
+        return _print_change(remove_golden(recipe, serials), json_=json_)
 
 
 @app.command
@@ -109,6 +85,7 @@ def show(
     from anisoscope.decision.reference_parts import golden_path
     from anisoscope.kinds.parts import collecting
     from anisoscope.kinds.registry import kind_of
+    from anisoscope.operations.teaching import GoldenParts
     from anisoscope.rig.rigfile import read_rig
 
     path, kind = golden_path(recipe), kind_of(recipe)
@@ -123,7 +100,7 @@ def show(
     angle = light_angle if rig is None else read_rig(rig, channel=channel).light.angle_deg
     output = collecting(kind, rules).show_reference(known, rules, angle)
     measured_with = getattr(known, "equipment", None)
-    content = _content(path, known.lacking, len(known.parts)) | {"equipment": measured_with} | output.content
+    content = fields_of(GoldenParts.of(path, known)) | {"equipment": measured_with} | output.content
     line = f"measured with: {measured_with or 'not recorded by the version that collected them'}"
     print_output(replace(output, content=content, lines=(*output.lines, line)), json_=json_)
     return 0
@@ -153,107 +130,43 @@ def certify(
     Examples:
         anisoscope golden certify --recipe recipe.toml --false-alarms 0.02 --for-reports inspections/OK-*
     """
-    from anisoscope.decision.certificate import StoredCertificate, certificate, certificate_path
-    from anisoscope.decision.reference_parts import golden_path
-    from anisoscope.kinds.parts import collecting
-    from anisoscope.kinds.registry import kind_of
-    from anisoscope.record.schema import sha256_of
+    from anisoscope.operations.teaching import certify_golden
     from anisoscope.report.study_page import StudyPage, Table
 
-    if not folders:
-        raise UsageError("name the folders of finished inspections of good parts")
-    kind, path = kind_of(recipe), golden_path(recipe)
-    rules = kind.read_recipe(recipe)
     with _as_usage():
-        known = collecting(kind, rules).read_reference(path, rules)
-    now = [(file.name, sha256_of(file)) for file in (recipe, path) if file.is_file()]
-    judged = _judged(folders, set() if known is None else {one.serial for one in known.parts}, now)
-    records = [one for one in judged if one.verdict != "INVALID"]
-    invalid = len(judged) - len(records)
-    stated = getattr(rules.decision, "alpha", None)
-    found = certificate(
-        [one.verdict for one in records], [one.p_value for one in records], false_alarms, confidence, stated
-    )
+        done = certify_golden(
+            recipe, folders, false_alarms=false_alarms, confidence=confidence, for_reports=for_reports
+        )
+    found = done.certificate
     level = "too few parts" if found.level is None else f"{found.level:.3g}"
     rows = (
         ("good parts with a verdict", str(found.parts)),
         ("of these FAIL", str(found.alarms)),
         ("of these INCONCLUSIVE", str(found.undecided)),
         (f"false alarms at most, {confidence:.0%} confidence", f"{found.highest:.2%}"),
-        ("stated by the model: level of the recipe", "–" if stated is None else f"{stated:.2%}"),
+        ("stated by the model: level of the recipe", "–" if found.stated is None else f"{found.stated:.2%}"),
         (f"level that holds {false_alarms:.2%}, whatever the distribution", level),
     )
-    notes = [
-        found.verdict,
-        *([f"{invalid} INVALID inspections say nothing and are left out"] if invalid else []),
-    ]
-    if for_reports:
-        stored = StoredCertificate.of(
-            recipe, found, [one.serial for one in records], f"{datetime.now(UTC):%Y-%m-%d}"
-        )
-        stored.write(certificate_path(recipe))
-        notes.append(f"stored in {certificate_path(recipe)}, for this recipe and these golden parts alone")
+    notes = [found.verdict]
+    if done.invalid:
+        notes.append(f"{done.invalid} INVALID inspections say nothing and are left out")
+    if done.stored is not None:
+        notes.append(f"stored in {done.stored}, for this recipe and these golden parts alone")
     if html is not None:
         table = Table("False alarms", ("", "value"), rows)
         StudyPage("Certificate of false alarms", str(recipe), [], [table], notes).write(html)
     if json_:
-        print_json(found)
+        print_json(done)
     else:
         print_table("False alarms", ["", "value"], [list(row) for row in rows])
         print_lines(*notes)
     return 0 if found.certified else 1
 
 
-def _judged(folders: Sequence[Path], golden: set[str], now: Sequence[tuple[str, str]]) -> list["Record"]:
-    """Inspections of different parts, none golden, by the files (name and SHA-256) that are in use now."""
-    from anisoscope.record.schema import read_record
-
-    seen: dict[str, Path] = {}
-    records = []
-    for folder in folders:
-        record = read_record(folder)
-        if record.serial in golden:
-            raise UsageError(
-                f"{folder}: {record.serial} is a golden part: it made the rule and proves nothing about it"
-            )
-        if record.serial in seen:
-            raise UsageError(
-                f"{folder}: {record.serial} is the part of {seen[record.serial]}: name each part once"
-            )
-        seen[record.serial] = folder
-        used = {one.sha256 for one in record.inputs}
-        changed = next((name for name, digest in now if digest not in used), None)
-        if changed is not None:
-            raise UsageError(
-                f"{folder}: was judged by another {changed} than the present one: inspect the part again"
-            )
-        records.append(record)
-    return records
-
-
-def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:
-    return {
-        "file": str(path),
-        "count": count,
-        "compared_with": lacking is None and count > 0,
-        "lacking": lacking,
-    }
-
-
-def _print_change(path: Path, number: int, what: str, known: "Reference", *, json_: bool) -> int:
+def _print_change(found: "GoldenParts", *, json_: bool) -> int:
     from anisoscope.decision.reference_parts import counted
 
-    lacking, count = known.lacking, len(known.parts)
-    if json_:
-        print_json(_content(path, lacking if count else None, count) | {what: number})
-        return 0
-    out = console()
-    out.print(
-        f"{path}: {number} {what}, {counted(count, known.noun)}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
-    if lacking and count:
-        print_lines(lacking)
+    what, number = next(iter(found.changed.items()))
+    lines = [f"{found.file}: {number} {what}, {counted(found.count, found.noun)}"]
+    answer(found, [*lines, found.lacking] if found.lacking else lines, json_=json_)
     return 0

@@ -11,11 +11,10 @@ from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import PITCH, Json, parse_numbers, parse_range
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import JobsOption, SchedulerOption, named_numbers
-from anisoscope.cli.tables import console, print_lines, print_output, print_table
+from anisoscope.cli.tables import print_lines, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.recipe.teaching import Taught
-    from anisoscope.rig.rigfile import RigFile
     from anisoscope.study.lot import Lot
     from anisoscope.study.part_yield import PartYield
     from anisoscope.study.statistics import Rate
@@ -80,12 +79,7 @@ def new(
     named = None if product == PRODUCT else product
     requested = NewRecipe(named, pitch, ridge_angle, u_ridge_angle, height_map, ink)
     tables = beginning(kind_of_new(requested, kind)).new_recipe(out, requested)
-    console().print(
-        f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+    print_lines(f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}")
     return 0
 
 
@@ -112,18 +106,19 @@ def check(
         anisoscope recipe check recipe.toml
         anisoscope recipe check recipe.toml --rig rig.toml --try-tilts 10,20
     """
-    from anisoscope.kinds.registry import kind_of
+    from anisoscope.operations.teaching import check_recipe
 
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
     with progress(file.name, quiet=json_) as advance:
-        if frames is None:
-            found = kind_of(file).check_recipe(file, rig, light_angle, tries, advance)
-        else:
-            from anisoscope.inspection.replay import check_with_frames
-
-            found = check_with_frames(
-                file, frames, rig, reflectance=reflectance, tries=tries, advance=advance
-            )
+        found = check_recipe(
+            file,
+            rig,
+            frames=frames,
+            reflectance=reflectance,
+            light_angle_deg=light_angle,
+            try_tilts_deg=tries,
+            on_progress=advance,
+        )
     print_output(found.output(), json_=json_)
     return 0
 
@@ -173,25 +168,26 @@ def suggest(
         anisoscope recipe suggest recipe.toml --poses 6 --tilts=-20:20:5
         anisoscope recipe suggest recipe.toml --defect ridge-angle=0.5 --defect roughness=20%
     """
-    from anisoscope.kinds.registry import kind_of
-    from anisoscope.rig.rigfile import read_rig
-    from anisoscope.study.best_poses import best_poses, sizes_in_toml, with_sizes
+    from anisoscope.operations.teaching import suggest_poses
 
-    kind = kind_of(file)
-    recipe = kind.read_recipe(file)
-    if not getattr(getattr(kind, "reference_set", None), "predictive", False):
-        raise UsageError(
-            f"{file}: poses are chosen where a recipe states how good parts differ ([scatter]), not for {kind.one}"
-        )
-    sized, asked = with_sizes(recipe, defect)
-    rig_file = None if rig is None else read_rig(rig, channel=recipe.acquisition.light_channel)
-    angle = light_angle if rig_file is None else rig_file.light.angle_deg
-    allowed = parse_range(angles, "--angles"), parse_range(tilts, "--tilts")
     with progress(file.name, quiet=json_) as advance:
-        found = best_poses(sized, angle, poses, *allowed, u_pose, power, ignore, advance, asked)
+        suggested = suggest_poses(
+            file,
+            defects=defect,
+            poses=poses,
+            angles_deg=parse_range(angles, "--angles"),
+            tilts_deg=parse_range(tilts, "--tilts"),
+            ignore=ignore,
+            u_pose=u_pose,
+            power=power,
+            rig=rig,
+            light_angle_deg=light_angle,
+            on_progress=advance,
+        )
     if json_:
-        print_json(found)
+        print_json(suggested)
         return 0
+    found, reached = suggested.suggestion, suggested.reached
     counts = sorted(found.shown[0].power)
     columns = [
         "defect",
@@ -211,8 +207,6 @@ def suggest(
         for one in found.shown
     ]
     print_table(f"{file.name}: {poses} poses", columns, rows)
-    listed = ", ".join(f"[{stage:g}, {tilt:g}]" for stage, tilt in found.poses)
-    reached = [(n, frames) for n, frames in sorted(found.frames.items()) if frames is not None]
     enough = (
         f"every defect{' of --defect' if defect else ''} is found in {power:.0%} of parts with "
         + ", or ".join(f"{n} golden parts and {frames} frames per pose" for n, frames in reached)
@@ -220,30 +214,8 @@ def suggest(
         else f"no exposure and no golden parts reach {power:.0%}: good parts differ as the defects do. Allow more "
         "poses, seat the parts better ([scatter] seating_tilt_deg), or accept a larger size ([defects])"
     )
-    lines = [enough, "in the recipe:", "[poses]", f"stage_and_tilt_deg = [{listed}]"]
-    frames = reached[-1][1] if reached else recipe.acquisition.frames_per_pose
-    brackets = ", ".join(f"{factor:g}" for factor in found.brackets)
-    lines += ["[acquisition]", f"frames_per_pose = {frames}", f"brackets = [{brackets}]"]
-    lines.append(_exposure_line(rig_file, found.brightest, recipe.acquisition.gain))
-    if sizes := sizes_in_toml(sized, recipe):
-        lines += ["[defects]", *sizes]
-    print_lines(*lines)
+    print_lines(enough, "in the recipe:", *suggested.in_recipe)
     return 0
-
-
-def _exposure_line(rig: "RigFile | None", brightest: float, gain: float) -> str:
-    """Exposure of the brightest pose, as the white reference of the rig says; how to find it where there is none."""
-    from anisoscope.calibration.white_reference import exposure_for
-    from anisoscope.inspection.teach import LEVEL
-
-    flat = None if rig is None or rig.calibration is None else rig.calibration.flat
-    if flat is None:
-        return "# exposure_s: with --rig, from the white reference of the rig file; or by `anisoscope recipe teach`"
-    try:
-        seconds = exposure_for(flat, brightest, LEVEL, gain)
-    except CalibrationError as problem:
-        return f"# exposure_s: {problem}; or by `anisoscope recipe teach`"
-    return f"exposure_s = {seconds:.2g}  # predicted: the brightest pose reaches {LEVEL:.0%} of full scale on average"
 
 
 @app.command
@@ -312,7 +284,18 @@ def teach(
             "name a rig file with --rig" + (", or a folder of frames with --frames" if serial else "")
         )
     if serial is not None:
-        found = _by_part(file, rig, serial, out, frames, reflectance, json_=json_)
+        from anisoscope.operations.teaching import teach as by_part
+
+        with progress(serial, quiet=json_) as advance:
+            found = by_part(
+                file,
+                rig,
+                serial=serial,
+                frames=frames,
+                reflectance=reflectance,
+                out=out,
+                on_progress=advance,
+            )
     elif limits is not None:
         from anisoscope.inspection.teach import teach_by_limits
 
@@ -333,26 +316,6 @@ def teach(
     lines += [] if found.folder is None else [f"the inspection: {found.folder}"]
     print_lines(*(*lines, *found.notes))
     return 0
-
-
-def _by_part(
-    file: Path,
-    rig: Path | None,
-    serial: str,
-    out: Path,
-    frames: Path | None,
-    reflectance: float,
-    *,
-    json_: bool,
-) -> "Taught":
-    from anisoscope.inspection.teach import teach as by_part
-    from anisoscope.inspection.teach import teach_by_frames
-
-    with progress(serial, quiet=json_) as advance:
-        if frames is None:
-            assert rig is not None
-            return by_part(file, rig, serial, out, advance)
-        return teach_by_frames(file, frames, serial, out, advance, rig_path=rig, reflectance=reflectance)
 
 
 def _by_golden(file: Path, rig: Path, share: float, source: Path | None) -> "Taught":

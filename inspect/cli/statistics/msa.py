@@ -1,53 +1,31 @@
 """``anisoscope msa``: measurement systems analysis."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.history.options import Place, Selection
+from anisoscope.cli.history.options import ALL, Place, Selection
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.statistics.source import (
-    EVERYTHING,
-    Alpha,
-    Csv,
-    Html,
-    Limit,
-    Number,
-    print_grid,
-    readings_from,
-)
+from anisoscope.cli.statistics.source import SOURCE, Alpha, Html, Number, Readable, print_grid, readings_from
 from anisoscope.cli.tables import print_lines
 
 if TYPE_CHECKING:
-    from anisoscope.base.arrays import FloatArray
-    from anisoscope.quality.attribute import AttributeStudy
-    from anisoscope.quality.bias import Bias
-    from anisoscope.quality.gauge import GaugeStudy
-    from anisoscope.quality.linearity import GaugeLinearity
-    from anisoscope.quality.measurement_process import MeasurementProcess, TypeOne
-    from anisoscope.quality.readings import Readings
-    from anisoscope.quality.stability import Stability
     from anisoscope.report.statistics_sections import Grid
 
 ABOUT = "Measurement system analysis: gauge R&R, bias, linearity, stability, attributes, type 1, VDA 5."
 app = App(name="msa", help=ABOUT)
 
-REFERENCE = "reference"
 Reference = Annotated[float | None, Parameter(help="Known value of the part.")]
 
 
 @app.command
 def gauge(
     *,
-    csv: Csv = None,
-    place: Place = None,
-    number: Number = None,
-    which: Selection = EVERYTHING,
-    limit: Limit = 0,
+    source: Readable = SOURCE,
     tolerance: Annotated[
         float | None,
         Parameter(help="Width between the limits of good parts, for the share of the tolerance."),
@@ -65,26 +43,22 @@ def gauge(
     Examples:
         anisoscope msa gauge --csv gauge.csv --tolerance 0.4
     """
-    from anisoscope.quality.gauge import POOR_SHARE, gauge_data, gauge_study
+    from anisoscope.operations.statistics import msa_gauge, values_of
     from anisoscope.report.msa_page import anova, components, write_gauge_page
 
-    readings, name, _ = _number(csv, place, which, limit, number)
-    study = gauge_study(gauge_data(readings, name), tolerance)
+    readings = source.readings()
+    name, _ = values_of(readings, source.number)
+    study = msa_gauge(readings, name, tolerance=tolerance)
     if html is not None:
         write_gauge_page(html, f"Gauge R&R: {name}", readings.source, study)
     _show(study, (components(study), anova(study)), study.notes, html, json_=json_)
-    shares = (study.share_of_study(study.gauge), study.share_of_tolerance(study.gauge) or 0.0)
-    return 0 if max(shares) <= POOR_SHARE else 1
+    return 0 if study.usable else 1
 
 
 @app.command
 def bias(
     *,
-    csv: Csv = None,
-    place: Place = None,
-    number: Number = None,
-    which: Selection = EVERYTHING,
-    limit: Limit = 0,
+    source: Readable = SOURCE,
     reference: Reference = None,
     alpha: Alpha = 0.05,
     html: Html = None,
@@ -99,14 +73,12 @@ def bias(
     Examples:
         anisoscope msa bias --csv bias.csv --reference 6
     """
-    from anisoscope.quality.bias import bias_study
+    from anisoscope.operations.statistics import msa_bias, values_of
     from anisoscope.report.msa_page import biases, write_bias_page
 
-    readings, name, values = _number(csv, place, which, limit, number)
-    known = _reference(readings, reference)
-    if known is None:
-        raise UsageError("name the known value: --reference, or a column `reference` in the CSV file")
-    study = bias_study(values, known, alpha)
+    readings = source.readings()
+    name, values = values_of(readings, source.number)
+    study = msa_bias(readings, name, reference=reference, alpha=alpha)
     if html is not None:
         write_bias_page(html, f"Bias: {name}", readings.source, study, values)
     _show(study, (biases((study,)),), (), html, json_=json_)
@@ -129,13 +101,13 @@ def linearity(
     Examples:
         anisoscope msa linearity --csv linearity.csv
     """
-    from anisoscope.quality.linearity import gauge_linearity
+    from anisoscope.operations.statistics import msa_linearity, values_of
+    from anisoscope.quality.readings import read_readings
     from anisoscope.report.msa_page import biases, line_table, write_linearity_page
 
-    readings, name, values = _number(csv, None, EVERYTHING, 0, number)
-    if REFERENCE not in readings.numbers:
-        raise UsageError(f"{csv}, line 1: a linearity study needs a column {REFERENCE!r}")
-    study = gauge_linearity(readings.numbers[REFERENCE], values, alpha)
+    readings = read_readings(csv)
+    name, _ = values_of(readings, number)
+    study = msa_linearity(readings, name, alpha=alpha)
     if html is not None:
         write_linearity_page(html, f"Linearity: {name}", readings.source, study)
     _show(study, (biases(study.levels), line_table(study)), (), html, json_=json_)
@@ -145,11 +117,7 @@ def linearity(
 @app.command
 def stability(
     *,
-    csv: Csv = None,
-    place: Place = None,
-    number: Number = None,
-    which: Selection = EVERYTHING,
-    limit: Limit = 0,
+    source: Readable = SOURCE,
     reference: Reference = None,
     baseline: Annotated[
         int | None, Parameter(help="Limits from this many measured values at the start; else from all.")
@@ -167,19 +135,18 @@ def stability(
     Examples:
         anisoscope msa stability --serial CHECK-1 --number "ln 0-90"
     """
-    from anisoscope.quality.control import Settings
-    from anisoscope.quality.stability import stability_study
+    from anisoscope.operations.statistics import msa_stability, values_of
     from anisoscope.report.msa_page import biases, write_stability_page
     from anisoscope.report.spc_page import tables
 
-    readings, name, values = _number(csv, place, which, limit, number)
-    known = _reference(readings, reference)
-    study = stability_study(values, readings.labels, Settings(baseline), known, alpha, name=name)
+    readings = source.readings()
+    name, _ = values_of(readings, source.number)
+    study = msa_stability(readings, name, reference=reference, baseline=baseline, alpha=alpha)
     if html is not None:
         write_stability_page(html, f"Stability: {name}", readings.source, study)
     grids = (*tables(study.chart, 20), *(() if study.bias is None else (biases((study.bias,)),)))
     _show(study, grids, study.chart.notes, html, json_=json_)
-    return 1 if not study.chart.stable or (study.bias is not None and study.bias.significant) else 0
+    return 0 if study.acceptable else 1
 
 
 Tolerance = Annotated[float, Parameter(help="Tolerance: width between the limits of good parts.")]
@@ -203,7 +170,7 @@ def attribute(
         ),
     ] = None,
     place: Place = None,
-    which: Selection = EVERYTHING,
+    which: Selection = ALL,
     tolerance: Annotated[
         float | None,
         Parameter(help="Tolerance, width between the limits of good parts, for signal detection."),
@@ -242,11 +209,7 @@ def attribute(
 @app.command
 def type1(
     *,
-    csv: Csv = None,
-    place: Place = None,
-    number: Number = None,
-    which: Selection = EVERYTHING,
-    limit: Limit = 0,
+    source: Readable = SOURCE,
     reference: Reference = None,
     tolerance: Tolerance,
     resolution: Resolution = None,
@@ -260,14 +223,12 @@ def type1(
     Examples:
         anisoscope msa type1 --csv standard.csv --reference 6 --tolerance 0.5 --resolution 0.01
     """
-    from anisoscope.quality.measurement_process import type_one
+    from anisoscope.operations.statistics import msa_type1, values_of
     from anisoscope.report.msa_page import type_one_tables, write_type_one_page
 
-    readings, name, values = _number(csv, place, which, limit, number)
-    known = _reference(readings, reference)
-    if known is None:
-        raise UsageError("name the known value: --reference, or a column `reference` in the CSV file")
-    study = type_one(values, known, tolerance, resolution)
+    readings = source.readings()
+    name, values = values_of(readings, source.number)
+    study = msa_type1(readings, name, tolerance=tolerance, reference=reference, resolution=resolution)
     if html is not None:
         write_type_one_page(html, f"Type 1: {name}", readings.source, study, values)
     _show(study, type_one_tables(study), study.notes, html, json_=json_)
@@ -323,62 +284,45 @@ def process(
     Examples:
         anisoscope msa process --standards standards.csv --gauge-study gauge.csv --tolerance 0.4 --u-calibration 0.002
     """
-    from anisoscope.quality.gauge import gauge_data, gauge_study
-    from anisoscope.quality.measurement_process import measurement_process, standards_study
+    from anisoscope.operations.statistics import msa_process, values_of
+    from anisoscope.quality.readings import read_readings
     from anisoscope.report.msa_page import process_tables, write_process_page
 
-    readings, name, values = _number(standards, None, EVERYTHING, 0, number)
-    if REFERENCE not in readings.numbers:
-        raise UsageError(f"{standards}, line 1: measurements of standards need a column {REFERENCE!r}")
-    own = standards_study(readings.numbers[REFERENCE], values, corrected=corrected)
-    gauge_ = None
-    if gauge_study_ is not None:
-        measured, of_parts, _ = _number(gauge_study_, None, EVERYTHING, 0, number)
-        gauge_ = gauge_study(gauge_data(measured, of_parts), tolerance)
+    readings = read_readings(standards)
+    name, _ = values_of(readings, number)
     given = {
         "CAL": u_calibration,
         "LIN": u_linearity,
         "OBJ": u_object,
         "T": u_temperature,
         "STAB": u_stability,
+        "GV": u_gauges,
+        "rest": u_other,
     }
-    given |= {"GV": u_gauges, "rest": u_other}
-    study = measurement_process(
-        tolerance, own, gauge_, {key: one for key, one in given.items() if one is not None},
-        resolution=resolution, largest_error=largest_error, limits=(system_limit, process_limit),
-    )  # fmt: skip
+    study = msa_process(
+        readings,
+        None if gauge_study_ is None else read_readings(gauge_study_),
+        number,
+        tolerance=tolerance,
+        corrected=corrected,
+        stated={key: one for key, one in given.items() if one is not None},
+        resolution=resolution,
+        largest_error=largest_error,
+        limits=(system_limit, process_limit),
+    )
     if html is not None:
         write_process_page(html, f"Measurement process: {name}", readings.source, study)
     _show(study, process_tables(study), study.notes, html, json_=json_)
     return 0 if study.capable else 1
 
 
-def _number(
-    csv: Path | None, place: str | None, which: Selection, limit: int, number: str | None
-) -> "tuple[Readings, str, FloatArray]":
-    """Readings, and the number that is meant: the first one that is no reference."""
-    readings = readings_from(csv, place, which, limit)
-    if number is None:
-        number = next((name for name in readings.numbers if name != REFERENCE), None)
-        if number is None:
-            raise UsageError(f"{readings.source}: there is no number besides the reference")
-    return readings, *readings.number(number)
-
-
-def _reference(readings: "Readings", given: float | None) -> float | None:
-    """Reference value: the given one, or the constant of a column."""
-    if given is not None or REFERENCE not in readings.numbers:
-        return given
-    known = set(readings.numbers[REFERENCE].tolist())
-    if len(known) != 1:
-        raise UsageError(
-            f"{readings.source}: the column {REFERENCE!r} holds more than one value: use `anisoscope msa linearity`"
-        )
-    return float(known.pop())
+class _Study(Protocol):
+    @property
+    def verdict(self) -> str: ...
 
 
 def _show(
-    study: "GaugeStudy | Bias | GaugeLinearity | Stability | AttributeStudy | TypeOne | MeasurementProcess",
+    study: "_Study",
     grids: "tuple[Grid, ...]",
     notes: tuple[str, ...],
     html: Path | None,

@@ -1,12 +1,13 @@
 """Source of the numbers for the commands of statistics: a CSV file or the history."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Which
+from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Place, Selection, Which
 
 if TYPE_CHECKING:
     from anisoscope.quality.readings import Readings
@@ -29,7 +30,24 @@ Alpha = Annotated[
     float, Parameter(name="--significance", help="Significance of the tests; intervals cover the rest.")
 ]
 
-EVERYTHING = ALL
+
+@dataclass(frozen=True)
+class Source:
+    """Source of the readings, and the number in them."""
+
+    csv: Csv = None
+    place: Place = None
+    number: Number = None
+    which: Selection = ALL
+    limit: Limit = 0
+
+    def readings(self) -> "Readings":
+        """The readings that are meant; errors as for `readings_from`."""
+        return readings_from(self.csv, self.place, self.which, self.limit)
+
+
+Readable = Annotated[Source, Parameter(name="*")]
+SOURCE = Source()
 
 
 def readings_from(

@@ -2,7 +2,7 @@
 
 import importlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import MeasurementError, RecordError
+from anisoscope.base.json_fields import json_field
 from anisoscope.inspection.batch.scan import Scan, read_scan
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.frame import filters_in_header
@@ -37,7 +38,7 @@ class Code:
     """
 
     kind: str
-    scan: Scan
+    scan: Scan = field(metadata=json_field(merged=True))
     corners: tuple[tuple[int, int], ...]
 
     @property

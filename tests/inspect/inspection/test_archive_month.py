@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope.cli.history.whatif import write_html
 from anisoscope.history.rows import row_of
 from anisoscope.history.store import open_history
 from anisoscope.inspection.archive import (
@@ -27,6 +26,7 @@ from anisoscope.inspection.archive import (
     push_all,
 )
 from anisoscope.inspection.archive_store import ArchiveError, S3Store, open_store
+from anisoscope.operations.past import write_whatif_page
 from anisoscope.record.schema import read_record
 from anisoscope.study.sweep import Workers
 from anisoscope.study.whatif import what_if
@@ -165,7 +165,7 @@ def test_a_month_of_two_stations(inspected_part, copy_of, database, s3, tmp_path
     found = what_if(other, local, decided, Workers(2))
     judge_s = time.perf_counter() - judge_s
     page = Path(os.environ.get("ANISOSCOPE_SOAK_PAGE", tmp_path / "whatif.html"))
-    write_html(page, found, {row.id: row for row in local})
+    write_whatif_page(page, found, {row.id: row for row in local})
     assert (found.unjudged, found.from_kept) == ((), len(local))
     print(  # noqa: T201 - numbers for whoever runs a campaign
         f"{len(month.serials)} inspections of two stations, {month.killed} pushes killed\n"

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.line.line import log_in_of
+from anisoscope.console.access import log_in_of
 from anisoscope.console.accounts import Accounts
 from anisoscope.console.trail import trail_of
 from anisoscope.inspection.work import WorkerHere

@@ -15,8 +15,9 @@ import tomli_w
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import as_json
 from anisoscope.cli import run
-from anisoscope.cli.history.whatif import selection, write_html
+from anisoscope.cli.history.whatif import selection
 from anisoscope.history.rows import Row, row_of
+from anisoscope.operations.past import write_whatif_page
 from anisoscope.record.schema import read_record
 from anisoscope.study import whatif as module
 from anisoscope.study.sweep import SweepError, Workers
@@ -126,7 +127,7 @@ def test_risks_are_counted_against_reviewers_with_intervals():
 def test_the_page_shows_the_flips(past, tmp_path):
     other, one = past
     found = what_if(other(decision={"tolerance": 0.0005}), [one], {1: "accept"}, HERE)
-    write_html(tmp_path / "flips.html", found, {1: one})
+    write_whatif_page(tmp_path / "flips.html", found, {1: one})
     page = (tmp_path / "flips.html").read_text(encoding="utf-8")
     assert "What if: 1 of 1 verdicts change" in page
     assert page.count("data:image/jpeg;base64,") == 1

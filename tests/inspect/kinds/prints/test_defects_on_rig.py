@@ -5,10 +5,11 @@ import json
 import pytest
 
 from anisoscope.base.errors import CalibrationError
-from anisoscope.cli.inspect.inspection import _as_json, _exit_code, _print
+from anisoscope.cli.inspect.inspection import _exit_code, _print
 from anisoscope.history.rows import numbers_of
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
+from anisoscope.operations.findings import content_of
 from anisoscope.record.schema import RECORD_NAME
 
 
@@ -45,7 +46,7 @@ def test_a_good_print_passes_and_its_folder_explains_itself(good_print, capsys):
     assert numbers["u print alpha x"] == pytest.approx(alpha.nominal * alpha.u)
     assert numbers["tolerance print alpha x"] == pytest.approx(alpha.nominal * alpha.limit)
     assert numbers["p"] == record.p_value
-    said = _as_json(done)
+    said = content_of(done)
     assert said["print"]["quantities"][0]["name"] == "alpha x"
     _print(done)
     assert _exit_code(done) == 0

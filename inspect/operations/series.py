@@ -1,0 +1,180 @@
+"""Many parts: the slots of a tray one after the other, and folders of frames as they arrive."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.json_fields import json_field
+from anisoscope.inspection.batch.codes import Kind
+from anisoscope.inspection.batch.first_pose import Look
+from anisoscope.inspection.batch.journal import BATCH_NAME, VERDICTS, BatchFile, read_batch
+from anisoscope.inspection.batch.operator import Operator, Unattended
+from anisoscope.inspection.batch.run import run_batch, write_summary
+from anisoscope.inspection.batch.start import Order
+from anisoscope.inspection.batch.tray import read_tray
+from anisoscope.inspection.batch.watch import Listener, Watch, Watched
+from anisoscope.inspection.reports import Reports
+from anisoscope.operations.remembering import history_place, lot_mates, remember
+from anisoscope.record.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Inspected slots of a tray.
+
+    Attributes:
+        file: slots with verdicts or faults, their counts and the exit code.
+        folder: of the batch, with one inspection folder per part.
+        page: summary in HTML.
+    """
+
+    file: BatchFile = field(
+        metadata=json_field(
+            by=lambda found: {
+                "exit_code": found.exit_code,
+                "counts": found.counts,
+                "slots": [slot.model_dump(mode="json") for slot in found.slots],
+            },
+            merged=True,
+        )
+    )
+    folder: Path
+    page: Path
+
+
+def batch(
+    tray: Path | str,
+    recipe: Path | str,
+    rig: Path | str,
+    *,
+    out: Path | str = "inspections",
+    resume: bool = False,
+    who: Operator | None = None,
+    look: Look | None = None,
+    operator: str | None = None,
+    station: str | None = None,
+    history: str | None = None,
+    note: Callable[[str], None] | None = None,
+) -> Batch:
+    """Inspect the parts of a tray list; a fault at one part does not stop the others.
+
+    Args:
+        tray: tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig,x_mm,y_mm; or AQDEF.
+        recipe: recipe file.
+        rig: rig file.
+        out: folder that receives the folder ``batch-NAME``, after the list.
+        resume: continue an interrupted batch; finished parts are kept.
+        who: answers before each part; by default nobody: the tray fills itself, or the axes bring the parts.
+        look: kind of code to read on every part, and exposure; None reads none.
+        operator: for the records.
+        station: where the rig stands.
+        history: that the inspections enter; ``none`` for none. By default that of the folder.
+        note: takes a line of what a report lacks.
+
+    Raises:
+        AnisoscopeError: tray list, recipe or rig file, before anything moves.
+    """
+    listed, base = read_tray(Path(tray)), Path(out)
+    folder = (base / f"batch-{Path(tray).stem}").resolve()
+    place = history_place(history, base)
+    order = Order(
+        listed, Path(recipe), Path(rig), folder, operator, station, look, lambda lot: lot_mates(place, lot)
+    )
+    say = note or (lambda _: None)
+    begun_before = (folder / BATCH_NAME).exists() and not resume
+    for text in listed.notes:
+        say(text)
+    try:
+        with Reports() as reports:
+            found = run_batch(
+                order,
+                who or Unattended(),
+                lambda inspected: remember(inspected, place),
+                resume=resume,
+                reports=reports,
+            )
+            for text in reports.finish():
+                say(text)
+    except KeyboardInterrupt:
+        if not begun_before and (folder / BATCH_NAME).exists():
+            write_summary(read_batch(folder), folder)
+        raise
+    return Batch(found, folder, write_summary(found, folder))
+
+
+def watch(
+    folder: Path | str,
+    recipe: Path | str,
+    rig: Path | str | None = None,
+    *,
+    listener: Listener,
+    stop: threading.Event | None = None,
+    once: bool = False,
+    out: Path | str = "inspections",
+    reflectance: float = 0.99,
+    stable_s: float = 2.0,
+    poll_s: float = 1.0,
+    code: Kind | None = None,
+    history: str | None = None,
+    note: Callable[[str], None] | None = None,
+    begun: Callable[[Path], None] | None = None,
+) -> Watch:
+    """Inspect every folder of frames that another program writes.
+
+    Args:
+        folder: in which folders of frames (with frames.csv) arrive.
+        recipe: recipe file.
+        rig: rig file; by default rig.toml in the folder of frames.
+        listener: hears of every inspection, and of folders that cannot be inspected.
+        stop: ends it after the folder at work.
+        once: end when the complete folders that exist are inspected.
+        out: folder that receives the inspections.
+        reflectance: of the white tile in flat frames.
+        stable_s: seconds without a change after which a folder is complete.
+        poll_s: seconds between checks of the folder.
+        code: kind of code that identifies each part in its first frame; None reads none.
+        history: that the inspections enter; ``none`` for none. By default that of the folder.
+        note: takes a line of what a report lacks.
+        begun: called with the watched folder, before the first inspection.
+
+    Returns:
+        Verdicts, folders that cannot be inspected, and those still arriving.
+
+    Raises:
+        UsageError: times that make no sense.
+        AnisoscopeError: folder, recipe or rig file.
+    """
+    if not (stable_s >= 0.0 and poll_s > 0.0):
+        raise UsageError(
+            f"--stable-for must be 0 s or more and --poll above 0 s, not {stable_s:g} and {poll_s:g}"
+        )
+    base = Path(out)
+    place = history_place(history, base)
+    what = Watched(
+        Path(folder).resolve(),
+        base.resolve(),
+        Path(recipe),
+        None if rig is None else Path(rig),
+        reflectance,
+        stable_s,
+        poll_s,
+        code,
+        lambda lot: lot_mates(place, lot),
+    )
+    ended = threading.Event() if stop is None else stop
+    with Reports(note) as reports:
+        watching = Watch(what, listener, lambda inspected: remember(inspected, place), reports=reports)
+        with watching.open():
+            if begun is not None:
+                begun(what.root)
+            (watching.run_once if once else watching.run)(ended)
+            reports.finish()
+    return watching
+
+
+def watch_exit_code(watching: Watch) -> int:
+    """Exit code of the worst verdict, or of damaged folders."""
+    worst = next((word for word in VERDICTS if word in watching.verdicts), "PASS")
+    return RecordError.exit_code if watching.bad else Verdict(worst).exit_code

@@ -1,0 +1,327 @@
+"""Measurement systems analysis and control charts of readings, from a CSV file or a history."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, json_field
+from anisoscope.base.progress import Advance, silent
+from anisoscope.history.filters import parse_moment
+from anisoscope.quality.bias import ALPHA, Bias, bias_study
+from anisoscope.quality.capability import Specification, charted, specification
+from anisoscope.quality.control import ControlStudy, Settings, control_study
+from anisoscope.quality.drift import Drift, drift_study
+from anisoscope.quality.gauge import GaugeStudy, gauge_data, gauge_study
+from anisoscope.quality.individuals import Period
+from anisoscope.quality.linearity import GaugeLinearity, gauge_linearity
+from anisoscope.quality.measurement_process import (
+    PROCESS_LIMIT,
+    SYSTEM_LIMIT,
+    MeasurementProcess,
+    TypeOne,
+    measurement_process,
+    standards_study,
+    type_one,
+)
+from anisoscope.quality.readings import GROUPS, Readings
+from anisoscope.quality.stability import Stability, stability_study
+
+REFERENCE = "reference"
+"""Column of known values."""
+
+
+def values_of(readings: Readings, number: str | None = None) -> tuple[str, FloatArray]:
+    """Name and values (N,) of a number; without a name the first one that is no reference.
+
+    Raises:
+        UsageError: there is no such number.
+    """
+    name = number or next((name for name in readings.numbers if name != REFERENCE), None)
+    if name is None:
+        raise UsageError(f"{readings.source}: there is no number besides the reference")
+    return readings.number(name)
+
+
+def msa_gauge(readings: Readings, number: str | None = None, *, tolerance: float | None = None) -> GaugeStudy:
+    """Crossed gauge R&R (AIAG manual): every part measured equally often by every appraiser.
+
+    Args:
+        readings: with the columns part and appraiser, or of a history: serial number and operator.
+        number: name of the measured number; the first one by default.
+        tolerance: width between the limits of good parts.
+
+    Raises:
+        UsageError: the study is not crossed or too small.
+    """
+    return gauge_study(gauge_data(readings, values_of(readings, number)[0]), tolerance)
+
+
+def msa_bias(
+    readings: Readings, number: str | None = None, *, reference: float | None = None, alpha: float = ALPHA
+) -> Bias:
+    """Bias of repeated measurements of one part.
+
+    Args:
+        readings: of the part.
+        number: name of the measured number; the first one by default.
+        reference: known value; by default the constant of the column ``reference``.
+        alpha: significance of the test.
+
+    Raises:
+        UsageError: no known value, several, or too few measured values.
+    """
+    return bias_study(values_of(readings, number)[1], _known(readings, reference), alpha)
+
+
+def msa_linearity(readings: Readings, number: str | None = None, *, alpha: float = ALPHA) -> GaugeLinearity:
+    """Bias over parts of several known values, which are in the column ``reference``.
+
+    Raises:
+        UsageError: there is no such column, or too few values.
+    """
+    values = values_of(readings, number)[1]
+    return gauge_linearity(_column(readings, "a linearity study needs"), values, alpha)
+
+
+def msa_stability(
+    readings: Readings,
+    number: str | None = None,
+    *,
+    reference: float | None = None,
+    baseline: int | None = None,
+    alpha: float = ALPHA,
+) -> Stability:
+    """Control chart of a check standard, with its bias where its value is known.
+
+    Args:
+        readings: in the order in which they were measured.
+        number: name of the measured number; the first one by default.
+        reference: known value; by default the constant of the column ``reference``, if there is one.
+        baseline: measured values at the start on which the limits rest; None for all.
+        alpha: significance of the bias.
+
+    Raises:
+        UsageError: too few values.
+    """
+    name, values = values_of(readings, number)
+    known = _reference(readings, reference)
+    return stability_study(values, readings.labels, Settings(baseline), known, alpha, name=name)
+
+
+def msa_type1(
+    readings: Readings,
+    number: str | None = None,
+    *,
+    tolerance: float,
+    reference: float | None = None,
+    resolution: float | None = None,
+) -> TypeOne:
+    """Type-1 study: Cg and Cgk of one standard measured repeatedly.
+
+    Args:
+        readings: of the standard.
+        number: name of the measured number; the first one by default.
+        tolerance: width between the limits of good parts.
+        reference: known value; by default the constant of the column ``reference``.
+        resolution: of the gauge.
+
+    Raises:
+        UsageError: no known value, several, or too few measured values.
+    """
+    return type_one(values_of(readings, number)[1], _known(readings, reference), tolerance, resolution)
+
+
+def msa_process(
+    standards: Readings,
+    gauge: Readings | None = None,
+    number: str | None = None,
+    *,
+    tolerance: float,
+    corrected: bool = False,
+    stated: Mapping[str, float] | None = None,
+    resolution: float | None = None,
+    largest_error: float | None = None,
+    limits: tuple[float, float] = (SYSTEM_LIMIT, PROCESS_LIMIT),
+) -> MeasurementProcess:
+    """Capability of a measuring system and of its process (ISO 22514-7, VDA 5).
+
+    Args:
+        standards: repeated measurements of standards, with the column ``reference``.
+        gauge: of a crossed study; None for the measuring system alone.
+        number: name of the measured number; the first one by default.
+        tolerance: width between the limits of good parts.
+        corrected: measured values are corrected by the line of the standards.
+        stated: further standard uncertainties by name: CAL, LIN, OBJ, T, STAB, GV, rest.
+        resolution: of the gauge.
+        largest_error: maximum permissible error, in place of calibration, bias and linearity.
+        limits: largest Q of system and process.
+
+    Raises:
+        UsageError: a missing column, or a number that makes no sense.
+    """
+    values = values_of(standards, number)[1]
+    known = _column(standards, "measurements of standards need")
+    own = standards_study(known, values, corrected=corrected)
+    crossed = None if gauge is None else msa_gauge(gauge, number, tolerance=tolerance)
+    return measurement_process(
+        tolerance,
+        own,
+        crossed,
+        stated,
+        resolution=resolution,
+        largest_error=largest_error,
+        limits=limits,
+    )
+
+
+def _column(readings: Readings, why: str) -> FloatArray:
+    if REFERENCE not in readings.numbers:
+        raise UsageError(f"{readings.source}, line 1: {why} a column {REFERENCE!r}")
+    return readings.numbers[REFERENCE]
+
+
+def _reference(readings: Readings, given: float | None) -> float | None:
+    if given is not None or REFERENCE not in readings.numbers:
+        return given
+    known = set(readings.numbers[REFERENCE].tolist())
+    if len(known) != 1:
+        raise UsageError(
+            f"{readings.source}: the column {REFERENCE!r} holds more than one value: use `anisoscope msa linearity`"
+        )
+    return float(known.pop())
+
+
+def _known(readings: Readings, given: float | None) -> float:
+    known = _reference(readings, given)
+    if known is None:
+        raise UsageError("name the known value: --reference, or a column `reference` in the CSV file")
+    return known
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Control study of a number, the readings that it is of, and its drift where one was looked for."""
+
+    number: str
+    readings: Readings
+    study: ControlStudy
+    drift: Drift | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Charts:
+    """Control charts of readings.
+
+    Attributes:
+        source: of the readings.
+        charts: one for each number and group.
+        studies: their control studies.
+        skipped: what has no chart, and why.
+        drifts: results of the tests for a drift.
+    """
+
+    source: str
+    charts: tuple[Chart, ...] = field(metadata=LEFT_OUT)
+    studies: tuple[ControlStudy, ...]
+    skipped: tuple[str, ...]
+    drifts: tuple[Drift, ...] = field(
+        default=(), metadata=json_field(by=lambda found: {"drifts": found} if found else {}, merged=True)
+    )
+
+    @property
+    def stable(self) -> bool:
+        """Every chart is stable, and nothing drifts."""
+        return all(one.stable for one in self.studies) and not any(one.seen for one in self.drifts)
+
+
+def control_charts(
+    readings: Readings,
+    number: str | None = None,
+    *,
+    by: str | None = None,
+    settings: Settings | None = None,
+    period: str | None = None,
+    limits: Specification | None = None,
+    tolerances: Mapping[str, float] | None = None,
+    drift: bool = False,
+    against: tuple[str, ...] | None = None,
+    on_progress: Advance = silent,
+) -> Charts:
+    """Control charts and capability: of a number, or of all that are worth a chart.
+
+    Args:
+        readings: in the order in which they were measured; with cycle data of machines for ``drift``.
+        number: its name; None for all.
+        by: product, recipe, lot, cavity, station or operator: a chart for each.
+        settings: of the charts.
+        period: values on which the limits rest: ``FROM..TO``, either may be missing.
+        limits: of good parts; by default those that the readings state.
+        tolerances: of a recipe, by number, in place of those of the readings.
+        drift: test for a drift, and compare it with cycle data.
+        against: what it is compared with; None for all cycle data.
+        on_progress: called with the work being done, steps done and steps in all.
+
+    Raises:
+        UsageError: no number, settings that make no sense, or no chart is possible.
+    """
+    names = charted(readings) if number is None else (readings.number(number)[0],)
+    used = Settings() if settings is None else settings
+    if not names:
+        raise UsageError(f"{readings.source}: there is no number to chart")
+    if len(names) > 1 and (limits is not None or used.center is not None):
+        raise UsageError("limits and known means belong to one number: name it with --number")
+    if by is not None and by not in GROUPS:
+        raise UsageError(f"--by takes {', '.join(GROUPS)}, not {by!r}")
+    groups = readings.grouped(by)
+    wanted = [(name, group) for name in names for group in groups]
+    charts: list[Chart] = []
+    skipped: list[str] = []
+    for place, (name, group) in enumerate(wanted):
+        title, part = name if by is None else f"{name}, {by} {group or 'not stated'}", groups[group]
+        on_progress(title, place, len(wanted))
+        values = part.numbers[name]
+        try:
+            own = replace(used, period=None if period is None else period_of(part, period))
+            good = limits or specification(part, name, tolerances)
+            study = control_study(title, values, part.labels, own, good)
+            moved = drift_study(title, values, part.labels, part.against(against, name)) if drift else None
+        except UsageError as error:
+            if len(wanted) == 1:
+                raise
+            skipped.append(f"{title}: {error}")
+        else:
+            charts.append(Chart(name, part, study, moved))
+    if not charts:
+        raise UsageError(skipped[0])
+    return Charts(
+        readings.source,
+        tuple(charts),
+        tuple(one.study for one in charts),
+        tuple(skipped),
+        tuple(one.drift for one in charts if one.drift is not None),
+    )
+
+
+def period_of(readings: Readings, text: str) -> Period:
+    """The readings of a period, such as ``2026-11-01..2026-11-07``; either end may be missing.
+
+    Raises:
+        UsageError: it is no period, or the readings have no times.
+    """
+    begin, dots, end = text.partition("..")
+    if not dots or not (begin or end):
+        raise UsageError(f"--period takes FROM..TO, such as 2026-11-01..2026-11-07, not {text!r}")
+    moments = [readings.moment(place) for place in range(len(readings))]
+    if not any(moments):
+        raise UsageError(f"{readings.source}: no reading has a time, which --period needs")
+    now = datetime.now(UTC)
+    first = parse_moment(begin, "--period", now=now) if begin else datetime.min.replace(tzinfo=UTC)
+    last = parse_moment(end, "--period", now=now, at_end=True) if end else datetime.max.replace(tzinfo=UTC)
+    if last < first:
+        raise UsageError(f"--period {text} ends before it begins: write the earlier day first")
+    inside = np.array([one is not None and first <= one <= last for one in moments], dtype=np.bool_)
+    return Period(f"{begin or 'the beginning'} to {end or 'the end'}", inside)
