@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         verify_history,
         whatif,
     )
+    from anisoscope.operations.reflectance import bsdf_textures, export_bsdf, reflectance_of
     from anisoscope.operations.remembering import lot_mates, remember
     from anisoscope.operations.render import render_frame, render_plate
     from anisoscope.operations.series import batch, watch
@@ -141,6 +142,9 @@ if TYPE_CHECKING:
 DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
 _HOME = {
+    "bsdf_textures": "anisoscope.operations.reflectance",
+    "reflectance_of": "anisoscope.operations.reflectance",
+    "export_bsdf": "anisoscope.operations.reflectance",
     "Manufacture": "anisoscope.parameters.manufacture",
     "Fabrication": "anisoscope.parameters.fabrication",
     "design_code": "anisoscope.operations.design.plates",
@@ -314,6 +318,7 @@ __all__ = [
     "archived_inspections",
     "batch",
     "best_angle",
+    "bsdf_textures",
     "bundle",
     "calibrate_dark",
     "calibrate_flat",
@@ -346,6 +351,7 @@ __all__ = [
     "etched_picture",
     "experiment",
     "export_aqdef",
+    "export_bsdf",
     "export_history",
     "find_illuminant",
     "find_ink",
@@ -392,6 +398,7 @@ __all__ = [
     "recipe_yield",
     "recompute",
     "refine_dot",
+    "reflectance_of",
     "remember",
     "remove_golden",
     "render_frame",

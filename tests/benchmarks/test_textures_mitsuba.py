@@ -8,7 +8,7 @@ from anisoscope.bsdf.formats import export
 from anisoscope.bsdf.mitsuba_scene import write_classes_scene, write_normals_scene
 from anisoscope.bsdf.models import of_ink, of_ridges
 from anisoscope.bsdf.textures import write_height_textures
-from anisoscope.cli.bsdf.sources import design_reflectance
+from anisoscope.operations.reflectance import design_reflectance
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign

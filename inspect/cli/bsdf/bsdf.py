@@ -1,29 +1,156 @@
 """``anisoscope bsdf``: reflectance to and from renderers and instruments."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.bsdf.sources import NodesOption, SourceOptions, resolution_of
-from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
+from anisoscope.cli.ink.options import InksOption, OverwriteOption, check_new, check_suffix, printed_inks
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import OF_PLASTIC, Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Given, Options, with_options
+
+if TYPE_CHECKING:
+    from anisoscope.bsdf.rgl import Resolution
+    from anisoscope.operations.reflectance import Surface
+
+SOURCE = Group(
+    "Surface", help="One of --ridge-angle, --ink, --design, --height-map and --from-file.", sort_key=10
+)
+OF_RIDGES = Options(
+    RidgeDesign,
+    SOURCE,
+    help={
+        "ridge_angle_deg": "Ridges along y: ridge angle in degrees; 0 is a flat surface.",
+        "pitch_um": "Ridges, height map: pitch in µm; 100, and found in a map.",
+    },
+)
+OF_SURFACE = replace(OF_PLASTIC, group=SOURCE)
+NodesOption = Annotated[
+    str | None,
+    Parameter(help="RGL: inclinations and azimuths of the light, and side of the square: 24,37,48."),
+]
+MaterialFile = Annotated[
+    Path | None, Parameter(help="Plastic: file of calibrate material; options have precedence.")
+]
+
+
+@Parameter(name="*", group=SOURCE)
+@dataclass(frozen=True)
+class SourceOptions:
+    """What reflects, but ridges."""
+
+    ink: Annotated[str | None, Parameter(help="Structural-colour ink: file *.toml, or a name.")] = None
+    design: Annotated[Path | None, Parameter(help="Etched steps: file *.toml of anisoscope design.")] = None
+    height_map: Annotated[Path | None, Parameter(help="Height map, x as the reflectance's.")] = None
+    from_file: Annotated[
+        Path | None,
+        Parameter(
+            help="File of another format (RGL, MERL, Klems, tensor tree, Zemax), or a table *.csv of bsdf import."
+        ),
+    ] = None
+    bounces: Annotated[
+        int | Literal["all"],
+        Parameter(
+            help="Ridges: most reflections, or 'all'; direct light by default: a file of 16 s takes over 8 min with 2."
+        ),
+    ] = 1
+    optics: Annotated[
+        Literal["rays", "waves"],
+        Parameter(help="Height map: rays on plastic, or waves on a mirror, for steps and depths below a µm."),
+    ] = "rays"
+    pixel: Annotated[
+        str | None, Parameter(help="Height map: pixel size in µm where it states none, SIZE or Y,X.")
+    ] = None
+    lamp_half_angle: Annotated[
+        float, Parameter(help="Height map by waves: half of the angle that the lamp subtends, degrees.")
+    ] = 0.9
+
+    def surface(self, ridges: Given[RidgeDesign]) -> "tuple[Surface, dict[str, Any]]":
+        """The surface that is named, and how its reflectance is computed.
+
+        Raises:
+            UsageError: none or several surfaces, or a file that cannot be used.
+            HeightMapError, ConfigError: the map or the design cannot be read.
+        """
+        given = {
+            "--ridge-angle": "ridge_angle_deg" in ridges or None,
+            "--ink": self.ink,
+            "--design": self.design,
+            "--height-map": self.height_map,
+            "--from-file": self.from_file,
+        }
+        if sum(value is not None for value in given.values()) != 1:
+            raise UsageError(f"say what reflects: one of {', '.join(given)}")
+        if self.ink is not None:
+            from anisoscope.sim.materials.inks import find_ink
+
+            return find_ink(self.ink), {}
+        if self.design is not None:
+            from anisoscope.sim.design.designfile import read_design
+
+            return read_design(self.design), {}
+        if self.from_file is not None:
+            from anisoscope.operations.reflectance import reflectance_file
+
+            return reflectance_file(self.from_file), {}
+        if self.height_map is None:
+            return ridges.over(RidgeDesign(100.0, 0.0)), {"bounces": self.bounces}
+        from anisoscope.cli.profile.profile import parse_pixel
+        from anisoscope.profiles.files.load import read_height_map
+
+        ridges.refuse(["wall", "height_loss", "edge_radius_um"], "belongs to ridges (--ridge-angle)")
+        how: dict[str, Any] = {"optics": self.optics, "lamp_half_angle_deg": self.lamp_half_angle}
+        how |= {"pitch_um": ridges.values.get("pitch_um"), "name": self.height_map.stem}
+        return read_height_map(self.height_map, pixel_um=parse_pixel(self.pixel)), how
+
+
+def _plastic(file: Path | None, plastic: Given[Material]) -> Material:
+    """The plastic of a file of ``calibrate material``, or the usual one, under the options."""
+    if file is None:
+        return plastic.over(Material())
+    from anisoscope.recipe.material_file import read_material_file
+
+    return plastic.over(read_material_file(file).material.material())
+
+
+def _resolution(nodes: str | None) -> "Resolution | None":
+    """The resolution of an RGL file; None for the usual one.
+
+    Raises:
+        UsageError: something else than three whole numbers, or too few nodes.
+    """
+    from anisoscope.bsdf.rgl import Resolution
+
+    if nodes is None:
+        return None
+    numbers = parse_numbers(nodes, "--nodes", "24,37,48")
+    if len(numbers) != 3 or any(n != int(n) for n in numbers):
+        raise UsageError(f"--nodes takes three whole numbers, such as 24,37,48, not {nodes!r}")
+    theta, phi, square = (int(n) for n in numbers)
+    return Resolution(theta, phi, square)
+
 
 app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, fit, show.")
 app.command("anisoscope.cli.fit.fit:reflectance", name="fit")
-app.command("anisoscope.cli.bsdf.textures:textures")
 
 
 @app.command
+@with_options(ridges=OF_RIDGES, plastic=OF_SURFACE)
 def export(
     target: Path,
     /,
     *,
     source: SourceOptions | None = None,
+    ridges: Given[RidgeDesign],
+    material: Annotated[MaterialFile, Parameter(group=SOURCE)] = None,
+    plastic: Given[Material],
     format_: Annotated[
         Literal["rgl", "merl", "zemax", "klems", "tensor-tree"] | None,
         Parameter(
@@ -50,27 +177,31 @@ def export(
         anisoscope bsdf export plastic.binary --ridge-angle 0 --alpha-along 0.1 --alpha-across 0.1
         anisoscope bsdf export lobe.bsdf --design lobe.toml
     """
-    from anisoscope.bsdf.formats import export as write
     from anisoscope.bsdf.formats import format_of
+    from anisoscope.operations.reflectance import export_bsdf, reflectance_of
 
-    source = source or SourceOptions()
     name = format_ or format_of(target)
     if name != "rgl" and (nodes is not None or scene is not None):
         raise UsageError(f"--{'nodes' if nodes is not None else 'scene'} belongs to RGL .bsdf files")
     check_suffix(scene, "--scene", ".xml")
     check_new((target, scene), overwrite=overwrite)
-    resolution = resolution_of(nodes)
+    resolution, plastics = _resolution(nodes), _plastic(material, plastic)
     with progress(target.name, quiet=json_) as advance:
-        surface = source.reflectance(advance)
-        if wavelength is not None:
-            surface = surface.at(wavelength)
-        drawn = None if scene is None else (scene, scene_shape)
-        done = write(surface, target, name, resolution, advance, drawn)
+        surface, how = (source or SourceOptions()).surface(ridges)
+        found = export_bsdf(
+            reflectance_of(surface, material=plastics, on_progress=advance, **how),
+            target,
+            file_format=name,
+            wavelength_nm=wavelength,
+            resolution=resolution,
+            scene=None if scene is None else (scene, scene_shape),
+            on_progress=advance,
+        )
     if json_:
-        print_json({"file": str(target), "format": done.format, "bytes": done.size, "rms": done.rms,
-                    "losses": list(done.losses), "scene": None if scene is None else str(scene)})  # fmt: skip
+        print_json(found)
         return 0
-    _line(f"{target}: {surface.name}, {done.format}, {done.size / 1e6:.3g} MB")
+    done = found.written
+    _line(f"{target}: {found.name}, {done.format}, {done.size / 1e6:.3g} MB")
     _line(f"read back: {done.rms:.2%} rms off, directions to 60° and half vectors to 30° from the normal")
     for loss in done.losses:
         _line(f"lost: {loss}")
@@ -193,6 +324,63 @@ def import_(
         _line(remark)
     if negative:
         _line(f"warning: {negative} of {len(table.rows)} values are negative")
+    return 0
+
+
+@app.command
+@with_options(plastic=OF_PLASTIC)
+def textures(
+    source: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="New folder for textures, reflectances and scene.")],
+    pixel: Annotated[
+        str | None, Parameter(help="Pixel size in µm: of a plate's heights (2), of a map that states none.")
+    ] = None,
+    inks: InksOption = None,
+    wavelength: Annotated[
+        float | None, Parameter(help="Dots: keep one wavelength in nm; spectral files are large.")
+    ] = None,
+    nodes: NodesOption = None,
+    light_angle: Annotated[float, Parameter(help="Scene: angle between light and camera in degrees.")] = 10.0,
+    material: MaterialFile = None,
+    plastic: Given[Material],
+    json_: Json = False,
+) -> int:
+    """Write heights, normals, masks and reflectances of a surface as textures, with a scene for Mitsuba.
+
+    A plate is given by its recipe *.toml, dots by a layout *.npz of design pattern or by the PNG of ink halftone, all
+    else is a height map. Fields and dots become masks and a .bsdf each class; heights become EXR and 16-bit PNG.
+
+    Args:
+        source: Recipe of a plate, layout of dots, PNG of a halftone, or height map.
+
+    Examples:
+        anisoscope bsdf textures plate/recipe.toml --out textures
+        anisoscope bsdf textures dots.png --inks synthetic-red,synthetic-green,synthetic-blue --out textures
+        anisoscope bsdf textures part.x3p --out textures
+    """
+    from anisoscope.cli.profile.profile import parse_pixel
+    from anisoscope.operations.reflectance import SCENE, bsdf_textures
+
+    resolution, plastics = _resolution(nodes), _plastic(material, plastic)
+    with progress(str(source), quiet=json_) as advance:
+        done = bsdf_textures(
+            source,
+            out,
+            pixel_um=parse_pixel(pixel),
+            inks=None if inks is None else printed_inks(inks),
+            wavelength_nm=wavelength,
+            resolution=resolution,
+            light_angle_deg=light_angle,
+            material=plastics,
+            on_progress=advance,
+        )
+    if json_:
+        print_json(done.as_json())
+        return 0
+    for line in (f"{out}: {', '.join(done.files)}", *done.notes, f"mitsuba -m scalar_spectral {out / SCENE}"):
+        _line(line)
     return 0
 
 

@@ -1,36 +1,31 @@
 """``anisoscope profile make`` and ``profile spoil``: ideal surfaces, and defects of known extent."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import OF_RIDGES, Json, parse_numbers
 from anisoscope.cli.profile.profile import AS_STATED, Scales, parse_pixel
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 
 Pattern = Literal["ridges", "v-grooves", "checkerboard", "flat", "staircase"]
 MAX_POINTS = 100_000_000
+USUAL = RidgeDesign(100.0, 10.0)
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class RidgeOptions:
-    """Ridges, alone or on a checkerboard, and V-grooves."""
+class LineOptions:
+    """Where ridges, alone or on a checkerboard, and V-grooves lie, and the shape of grooves."""
 
-    pitch: Annotated[float, Parameter(help="Pitch of ridges or grooves in µm.")] = 100.0
-    ridge_angle: Annotated[float, Parameter(help="Ridge angle: slope of the large facets, in degrees.")] = (
-        10.0
-    )
-    wall: Annotated[Literal["perpendicular", "vertical"], Parameter(help="Wall of the ridges.")] = (
-        "perpendicular"
-    )
-    height_loss: Annotated[float, Parameter(help="Share of the height missing at the crest.")] = 0.0
     lay: Annotated[
         float, Parameter(help="Direction of ridges or grooves in degrees, counter-clockwise from +y.")
     ] = 0.0
@@ -76,9 +71,15 @@ class RoughOptions:
     correlation: Annotated[float, Parameter(help="Mean correlation length in µm.")] = 8.0
 
 
-RIDGES, STAIRS, SMOOTH = RidgeOptions(), StairOptions(), RoughOptions()
+LINES, STAIRS, SMOOTH = LineOptions(), StairOptions(), RoughOptions()
+OF_LINES = replace(
+    OF_RIDGES,
+    group=Group("Ridges and grooves"),
+    help={"pitch_um": "Pitch of ridges or grooves in µm."},
+)
 
 
+@with_options(ridges=OF_LINES)
 def make(
     pattern: Pattern,
     /,
@@ -88,7 +89,8 @@ def make(
     ],
     size: Annotated[str, Parameter(help="Size of the field in µm: SIZE or Y,X.")] = "1000",
     pixel: Annotated[str, Parameter(help="Pixel size in µm: SIZE or Y,X.")] = "1",
-    lines: Annotated[RidgeOptions, Parameter(group="Ridges and grooves")] = RIDGES,
+    ridges: Given[RidgeDesign],
+    lines: Annotated[LineOptions, Parameter(group="Ridges and grooves")] = LINES,
     stairs: Annotated[StairOptions, Parameter(group="Staircases")] = STAIRS,
     rough: Annotated[RoughOptions, Parameter(group="Roughness")] = SMOOTH,
     seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
@@ -112,7 +114,8 @@ def make(
     _check_target(out, overwrite)
     _check_seed(seed)
     rng = np.random.default_rng(seed)
-    surface = _pattern(pattern, *_grid(size, pixel), lines, stairs, rng)
+    design = ridges.over(USUAL)
+    surface = _pattern(pattern, *_grid(size, pixel), design, lines, stairs, rng)
     roughness = rough.alpha_along, rough.alpha_across, rough.correlation, rng
     first = add_facet_roughness(surface, *roughness, 0.0 if pattern == "flat" else lines.lay)
     if pattern == "checkerboard":  # each field along its own ridges
@@ -141,11 +144,11 @@ def _pattern(
     pattern: Pattern,
     shape: tuple[int, int],
     pixel_um: tuple[float, float],
-    lines: RidgeOptions,
+    design: RidgeDesign,
+    lines: LineOptions,
     stairs: StairOptions,
     rng: Any,  # noqa: ANN401 - numpy is imported where it is needed
 ) -> "HeightMap":
-    from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.profiles import patterns
 
     if pattern == "flat":
@@ -153,9 +156,8 @@ def _pattern(
     if pattern == "staircase":
         return _staircase(shape, pixel_um, stairs, lines.lay, rng)
     if pattern == "v-grooves":
-        grooves = patterns.GrooveDesign(lines.pitch, lines.flank, lines.land)
+        grooves = patterns.GrooveDesign(design.pitch_um, lines.flank, lines.land)
         return patterns.v_grooves(grooves, shape, pixel_um, direction_deg=lines.lay, phase=lines.phase)
-    design = RidgeDesign(lines.pitch, lines.ridge_angle, lines.wall, lines.height_loss)
     if pattern == "checkerboard":
         both = (lines.lay, lines.second_lay)
         return patterns.checkerboard(design, shape, pixel_um, lines.square, directions_deg=both)

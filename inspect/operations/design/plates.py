@@ -43,7 +43,7 @@ Tone = Literal["linear", "srgb"]
 
 @dataclass(frozen=True)
 class Likeness:
-    """Likeness of pictures to what was asked for, one value a picture.
+    """Likeness of pictures to their targets, one value a picture.
 
     Attributes:
         ssim: structural similarity, 1 where equal.

@@ -7,8 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
+from anisoscope.base.errors import UsageError
+from anisoscope.bsdf.reflectance import hemisphere, shuffled
+from anisoscope.operations.reflectance import reflectance_of
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.sim.light import corrected
 
 FLAT = ("--ridge-angle", "0", "--alpha-along", "0.1", "--alpha-across", "0.1")
 
@@ -81,6 +87,27 @@ def test_every_model_leaves(anisoscope, tmp_path, source):
     assert done.json["losses"]
     shown = anisoscope("bsdf", "show", tmp_path / "made.bsdf", "--json").json
     assert 0.02 < shown["albedo"]["0"] < 2.0  # on so coarse a grid
+
+
+def test_draft_crest_tail_and_reflections_are_those_of_the_surface():
+    design, plastic = RidgeDesign(100.0, 10.0, 8.0, edge_radius_um=5.0), Material(tail=0.5)
+    light, camera = hemisphere(6, 60.0), shuffled(hemisphere(6, 60.0, 0.5))
+    for bounces, depth in ((1, 1), ("all", None)):
+        found = reflectance_of(design, material=plastic, bounces=bounces).evaluate(light, camera)
+        wanted = corrected.radiance(light, camera, design, plastic, depth) / light[:, 2]
+        np.testing.assert_allclose(np.squeeze(found), wanted, rtol=1e-9)
+    with pytest.raises(UsageError, match="--bounces must be 1 or more, or all, not 0"):
+        reflectance_of(design, bounces=0)
+
+
+def test_options_of_the_plastic_and_of_ridges_are_refused_by_name(anisoscope, tmp_path):
+    nodes = ("--ridge-angle", "0", "--nodes", "4,5,8")
+    refused = anisoscope("bsdf", "export", "a.bsdf", *nodes, "--material", "none.toml", cwd=tmp_path)
+    assert (refused.code, "none.toml" in refused.err) == (78, True)
+    refused = anisoscope("bsdf", "export", "a.bsdf", *nodes, "--tail", "3", cwd=tmp_path)
+    assert "--tail: the tail of the lobe must lie between 0 and 1.6" in refused.err
+    refused = anisoscope("bsdf", "export", "a.bsdf", "--height-map", "m.npz", "--wall", "5", cwd=tmp_path)
+    assert "--wall belongs to ridges (--ridge-angle)" in refused.err
 
 
 PLATE = """

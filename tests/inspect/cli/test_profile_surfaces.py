@@ -24,7 +24,7 @@ def part(anisoscope, tmp_path_factory):
     [
         ("ridges", ("--lay", 30, "--wall", "vertical"), None),
         ("v-grooves", ("--pitch", 50, "--flank", 30, "--land", 10), None),
-        ("checkerboard", ("--square", 60), None),
+        ("checkerboard", ("--square", 60, "--wall", 5, "--edge-radius", 3), None),
         ("flat", (), 1),
         ("staircase", ("--levels", 3, "--step-height", 120, "--width", 20), 3),
         ("staircase", ("--passes", "107.3,157.5", "--random", "--width", 4, "--seed", 2), 4),

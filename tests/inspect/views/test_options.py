@@ -128,22 +128,29 @@ def test_every_field_of_a_model_is_an_option_or_left_out_with_a_reason(guard):
 
 
 BY_HAND = {
-    "bsdf export",
     "bsdf fit",
-    "bsdf textures",
-    "calibrate material",
     "fit brdf",
     "fit experiment",
     "fit plates",
     "fit ridges",
-    "init",
     "predict",
-    "profile make",
-    "profile texture",
-    "recipe new",
-    "rig commission",
 }
 """Commands that still declare fields of a model themselves."""
+
+
+BEGINNING = "a recipe to begin with asks for pitch and angle; the file states the rest"
+OTHER_THINGS = {
+    ("init", RidgeDesign): BEGINNING,
+    ("recipe new", RidgeDesign): BEGINNING,
+    (
+        "rig commission",
+        RidgeDesign,
+    ): "what is known of the part on the stage; the recipe's where it is left out",
+    ("rig commission", InputUncertainty): "of that part, whose other inputs are sought",
+    ("profile texture", InputUncertainty): "of heights that are measured: other defaults, and no prediction",
+    ("profile make", Material): "roughness that is made as heights: 0 by default, which no lobe has",
+}
+"""Commands with options that only have the names of a model's fields, and why they are none of its."""
 
 
 def test_no_command_declares_the_fields_of_a_model_by_hand(guard):
@@ -155,5 +162,6 @@ def test_no_command_declares_the_fields_of_a_model_by_hand(guard):
             prefix = "--u-" if model is InputUncertainty else "--"
             like = {plain(one.name).replace("--", prefix, 1) for one in fields(model)} & names
             if len(like) > 1 and model not in models:
-                found.add(words)
-    assert found <= BY_HAND
+                found.add((words, model))
+    assert set(OTHER_THINGS) <= found, "a reason that is needed no more"
+    assert {words for words, _ in found - set(OTHER_THINGS)} <= BY_HAND
