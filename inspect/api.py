@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     )
     from anisoscope.operations.design.pictures import etched_hologram, etched_picture
     from anisoscope.operations.design.plates import design_code, design_plate
+    from anisoscope.operations.fit import fit_ridges
     from anisoscope.operations.optimising import optimise
     from anisoscope.operations.past import (
         add_cycles,
@@ -58,6 +59,8 @@ if TYPE_CHECKING:
         verify_history,
         whatif,
     )
+    from anisoscope.operations.predict import Method as PredictionMethod
+    from anisoscope.operations.predict import predict
     from anisoscope.operations.reflectance import bsdf_textures, export_bsdf, reflectance_of
     from anisoscope.operations.remembering import lot_mates, remember
     from anisoscope.operations.render import render_frame, render_plate
@@ -254,7 +257,10 @@ _HOME = {
     "find_illuminant": "anisoscope.sim.materials.spectra",
     "MachineChange": "anisoscope.sim.press:Change",
     "mould": "anisoscope.sim.press",
+    "fit_ridges": "anisoscope.operations.fit",
     "optimise": "anisoscope.operations.optimising",
+    "PredictionMethod": "anisoscope.operations.predict:Method",
+    "predict": "anisoscope.operations.predict",
     "lot_mates": "anisoscope.operations.remembering",
     "remember": "anisoscope.operations.remembering",
     "Noise": "anisoscope.study.objective",
@@ -301,6 +307,7 @@ __all__ = [
     "Optics",
     "Pose",
     "Predicted",
+    "PredictionMethod",
     "Readings",
     "Record",
     "RidgeDesign",
@@ -506,141 +513,6 @@ def spoil(
     return inject_defect(
         surface, defect, np.random.default_rng(seed), severity=severity, values=values or None
     )
-
-
-def predict(
-    surface: "HeightMap | RidgeDesign",
-    *,
-    angles_deg: Sequence[float] = (0.0, 90.0, 180.0),
-    tilts_deg: Sequence[float] = (0.0,),
-    material: "Material | None" = None,
-    convention: "Convention | None" = None,
-    optics: "Optics | None" = None,
-    model: Literal["auto", "geometric", "wave"] = "auto",
-    pitch_um: float | None = None,
-    inputs: "InputUncertainty | None" = None,
-) -> "Predicted":
-    """Radiances and contrasts of a height map or of a design, as ``anisoscope predict`` computes them.
-
-    Light is followed from facet to wall and back until nothing is left.
-
-    Args:
-        surface: measured heights, or ideal ridges.
-        angles_deg: stage angles.
-        tilts_deg: tilts of camera and light.
-        material: roughness, albedo, index; that of the command line where it is not given.
-        convention: how angles are counted, and the light angle (10°).
-        optics: lamp and lens; both points far away where it is not given.
-        model: rays or waves; "auto" takes what the surface needs.
-        pitch_um: of a map, where it is not to be found in the map.
-        inputs: standard uncertainties of the inputs; those of a recipe where they are not given.
-
-    Raises:
-        UsageError: the surface is neither a height map nor a design.
-        HeightMapError: the map cannot be used: too much is missing, or too coarse for waves.
-        ModelError: a pose that sees the surface from below, or a number outside its range.
-    """
-    from anisoscope.base.errors import UsageError
-    from anisoscope.parameters.geometry import Convention
-    from anisoscope.parameters.inputs import InputUncertainty
-    from anisoscope.parameters.material import Material
-    from anisoscope.parameters.optics import POINT_LIKE
-    from anisoscope.parameters.ridges import RidgeDesign
-    from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
-    from anisoscope.prediction.predict import predict_design
-    from anisoscope.prediction.region_prediction import predict_map
-    from anisoscope.profiles.heightmap import HeightMap
-    from anisoscope.sim.light.geometry import pose_grid
-
-    if not isinstance(surface, HeightMap | RidgeDesign):
-        raise UsageError(f"predict takes a HeightMap or a RidgeDesign, not {type(surface).__name__}")
-    poses = pose_grid(tuple(angles_deg), tuple(tilts_deg))
-    rig = Rig(
-        Material() if material is None else material,
-        poses,
-        Convention() if convention is None else convention,
-        POINT_LIKE if optics is None else optics,
-        InputUncertainty() if inputs is None else inputs,
-    )
-
-    def by_rays(advance: "Advance") -> "Predicted":
-        if isinstance(surface, HeightMap):
-            return predict_map(
-                surface,
-                rig.material,
-                poses,
-                rig.convention,
-                pitch_um,
-                inputs=rig.inputs,
-                on_progress=advance,
-                optics=rig.optics,
-            )
-        return predict_design(
-            surface,
-            rig.material,
-            poses,
-            rig.convention,
-            inputs=rig.inputs,
-            on_progress=advance,
-            optics=rig.optics,
-        )
-
-    return predict_with_optics(surface, by_rays, rig, OpticsRequest(model), pitch_um)[0]
-
-
-def fit_ridges(
-    table: Path | str,
-    *,
-    kind: Literal["exposure", "difference", "michelson", "log_ratio"] | None = None,
-    free: Sequence[str] | None = None,
-    ridge_angle_deg: float = 10.0,
-    material: "Material | None" = None,
-    convention: "Convention | None" = None,
-) -> "Fit":
-    """Ridge angle, roughness and scale from measured exposures or contrasts of one part: ``anisoscope fit ridges``.
-
-    Args:
-        table: CSV file: stage_deg,tilt_deg,value[,u] or from_deg,to_deg,tilt_deg,value[,u].
-        kind: what the values are; of exposures, which contrasts are formed and fitted.
-        free: parameters, such as "ridge_angle", "alpha_along", "k"; ridge angle, roughness and scale where not given.
-        ridge_angle_deg: where the search starts, or the fixed value.
-        material: likewise for roughness, albedo and index.
-        convention: how angles are counted, and the light angle.
-
-    Raises:
-        UsageError: a table that cannot be read, or parameters that cannot be fitted to it.
-    """
-    from anisoscope.fit.fitting import fit
-    from anisoscope.fit.parameters import USUAL, checked_values, parse_free
-    from anisoscope.fit.problem import Problem, Scene
-    from anisoscope.fit.table import read_readings
-    from anisoscope.parameters.geometry import Convention
-    from anisoscope.parameters.material import Material
-    from anisoscope.sim.light.geometry import directions
-
-    plastic, counted = material or Material(), convention or Convention()
-    poses, readings = read_readings(Path(table), kind)
-    scene = Scene(
-        *directions(poses, counted),
-        poses=poses,
-        convention=counted,
-        internal_reflection=plastic.internal_reflection,
-    )
-    usual = tuple(name for name in USUAL if readings.scaled or name != "k")
-    values = checked_values(
-        {
-            "ridge_angle_deg": ridge_angle_deg,
-            "alpha_along": plastic.alpha_along,
-            "alpha_across": plastic.alpha_across,
-            "albedo": plastic.albedo,
-            "index": plastic.index,
-            "height_loss": 0.0,
-            "seating_x_deg": 0.0,
-            "seating_y_deg": 0.0,
-            "k": 1.0,
-        }
-    )
-    return fit(Problem(scene, readings, values, usual if free is None else parse_free(",".join(free))))
 
 
 def inspect(

@@ -1,5 +1,6 @@
 """Options that the commands share."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,8 +9,11 @@ from typing import Annotated
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.quantity import read_number
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import InputUncertainty, default_uncertainty
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.ridges import LIKELY_PITCH, RidgeDesign
 from anisoscope.views.options import Options, quantity
 
@@ -28,10 +32,59 @@ HistoryOption = Annotated[
 RIDGES = Group("Ridges", sort_key=19)
 PLASTIC = Group("Plastic", sort_key=20)
 LIGHT = Group("Light and camera angles", sort_key=21)
+MaterialOption = Annotated[
+    Path | None,
+    Parameter(
+        name="--material",
+        group=PLASTIC,
+        help="Material file of `calibrate material` in place of the recipe's plastic.",
+    ),
+]
 PITCH = quantity("pitch_um", LIKELY_PITCH)
 OF_RIDGES = Options(RidgeDesign, RIDGES, default=RidgeDesign(100.0, 10.0))
 OF_PLASTIC = Options(Material, PLASTIC)
 OF_LIGHT = Options(Convention, LIGHT)
+LAMP_AND_LENS = Group(
+    "Lamp and lens", help="Sizes as the sample sees them; without them both are points far away.", sort_key=22
+)
+UNCERTAINTY = Group(
+    "Uncertainty",
+    help="Standard uncertainties (k = 1) of the inputs; 0 takes an input as exact. The defaults are those of a recipe.",
+    sort_key=23,
+)
+
+
+def _half_angle_deg(text: str, option: str) -> float:
+    aperture = read_number(text, option)
+    if not 0.0 <= aperture < 0.86:
+        raise ValueError(f"{option} must be a numerical aperture of 0 to 0.86, not {aperture:g}")
+    return math.degrees(math.asin(aperture))
+
+
+def _field_mm(text: str, option: str) -> tuple[float, float]:
+    sides = parse_numbers(text, option)
+    if len(sides) not in (1, 2) or min(sides) <= 0.0:
+        raise ValueError(f"{option} takes one or two positive numbers of mm, not {text!r}")
+    return sides[0], sides[-1]
+
+
+OF_OPTICS = Options(
+    Optics,
+    LAMP_AND_LENS,
+    names={"aperture_half_angle_deg": "--aperture"},
+    help={
+        "aperture_half_angle_deg": "Numerical aperture of the lens.",
+        "field_mm": "Size of the field on the sample in mm: SIZE or WIDTH,HEIGHT; with --lamp-distance.",
+    },
+    readers={"aperture_half_angle_deg": _half_angle_deg, "field_mm": _field_mm},
+)
+OF_UNCERTAINTY = Options(
+    InputUncertainty,
+    UNCERTAINTY,
+    names={"ridges_seen": "--ridges-seen", "light_field_deg": "--light-field"},
+    prefix="u-",
+    default=default_uncertainty(Material()),
+)
 
 TrustFile = Annotated[
     Path | None,

@@ -13,7 +13,10 @@ from anisoscope.fit.identifiability import information
 from anisoscope.fit.parameters import PARAMETERS, checked_values
 from anisoscope.fit.problem import Problem, Readings, Scene, interface_alpha
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.prediction.expectation import SCATTER, Expectation
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.prediction.expectation import Expectation
+from anisoscope.prediction.input_doubt import SCATTER
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import EstimateRecord, ShapeRecord
 from anisoscope.sim.light.geometry import directions
@@ -70,9 +73,9 @@ def _problem(
     scene = Scene(
         to_light,
         to_camera,
-        wall="perpendicular" if design is None else design.wall,
+        design=RidgeDesign(100.0, 10.0, "perpendicular" if design is None else design.wall),
         bounces=recipe.surface.bounces,
-        internal_reflection=material.internal_reflection,
+        material=Material(internal_reflection=material.internal_reflection),
         poses=expected.poses,
         convention=expected.convention,
     )

@@ -1,7 +1,7 @@
 """Fit problem: a scene that the models predict, and the readings of it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.parameters.material import InternalReflection, Material
-from anisoscope.parameters.ridges import RidgeDesign, Wall
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.bounces import NODES, interreflection
 from anisoscope.sim.light.geometry import seating_rotation
@@ -66,8 +66,8 @@ class Scene:
         nodes: Gauss-Legendre nodes per panel for two reflections.
         higher: (P,) ratio of all reflections to two, which stands for the third and further ones; None: they are
             followed.
-        wall: of the ridges.
-        internal_reflection: as in `Material`.
+        design: pitch, wall and radius of the crests of the ridges; the parameters stand in place of the rest.
+        material: internal reflection and second lobe of the plastic; the parameters stand in place of the rest.
         ridge_angles_deg: (P,) ridge angles where several parts were measured; None: the parameter is used.
         poses: the P poses, where the directions come from a stage and a tilt; else empty.
         convention: how the angles of the poses are counted, or None.
@@ -79,8 +79,8 @@ class Scene:
     bounces: int | None = None
     nodes: int = NODES
     higher: FloatArray | None = None
-    wall: Wall = "perpendicular"
-    internal_reflection: InternalReflection = "nonlinear"
+    design: RidgeDesign = field(default_factory=lambda: RidgeDesign(100.0, 10.0))
+    material: Material = field(default_factory=Material)
     ridge_angles_deg: FloatArray | None = None
     poses: tuple[Pose, ...] = ()
     convention: Convention | None = None
@@ -99,8 +99,9 @@ class Scene:
             values["alpha_across"],
             values["albedo"],
             values["index"],
-            self.internal_reflection,
-            tail=values.get("tail", 0.0),
+            self.material.internal_reflection,
+            values.get("tail", 0.0),
+            self.material.second_lobe,
             interface_alpha=interface,
         )
         above = (light[:, 2] > HORIZON) & (camera[:, 2] > HORIZON)
@@ -110,7 +111,7 @@ class Scene:
         found = np.zeros(len(light))
         for angle in np.unique(angles):
             here = above & (angles == angle)
-            design = RidgeDesign(100.0, float(angle), self.wall, values["height_loss"])
+            design = replace(self.design, ridge_angle_deg=float(angle), height_loss=values["height_loss"])
             found[here] = self._one_part(light[here], camera[here], design, material)
             if self.follows:
                 indirect = self._indirect(light[here], camera[here], design, material)
@@ -242,6 +243,10 @@ class Problem:
             )
         if self.scene.model == "printed" and "height_loss" in self.free:
             raise UsageError("the printed model knows no height loss: leave it out of --free")
+        if self.scene.model == "printed" and self.scene.material.second_lobe is not None:
+            raise UsageError(
+                "the printed model has Beckmann's lobe: leave --second-lobe out, or take --model corrected"
+            )
         if self.scene.model == "printed" and self.values.get("tail", 0.0) + ("tail" in self.free) > 0.0:
             raise UsageError(
                 "the printed model has Beckmann's lobe: leave the tail out, or take --model corrected"

@@ -189,8 +189,8 @@ def experiment_problem(
     Args:
         measured: (ridge angle, tilt, pair) contrasts, NaN where not measured (`experiment.read_measured`).
         convention: how the angles are counted.
-        optics: keywords of `Scene`: model, bounces (1 by default, as `experiment.Setup` predicts), wall,
-            internal_reflection.
+        optics: keywords of `Scene`: model, bounces (1 by default, as `experiment.Setup` predicts), design,
+            material.
         values: all parameters.
         free: the free ones.
 

@@ -107,11 +107,13 @@ def fixed(fit: Fit) -> dict[str, float]:
 def fit_as_json(fit: Fit) -> dict[str, Any]:
     """Fit as plain data without its rows; null for an undetermined number."""
     scene, readings = fit.problem.scene, fit.problem.readings
-    found: dict[str, Any] = {"model": scene.model, "kind": readings.kind, "wall": scene.wall}
+    found: dict[str, Any] = {"model": scene.model, "kind": readings.kind, "wall": scene.design.wall}
     if scene.model == "corrected":
         found |= {
             "bounces": "all" if scene.bounces is None else scene.bounces,
-            "internal_reflection": scene.internal_reflection,
+            "internal_reflection": scene.material.internal_reflection,
+            "second_lobe": scene.material.second_lobe,
+            "edge_radius_um": scene.design.edge_radius_um,
         }
     if scene.convention is not None:
         found["convention"] = asdict(scene.convention)
@@ -172,7 +174,7 @@ def setup_text(fit: Fit) -> str:
     scene = fit.problem.scene
     text = f"model {scene.model}"
     if scene.model == "corrected":
-        text += f", {'all' if scene.bounces is None else scene.bounces} bounce(s), wall {scene.wall}"
+        text += f", {'all' if scene.bounces is None else scene.bounces} bounce(s), wall {scene.design.wall}"
     if scene.convention is not None:
         one = scene.convention
         text += (

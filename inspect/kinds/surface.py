@@ -56,8 +56,8 @@ from anisoscope.kinds.parts import (
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
+from anisoscope.prediction.crests import EDGE_RADIUS
 from anisoscope.prediction.expectation import (
-    EDGE_RADIUS,
     PLASTIC,
     Component,
     Expectation,

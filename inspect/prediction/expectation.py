@@ -1,7 +1,7 @@
 """Expected pose radiances of a part, with the components of their model uncertainty (V_model)."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,42 +10,41 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.inputs import InputUncertainty
-from anisoscope.parameters.material import Material
 from anisoscope.prediction.crest_edges import crest_edges
+from anisoscope.prediction.crests import EDGE_FORM, EDGE_RADIUS
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_error
-from anisoscope.prediction.lobe_doubt import LobeDoubt, lobe_doubt
-from anisoscope.prediction.predicted import Predicted
-from anisoscope.prediction.profile_likelihood import States
-from anisoscope.prediction.propagation import (
-    PLASTIC_AND_SEAT,
-    RIDGE_ANGLE,
-    TAIL,
-    calibrated_material,
-    propagate,
+from anisoscope.prediction.input_doubt import (
+    SCATTER,
+    SCATTERED,
+    Doubt,
+    input_doubt,
+    of_second_order,
+    of_the_calibration,
 )
+from anisoscope.prediction.lobe_doubt import LobeDoubt
+from anisoscope.prediction.predicted import NEGLECTED_WAVES, Predicted
+from anisoscope.prediction.profile_likelihood import States
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE
 from anisoscope.prediction.recipe_models import Models, models_of
 from anisoscope.prediction.reflections import reflections_contributions
-from anisoscope.prediction.second_order import Response, known_inputs, response_of
-from anisoscope.prediction.sensitivity import DARK, Budget, Contribution, Shape, State, evaluate, fixed
+from anisoscope.prediction.second_order import Response
+from anisoscope.prediction.sensitivity import (
+    DARK,
+    SECOND_ORDER,
+    Budget,
+    Contribution,
+    Shape,
+    State,
+    evaluate,
+    fixed,
+)
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.material_file import MaterialFile, material_at
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import directions
 
-SCATTER = "scatter of parts: "
-"""Begin of the name of an input in the budget whose uncertainty is the scatter between good parts alone."""
-_SCATTERED = (*PLASTIC_AND_SEAT[:3], RIDGE_ANGLE)
 _OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
-SECOND_ORDER = ", second order"
-EDGE_RADIUS, EDGE_FORM = "edge radius", "form of the edge"
-FAMILY = "family of the lobe"
-FAMILY_SHARE = 0.015
-"""What the best tail leaves of ln L of lobes of two scales: rms in a pose, independent of other poses."""
-UNMEASURED_TAIL = 0.5
-"""Tail over which ln L of a plastic with an unmeasured lobe is uncertain in budgets."""
-NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
 
 
 @dataclass(frozen=True)
@@ -243,29 +242,36 @@ def expectation(
             f"material: at {black[0].stage_deg:g}°, tilt {black[0].tilt_deg:g}°, no light of this part is predicted to "
             "reach the camera, so that no contrast is defined: correct albedo and roughness, or leave the pose out"
         )
-    inputs = replace(part_uncertainty(recipe), tail=0.0)  # along its curve below
-    budget = propagate(models.sampled, nominal, poses, convention, inputs, radiance=radiance)
+    doubt = input_doubt(
+        models.sampled,
+        nominal,
+        poses,
+        convention,
+        part_uncertainty(recipe),
+        radiance,
+        rays=models.rays,
+        file=recipe.material.calibrated,
+    )
+    budget, response = doubt.budget, doubt.response
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
         for c in budget.contributions
         if c.source in _OF_THE_RECIPE and (np.any(c.absolute) or not optics.omitted_if_zero(c.source))
     ]
-    per_u = {c.source: c.relative for c in components if np.any(c.relative)}
-    straight = {source: per_u[source] for source in known_inputs(tuple(per_u))}
-    response = response_of(models.sampled, nominal, poses, convention, inputs, straight) if straight else None
-    lobes = _lobes(recipe, models, nominal, convention, inputs, straight, response)
-    components += _of_the_tail(recipe, lobes)
+    components += _predicted(doubt.of_the_tail())
     components = [replace(c, source=optics.source_name(c.source)) for c in components]
     if _scatter_is_apart(recipe):
         components = [
-            replace(c, source=SCATTER + c.source) if c.source in _SCATTERED else c for c in components
+            replace(c, source=SCATTER + c.source) if c.source in SCATTERED else c for c in components
         ]
     if response is not None:
         response = replace(response, sources=tuple(optics.source_name(name) for name in response.sources))
-    components += _second_order(response)
+    components += _predicted(of_second_order(response))
     components += optics.components(recipe, models, radiance, nominal, convention)
     components += _of_the_optics(models, radiance)
-    components += _of_the_calibration(recipe, models, nominal, convention)
+    components += _predicted(
+        of_the_calibration(models.sampled, nominal, poses, convention, recipe.material.calibrated)
+    )
     per_degree = budget.per_degree / radiance
     return Expectation(
         models.name,
@@ -279,7 +285,7 @@ def expectation(
         models.optics,
         optics.states(recipe, light_angle_deg),
         models.turn_deg,
-        lobes,
+        doubt.lobes,
     )
 
 
@@ -291,55 +297,22 @@ def predicted(expected: Expectation) -> Predicted:
         )
         for c in expected.components
     )
+    notes: dict[str, Any] = {} if expected.optics is None else {"optics": expected.optics}
+    if any(c.source == NEGLECTED_WAVES for c in expected.components):
+        notes["neglected_waves_per_sr"] = notes["optics"]["stated_error_per_sr"]
     return Predicted(
         expected.model,
         expected.convention,
         expected.poses,
         expected.radiance,
         contrasts(expected.poses, expected.radiance),
-        notes={} if expected.optics is None else {"optics": expected.optics},
+        notes=notes,
         budget=Budget(expected.radiance, contributions, expected.per_degree * expected.radiance),
     )
 
 
-def _lobes(
-    recipe: SurfaceRecipe,
-    models: Models,
-    nominal: State,
-    convention: Convention,
-    inputs: InputUncertainty,
-    straight: dict[str, FloatArray],
-    response: Response | None,
-) -> LobeDoubt | None:
-    """Ln L over the tail of the lobe; by rays where waves, which know no tail, predict the rest."""
-    file, u = recipe.material.calibrated, recipe.material.u_tail
-    along = None
-    if file is not None and u == 0.0:
-        u = file.covariance.u().get("tail", 0.0)
-        along = partial(_calibrated_at, file, nominal.material)
-    if u == 0.0:
-        return None
-    surface, common = (models.sampled, None) if models.rays is None else (models.rays, response)
-    return lobe_doubt(surface, nominal, recipe.poses.poses(), convention, inputs, straight, u, common, along)
-
-
-def _calibrated_at(file: MaterialFile, material: Material, tail: float) -> Material:
-    """A calibrated material whose other parameters follow their regression on another tail."""
-    slope, _ = file.covariance.given_tail()
-    values = file.values() + slope * (tail - material.tail)
-    return material_at(material, file.covariance.parameters, values)
-
-
-def _of_the_tail(recipe: SurfaceRecipe, lobes: LobeDoubt | None) -> list[Component]:
-    """Uncertainty from the tail of the lobe, and of an unmeasured one from what no tail describes."""
-    if lobes is None:
-        return []
-    u = UNMEASURED_TAIL if np.isinf(lobes.u) else lobes.u
-    found = [Component(TAIL, "prediction", lobes.contribution(u), shared=True)]
-    if recipe.material.u_tail is None:
-        share = np.full(len(recipe.poses.poses()), FAMILY_SHARE)
-        found.append(Component(FAMILY, "prediction", share, shared=False))
-    return found
+def _predicted(doubts: Iterable[Doubt]) -> list[Component]:
+    return [Component(one.source, "prediction", one.relative, one.shared) for one in doubts]
 
 
 def nominal_shape(recipe: SurfaceRecipe) -> Shape:
@@ -370,45 +343,8 @@ def _of_the_optics(models: Models, radiance: FloatArray) -> list[Component]:
         found.append(Component("numerical error of the wave model", "prediction", share, shared=False))
     if models.neglected_per_sr is not None:
         share = models.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, rectangular
-        found.append(Component("waves, neglected by rays", "prediction", share, shared=False))
+        found.append(Component(NEGLECTED_WAVES, "prediction", share, shared=False))
     return found
-
-
-def _of_the_calibration(
-    recipe: SurfaceRecipe, models: Models, nominal: State, convention: Convention
-) -> list[Component]:
-    """Uncertainty of a calibrated material at its tail: directions of the covariance; what its family leaves."""
-    file, poses = recipe.material.calibrated, recipe.poses.poses()
-    if file is None:
-        return []
-    changes = calibrated_material(models.sampled, nominal, poses, convention, file)
-    found = [
-        Component(f"calibrated material, direction {number + 1}", "prediction", change, shared=True)
-        for number, change in enumerate(sorted(changes, key=lambda change: -float(np.ptp(change))))
-        if np.any(change)
-    ]
-    if file.test is not None:
-        share = np.full(len(poses), file.test.discrepancy_share)
-        found.append(Component(FAMILY, "prediction", share, shared=False))
-    return found
-
-
-def _second_order(response: Response | None) -> list[Component]:
-    """Second-order components of the inputs: ½ h (z² − 1) of each and h z z' of every two, shared by all poses.
-
-    None of them correlates with another or with a slope, because odd moments of normal inputs vanish.
-    """
-    if response is None:
-        return []
-    found = []
-    for a, source in enumerate(response.sources):
-        found.append((source, response.bend[:, a, a] / np.sqrt(2.0)))
-        found += [(f"{response.sources[b]} with {source}", response.bend[:, a, b]) for b in range(a)]
-    return [
-        Component(f"{source}{SECOND_ORDER}", "prediction", bend, shared=True)
-        for source, bend in found
-        if np.abs(bend).max() > NEGLIGIBLE
-    ]
 
 
 def recipe_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
@@ -417,13 +353,11 @@ def recipe_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
     Ridge angle and seating are those of the recipe's own keys, although every part has its own.
     """
     part, rig, design = recipe.material, recipe.uncertainty, recipe.surface.design
-    none = InputUncertainty(stage_deg=0.0, stage_zero_deg=0.0, tilt_deg=0.0, tilt_zero_deg=0.0)
-    return replace(
-        none,
+    return InputUncertainty(
         alpha_share=part.u_alpha_share,
         albedo=part.u_albedo,
         index=part.u_index,
-        tail=UNMEASURED_TAIL if part.u_tail is None else part.u_tail,
+        tail=part.u_tail,
         light_angle_deg=rig.light_angle_deg,
         seating_tilt_deg=rig.seating_tilt_deg,
         tilt_zero_deg=rig.tilt_deg,

@@ -122,7 +122,7 @@ def draw(
         values = evaluate(surface, [state for state, _ in states], poses, convention)
         found[number] = gain * (np.array([weight for _, weight in states]) @ values)
     for contribution in additional:
-        found += _deviation(contribution, draws, rng) * np.where(
+        found += deviation(contribution, draws, rng) * np.where(
             bright, found / np.where(bright, meant, 1.0), 1.0
         )
     return Drawn(poses, np.maximum(found, 0.0))
@@ -143,7 +143,7 @@ def _drawn_states(
         near(plastic.albedo, inputs.albedo, (0.0, 1.0)),
         near(plastic.index, inputs.index, (1.0 + 1e-6, 4.0)),
         plastic.internal_reflection,
-        near(plastic.tail, inputs.tail, (0.0, LONGEST_TAIL)),
+        near(plastic.tail, inputs.tail or 0.0, (0.0, LONGEST_TAIL)),
         plastic.second_lobe,
     )
     factor = near(shape.height_factor, inputs.height_scale_share, SHAPE_RANGE["height_factor"])
@@ -166,8 +166,8 @@ def _drawn_states(
     ]
 
 
-def _deviation(contribution: Contribution, draws: int, rng: np.random.Generator) -> FloatArray:
-    """(N, P) deviations in 1/sr."""
+def deviation(contribution: Contribution, draws: int, rng: np.random.Generator) -> FloatArray:
+    """(N, P) random deviations of a contribution in 1/sr."""
     u = contribution.absolute
     if contribution.matrix is not None:
         return np.asarray(rng.standard_normal((draws, u.size)) @ root(contribution.matrix))
@@ -179,6 +179,6 @@ def _deviation(contribution: Contribution, draws: int, rng: np.random.Generator)
 
 def disagreement(budget: Budget, drawn: Drawn) -> FloatArray:
     """(P,) u of the draws over that of first-order propagation, minus 1; 0 where both vanish."""
-    linear, found = budget.u(), drawn.u()
+    linear, found = budget.first_order().u(), drawn.u()
     both = np.maximum(linear, found) > DARK
     return np.where(both, found / np.maximum(linear, DARK) - 1.0, 0.0)

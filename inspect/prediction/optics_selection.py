@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,10 +15,10 @@ from anisoscope.parameters.light import LightSpectrum
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import POINT_LIKE, Optics
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.prediction.height_map_uncertainty import relief_model
-from anisoscope.prediction.monte_carlo import MonteCarlo
-from anisoscope.prediction.predict import with_indirect, with_uncertainty
-from anisoscope.prediction.predicted import Predicted
+from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
+from anisoscope.prediction.monte_carlo import MonteCarlo, deviation
+from anisoscope.prediction.predict import crest_contributions, with_indirect, with_uncertainty
+from anisoscope.prediction.predicted import NEGLECTED_WAVES, Predicted
 from anisoscope.prediction.reflections import (
     Followed,
     Groove,
@@ -48,6 +48,9 @@ from anisoscope.sim.light.wave.halfvectors import HalfVector, half_vector
 from anisoscope.sim.light.wave.reflectance import radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Window
+
+if TYPE_CHECKING:
+    from anisoscope.recipe.material_file import MaterialFile
 
 MOST_TIMES = 24
 """Largest number of points that replace one without an option."""
@@ -83,6 +86,7 @@ class Rig:
         optics: lamp and lens.
         inputs: uncertainties, or None.
         monte_carlo: draws, or None.
+        file: the calibrated material, or None.
     """
 
     material: Material
@@ -91,6 +95,7 @@ class Rig:
     optics: Optics = POINT_LIKE
     inputs: InputUncertainty | None = None
     monte_carlo: MonteCarlo | None = None
+    file: "MaterialFile | None" = None
 
 
 def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, request: OpticsRequest) -> OpticsChoice | None:
@@ -141,6 +146,7 @@ def predict_with_optics(
     """
     choice = optics_for(surface, rig, request)
     model = ("geometric" if choice is None else choice.model) if request.model == "auto" else request.model
+    rays = None if choice is None or choice.model != "wave" else by_rays_instead(choice, "rays are asked for")
     found = []
     if model in ("wave", "both"):
         stepped = choice is not None and choice.stepped
@@ -149,11 +155,32 @@ def predict_with_optics(
         except (HeightMapError, ModelError) as problem:
             if request.model != "auto" or choice is None:
                 raise
-            choice, model = by_rays_instead(choice, problem), "geometric"
+            rays, model = by_rays_instead(choice, problem), "geometric"
     if model in ("geometric", "both"):
-        found.insert(0, geometric(on_progress))
+        by_rays = geometric(on_progress)
+        found.insert(0, by_rays if rays is None else _without_waves(by_rays, rays, rig, request))
+    if model == "geometric" and rays is not None:
+        choice = rays
     notes = optics_note(choice, request) | error_note(choice, rig, request)
     return tuple(replace(one, notes={**one.notes, "optics": notes}) for one in found)
+
+
+def _without_waves(found: Predicted, choice: OpticsChoice, rig: Rig, request: OpticsRequest) -> Predicted:
+    """A prediction by rays where waves apply: their neglect counts in u of every pose, and is noted."""
+    bound = error_note(choice, rig, request)["stated_error_per_sr"]
+    notes = {**found.notes, "neglected_waves_per_sr": bound}
+    if found.budget is None or bound is None:
+        return replace(found, notes=notes)
+    u = np.full(len(found.poses), bound / np.sqrt(3.0))  # a bound, rectangular
+    own = Contribution(NEGLECTED_WAVES, u, "independent", rectangular=True)
+    budget = replace(found.budget, contributions=(*found.budget.contributions, own))
+    drawn = found.drawn
+    if drawn is not None and rig.monte_carlo is not None:
+        rng = np.random.default_rng((rig.monte_carlo.seed, 1))
+        drawn = replace(
+            drawn, radiance=np.maximum(drawn.radiance + deviation(own, len(drawn.radiance), rng), 0.0)
+        )
+    return replace(found, notes=notes, budget=budget, drawn=drawn)
 
 
 def by_rays_instead(choice: OpticsChoice, problem: Exception | str) -> OpticsChoice:
@@ -232,14 +259,25 @@ def _by_waves(
     nominal = State(rig.material, rig.convention.light_angle_deg)
     if isinstance(surface, RidgeDesign):
         of, source = _of_design(surface, rig, request), groove_of_design(surface, request.bounces)
+        by_rays = design_by_rays(surface, rig)
         nominal = replace(nominal, shape=Shape(surface.ridge_angle_deg, surface.height_loss))
     else:
         of = fixed(_of_map(surface, rig, request, stepped, pitch_um, levelling))
         relief, _ = prepare_relief(surface, pitch_um, levelling)
         source = reflections_of_map(relief, request.bounces, ridge_edges(relief))
+        by_rays = fixed(relief_model(best_band(relief), rig.optics))
     sides = *directions(rig.poses, rig.convention), rig.material
     direct = of(nominal.shape)(*sides)
     radiance, additional = with_indirect(direct, source, sides, rig.inputs, rig.optics)
+    if isinstance(surface, RidgeDesign):
+        additional += crest_contributions(
+            surface,
+            (rig.poses, rig.convention, rig.material),
+            rig.optics,
+            request.bounces,
+            rig.inputs,
+            radiance,
+        )
     notes = reflections_note(source)
 
     def groove_of(shape: Shape) -> Groove:
@@ -248,7 +286,7 @@ def _by_waves(
             return source
         return source.turned(shape.ridge_angle_deg).shortened(shape.height_loss)
 
-    of = sampled_with(of, source, sides, rig.optics, groove_of)
+    of, rays = (sampled_with(one, source, sides, rig.optics, groove_of) for one in (of, by_rays))
     found = Predicted(
         "wave", rig.convention, rig.poses, radiance, contrasts(rig.poses, radiance), notes=notes
     )
@@ -261,6 +299,8 @@ def _by_waves(
         rig.monte_carlo,
         (*_contributions(surface, rig, direct), *additional),
         on_progress,
+        rays=rays,
+        file=rig.file,
     )
 
 
@@ -294,15 +334,27 @@ def _contributions(
     return own, Contribution("height map, overall", share, "independent")
 
 
-def _of_design(design: RidgeDesign, rig: Rig, request: OpticsRequest) -> Surface:
+def design_by_rays(design: RidgeDesign, rig: Rig) -> Surface:
+    """Direct light of ideal ridges of any shape, by rays."""
+
     def shaped(shape: Shape) -> Model:
         ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
 
-        def base(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        def direct(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
             return corrected.radiance(to_light, to_camera, ridges, material)
 
+        return through(direct, rig.optics)
+
+    return shaped
+
+
+def _of_design(design: RidgeDesign, rig: Rig, request: OpticsRequest) -> Surface:
+    by_rays = design_by_rays(design, rig)
+
+    def shaped(shape: Shape) -> Model:
+        ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
         heights = design_surface(ridges, request.light)
-        return WavePredictor(heights, through(base, rig.optics), rig.optics, request.light)
+        return WavePredictor(heights, by_rays(shape), rig.optics, request.light)
 
     nominal = Shape(design.ridge_angle_deg, design.height_loss)
     nominal_predictor = shaped(nominal)

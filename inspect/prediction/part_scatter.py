@@ -18,9 +18,9 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.cache import prediction_key
-from anisoscope.prediction.crest_edges import CrestEdges, crest_edges, worn_edges
+from anisoscope.prediction.crest_edges import crest_edges, worn_edges
+from anisoscope.prediction.crests import EDGE_RADIUS, CrestEdges
 from anisoscope.prediction.expectation import (
-    EDGE_RADIUS,
     PLASTIC,
     SurfaceOptics,
     nominal_shape,

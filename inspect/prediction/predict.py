@@ -1,26 +1,36 @@
 """Prediction of radiances and contrasts for an ideal design or a height map."""
 
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.progress import Advance, silent
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.parameters.inputs import InputUncertainty
+from anisoscope.parameters.inputs import SCATTER_EDGE, USUAL_EDGE_SHARE, InputUncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import POINT_LIKE, Optics
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.prediction.crests import EDGE_FORM, EDGE_RADIUS, edges_of_design
 from anisoscope.prediction.height_map_uncertainty import (
     best_band,
     map_contributions,
     relief_model,
     relief_surface,
 )
+from anisoscope.prediction.input_doubt import (
+    SCATTER,
+    SCATTERED,
+    Doubt,
+    input_doubt,
+    of_second_order,
+    of_the_calibration,
+)
 from anisoscope.prediction.monte_carlo import MonteCarlo, draw
 from anisoscope.prediction.predicted import Predicted
-from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.propagation import TAIL
 from anisoscope.prediction.reflections import (
     Followed,
     Groove,
@@ -43,6 +53,9 @@ from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.relief import MAX_MISSING_SHARE
 from anisoscope.sim.light.relief_paths import interreflection
 from anisoscope.sim.light.unresolved import resolve
+
+if TYPE_CHECKING:
+    from anisoscope.recipe.material_file import MaterialFile
 
 NOTE_THRESHOLD = 0.005
 COARSE_PATHS = 2048
@@ -112,13 +125,17 @@ def predict_design(
     monte_carlo: MonteCarlo | None = None,
     on_progress: Advance = silent,
     optics: Optics = POINT_LIKE,
+    file: "MaterialFile | None" = None,
 ) -> Predicted:
     """Prediction for ideal ridges by the corrected model, or by the published one for fidelity.
 
-    ``bounces`` is for the corrected model: None follows all reflections, 1 is direct light, as is the published model.
+    ``bounces`` is for the corrected model: None follows all reflections, 1 is direct light, as is the published model,
+    whose lobe is Beckmann's.
     With ``inputs`` the prediction carries its uncertainty, with ``monte_carlo`` that of draws besides; ``optics``:
-    sizes of lamp and lens.
+    sizes of lamp and lens; ``file``: the calibrated material, with its covariance.
     """
+    if model == "printed" and inputs is not None:
+        inputs = replace(inputs, tail=0.0)
 
     def ridges_of(shape: Shape) -> RidgeDesign:
         return replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
@@ -143,13 +160,16 @@ def predict_design(
         source = groove_of_design(design, bounces)
         notes = reflections_note(source)
         radiance, additional = with_indirect(radiance, source, (*sides, material), inputs, optics)
+        additional += crest_contributions(
+            design, (poses, convention, material), optics, bounces, inputs, radiance
+        )
         if inputs is not None:
             notes |= design_notes(*sides, design, material, radiance, bounces)
     found = Predicted(model, convention, poses, radiance, contrasts(poses, radiance), notes=notes)
     shaped = sampled_with(
         direct, source, (*sides, material), optics, lambda turned: Groove(ridges_of(turned), bounces)
     )
-    return with_uncertainty(found, shaped, nominal, inputs, monte_carlo, additional, on_progress)
+    return with_uncertainty(found, shaped, nominal, inputs, monte_carlo, additional, on_progress, file=file)
 
 
 def with_indirect(
@@ -169,6 +189,32 @@ def with_indirect(
     return radiance, reflections_contributions(radiance, indirect, inputs.reflections_share)
 
 
+def crest_contributions(
+    design: RidgeDesign,
+    sides: tuple[tuple[Pose, ...], Convention, Material],
+    optics: Optics,
+    bounces: int | None,
+    inputs: InputUncertainty | None,
+    radiance: FloatArray,
+) -> tuple[Contribution, ...]:
+    """Uncertainty from radius and form of the crests of a design; none where they are known."""
+    if inputs is None or inputs.edge_radius_share == 0.0:
+        return ()
+    share = USUAL_EDGE_SHARE if inputs.edge_radius_share is None else inputs.edge_radius_share
+    poses, convention, material = sides
+    found = edges_of_design(
+        design, material, poses, convention, optics, bounces, share, scatter_share=SCATTER_EDGE
+    )
+    if found is None:
+        return ()
+    of_radius = found.per_um * float(np.hypot(found.u_um, found.scatter_um))
+    parts = (
+        Contribution(EDGE_RADIUS, of_radius * radiance),
+        Contribution(EDGE_FORM, found.form * radiance, "independent"),
+    )
+    return tuple(part for part in parts if np.any(part.absolute))
+
+
 def with_uncertainty(
     found: Predicted,
     surface: Surface,
@@ -177,36 +223,69 @@ def with_uncertainty(
     monte_carlo: MonteCarlo | None,
     additional: tuple[Contribution, ...],
     on_progress: Advance,
+    *,
+    rays: Surface | None = None,
+    file: "MaterialFile | None" = None,
 ) -> Predicted:
-    """A prediction with its budget, and draws if requested; unchanged without ``inputs``."""
+    """A prediction with its budget, and draws if requested; unchanged without ``inputs``.
+
+    Args:
+        found: the prediction.
+        surface: predictor of a shape, for the sensitivities.
+        nominal: the state in which it is made.
+        inputs: standard uncertainties of the inputs.
+        monte_carlo: draws.
+        additional: contributions that are not those of an input.
+        on_progress: called at every step.
+        rays: predictor by rays, for lobes that ``surface`` does not know; None where it knows them.
+        file: the calibrated material.
+    """
     if inputs is None:
         return found
-    poses, convention = found.poses, found.convention
-    budget = propagate(
-        surface,
-        nominal,
-        poses,
-        convention,
-        inputs,
-        radiance=found.radiance,
-        additional=additional,
-        on_progress=on_progress,
+    poses, convention, radiance = found.poses, found.convention, found.radiance
+    doubt = input_doubt(
+        surface, nominal, poses, convention, inputs, radiance, rays=rays, file=file, on_progress=on_progress
     )
+    of_tail = _contributions(doubt.of_the_tail(), radiance)
+    apart = (
+        *additional,
+        *_contributions(of_the_calibration(surface, nominal, poses, convention, file), radiance),
+    )
+    bent = set() if doubt.response is None else set(doubt.response.sources)
+    first = [
+        replace(
+            one,
+            source=f"{SCATTER if file is not None and one.source in SCATTERED else ''}{one.source}",
+            curvature=None if one.source in bent else one.curvature,
+        )
+        for one in doubt.budget.contributions
+        if not (of_tail and one.source == TAIL)
+    ]
+    second = _contributions(of_second_order(doubt.response), radiance)
+    budget = replace(doubt.budget, contributions=(*first, *of_tail, *second, *apart))
     if monte_carlo is None:
         return replace(found, budget=budget)
+    followed = inputs.tail is not None and inputs.tail > 0.0 and rays is None
     drawn = draw(
         surface,
         nominal,
         poses,
         convention,
-        inputs,
+        inputs if followed else replace(inputs, tail=0.0),
         monte_carlo.draws,
         np.random.default_rng(monte_carlo.seed),
-        radiance=found.radiance,
-        additional=additional,
+        radiance=radiance,
+        additional=apart if followed else (*of_tail, *apart),
         on_progress=on_progress,
     )
     return replace(found, budget=budget, drawn=drawn)
+
+
+def _contributions(doubts: Iterable[Doubt], radiance: FloatArray) -> tuple[Contribution, ...]:
+    return tuple(
+        Contribution(one.source, one.relative * radiance, "shared" if one.shared else "independent")
+        for one in doubts
+    )
 
 
 def predict_height_map(
@@ -225,6 +304,7 @@ def predict_height_map(
     facets: Facets = "symmetric",
     roughness: Roughness = "lobe",
     reflect: Reflect = "groove",
+    file: "MaterialFile | None" = None,
 ) -> Predicted:
     """Prediction for a measured height map, its x axis at the convention's facet azimuth.
 
@@ -247,6 +327,7 @@ def predict_height_map(
             all scales, and the lobe carries what the map does not resolve (`sim.light.unresolved`).
         reflect: "groove": reflections are those of the groove fitted to the map, and of paths on the map where there
             is none; "paths": of paths on the map.
+        file: the calibrated material, with its covariance.
     """
     relief, period = prepare_relief(surface, pitch_um, levelling, max_missing_share, facets)
     check_one_direction(relief, period, material)
@@ -296,4 +377,4 @@ def predict_height_map(
         return source.turned(min(float(np.degrees(steeper)), LARGEST_ANGLE_DEG))
 
     sampled = sampled_with(relief_surface(best_band(relief), optics), source, sides, optics, groove_of)
-    return with_uncertainty(found, sampled, nominal, inputs, monte_carlo, additional, on_progress)
+    return with_uncertainty(found, sampled, nominal, inputs, monte_carlo, additional, on_progress, file=file)

@@ -22,6 +22,8 @@ from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrast
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+NEGLECTED_WAVES = "waves, neglected by rays"
+
 
 @dataclass(frozen=True)
 class Predicted:

@@ -41,6 +41,8 @@ TAIL = "tail of the lobe"
 """Name of the source that a recipe states for a lobe without measurement."""
 RIDGE_ANGLE = "ridge angle of the design"
 """Name of the source that a recipe states of the shape: how much good parts spread."""
+UNMEASURED_TAIL = 0.5
+"""Tail over which ln L of a plastic with an unmeasured lobe is uncertain in budgets."""
 _ANGLE_STEP = 0.1  # degrees
 _TAIL_STEP = (
     0.5  # a lobe of no tail gains one; the change is nearly as large per unit over this step as it ever is
@@ -78,7 +80,7 @@ def _sources(nominal: State, inputs: InputUncertainty) -> list[_Source]:
         _Source("roughness across the ridges", "alpha_across", inputs.alpha_share * material.alpha_across),
         _Source("albedo of the plastic", "albedo", inputs.albedo),
         _Source("refractive index", "index", inputs.index),
-        _Source(TAIL, "tail", inputs.tail),
+        _Source(TAIL, "tail", UNMEASURED_TAIL if inputs.tail is None else inputs.tail),
         _Source("light angle", "light", inputs.light_angle_deg),
         _Source("seating tilt about x", "seating_x", inputs.seating_tilt_deg),
         _Source("seating tilt about y", "seating_y", inputs.seating_tilt_deg),

@@ -19,6 +19,7 @@ from anisoscope.prediction.optics_selection import (
     OpticsRequest,
     Rig,
     by_rays_instead,
+    design_by_rays,
     error_note,
     optics_for,
     optics_note,
@@ -39,7 +40,6 @@ from anisoscope.prediction.sensitivity import Model, Shape, Surface, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.relief import Relief
@@ -89,14 +89,7 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
     if recipe.surface.design is not None:
         design = recipe.surface.ridge_design()
 
-        def ideal(shape: Shape) -> Model:
-            ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
-
-            def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
-                return corrected.radiance(to_light, to_camera, ridges, material)
-
-            return through(predict, rig.optics)
-
+        ideal = design_by_rays(design, rig)
         predictor = ideal(Shape(design.ridge_angle_deg))
         direct = _chosen(recipe, design, rig, lambda: (predictor, ideal, None, "corrected"))
         return with_reflections(direct, groove_of_design(design, recipe.surface.bounces), rig)

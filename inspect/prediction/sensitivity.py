@@ -30,6 +30,8 @@ SHAPE_RANGE = {
     "height_loss": (0.0, 1.0),
     "height_factor": (0.0, float("inf")),
 }
+SECOND_ORDER = ", second order"
+"""End of the name of a source that is the second order of others."""
 _CURVED = 0.3  # share of the linear u above which the second order is reported
 _ROUGHLY_LINEAR = 0.3  # relative u of one source, likewise
 
@@ -124,6 +126,11 @@ class Budget:
     def u(self) -> FloatArray:
         """(P,) standard uncertainties in 1/sr."""
         return np.asarray(np.sqrt(np.diag(self.covariance())))
+
+    def first_order(self) -> "Budget":
+        """The budget without the second order of its sources."""
+        parts = tuple(one for one in self.contributions if not one.source.endswith(SECOND_ORDER))
+        return replace(self, contributions=parts)
 
     def relative(self, absolute: FloatArray) -> FloatArray:
         """(P,) values in 1/sr as shares of L; 0 in dark poses."""

@@ -10,6 +10,14 @@ from anisoscope.base.errors import HeightMapError, ModelError, RecipeError, RigF
 from anisoscope.base.quantity import read_number
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import (
+    SCATTER_ALBEDO,
+    SCATTER_ALPHA,
+    SCATTER_DEG,
+    SCATTER_EDGE,
+    UNMEASURED_SHARE,
+    USUAL_EDGE_SHARE,
+)
 from anisoscope.parameters.material import LONGEST_TAIL, Material
 from anisoscope.parameters.ridges import LIKELY_PITCH, STEEPEST_DRAFT_DEG, RidgeDesign
 from anisoscope.recipe.base import CommonUncertainty, DecisionBase, RecipeBase
@@ -65,7 +73,7 @@ class DesignPart(Part):
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
     u_ridge_angle_deg: NotNegative = 0.0
     edge_radius_um: NotNegative | None = None
-    u_edge_radius_share: Share = 0.4
+    u_edge_radius_share: Share = USUAL_EDGE_SHARE
     edge_form: Literal["any", "arc"] = "any"
     wall: Literal["perpendicular", "vertical"] | Annotated[float, Field(ge=0.0, le=STEEPEST_DRAFT_DEG)] = (
         "perpendicular"
@@ -172,10 +180,6 @@ class SurfacePart(Part):
         )
 
 
-UNMEASURED_SHARE = 0.1
-"""Relative standard uncertainty of roughness and albedo of a plastic with an unmeasured lobe."""
-
-
 class MaterialPart(Part):
     """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest.
 
@@ -196,7 +200,12 @@ class MaterialPart(Part):
     index: Annotated[float, Field(gt=1.0, le=4.0)] = 1.5
     internal_reflection: Literal["nonlinear", "linear"] = "nonlinear"
     tail: Annotated[float, Field(ge=0.0, le=LONGEST_TAIL)] = 0.0
-    second_lobe: tuple[Annotated[float, Field(gt=0.0, lt=1.0)], Positive] | None = None
+    second_lobe: Annotated[
+        tuple[Annotated[float, Field(gt=0.0, lt=1.0)], Positive] | None,
+        BeforeValidator(
+            lambda value: tuple(value) if isinstance(value, list) else value
+        ),  # after `_unmeasured`
+    ] = None
     u_tail: NotNegative | None = None
     u_alpha_share: Share = 0.05
     u_albedo: NotNegative = 0.01
@@ -314,9 +323,9 @@ class ScatterPart(Part):
     """
 
     ridge_angle_deg: NotNegative | None = None
-    alpha_share: Share = 0.05
-    albedo_share: Share = 0.03
-    edge_radius_share: Share = 0.2
+    alpha_share: Share = SCATTER_ALPHA
+    albedo_share: Share = SCATTER_ALBEDO
+    edge_radius_share: Share = SCATTER_EDGE
     seating_tilt_deg: NotNegative | None = None
     in_prediction: bool = True
 
@@ -334,10 +343,6 @@ class DefectsPart(Part):
     height_loss: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
     wear_um: Positive | None = 5.0
     power: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-
-
-SCATTER_DEG = 0.1
-"""Usual standard deviation of the ridge angle of good parts."""
 
 
 class SurfaceRecipe(RecipeBase):

@@ -28,21 +28,29 @@ from anisoscope.kinds.registry import kind_of
 from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.cache import cached_expectation, prediction_key
 from anisoscope.prediction.crest_edges import crest_edges, edge_radius_model
+from anisoscope.prediction.crests import EDGE_RADIUS
 from anisoscope.prediction.expectation import (
-    EDGE_RADIUS,
     PLASTIC,
-    SCATTER,
-    SECOND_ORDER,
     Component,
     Expectation,
     nominal_shape,
     recipe_uncertainty,
 )
+from anisoscope.prediction.input_doubt import SCATTER
 from anisoscope.prediction.part_scatter import PartScatter, part_scatter, scatter_of_inputs, with_design
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, TAIL
 from anisoscope.prediction.recipe_models import models_of
 from anisoscope.prediction.second_order import INDEX_RANGE
-from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, SHAPE_RANGE, Shape, State, Surface, evaluate
+from anisoscope.prediction.sensitivity import (
+    ALPHA_RANGE,
+    DARK,
+    SECOND_ORDER,
+    SHAPE_RANGE,
+    Shape,
+    State,
+    Surface,
+    evaluate,
+)
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs

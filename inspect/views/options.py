@@ -243,4 +243,6 @@ def _converter(reader: Callable[[str, str], Any]) -> Callable[[Any, Sequence[Tok
 
 
 def _shown(default: Any) -> str:  # noqa: ANN401
-    return ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
+    if isinstance(default, tuple):
+        return ",".join(f"{one:g}" for one in default)
+    return str(round(default, 12) if isinstance(default, float) else default)

@@ -13,9 +13,9 @@ import sys
 import pytest
 
 from anisoscope.base.progress import silent
-from anisoscope.cli.predict.predict import CACHED
 from anisoscope.inspection.run import inspect_part
 from anisoscope.operations.demo.ridges import SCENE
+from anisoscope.operations.predict import CACHED
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import ridges

@@ -145,7 +145,10 @@ def test_importing_the_names_loads_nothing_heavy():
             lambda: an.drivers("nonsense"),
             "no group of drivers is called 'nonsense'; there are stages, cameras, lights",
         ),
-        (lambda: an.predict(3), "predict takes a HeightMap or a RidgeDesign, not int"),
+        (
+            lambda: an.predict(3),
+            "predict takes a HeightMap or a RidgeDesign, or the file of a map or a recipe, not int",
+        ),
         (lambda: an.texture(3), "texture takes a HeightMap, not int"),
     ],
 )

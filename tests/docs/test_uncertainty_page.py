@@ -1,14 +1,16 @@
 """The numbers of docs/uncertainty.md are those of the commands that it names."""
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from anisoscope.cli.options import OF_UNCERTAINTY
 from anisoscope.cli.predict.output import contrast_u, radiance_u
-from anisoscope.cli.predict.predict import DEFAULTS, UncertaintyOptions, input_uncertainty
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.inputs import InputUncertainty, default_uncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.monte_carlo import MonteCarlo
@@ -22,7 +24,7 @@ POSES = pose_grid((0.0, 90.0, 180.0))
 @pytest.fixture(scope="module")
 def example():
     return predict_design(
-        RidgeDesign(100.0, 10.0), Material(), POSES, Convention(), inputs=input_uncertainty(DEFAULTS)
+        RidgeDesign(100.0, 10.0), Material(), POSES, Convention(), inputs=default_uncertainty(Material())
     )
 
 
@@ -49,20 +51,26 @@ def test_the_example_is_what_the_command_prints(example):
 def test_the_sources_that_lead_are_those_of_the_budget(example):
     share = {c.source: abs(example.budget.relative(c.absolute)) * 100.0 for c in example.budget.contributions}
     leading = [
+        "tail of the lobe",
         "roughness along the ridges",
-        "refractive index",
-        "seating tilt about y",
         "roughness across the ridges",
+        "refractive index",
     ]
     assert_quoted(
-        "roughness along the ridges (# %), index (# %), seating about y (# %) and roughness across (# %) lead",
+        "the unmeasured tail (# %), roughness along the ridges (# %) and across (# %) and the index (# %) lead",
         *(share[source][0] for source in leading),
     )
     assert set(sorted(share, key=lambda source: -share[source][0])[:4]) == set(leading)
-    assert_quoted("the albedo does (# %, # %)", *share["albedo of the plastic"][1:])
-    assert all(
-        share["albedo of the plastic"][pose] == max(s[pose] for s in share.values()) for pose in (1, 2)
+    assert_quoted(
+        "the tail (# %, # %) and the albedo (# %, # %) do",
+        *share["tail of the lobe"][1:],
+        *share["albedo of the plastic"][1:],
     )
+    for pose in (1, 2):
+        assert sorted(share, key=lambda source: -share[source][pose])[:2] == [
+            "tail of the lobe",
+            "albedo of the plastic",
+        ]
     _, ratio = contrast_u(example, "log_ratio")
     apart = 100.0 * np.hypot(*(example.budget.u() / example.radiance)[1:])
     assert_quoted("is known to # %, each of them only to # %", 100.0 * ratio, 0.5 * apart * np.sqrt(2.0))
@@ -71,7 +79,7 @@ def test_the_sources_that_lead_are_those_of_the_budget(example):
 
 @pytest.mark.soak  # 2,000 draws; each of the other numbers of the page is read in every run
 def test_the_broken_case_is_what_the_command_prints():
-    inputs = input_uncertainty(UncertaintyOptions(u_alpha=0.0, u_index=0.0, u_seating_tilt=1.5))
+    inputs = InputUncertainty(alpha_share=0.0, index=0.0, seating_tilt_deg=1.5, tail=0.0)
     found = predict_design(
         RidgeDesign(100.0, 5.0),
         Material(0.03, 0.03),
@@ -83,7 +91,7 @@ def test_the_broken_case_is_what_the_command_prints():
     assert_quoted(
         "At 0° L = # 1/sr; first order says u = #, the draws say #, about a mean of #. Without",
         found.radiance[0],
-        found.budget.u()[0],
+        found.budget.first_order().u()[0],
         found.drawn.u()[0],
         found.drawn.radiance[:, 0].mean(),
     )
@@ -108,5 +116,8 @@ def test_coarse_pixels_are_what_the_figure_shows(pixel_bias_script):
 
 
 def test_the_defaults_of_the_table_are_the_defaults():
+    names = {OF_UNCERTAINTY.option(field.name): field.name for field in fields(InputUncertainty)}
+    shares = {"--u-albedo": 0.2}  # a share of the albedo
     for option, text in re.findall(r"`(--(?:u-|light-field)[a-z-]*)`(?:, `[^`]*`)? \(([\d.]+)", PAGE):
-        assert float(text) == getattr(DEFAULTS, option[2:].replace("-", "_")), option
+        usual = getattr(OF_UNCERTAINTY.default, names[option])
+        assert float(text) * shares.get(option, 1.0) == pytest.approx(usual), option

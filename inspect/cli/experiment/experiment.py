@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, Json, RecipeOption
+from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, Json, MaterialOption, RecipeOption
 from anisoscope.cli.study.optimise import HtmlOption
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.geometry import Convention
@@ -119,7 +119,7 @@ FrameOption = Annotated[
 
 
 @with_options(plastic=OF_PLASTIC, rig=OF_LIGHT)
-@everyday("recipe", "model", "measured", "plastic", "rig", "json_", "csv_", "html")
+@everyday("recipe", "model", "measured", "plastic", "file", "rig", "json_", "csv_", "html")
 def experiment(
     *,
     recipe: RecipeOption = None,
@@ -129,6 +129,7 @@ def experiment(
         Parameter(help="CSV: ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast; the scale k is fitted."),
     ] = None,
     plastic: Given[Material],
+    file: MaterialOption = None,
     rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
     json_: Json = False,
@@ -147,7 +148,7 @@ def experiment(
     from anisoscope.operations.stated import stated
 
     _at_most_one({"--json": json_, "--as-csv": csv_, "--html": html is not None})
-    base = stated(recipe)
+    base = stated(recipe, file)
     setup = Setup(model, plastic.over(base.material), rig.over(base.convention), shadow_frame)
     result = run_experiment(setup, measured)
     if json_:
@@ -169,7 +170,8 @@ def experiment(
     rig=replace(OF_LIGHT, without={"tilt_plane": "both planes are mapped"}),
 )
 @everyday(
-    *("recipe", "model", "grid_points", "alpha_from", "alpha_to"), *("plastic", "rig", "json_", "html", "svg")
+    *("recipe", "model", "grid_points", "alpha_from", "alpha_to"),
+    *("plastic", "file", "rig", "json_", "html", "svg"),
 )
 def findings(
     *,
@@ -179,6 +181,7 @@ def findings(
     alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
     alpha_to: Annotated[float, Parameter(help="Largest roughness of the grid.")] = 0.3,
     plastic: Given[Material],
+    file: MaterialOption = None,
     rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
     json_: Json = False,
@@ -197,7 +200,7 @@ def findings(
     from anisoscope.operations.stated import stated
 
     _at_most_one({"--json": json_, "--html": html is not None, "--svg": svg is not None})
-    base = stated(recipe)
+    base = stated(recipe, file)
     setup = Setup(model, plastic.over(base.material), rig.over(base.convention), shadow_frame)
     found = findings_maps(setup, alpha_from=alpha_from, alpha_to=alpha_to, grid_points=grid_points)
     if json_:

@@ -4,23 +4,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, Json, MaterialOption
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.fit.fitting import Fit
     from anisoscope.fit.table import BrdfTable, Reciprocity
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.progress import progress
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.fit.fitting import Fit
-    from anisoscope.fit.problem import Problem, Readings, Scene
+    from anisoscope.fit.problem import Problem
 
 
 def show(
@@ -153,8 +157,6 @@ def _print_parameters(fitted: "Fit") -> None:
         )
 
 
-MODEL = Group("Model and plastic", sort_key=20)
-POSE = Group("Light and camera angles", sort_key=21)
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 FreeOption = Annotated[
     str,
@@ -163,6 +165,13 @@ FreeOption = Annotated[
         "seating_y, k, albedo, index, tail; all: everything but albedo, index and tail."
     ),
 ]
+MODEL = Group(
+    "Model",
+    help="What is not free stays fixed; of what is free the search starts there.",
+    sort_key=18,
+)
+OF_RIDGES_AND_ANGLE = replace(OF_RIDGES, without={"ridge_angle_deg": "it must be stated"})
+OF_RIDGES_OF_TABLE = replace(OF_RIDGES, without={"ridge_angle_deg": "the table has the angles"})
 
 app = App(name="fit", help="Fit the parameters of the reflectance models to measured values.")
 
@@ -170,25 +179,14 @@ app = App(name="fit", help="Fit the parameters of the reflectance models to meas
 @Parameter(name="*", group=MODEL)
 @dataclass(frozen=True)
 class ModelOptions:
-    """Values of the parameters that stay fixed; of a free one it is where the search starts."""
+    """Model, and the parameters of a fit that belong to no part."""
 
     model: Annotated[
         Literal["printed", "corrected"], Parameter(help="The corrected model, or as published.")
     ] = "corrected"
-    alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06
-    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10
-    albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2
-    index: Annotated[float, Parameter(help="Refractive index of the plastic.")] = 1.5
-    height_loss: Annotated[float, Parameter(help="Share of the ridge height that is missing.")] = 0.0
     seating_x: Annotated[float, Parameter(help="Seating tilt of the part about x in degrees.")] = 0.0
     seating_y: Annotated[float, Parameter(help="Seating tilt of the part about y in degrees.")] = 0.0
     k: Annotated[float, Parameter(help="Scale between radiance and the unit of the table.")] = 1.0
-    wall: Annotated[Literal["perpendicular", "vertical"], Parameter(help="Wall of the ridges.")] = (
-        "perpendicular"
-    )
-    internal_reflection: Annotated[
-        Literal["nonlinear", "linear"], Parameter(help="Colour of light sent back inside the plastic.")
-    ] = "nonlinear"
     bounces: Annotated[
         int | Literal["all"] | None,
         Parameter(
@@ -197,54 +195,40 @@ class ModelOptions:
         ),
     ] = None
 
-    def values(self, ridge_angle: float) -> dict[str, float]:
-        """All parameters by name, checked."""
-        from anisoscope.fit.parameters import checked_values
+    def counted(self, usual: int | None = None) -> int | None:
+        """Reflections that count, None for all; ``usual`` where nothing is stated.
 
-        return checked_values(
-            {
-                "ridge_angle_deg": ridge_angle,
-                "alpha_along": self.alpha_along,
-                "alpha_across": self.alpha_across,
-                "albedo": self.albedo,
-                "index": self.index,
-                "height_loss": self.height_loss,
-                "seating_x_deg": self.seating_x,
-                "seating_y_deg": self.seating_y,
-                "k": self.k,
-            }
-        )
-
-    def optics(self, bounces: int | None = None) -> dict[str, Any]:
-        """The keywords of a scene; ``bounces`` are those by default, None for all."""
+        Raises:
+            UsageError: none, or more than the model knows.
+        """
         if isinstance(self.bounces, int) and self.bounces < 1:
             raise UsageError(f"--bounces must be 1 or more, or all, not {self.bounces}")
         if self.model == "printed" and self.bounces not in (None, 1):
             raise UsageError(
                 f"--bounces {self.bounces} needs --model corrected; printed knows direct light only"
             )
-        counted = bounces if self.bounces is None else None if self.bounces == "all" else self.bounces
-        return {
-            "model": self.model,
-            "bounces": 1 if self.model == "printed" else counted,
-            "wall": self.wall,
-            "internal_reflection": self.internal_reflection,
-        }
+        if self.model == "printed":
+            return 1
+        return usual if self.bounces is None else None if self.bounces == "all" else self.bounces
 
 
-@Parameter(name="*", group=POSE)
-@dataclass(frozen=True)
-class PoseOptions:
-    """How the angles of a table are counted."""
+MODEL_DEFAULTS = ModelOptions()
 
-    light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0
-    tilt_plane: Annotated[
-        Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
-    ] = "perpendicular"
-    facet_azimuth: Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°.")] = 0.0
+
+def _part(
+    ridges: Given[RidgeDesign], plastic: Given[Material], file: Path | None, ridge_angle: float = 10.0
+) -> "tuple[RidgeDesign, Material]":
+    """Ridges and plastic of the options; what a fit cannot start from is named as its parameter."""
+    from anisoscope.fit.parameters import PARAMETERS, checked_values
+    from anisoscope.operations.plastic import plastic_of
+
+    stated = {"ridge_angle_deg": ridge_angle, **ridges.values, **plastic.values}
+    checked_values({name: value for name, value in stated.items() if name in PARAMETERS})
+    return ridges.over(RidgeDesign(100.0, ridge_angle)), plastic.over(plastic_of(file)[0])
 
 
 @app.command
+@with_options(ridges=OF_RIDGES, plastic=OF_PLASTIC, rig=OF_LIGHT)
 def ridges(
     table: Path,
     /,
@@ -262,9 +246,11 @@ def ridges(
         Path | None,
         Parameter(name="--covariance-file", help="CSV without header: N × N covariance, in place of u."),
     ] = None,
-    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees, where it is not free.")] = 10.0,
-    options: ModelOptions | None = None,
-    angles: PoseOptions | None = None,
+    ridges: Given[RidgeDesign],
+    plastic: Given[Material],
+    file: MaterialOption = None,
+    options: ModelOptions = MODEL_DEFAULTS,
+    rig: Given[Convention],
     json_: Json = False,
     html: HtmlOption = None,
 ) -> int:
@@ -277,32 +263,41 @@ def ridges(
         anisoscope fit ridges table.csv
         anisoscope fit ridges table.csv --free all --html fit.html
     """
-    from anisoscope.fit.parameters import USUAL, parse_free
-    from anisoscope.fit.problem import Problem, Scene
-    from anisoscope.fit.table import read_readings
-    from anisoscope.parameters.geometry import Convention
-    from anisoscope.sim.light.geometry import directions
+    from anisoscope.operations.fit import fit_ridges
 
-    options, angles = options or ModelOptions(), angles or PoseOptions()
     _at_most_one(json_, html)
-    poses, readings = read_readings(table, quantity, errors, covariance)
-    convention = Convention(angles.light_angle, angles.tilt_plane, angles.facet_azimuth)
-    scene = Scene(*directions(poses, convention), poses=poses, convention=convention, **options.optics())
-    chosen = tuple(n for n in USUAL if readings.scaled or n != "k") if free is None else parse_free(free)
-    if free is not None and free.strip() == "all":
-        chosen = tuple(n for n in chosen if _enters(n, readings, scene))
-    fitted = _fit(Problem(scene, readings, options.values(ridge_angle), chosen), json_)
+    design, material = _part(ridges, plastic, file)
+    with progress("fitting", quiet=json_) as advance:
+        fitted = fit_ridges(
+            table,
+            kind=quantity,
+            free=None if free is None else [free],
+            design=design,
+            material=material,
+            convention=rig.over(Convention()),
+            seating_deg=(options.seating_x, options.seating_y),
+            k=options.k,
+            model=options.model,
+            bounces=options.counted(),
+            errors=errors,
+            covariance=covariance,
+            on_progress=advance,
+        )
     return show(fitted, f"Fit of {table.name}", json_, html)
 
 
 @app.command
+@with_options(ridges=OF_RIDGES_OF_TABLE, plastic=OF_PLASTIC, rig=OF_LIGHT)
 def experiment(
     table: Path,
     /,
     *,
     free: FreeOption = "alpha_along,alpha_across,k",
-    options: ModelOptions | None = None,
-    angles: PoseOptions | None = None,
+    ridges: Given[RidgeDesign],
+    plastic: Given[Material],
+    file: MaterialOption = None,
+    options: ModelOptions = MODEL_DEFAULTS,
+    rig: Given[Convention],
     json_: Json = False,
     html: HtmlOption = None,
 ) -> int:
@@ -317,22 +312,30 @@ def experiment(
     from anisoscope.experiment.experiment import read_measured
     from anisoscope.fit.parameters import parse_free
     from anisoscope.fit.table import experiment_problem
-    from anisoscope.parameters.geometry import Convention
+    from anisoscope.operations.fit import start_values
 
-    options, angles = options or ModelOptions(), angles or PoseOptions()
     _at_most_one(json_, html)
+    design, material = _part(ridges, plastic, file)
     chosen = tuple(n for n in parse_free(free) if free.strip() != "all" or n != "ridge_angle_deg")
     problem = experiment_problem(
         read_measured(table),
-        Convention(angles.light_angle, angles.tilt_plane, angles.facet_azimuth),
-        options.optics(bounces=1),
-        options.values(10.0),
+        rig.over(Convention()),
+        _scene(options, design, material, usual=1),
+        start_values(design, material, (options.seating_x, options.seating_y), options.k),
         tuple(n for n in chosen if not (n == "height_loss" and options.model == "printed" and free == "all")),
     )
     return show(_fit(problem, json_), f"Fit of {table.name} to the published experiment", json_, html)
 
 
+def _scene(
+    options: ModelOptions, design: RidgeDesign, material: Material, usual: int | None = None
+) -> dict[str, Any]:
+    """Keywords of a scene."""
+    return {"model": options.model, "bounces": options.counted(usual), "design": design, "material": material}
+
+
 @app.command
+@with_options(ridges=OF_RIDGES_AND_ANGLE, plastic=OF_PLASTIC)
 def brdf(
     table: Path,
     /,
@@ -344,7 +347,10 @@ def brdf(
         Parameter(help="Free parameters with --fit, as in fit ridges; ridge angle and both alphas."),
     ] = None,
     wavelength: Annotated[float | None, Parameter(help="Wavelength in nm, of a table with several.")] = None,
-    options: ModelOptions | None = None,
+    ridges: Given[RidgeDesign],
+    plastic: Given[Material],
+    file: MaterialOption = None,
+    options: ModelOptions = MODEL_DEFAULTS,
     json_: Json = False,
     html: HtmlOption = None,
 ) -> int:
@@ -360,22 +366,25 @@ def brdf(
     from anisoscope.fit.parameters import parse_free
     from anisoscope.fit.problem import Problem, Scene
     from anisoscope.fit.table import read_brdf, reciprocity
+    from anisoscope.operations.fit import start_values
 
-    options = options or ModelOptions()
     _at_most_one(json_, html)
     if free is not None and not fit:
         raise UsageError("--free needs --fit")
+    design, material = _part(ridges, plastic, file, ridge_angle)
     read = read_brdf(table, wavelength)
     chosen: tuple[str, ...] = ("alpha_along", "alpha_across")
     if ridge_angle != 0.0:
         chosen = ("ridge_angle_deg", *chosen)
     if free is not None:
         chosen = parse_free(free)
-    scene = Scene(read.to_light, read.to_camera, **options.optics())
-    problem = Problem(scene, read.readings, options.values(ridge_angle), chosen if fit else ())
+    scene = Scene(read.to_light, read.to_camera, **_scene(options, design, material))
+    values = start_values(design, material, (options.seating_x, options.seating_y), options.k)
+    problem = Problem(scene, read.readings, values, chosen if fit else ())
     return show(_fit(problem, json_), f"BRDF of {table.name}", json_, html, (read, reciprocity(read)))
 
 
+@with_options(ridges=OF_RIDGES_AND_ANGLE, plastic=OF_PLASTIC)
 def reflectance(
     table: Path,
     /,
@@ -384,7 +393,10 @@ def reflectance(
     fit: Annotated[bool, Parameter(negative="", help="Fit; otherwise only compare.")] = False,
     free: Annotated[str | None, Parameter(help="Free parameters with --fit, as in fit ridges.")] = None,
     wavelength: Annotated[float | None, Parameter(help="Wavelength in nm, of a file with several.")] = None,
-    options: ModelOptions | None = None,
+    ridges: Given[RidgeDesign],
+    plastic: Given[Material],
+    file: MaterialOption = None,
+    options: ModelOptions = MODEL_DEFAULTS,
     json_: Json = False,
     html: HtmlOption = None,
 ) -> int:
@@ -402,6 +414,9 @@ def reflectance(
         fit=fit,
         free=free,
         wavelength=wavelength,
+        ridges=ridges,
+        plastic=plastic,
+        file=file,
         options=options,
         json_=json_,
         html=html,
@@ -411,13 +426,6 @@ def reflectance(
 def _at_most_one(json_: bool, html: Path | None) -> None:
     if json_ and html is not None:
         raise UsageError("--json and --html exclude each other")
-
-
-def _enters(name: str, readings: "Readings", scene: "Scene") -> bool:
-    """A parameter of --free all that this model and kind of value know."""
-    if name == "k":
-        return readings.scaled
-    return name != "height_loss" or scene.model == "corrected"
 
 
 def _fit(problem: "Problem", quiet: bool) -> "Fit":

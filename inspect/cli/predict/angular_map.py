@@ -15,6 +15,7 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.parameters.material import Material
     from anisoscope.parameters.optics import Optics
     from anisoscope.prediction.angular import AngularReflectance
     from anisoscope.sim.light.colour.illuminant import Illuminant
@@ -54,21 +55,18 @@ MAP_DEFAULTS = MapOptions()
 
 @dataclass(frozen=True)
 class Blur:
-    """Lamp and lens, and roughness of the plastic across and along as given to `predict`."""
+    """Lamp and lens, and the plastic where its roughness is stated: a map then has slopes below the pixels."""
 
     optics: "Optics"
-    alpha_across: float
-    alpha_along: float
+    plastic: "Material | None"
 
     @property
     def slope_rms(self) -> tuple[float, float]:
-        """Slopes along x and y below the pixels; none where the roughness was left at its default."""
-        given = self.alpha_across, self.alpha_along
-        return (0.0, 0.0) if given == USUAL_ALPHA else (given[0] / 2.0**0.5, given[1] / 2.0**0.5)
+        """Slopes along x and y below the pixels."""
+        if self.plastic is None:
+            return 0.0, 0.0
+        return self.plastic.alpha_across / 2.0**0.5, self.plastic.alpha_along / 2.0**0.5
 
-
-USUAL_ALPHA = (0.10, 0.06)
-"""Roughness across and along of `predict` where none is given: an angular map then has none below the pixels."""
 
 COLUMNS = ("v_x", "v_y", "inclination_deg", "azimuth_deg", "wavelength_nm", "brdf_per_sr")
 

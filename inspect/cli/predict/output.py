@@ -101,7 +101,7 @@ def _monte_carlo_as_json(result: "Predicted") -> dict[str, Any]:
         "u_error_share": result.drawn.u_error_share,
         "mean": result.drawn.radiance.mean(axis=0),
         "u": result.drawn.u(),
-        "u_first_order": result.budget.u(),
+        "u_first_order": result.budget.first_order().u(),
     }
 
 
@@ -186,6 +186,7 @@ _IN_WORDS = {
     "second_reflection_would_add": "direct light only: a second reflection would add up to {:.2g} % (--bounces all)",
     "lost_in_roughness": "single scattering loses up to {:.2g} % of the lobe",
 }
+_NOT_DETAILED = {*_IN_WORDS, "neglected_waves_per_sr", "regions"}
 
 
 def _convention_text(result: "Predicted") -> str:
@@ -200,7 +201,7 @@ def _convention_text(result: "Predicted") -> str:
 def _source_of_u(result: "Predicted") -> str:
     if result.budget is None:
         return ""
-    source = "first order" if result.drawn is None else f"{len(result.drawn.radiance)} draws"
+    source = "second order" if result.drawn is None else f"{len(result.drawn.radiance)} draws"
     return f"; ± is the standard uncertainty (coverage factor 1), from {source}"
 
 
@@ -213,7 +214,7 @@ def _details(result: "Predicted") -> str:
             if value["stated_error_per_sr"] is not None:
                 text += f" (of the middle of a lobe: {value['stated_error_per_sr']:.2g} 1/sr)"
             texts.append(text)
-        elif name not in {*_IN_WORDS, "regions"} and not name.endswith("warning"):
+        elif name not in _NOT_DETAILED and not name.endswith("warning"):
             shown = f"{value:.4g}" if isinstance(value, float) else str(value)
             texts.append(f"{name.replace('_', ' ')}: {shown}")
     return "; ".join(texts)
@@ -229,8 +230,22 @@ def warnings_of(result: "Predicted") -> list[str]:
     found += [
         text.format(100.0 * result.notes[name]) for name, text in _IN_WORDS.items() if name in result.notes
     ]
-    found += [text for text in (_grazing(result), uncertainty_warning(result)) if text is not None]
+    found += [
+        text
+        for text in (_neglected_waves(result), _grazing(result), uncertainty_warning(result))
+        if text is not None
+    ]
     return found
+
+
+def _neglected_waves(result: "Predicted") -> str | None:
+    error = result.notes.get("neglected_waves_per_sr")
+    if error is None:
+        return None
+    counted = "" if result.budget is None else ", which are in u"
+    return (
+        f"waves matter here and are neglected: rays are off by up to {error:.2g} 1/sr in every pose{counted}"
+    )
 
 
 def _grazing(result: "Predicted") -> str | None:
@@ -258,7 +273,11 @@ def radiance_rows(result: "Predicted") -> list[list[str]]:
         row = [f"{pose.stage_deg:g}", f"{pose.tilt_deg:g}", _with_u(value, u[number], 5)]
         if result.drawn is not None and result.budget is not None:
             mean = float(result.drawn.radiance[:, number].mean())
-            row += [f"{result.budget.u()[number]:.5f}", f"{result.drawn.u()[number]:.5f}", f"{mean:.5f}"]
+            row += [
+                f"{result.budget.first_order().u()[number]:.5f}",
+                f"{result.drawn.u()[number]:.5f}",
+                f"{mean:.5f}",
+            ]
         rows.append(row)
     return rows
 
@@ -352,7 +371,7 @@ def _print_budget(result: "Predicted", budget: "Budget") -> None:
         budget.contributions, key=lambda part: -float(np.abs(budget.relative(part.absolute)).max())
     )
     rows = [[p.source, p.correlation, *cells(p.absolute)] for p in parts if np.any(p.absolute != 0.0)]
-    rows.append(["all, first order", "", *cells(budget.u())])
+    rows.append(["all", "", *cells(budget.u())])
     exact = [part.source for part in parts if not np.any(part.absolute != 0.0)]
     head = [f"u at {name} [%]" for name in names] if few else ["largest u [%]", "at"]
     caption = f"nothing comes from: {', '.join(exact)}" if exact else None

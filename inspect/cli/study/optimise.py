@@ -9,7 +9,15 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, Json, RecipeOption, parse_numbers
+from anisoscope.cli.options import (
+    OF_LIGHT,
+    OF_PLASTIC,
+    OF_RIDGES,
+    Json,
+    MaterialOption,
+    RecipeOption,
+    parse_numbers,
+)
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import hand_out
 from anisoscope.parameters.geometry import Convention
@@ -32,7 +40,7 @@ PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a pictur
 
 @with_options(ridges=OF_RIDGES, plastic=OF_PLASTIC, rig=OF_LIGHT)
 @everyday(
-    *("vary", "contrast", "pair", "tilts", "robust", "scatter", "recipe", "ridges", "plastic", "rig"),
+    *("vary", "contrast", "pair", "tilts", "robust", "scatter", "recipe", "ridges", "plastic", "file", "rig"),
     *("json_", "html", "plot"),
 )
 def optimise(
@@ -43,6 +51,7 @@ def optimise(
     ] = "ridge_angle=3:20",
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
+    file: MaterialOption = None,
     contrast: Annotated[
         Literal["difference", "michelson", "log_ratio"],
         Parameter(help="Contrast; its absolute value counts."),
@@ -111,7 +120,7 @@ def optimise(
     check_picture(plot)
     if not robust and (scatter is not None or quantile is not None):
         raise UsageError("--scatter and --quantile belong to --robust")
-    base = stated(recipe)
+    base = stated(recipe, file)
     design = ridges.over(base.design or RidgeDesign(base.pitch_um or 100.0, 10.0))
     scoring = Scoring(
         contrast,

@@ -7,7 +7,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json, RecipeOption
+from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json, MaterialOption, RecipeOption
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, PlotOption, SchedulerOption
 from anisoscope.cli.tables import hand_out
@@ -45,7 +45,7 @@ app.command("anisoscope.cli.study.papers:papers", name="papers")
     plastic=OF_PLASTIC,
 )
 @everyday(
-    *("defects", "ridges", "plastic", "recipe", "severities", "quality", "seed", "jobs"),
+    *("defects", "ridges", "plastic", "file", "recipe", "severities", "quality", "seed", "jobs"),
     *("json_", "html", "plot"),
 )
 def convergence_command(
@@ -57,6 +57,7 @@ def convergence_command(
     ] = "all",
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
+    file: MaterialOption = None,
     severities: Annotated[
         int, Parameter(help="Sizes of each defect, each half the one before; 3 to 10.")
     ] = 6,
@@ -79,7 +80,7 @@ def convergence_command(
     from anisoscope.study.sweep import Workers
 
     check_picture(plot)
-    base = stated(recipe)
+    base = stated(recipe, file)
     material = plastic.over(base.material)
     angle_deg = 10.0 if base.design is None else base.design.ridge_angle_deg
     design = ridges.over(RidgeDesign(PITCH_UM, angle_deg))
@@ -103,7 +104,9 @@ def convergence_command(
 
 @app.command(name="best-angle")
 @with_options(plastic=OF_PLASTIC)
-@everyday(*("recipe", "imperfections", "plastic", "step", "quality", "seed"), *("json_", "html", "plot"))
+@everyday(
+    *("recipe", "imperfections", "plastic", "file", "step", "quality", "seed"), *("json_", "html", "plot")
+)
 def best_angle_command(
     *,
     recipe: RecipeOption = None,
@@ -115,6 +118,7 @@ def best_angle_command(
         ),
     ] = "all",
     plastic: Given[Material],
+    file: MaterialOption = None,
     step: Annotated[float, Parameter(help="Step of the ridge angles in degrees, 0.1 to 1.")] = 0.5,
     quality: Quality = "quick",
     seed: SeedOption = 1,
@@ -135,7 +139,7 @@ def best_angle_command(
     from anisoscope.study.sweep import Workers
 
     check_picture(plot)
-    material = plastic.over(stated(recipe).material)
+    material = plastic.over(stated(recipe, file).material)
     if not 0.1 <= step <= 1.0:
         raise UsageError(f"--step takes 0.1 to 1 degree, not {step:g}")
     names = () if imperfections == "all" else tuple(dict.fromkeys(imperfections.split(",")))

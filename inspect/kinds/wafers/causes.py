@@ -31,7 +31,8 @@ from anisoscope.kinds.wafers.lighting import moved_light, needed_reach, recipe_w
 from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer
 from anisoscope.kinds.wafers.states import DEPTH, EDGES, SCATTER, WIDTH, edges_u_nm, width_step_nm
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
+from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.input_doubt import NEGLIGIBLE
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe

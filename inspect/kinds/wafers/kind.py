@@ -30,7 +30,8 @@ from anisoscope.kinds.wafers.states import (
     width_step_nm,
 )
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
+from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.input_doubt import NEGLIGIBLE
 from anisoscope.prediction.optics_selection import optics_for
 from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
 from anisoscope.prediction.sensitivity import State, evaluate, fixed

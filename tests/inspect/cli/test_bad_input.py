@@ -236,9 +236,9 @@ def test_profile_info_in_json(anisoscope, tmp_path):
     ("arguments", "code", "words"),
     [
         (["predict", "--ridge-angle", "10", "--facet-azimuth", "nan"], 64, "azimuth"),
-        (["predict", "MAP", "--pitch", "nan"], 65, "pitch"),
+        (["predict", "MAP", "--pitch", "nan"], 64, "pitch"),
         (["predict", "MAP", "--pitch", "-5"], 65, "pitch"),
-        (["predict", "--ridge-angle", "10", "--pitch", "inf"], 65, "pitch"),
+        (["predict", "--ridge-angle", "10", "--pitch", "inf"], 64, "pitch"),
         (["demo", "--seed", "-1"], 64, "--seed"),
         (["demo", "--out", "/proc/nowhere"], 74, "/proc/nowhere"),
         (["demo", "--out", "FILE"], 74, "cannot make"),

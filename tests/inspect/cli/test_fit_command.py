@@ -163,3 +163,37 @@ def test_free_without_fit_is_refused(anisoscope, example):
     done = anisoscope("fit", "brdf", example, "--ridge-angle", 5, "--free", "k")
     assert done.code == 64
     assert "--free needs --fit" in done.err
+
+
+def test_ridges_of_any_wall_crest_and_lobe_are_fitted_as_they_are_predicted(anisoscope, tmp_path):
+    part = ["--wall", 8, "--edge-radius", 4, "--tail", 0.6, "--rotation-sense", "cw", "--bounces", 1]
+    lobe = ["--second-lobe", "0.2,2", "--pitch", 60]
+    poses = ["--angles", "0,40,90,140,180,220,270,320", "--tilts=-10,0,10"]
+    told = anisoscope("predict", "--ridge-angle", 9, *part, *lobe, *poses, "--no-uncertainty", "--json")
+    assert told.code == 0, told.err
+    rows = [
+        f"{p['stage_deg']},{p['tilt_deg']},{p['radiance']},{0.003 * p['radiance']}"
+        for p in told.json["poses"]
+    ]
+    path = tmp_path / "table.csv"
+    path.write_text("\n".join(["stage_deg,tilt_deg,value,u", *rows]), encoding="utf-8")
+    free = ["--free", "ridge_angle,alpha_along", "--json"]
+    found = anisoscope("fit", "ridges", path, *part, *lobe, *free)
+    assert parameters(found)["ridge_angle_deg"]["value"] == pytest.approx(9.0, abs=1e-2)
+    assert parameters(found)["alpha_along"]["value"] == pytest.approx(0.06, rel=5e-3)
+    assert found.json["chi2"] < 1.0
+    assert (found.json["wall"], found.json["edge_radius_um"], found.json["second_lobe"]) == (
+        8.0,
+        4.0,
+        [0.2, 2.0],
+    )
+    assert anisoscope("fit", "ridges", path, *free, "--bounces", 1).json["chi2"] > 100.0
+    file = tmp_path / "abs.toml"
+    file.write_text(
+        'schema = 1\nid = "m"\nname = "ABS"\n[material]\nalpha_along = 0.06\nalpha_across = 0.1\nalbedo = 0.2\n'
+        "tail = 0.6\nsecond_lobe = [0.2, 2.0]\n[covariance]\nparameters = ['tail']\nmatrix = [[0.0]]\n"
+        "[validity]\nhalf_angle_deg = [0.0, 60.0]\n"
+    )
+    of_file = [one for one in part if one not in ("--tail", 0.6)]
+    again = anisoscope("fit", "ridges", path, *of_file, "--pitch", 60, "--material", file, *free)
+    assert again.json["chi2"] == pytest.approx(found.json["chi2"], abs=1e-6)

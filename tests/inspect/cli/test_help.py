@@ -176,13 +176,9 @@ SAME_QUANTITY = {
     "--dots": "dots a",  # along or across
     "--dpi": "dots.* per inch",
     "--dry-run": "only print",
-    "--facet-azimuth": "azimuth toward which",
     "--format": "format of the new files",
-    "--height-loss": "share of the .*missing",
     "--html": "page",
-    "--index": "refractive index",
     "--jobs": "processes",
-    "--internal-reflection": "light sent back inside the plastic",
     "--kind": "kind",
     "--l-filter": "l-filter",
     "--lamp-half-angle": "half of the angle .*lamp",
@@ -212,7 +208,6 @@ SAME_QUANTITY = {
     "--separation": "coverages",
     "--step": "step of the",  # angle, in degrees
     "--steps": "number of",
-    "--tilt-plane": "plane in which camera and light tilt",
     "--tilts": "tilts",
     "--tone": "greys of the",
     "--trust": "must not refuse|keys has to have signed",  # a file in spite of a check; the keys that count

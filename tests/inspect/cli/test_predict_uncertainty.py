@@ -5,8 +5,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from anisoscope.cli.predict.predict import DEFAULTS, input_uncertainty
-from anisoscope.parameters.inputs import InputUncertainty
+from anisoscope.cli.options import OF_UNCERTAINTY
+from anisoscope.parameters.inputs import default_uncertainty
+from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import ridges
@@ -23,15 +24,20 @@ def height_map(tmp_path_factory):
 
 
 def test_defaults_of_options_library_and_recipe_are_the_same():
-    assert input_uncertainty(DEFAULTS) == InputUncertainty()
-    inputs, rig = InputUncertainty(), RigUncertainty()
-    # a recipe that says nothing of its tilt counts nothing for it, as before it could say so
-    for name in {field.name for field in fields(inputs)} & set(RigUncertainty.model_fields) - {"tilt_deg"}:
+    inputs, rig = default_uncertainty(Material()), RigUncertainty()
+    assert OF_UNCERTAINTY.default == inputs
+    for name in {field.name for field in fields(inputs)} & set(RigUncertainty.model_fields) - {
+        "stage_deg"
+    }:  # of the measurement
         assert getattr(inputs, name) == getattr(rig, name), name
-    part = {
-        name: MaterialPart.model_fields[name].default for name in ("u_alpha_share", "u_albedo", "u_index")
-    }
-    assert (inputs.alpha_share, inputs.albedo, inputs.index) == tuple(part.values())
+    part = MaterialPart(alpha_along=0.06, alpha_across=0.1, albedo=0.2)
+    assert (part.u_alpha_share, part.u_albedo, part.u_index, part.u_tail) == (0.1, 0.1 * 0.2, 0.01, None)
+    assert (inputs.alpha_share, inputs.albedo, inputs.index, inputs.tail) == (0.1, 0.1 * 0.2, 0.01, None)
+    known, stated = default_uncertainty(Material(), 0.0), {**dict(part), "u_tail": 0.0}
+    for name in ("u_alpha_share", "u_albedo"):
+        del stated[name]
+    part = MaterialPart.model_validate(stated)
+    assert (known.alpha_share, known.albedo, known.tail) == (part.u_alpha_share, part.u_albedo, part.u_tail)
 
 
 def test_json_states_u_of_poses_and_contrasts_with_budget_and_covariance(anisoscope):
@@ -217,12 +223,12 @@ def test_a_spectrum_is_predicted_at_each_of_its_wavelengths(anisoscope, spectrum
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["--ridge-angle", 45], 65, "the ridge angle must be within 0° and 45°"),
+        (["--ridge-angle", 45], 64, "the ridge angle must be within 0° and 45°"),
         (["--ridge-angle", 10, "--alpha-across", -0.1], 64, "alpha across"),
         (["--ridge-angle", 10, "--tilts", "89.99"], 64, "horizon"),
         (["--ridge-angle", 10, "--tilts", "89.9"], 64, "uncertainty of the angles from the horizon"),
         (["--ridge-angle", 10, "--tilt-plane", "in-plane", "--tilts", "80"], 64, "horizon"),
-        (["--ridge-angle", 10, "--height-loss", 1.5], 65, "height loss"),
+        (["--ridge-angle", 10, "--height-loss", 1.5], 64, "height loss"),
         (
             ["--ridge-angle", 10, "--height-loss", 0.1, "--model", "printed"],
             64,
@@ -235,10 +241,14 @@ def test_a_spectrum_is_predicted_at_each_of_its_wavelengths(anisoscope, spectrum
         (["NARROW", "--pitch", 100], 65, "80 µm wide, less than one pitch of 100 µm"),
         (["MAP", "--pitch", 0], 65, "the pitch must be a positive number"),
         (["NAN"], 65, "every point is marked as missing"),
-        (["--ridge-angle", 10, "--u-albedo", -1], 64, "--u-albedo must be a finite number, 0 or more"),
+        (
+            ["--ridge-angle", 10, "--u-albedo", -1],
+            64,
+            "--u-albedo: the uncertainty 'albedo' must be a finite number, 0 or more",
+        ),
         (["--ridge-angle", 10, "--u-height-noise", 0.1], 64, "--u-height-noise belongs to a height map"),
         (["MAP", "--u-ridge-angle", 0.1], 64, "--u-ridge-angle belongs to a design"),
-        (["MAP", "--ridges-seen", 0], 64, "--ridges-seen must be 1 or more"),
+        (["MAP", "--ridges-seen", 0], 64, "--ridges-seen: the camera sees one ridge or more"),
         (["--ridge-angle", 10, "--covariance"], 64, "add --json"),
         (["--ridge-angle", 10, "--monte-carlo", 5], 64, "at least 10 draws"),
         (["--ridge-angle", 10, "--monte-carlo", 50, "--no-uncertainty"], 64, "exclude each other"),

@@ -8,6 +8,7 @@ from anisoscope.base.errors import RecipeError, UsageError
 from anisoscope.cli import run
 from anisoscope.operations.stated import Stated, stated
 from anisoscope.parameters.material import Material
+from anisoscope.recipe.material_file import MaterialFile, write_material_file
 
 TEXT = """
 schema = 1
@@ -109,3 +110,34 @@ def test_the_published_experiment_takes_a_measured_lobe(recipe, capsys):
     )
     assert with_tail["material"]["tail"] == 0.6
     assert with_tail != without
+
+
+def test_a_material_file_stands_in_place_of_the_recipes_plastic(recipe, tmp_path, capsys):
+    calibrated = Material(0.05, 0.11, 0.25, tail=0.8)
+    content = {
+        "id": "material-1",
+        "name": "ABS",
+        "material": {
+            name: getattr(calibrated, name) for name in ("alpha_along", "alpha_across", "albedo", "tail")
+        },
+        "covariance": {"parameters": ("tail",), "matrix": ((0.0,),)},
+        "validity": {"half_angle_deg": (0.0, 60.0)},
+    }
+    file = tmp_path / "abs.toml"
+    write_material_file(MaterialFile.model_validate(content), file)
+    found = stated(recipe, file)
+    assert found.material == calibrated
+    assert found.file is not None
+    assert found.design == stated(recipe).design
+    assert stated(None, file).material == calibrated
+    words = ("--recipe", str(recipe), "--material", str(file), "--bounces", "1", "--index", "1.6")
+    part = answer(capsys, "optimise", *words)["optimum"]["part"]
+    assert (part["tail"], part["alpha_across"], part["index"]) == (0.8, 0.11, 1.6)
+    shown = answer(capsys, "research", "experiment", "--model", "corrected", "--material", str(file))
+    assert shown["material"]["tail"] == 0.8
+    recipe.write_text(TEXT.partition("[material]")[0].replace("product", 'material = "abs.toml"\nproduct', 1)
+                      + "[poses]" + TEXT.partition("[poses]")[2], encoding="utf-8")  # fmt: skip
+    with pytest.raises(
+        UsageError, match=r"recipe\.toml names the material file abs\.toml itself: leave --material"
+    ):
+        stated(recipe, file)

@@ -131,7 +131,7 @@ def test_dark_poses_are_told_in_radiance_and_marked():
     def model(to_light, to_camera, material):  # black at 180°, where the light comes from −x
         return np.maximum(to_light[:, 0], 0.0) * material.albedo
 
-    budget = of(model, InputUncertainty())
+    budget = of(model, InputUncertainty(stage_zero_deg=0.05))
     assert budget.dark.tolist() == [False, True, True]
     for contribution in budget.contributions:
         assert np.isfinite(contribution.absolute).all()

@@ -9,9 +9,10 @@ from scipy.stats import chi2
 from anisoscope.base.significance import log_basis
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.prediction.expectation import SECOND_ORDER, expectation
+from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.profile_likelihood import nearest
 from anisoscope.prediction.second_order import Response
+from anisoscope.prediction.sensitivity import SECOND_ORDER
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, seating_rotation
 

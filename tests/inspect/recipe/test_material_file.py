@@ -12,7 +12,8 @@ from anisoscope.kinds.ridges.kind import RIDGES
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.prediction.expectation import SCATTER, expectation
+from anisoscope.prediction.expectation import expectation
+from anisoscope.prediction.input_doubt import SCATTER
 from anisoscope.prediction.propagation import TAIL
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import ridges

@@ -128,12 +128,7 @@ def test_every_field_of_a_model_is_an_option_or_left_out_with_a_reason(guard):
 
 
 BY_HAND = {
-    "bsdf fit",
-    "fit brdf",
-    "fit experiment",
     "fit plates",
-    "fit ridges",
-    "predict",
 }
 """Commands that still declare fields of a model themselves."""
 

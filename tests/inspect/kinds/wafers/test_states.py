@@ -9,8 +9,9 @@ from anisoscope.kinds.wafers.lighting import recipe_wafer, wafer_light
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.kinds.wafers.states import EDGES, edges_u_nm
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.prediction.expectation import SECOND_ORDER, expectation
+from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.profile_likelihood import FARTHEST, nearest_anywhere
+from anisoscope.prediction.sensitivity import SECOND_ORDER
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.geometry import directions, seating_rotation
