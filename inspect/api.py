@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from anisoscope.calibration.pictures import calibrate_dark, calibrate_flat, calibrate_stray
     from anisoscope.calibration.rotation import calibrate_rotation
     from anisoscope.commissioning.commissioning import Commissioned
+    from anisoscope.commissioning.selftest import self_test
+    from anisoscope.commissioning.selftest_record import Settings as SelfTestSettings
     from anisoscope.fit.fitting import Fit
     from anisoscope.history.adding import Added
     from anisoscope.history.comparing import compare
@@ -32,10 +34,14 @@ if TYPE_CHECKING:
     from anisoscope.ink.appearance import show_inks
     from anisoscope.inspection.archive import parse_rule as retention_rule
     from anisoscope.inspection.archive_store import open_store as open_archive
+    from anisoscope.inspection.batch.codes import read_codes, read_picture
+    from anisoscope.inspection.check_standard import run_check, teach_check
     from anisoscope.inspection.integrity import Verified
     from anisoscope.inspection.recompute import Recomputed
+    from anisoscope.inspection.reflectance_scan import begin_scan as scan
+    from anisoscope.inspection.reflectance_scan import resume_scan
     from anisoscope.inspection.run import Inspected
-    from anisoscope.live_view.autofocus import Autofocus
+    from anisoscope.live_view.autofocus import Autofocus, Sweep
     from anisoscope.operations.archiving import archived_inspections, pull, push, retain
     from anisoscope.operations.archiving import hold as hold_archived
     from anisoscope.operations.design.etched import (
@@ -64,6 +70,7 @@ if TYPE_CHECKING:
     from anisoscope.operations.reflectance import bsdf_textures, export_bsdf, reflectance_of
     from anisoscope.operations.remembering import lot_mates, remember
     from anisoscope.operations.render import render_frame, render_plate
+    from anisoscope.operations.rigging import focus, home_axis, move_axis, rig_status, snap
     from anisoscope.operations.series import batch, watch
     from anisoscope.operations.statistics import (
         control_charts,
@@ -148,6 +155,20 @@ _HOME = {
     "bsdf_textures": "anisoscope.operations.reflectance",
     "reflectance_of": "anisoscope.operations.reflectance",
     "export_bsdf": "anisoscope.operations.reflectance",
+    "SelfTestSettings": "anisoscope.commissioning.selftest_record:Settings",
+    "self_test": "anisoscope.commissioning.selftest",
+    "run_check": "anisoscope.inspection.check_standard",
+    "teach_check": "anisoscope.inspection.check_standard",
+    "read_picture": "anisoscope.inspection.batch.codes",
+    "read_codes": "anisoscope.inspection.batch.codes",
+    "resume_scan": "anisoscope.inspection.reflectance_scan",
+    "scan": "anisoscope.inspection.reflectance_scan:begin_scan",
+    "Sweep": "anisoscope.live_view.autofocus",
+    "move_axis": "anisoscope.operations.rigging",
+    "home_axis": "anisoscope.operations.rigging",
+    "rig_status": "anisoscope.operations.rigging",
+    "focus": "anisoscope.operations.rigging",
+    "snap": "anisoscope.operations.rigging",
     "Manufacture": "anisoscope.parameters.manufacture",
     "Fabrication": "anisoscope.parameters.fabrication",
     "design_code": "anisoscope.operations.design.plates",
@@ -313,8 +334,10 @@ __all__ = [
     "RidgeDesign",
     "RidgeMeasurement",
     "Scoring",
+    "SelfTestSettings",
     "Specification",
     "StudyPage",
+    "Sweep",
     "Taking",
     "Tolerances",
     "UsageError",
@@ -365,8 +388,10 @@ __all__ = [
     "find_ports",
     "findings_map",
     "fit_ridges",
+    "focus",
     "history_readings",
     "hold_archived",
+    "home_axis",
     "ideal_ridges",
     "ink_brdf",
     "ink_picture",
@@ -377,6 +402,7 @@ __all__ = [
     "measure_ridges",
     "mirror_design",
     "mould",
+    "move_axis",
     "msa_attribute",
     "msa_bias",
     "msa_gauge",
@@ -394,10 +420,12 @@ __all__ = [
     "predict",
     "pull",
     "push",
+    "read_codes",
     "read_cycles",
     "read_decisions",
     "read_height_map",
     "read_measured_contrasts",
+    "read_picture",
     "read_readings",
     "read_recipe",
     "read_record",
@@ -411,14 +439,21 @@ __all__ = [
     "render_frame",
     "render_plate",
     "resume",
+    "resume_scan",
     "retain",
     "retention_rule",
+    "rig_status",
+    "run_check",
+    "scan",
+    "self_test",
     "show_inks",
+    "snap",
     "sphere",
     "spoil",
     "srgb",
     "suggest_poses",
     "teach",
+    "teach_check",
     "texture",
     "verify",
     "verify_history",

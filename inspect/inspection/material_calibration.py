@@ -6,7 +6,7 @@ of the recipe's; the fit is that of `fit.lobe`. Readings that were taken otherwi
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.json_fields import json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.record import MAX_DAYS
 from anisoscope.fit.lobe import (
@@ -105,6 +106,10 @@ class Setup:
     recipe: SurfaceRecipe | None
 
 
+def _pairs(poses: Sequence[Pose]) -> list[list[float]]:
+    return [[pose.stage_deg, pose.tilt_deg] for pose in poses]
+
+
 @dataclass(frozen=True, eq=False)
 class ScanPlan:
     """A scan before it is taken.
@@ -118,11 +123,13 @@ class ScanPlan:
         ridge_angle_deg: of the part that they belong to.
     """
 
-    setup: Setup
-    information: LobeInformation
+    setup: Setup = field(metadata=json_field("poses", by=lambda setup: _pairs(setup.poses)))
+    information: LobeInformation = field(
+        metadata=json_field(by=lambda found: {"u": found.u, "remarks": found.not_identified()}, merged=True)
+    )
     seconds: float | None
     u_log_ratios: FloatArray
-    judged: tuple[Pose, ...]
+    judged: tuple[Pose, ...] = field(metadata=json_field("ratios_between", by=_pairs))
     ridge_angle_deg: float
 
 

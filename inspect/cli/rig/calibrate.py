@@ -1,5 +1,6 @@
 """``anisoscope calibrate``: calibrations of the rig."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,9 +11,12 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import console, print_lines, print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.record import CalibrationRecord
     from anisoscope.inspection.material_calibration import ScanPlan
     from anisoscope.recipe.material_file import MaterialFile
@@ -35,6 +39,20 @@ _Channel = Annotated[
 _Temperature = Annotated[float | None, Parameter(help="Temperature in °C, for the record.")]
 
 
+@dataclass(frozen=True)
+class Entries:
+    """Validity and origin of a record, and the light."""
+
+    valid_days: _Days = None
+    operator: _Operator = None
+    temperature: _Temperature = None
+    channel: _Channel = None
+
+
+_Entries = Annotated[Entries, Parameter(name="*")]
+NO_ENTRIES = Entries()
+
+
 @app.command
 def flat(
     *,
@@ -46,10 +64,7 @@ def flat(
     gain: _Gain = 1.0,
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile, 0 to 1.")] = 0.99,
     frames: _Frames = 16,
-    valid_days: _Days = None,
-    operator: _Operator = None,
-    temperature: _Temperature = None,
-    channel: _Channel = None,
+    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile: shading of the picture and scale of the radiances.
@@ -59,20 +74,18 @@ def flat(
     Examples:
         anisoscope calibrate flat --rig rig.toml --exposure 0.006 --reflectance 0.99 --out flat.tif
     """
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_flat
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
+    taking = _taking((exposure, gain, frames), entries)
     with progress("flat", quiet=json_) as advance:
         meta, record = calibrate_flat(rig, out, taking, reflectance=reflectance, on_progress=advance)
     if json_:
-        print_json({"file": str(out), **meta, "record": _as_json(record)})
+        print_json({"file": str(out), **meta, "record": record})
         return 0
-    text = (
+    print_lines(
         f"{out}: {meta['frames']} frames, median {meta['level']:.0%} of full scale, "
         f"radiance of the tile {meta['radiance']:.4f} 1/sr"
     )
-    console().print(text, markup=False, highlight=False)
     return _show(record, out, json_=False)
 
 
@@ -84,10 +97,7 @@ def dark(
     exposure: _Exposure,
     gain: _Gain = 1.0,
     frames: _Frames = 32,
-    valid_days: _Days = None,
-    operator: _Operator = None,
-    temperature: _Temperature = None,
-    channel: _Channel = None,
+    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph with the light off: dark level, noise and hot pixels at an exposure and gain.
@@ -98,13 +108,9 @@ def dark(
     Examples:
         anisoscope calibrate dark --rig rig.toml --exposure 0.004 --out dark.json
     """  # fmt: skip
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_dark
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
-    with progress("dark", quiet=json_) as advance:
-        record = calibrate_dark(rig, out, taking, on_progress=advance)
-    return _show(record, out, json_=json_)
+    return _taken("dark", calibrate_dark, rig, out, (exposure, gain, frames), entries, json_=json_)
 
 
 @app.command
@@ -118,10 +124,7 @@ def stray(
     target_reflectance: Annotated[
         float, Parameter(help="Largest diffuse reflectance that the black target may have.")
     ] = 1e-4,
-    valid_days: _Days = None,
-    operator: _Operator = None,
-    temperature: _Temperature = None,
-    channel: _Channel = None,
+    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph black glass or a light trap under the lit lamp: stray light, which inspections then subtract.
@@ -131,13 +134,18 @@ def stray(
     Examples:
         anisoscope calibrate stray --rig rig.toml --exposure 0.05 --out stray.json
     """
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_stray
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
-    with progress("stray light", quiet=json_) as advance:
-        record = calibrate_stray(rig, out, taking, target_reflectance=target_reflectance, on_progress=advance)
-    return _show(record, out, json_=json_)
+    return _taken(
+        "stray light",
+        calibrate_stray,
+        rig,
+        out,
+        (exposure, gain, frames),
+        entries,
+        json_=json_,
+        target_reflectance=target_reflectance,
+    )
 
 
 @app.command
@@ -153,10 +161,7 @@ def linearity(
     frames: Annotated[
         int, Parameter(name="--count", help="Frames of the stacks for the fixed pattern.")
     ] = 16,
-    valid_days: _Days = None,
-    operator: _Operator = None,
-    temperature: _Temperature = None,
-    channel: _Channel = None,
+    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile with many exposures: gain, read noise, linearity and saturation after EMVA 1288.
@@ -166,13 +171,18 @@ def linearity(
     Examples:
         anisoscope calibrate linearity --rig rig.toml --exposure 0.002 --out linearity.json
     """
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.linearity import calibrate_linearity
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
-    with progress("linearity", quiet=json_) as advance:
-        record = calibrate_linearity(rig, out, taking, steps=steps, on_progress=advance)
-    return _show(record, out, json_=json_)
+    return _taken(
+        "linearity",
+        calibrate_linearity,
+        rig,
+        out,
+        (exposure, gain, frames),
+        entries,
+        json_=json_,
+        steps=steps,
+    )
 
 
 @app.command
@@ -231,10 +241,7 @@ def rotation(
             help="Place of the fixture on the plate, which x and y follow: mm right and up of the axis."
         ),
     ] = (0.0, 0.0),
-    valid_days: _Days = None,
-    operator: _Operator = None,
-    temperature: _Temperature = None,
-    channel: _Channel = None,
+    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Turn the fixture by a full turn: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
@@ -245,13 +252,19 @@ def rotation(
     Examples:
         anisoscope calibrate rotation --rig rig.toml --exposure 0.004 --out rotation.json
     """
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.rotation import calibrate_rotation
 
-    taking = Taking(exposure, gain, frames, valid_days, operator, temperature, channel)
-    with progress("rotation", quiet=json_) as advance:
-        record = calibrate_rotation(rig, out, taking, angles=angles, at_mm=at, on_progress=advance)
-    return _show(record, out, json_=json_)
+    return _taken(
+        "rotation",
+        calibrate_rotation,
+        rig,
+        out,
+        (exposure, gain, frames),
+        entries,
+        json_=json_,
+        angles=angles,
+        at_mm=at,
+    )
 
 
 @app.command
@@ -385,7 +398,7 @@ def material(
     if dry_run or not json_:
         plan = plan_scan(setup)
         if json_:
-            print_json(_plan_as_json(plan))
+            print_json(plan)
         else:
             _show_plan(plan)
     if dry_run:
@@ -414,18 +427,6 @@ def material(
     else:
         _show_material(file, out)
     return 0 if found.fits else 3
-
-
-def _plan_as_json(plan: "ScanPlan") -> dict[str, object]:
-    return {
-        "poses": [[pose.stage_deg, pose.tilt_deg] for pose in plan.setup.poses],
-        "seconds": plan.seconds,
-        "u": plan.information.u,
-        "ridge_angle_deg": plan.ridge_angle_deg,
-        "ratios_between": [[pose.stage_deg, pose.tilt_deg] for pose in plan.judged],
-        "u_log_ratios": plan.u_log_ratios.tolist(),
-        "remarks": list(plan.information.not_identified()),
-    }
 
 
 def _show_plan(plan: "ScanPlan") -> None:
@@ -502,8 +503,26 @@ def list_(*, rig: _Rig, json_: Json = False) -> int:
     return 3 if invalid else 0
 
 
-def _as_json(record: "CalibrationRecord") -> dict[str, object]:
-    return record.model_dump(mode="json", by_alias=True)
+def _taking(picture: tuple[float, float, int], entries: Entries) -> "Taking":
+    from anisoscope.calibration.frames import Taking
+
+    return Taking(*picture, entries.valid_days, entries.operator, entries.temperature, entries.channel)
+
+
+def _taken(
+    label: str,
+    calibrate: "Callable[..., CalibrationRecord]",
+    rig: Path,
+    out: Path,
+    picture: tuple[float, float, int],
+    entries: Entries,
+    *,
+    json_: bool,
+    **settings: object,
+) -> int:
+    with progress(label, quiet=json_) as advance:
+        record = calibrate(rig, out, _taking(picture, entries), on_progress=advance, **settings)
+    return _show(record, out, json_=json_)
 
 
 def _show(record: "CalibrationRecord", out: Path, *, json_: bool) -> int:
@@ -512,7 +531,7 @@ def _show(record: "CalibrationRecord", out: Path, *, json_: bool) -> int:
 
     target = record_path(out)
     if json_:
-        print_json({"file": str(target), **_as_json(record)})
+        print_json({"file": target} | record.model_dump(by_alias=True))
     else:
         rows = [
             [name.replace("_", " "), f"{one.value:.6g}", "" if one.u is None else f"{one.u:.2g}", one.unit]
@@ -520,11 +539,8 @@ def _show(record: "CalibrationRecord", out: Path, *, json_: bool) -> int:
         ]
         print_table(f"{record.id} ({record.camera.model})", ["what", "value", "u", "unit"], rows)
         print_lines(*record.remarks)
-        console().print(
+        print_lines(
             f"{target}: valid until {record.valid_until:%Y-%m-%d %H:%M} UTC; name it in the rig file under "
-            f"[calibration] {record.kind}",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
+            f"[calibration] {record.kind}"
         )
     return 0 if record.in_limits else 3

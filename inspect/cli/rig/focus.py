@@ -11,11 +11,12 @@ from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, Yes, confirm, home_axes
+from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, Yes, asking, confirm
+from anisoscope.cli.tables import answer
 
 if TYPE_CHECKING:
-    from anisoscope.live_view.autofocus import Focus, Sweep
-    from anisoscope.rig.rigfile import RigFile
+    from anisoscope.live_view.autofocus import Sweep
+    from anisoscope.operations.rigging import Focused
 
 
 @everyday("rig", "exposure", "low", "high", "gain", "repeat", "light", "map_", "out", "yes", "json_")
@@ -52,31 +53,16 @@ def focus(
         anisoscope rig focus --rig rig.toml --exposure 0.005 --from 9.5 --to 10.5
         anisoscope rig focus --rig rig.toml --exposure 0.005 --from 8 --to 12 --map tray.csv --yes
     """
-    from anisoscope.live_view.autofocus import Autofocus, Sweep
-    from anisoscope.rig.acquisition.opening import open_devices
-    from anisoscope.rig.rigfile import read_rig
+    from anisoscope.live_view.autofocus import Sweep
+    from anisoscope.operations.rigging import focus as focused
 
     if not (low < high and steps >= 1 and repeat >= 1 and average >= 1):
         raise UsageError("--from must be below --to, and --steps, --repeat and --average 1 or more")
+    sweep = Sweep(low, high, steps, repeat, measure, average)
     if map_ is not None:
-        sweep = Sweep(low, high, steps, repeat, measure, average)
         return _map(rig, map_, out, (exposure, gain), sweep, channel, yes=yes, json_=json_)
-    file = read_rig(rig, channel=channel)
-    if file.z is None:
-        raise UsageError("nothing moves the focus there: the rig file has no table [z]")
-    lamp = None if light == "as-is" else file.light
-    axes = file.moved_with("z")
-    with open_devices(axes, file.camera, lamp, rows_of=file) as devices:
-        axis, camera = devices.axes["z"], devices.camera
-        assert camera is not None
-        home_axes(devices.axes, axes, file, yes=yes)
-        camera.configure(exposure, gain)
-        if devices.light is not None:
-            (devices.light.on if light == "on" else devices.light.off)()
-        found = Autofocus(axis, camera, file.z.approach_mm, measure, average).search(
-            low, high, steps=steps, repeats=repeat
-        )
-    _show(found, file, json_=json_)
+    done = focused(rig, exposure, sweep, gain, light=light, channel=channel, confirm=asking(yes=yes))
+    answer(done, [_line(done)], json_=json_)
     return 0
 
 
@@ -123,27 +109,8 @@ def _map(
     return 0 if record.in_limits else CalibrationError.exit_code
 
 
-def _show(found: "Focus", file: "RigFile", *, json_: bool) -> None:
-    from anisoscope.live_view.autofocus import depth_of_field_mm
-
-    assert file.z is not None
-    depth = depth_of_field_mm(file)
-    if json_:
-        print_json(
-            {
-                "best_mm": found.best,
-                "place_mm": file.z.place(found.best),
-                "reached_mm": found.reached,
-                "repeatability_mm": None if math.isnan(found.repeatability) else found.repeatability,
-                "places_mm": found.places,
-                "half_width_mm": found.half_width,
-                "depth_of_field_mm": depth,
-                "kept_share": found.kept,
-                "readings_mm": found.readings,
-                "sharpness": found.sharpness,
-            }
-        )
-        return
+def _line(done: "Focused") -> str:
+    found, depth = done.found, done.depth_of_field_mm
     words = [message("z in focus at {place}", place=decimal(f"{found.reached:.4f} mm"))]
     if not math.isnan(found.repeatability):
         words.append(
@@ -156,4 +123,4 @@ def _show(found: "Focus", file: "RigFile", *, json_: bool) -> None:
     words.append(message("half as sharp {size} away", size=decimal(f"{1000.0 * found.half_width:.3g} µm")))
     if depth is not None:
         words.append(message("depth of field ±{size}", size=decimal(f"{500.0 * depth:.3g} µm")))
-    print(", ".join(words))  # noqa: T201
+    return ", ".join(words)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.language import message
-from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, home_axes, write_line
+from anisoscope.cli.rig.options import NOTHING_NAMED, Which, Yes, asking, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
@@ -33,13 +33,14 @@ def hold(
     Examples:
         anisoscope rig hold --rig rig.toml --home
     """
+    from anisoscope.operations.rigging import home_axes
     from anisoscope.rig.acquisition.opening import hold_devices
 
     file, axes = which.read()
     with hold_devices(axes, file, "" if which.rig is None else str(which.rig.resolve())) as held:
         devices = held.devices
         if home:
-            home_axes(devices.axes, axes, file, yes=yes)
+            home_axes(devices.axes, axes, file, asking(yes=yes))
         missing = f"{message('camera')} ({held.missing})" if held.missing else ""
         names = [message("light")] * (devices.light is not None)
         names += [message("camera")] * (devices.camera is not None)

@@ -24,7 +24,7 @@ from anisoscope.cli.rig.options import (
     LightState,
     RigPath,
     Yes,
-    home_axes,
+    asking,
     write_line,
 )
 
@@ -79,6 +79,7 @@ def live(
         anisoscope rig live --rig rig.toml --exposure 0.003 --web
         anisoscope rig live --rig rig.toml --exposure 0.003 --jog --pad auto --yes
     """
+    from anisoscope.operations.rigging import home_axes
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.rigfile import BY_HAND, read_rig
 
@@ -100,7 +101,7 @@ def live(
         if lamp is not None:
             (lamp.on if light == "on" else lamp.off)()
         by_hand = lamp is not None and file.light.driver == "manual"  # which asks in the same terminal
-        home_axes(devices.axes, axes, file, yes=yes)
+        home_axes(devices.axes, axes, file, asking(yes=yes))
         try:
             with ExitStack() as stack:
                 jogger, ended = _jogging(devices.axes, pad, stack) if jog else (None, None)

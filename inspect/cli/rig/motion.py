@@ -1,40 +1,25 @@
 """``anisoscope rig home|move|jog|stop``: move an axis by hand, from the command line."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import AnisoscopeError, NotConnected, RigError
+from anisoscope.base.errors import RigError
 from anisoscope.base.language import decimal, message
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, home_axes, home_axis, write_line
+from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, asking, write_line
+from anisoscope.cli.tables import answer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from anisoscope.operations.rigging import Moved
     from anisoscope.rig.portholder import Holder
-    from anisoscope.rig.rigfile import MotorPart, RigAxes
-    from anisoscope.rig.stage import RotationStage, Unit
-
-    Target = Callable[[RotationStage, MotorPart, float], float]
-    Go = Callable[[RotationStage, MotorPart, float], None]
+    from anisoscope.rig.rigfile import MotorPart
+    from anisoscope.rig.stage import Unit
 
 Devices = Annotated[Which, Parameter(name="*")]
 Axis = Annotated[AxisName, Parameter(name="--axis", help="Which axis: stage, tilt, x, y or z.")]
 RELEASE_S = 15.0
-
-
-@dataclass(frozen=True)
-class _Moved:
-    """Completed motion, in the unit of the axis; `before` is None where the position before was unknown."""
-
-    axis: str
-    device: str
-    before: float | None
-    after: float
-    homed: bool
 
 
 def home(
@@ -45,15 +30,9 @@ def home(
     Examples:
         anisoscope rig home --rig rig.toml --yes
     """
-    from anisoscope.rig.acquisition.opening import open_devices
+    from anisoscope.operations.rigging import home_axis
 
-    file, parts = which.axis(axis)
-    with open_devices(parts, rows_of=file) as devices:
-        stage, part = devices.axes[axis], parts[axis]
-        before = _position(stage)
-        home_axis(stage, part, yes=yes)
-        moved = _Moved(axis, stage.name, before, stage.position_deg(), homed=True)
-    return _show(moved, file, part, json_=json_)
+    return _show(home_axis(which.axis(axis), axis, confirm=asking(yes=yes)), json_=json_)
 
 
 def move(
@@ -87,24 +66,10 @@ def move(
         anisoscope rig move 10 --rig rig.toml --axis tilt
         anisoscope rig move 12.5 --rig rig.toml --axis z
     """
-    from anisoscope.base.errors import UsageError
-    from anisoscope.rig.stage import check_limits
+    from anisoscope.operations.rigging import move_axis
 
-    if sample and which.rig is None:
-        raise UsageError("--sample needs a rig file: only that says at which reading the sample stands at 0°")
-
-    def target(stage: "RotationStage", part: "MotorPart", _now_deg: float) -> float:
-        reading = _in_reach(stage, axis, part.reading(place) if sample else place)
-        if sample:
-            check_limits(stage, reading - part.approach)
-        return reading
-
-    def go(stage: "RotationStage", part: "MotorPart", reading: float) -> None:
-        if sample and stage.position_deg() > (below := reading - part.approach):
-            stage.move_to(below)
-        stage.move_to(reading)
-
-    return _motion(which, axis, target, go, yes=yes, json_=json_)
+    moved = move_axis(which.axis(axis), place, axis, sample=sample, confirm=asking(yes=yes))
+    return _show(moved, json_=json_)
 
 
 def jog(
@@ -125,14 +90,10 @@ def jog(
     Examples:
         anisoscope rig jog 5 --rig rig.toml
     """
+    from anisoscope.operations.rigging import move_axis
 
-    def target(stage: "RotationStage", _part: "MotorPart", now_deg: float) -> float:
-        return _in_reach(stage, axis, now_deg + delta_deg)
-
-    def go(stage: "RotationStage", _part: "MotorPart", reading: float) -> None:
-        stage.move_to(reading)
-
-    return _motion(which, axis, target, go, yes=yes, json_=json_)
+    moved = move_axis(which.axis(axis), delta_deg, axis, by=True, confirm=asking(yes=yes))
+    return _show(moved, json_=json_)
 
 
 def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
@@ -145,6 +106,7 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
         anisoscope rig stop
         anisoscope rig stop --rig rig.toml
     """
+    from anisoscope.operations.rigging import position
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.stage import unit_of
 
@@ -154,7 +116,7 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     interruptions = [_interrupt(holder) for holder in _holders(axes)]
     with open_devices(axes) as devices:
         problems = devices.make_safe()
-        found = {table: (axis.name, _position(axis), unit_of(axis)) for table, axis in devices.axes.items()}
+        found = {table: (axis.name, position(axis), unit_of(axis)) for table, axis in devices.axes.items()}
     if problems:
         raise RigError("; ".join(problems))
     if json_:
@@ -164,22 +126,6 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     for table, (name, at, unit) in found.items():
         print(message("{axis} {name}: stopped, is at {after}", axis=table, name=name, after=_shown(at, unit)))  # noqa: T201
     return 0
-
-
-def _in_reach(stage: "RotationStage", axis: AxisName, reading_deg: float) -> float:
-    """The reading itself, or that of the same direction within the limits of a stage that turns all the way round.
-
-    An arm is not turned round: it would hit something.
-
-    Raises:
-        LimitExceeded: it cannot be reached; nothing was moved.
-    """
-    from anisoscope.rig.stage import check_limits, within_a_turn
-
-    if axis == "stage":
-        reading_deg = within_a_turn(stage, reading_deg)
-    check_limits(stage, reading_deg)
-    return reading_deg
 
 
 def _stop_held(*, json_: bool) -> int:
@@ -200,35 +146,6 @@ def _stop_held(*, json_: bool) -> int:
     for pid, axes in found.items():
         print(message("process {pid}: stopped {axes}", pid=str(pid), axes=", ".join(axes)))  # noqa: T201
     return 0
-
-
-def _motion(which: Which, axis: AxisName, target: "Target", go: "Go", *, yes: bool, json_: bool) -> int:
-    """Home if need be, and move; a target that cannot be reached is refused before both."""
-    from anisoscope.rig.acquisition.opening import open_devices
-
-    file, parts = which.axis(axis)
-    with open_devices(parts, rows_of=file) as devices:
-        stage, part = devices.axes[axis], parts[axis]
-        before = _position(stage)
-        homed = not stage.is_homed
-        low, high = stage.limits_deg
-        zero = min(max(0.0, low), high)
-        reading = target(stage, part, zero if homed or before is None else before)
-        home_axes(devices.axes, parts, file, yes=yes)
-        if homed:
-            reading = target(stage, part, stage.position_deg())
-        go(stage, part, reading)
-        moved = _Moved(axis, stage.name, before, stage.position_deg(), homed)
-    return _show(moved, file, part, json_=json_)
-
-
-def _position(stage: "RotationStage") -> float | None:
-    try:
-        return stage.position_deg()
-    except NotConnected:
-        raise
-    except AnisoscopeError:  # an axis by hand that nobody has set yet
-        return None
 
 
 def _holders(axes: "dict[str, MotorPart]") -> "list[Holder]":
@@ -253,38 +170,18 @@ def _interrupt(holder: "Holder") -> int:
     return holder.pid
 
 
-def _show(moved: _Moved, file: "RigAxes | None", part: "MotorPart", *, json_: bool) -> int:
-    unit = part.unit
-    known = file is not None
-
-    def place(reading: float | None) -> float | None:
-        return None if reading is None or not known else part.place(reading)
-
-    if json_:
-        kind = "angle" if unit == "deg" else "place"
-        print_json(
-            {
-                "axis": moved.axis,
-                "device": moved.device,
-                "homed": moved.homed,
-                f"before_{unit}": moved.before,
-                f"after_{unit}": moved.after,
-                f"{kind}_before_{unit}": place(moved.before),
-                f"{kind}_after_{unit}": place(moved.after),
-            }
-        )
-        return 0
+def _show(moved: "Moved", *, json_: bool) -> int:
     whose = {"stage": message("part"), "tilt": message("arm")}.get(moved.axis, moved.axis)
-    after = f" ({whose} {_shown(place(moved.after), unit)})" if known else ""
-    print(  # noqa: T201
-        message(
-            "{axis} {name}: was at {before}, is at {after}",
-            axis=moved.axis,
-            name=moved.device,
-            before=_shown(moved.before, unit),
-            after=_shown(moved.after, unit) + after,
-        )
+    known = moved.place_after is not None
+    after = f" ({whose} {_shown(moved.place_after, moved.unit)})" if known else ""
+    line = message(
+        "{axis} {name}: was at {before}, is at {after}",
+        axis=moved.axis,
+        name=moved.device,
+        before=_shown(moved.before, moved.unit),
+        after=_shown(moved.after, moved.unit) + after,
     )
+    answer(fields_of(moved) | moved.readings, [line], json_=json_)
     return 0
 
 

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,10 +12,8 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from anisoscope.operations.rigging import Confirm
     from anisoscope.rig.rigfile import MotorPart, RigAxes
-    from anisoscope.rig.stage import RotationStage
 
 AxisName = Literal["stage", "tilt", "x", "y", "z"]
 Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
@@ -125,41 +124,6 @@ def confirm(what: str, *, yes: bool) -> None:
         raise UsageError("nothing was moved: the motion was not confirmed")
 
 
-def home_axes(
-    axes: "Mapping[str, RotationStage]",
-    parts: "Mapping[str, MotorPart]",
-    file: "RigAxes | None",
-    *,
-    yes: bool,
-) -> None:
-    """Search the references of those axes that were not homed, in the order of the rig file.
-
-    Raises:
-        UsageError: as for `confirm`.
-    """
-    order = () if file is None else file.home_order
-    for table in dict.fromkeys((*order, *axes)):
-        if table in axes and not axes[table].is_homed:
-            home_axis(axes[table], parts[table], yes=yes)
-
-
-def home_axis(axis: "RotationStage", part: "MotorPart", *, yes: bool) -> None:
-    """Search the reference of an axis, after it was announced and confirmed.
-
-    Raises:
-        UsageError: as for `confirm`.
-    """
-    from anisoscope.rig.rigfile import BY_HAND
-
-    if part.driver != BY_HAND:  # there the operator is asked for every single motion
-        if part.unit == "deg":
-            confirm(
-                message("homing {name}: it searches its reference and may turn a full turn", name=axis.name),
-                yes=yes,
-            )
-        else:
-            confirm(
-                message("homing {name}: it searches its reference over its whole travel", name=axis.name),
-                yes=yes,
-            )
-    axis.home()
+def asking(*, yes: bool) -> "Confirm":
+    """Announcement of motions as `confirm`."""
+    return partial(confirm, yes=yes)

@@ -1,20 +1,16 @@
 """``anisoscope rig status``: devices of the rig and their state; nothing moves, nothing is switched."""
 
-import contextlib
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import AnisoscopeError, RigError
+from anisoscope.base.errors import RigError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import NOTHING_NAMED, Which
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from anisoscope.rig.rigfile import CameraPart, LightPart, MotorPart, RigAxes
     from anisoscope.rig.stage import Unit
 
 
@@ -27,90 +23,15 @@ def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json
         anisoscope rig status --rig rig.toml
         anisoscope rig status --driver elliptec --port /dev/ttyUSB0
     """
-    from anisoscope.rig.transport import shared_ports
+    from anisoscope.operations.rigging import rig_status
 
-    file, axes = which.read()
-    found: dict[str, Any] = {"rig": None if file is None else file.name}
-    with contextlib.ExitStack() as stack, shared_ports():
-        for table, part in axes.items():
-            found[table] = _of(_axis, part, table, stack)
-            if file is None:  # nobody said where the sample stands at 0°
-                found[table].pop("angle_deg", None)
-                found[table].pop("place_mm", None)
-        if file is not None and file.camera is not None:
-            found["camera"] = _of(_camera, file.camera, file, stack)
-        if file is not None and file.light is not None:
-            found["light"] = _of(_light, file.light, stack)
+    found = rig_status(which.read())
     if json_:
         print_json(found)
     else:
         _print(found)
     failed = any(isinstance(device, dict) and "error" in device for device in found.values())
     return RigError.exit_code if failed else 0
-
-
-def _of(query: "Callable[..., dict[str, Any]]", part: Any, *rest: Any) -> dict[str, Any]:  # noqa: ANN401
-    try:
-        return {"driver": part.driver, **query(part, *rest)}
-    except AnisoscopeError as problem:
-        return {"driver": part.driver, "error": " ".join(str(problem).split())}
-
-
-def _axis(part: "MotorPart", table: str, stack: contextlib.ExitStack) -> dict[str, Any]:
-    from anisoscope.rig.acquisition.opening import open_axis
-    from anisoscope.rig.rigfile import BY_HAND
-    from anisoscope.rig.stage import motion_state
-
-    if part.driver == BY_HAND:
-        return {"device": "set by hand"}
-    axis = open_axis(part, table)
-    stack.callback(axis.close)
-    state = motion_state(axis)
-    reading = state.position_deg
-    unit = part.unit
-    return {
-        "port": part.port,
-        "device": axis.name,
-        f"position_{unit}": reading,
-        "angle_deg" if unit == "deg" else "place_mm": None if reading is None else part.place(reading),
-        "moving": state.moving,
-        f"speed_{unit}_s": state.speed_deg_s,
-        "homed": axis.is_homed,
-        f"limits_{unit}": list(axis.limits_deg),
-        f"resolution_{unit}": axis.resolution_deg,
-    }
-
-
-def _camera(part: "CameraPart", file: "RigAxes", stack: contextlib.ExitStack) -> dict[str, Any]:
-    from anisoscope.rig.acquisition.opening import open_eye
-
-    camera = open_eye(part)
-    stack.callback(camera.close)
-    info = camera.info
-    return {
-        "device": f"{info.model} {info.serial}".strip(),
-        "rows": info.rows,
-        "cols": info.cols,
-        "bit_depth": info.bit_depth,
-        "black_level": info.black_level,
-        "filters": info.filters,
-        "linear": info.linear,
-        "uncalibrated": file.uncalibrated(info),
-        "pixel_um": part.pixel_um,
-    }
-
-
-def _light(part: "LightPart", stack: contextlib.ExitStack) -> dict[str, Any]:
-    from anisoscope.rig.acquisition.opening import open_lamp
-
-    light = open_lamp(part)
-    stack.callback(light.close)
-    return {
-        "port": part.port,
-        "device": str(getattr(light, "name", part.driver)),
-        "angle_deg": part.angle_deg,
-        "channels": list(part.channels),
-    }
 
 
 def _print(found: dict[str, Any]) -> None:
