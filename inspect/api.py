@@ -143,9 +143,16 @@ if TYPE_CHECKING:
     from anisoscope.experiment.experiment import read_measured as read_measured_contrasts
     from anisoscope.experiment.experiment import run_experiment as experiment
     from anisoscope.experiment.findings_map import findings_maps as findings_map
+    from anisoscope.ink.fitting import InkFit
     from anisoscope.operations.detecting import detection_of_masters, detection_of_parts
+    from anisoscope.operations.inks import compare_inks, fit_ink
+    from anisoscope.operations.proofing import halftone, soft_proof
+    from anisoscope.parameters.proof import ProofView
     from anisoscope.report.experiment_page import write_experiment_page, write_findings_page
+    from anisoscope.report.ink_page import write_ink_fit_page, write_ink_show_page
     from anisoscope.report.study_page import StudyPage
+    from anisoscope.sim.materials.inks import read_ink_table, write_ink
+    from anisoscope.sim.proof.halftone import Press
     from anisoscope.study.best_angle import best_angle
     from anisoscope.study.convergence import convergence
 
@@ -299,6 +306,17 @@ _HOME = {
     "detection_of_masters": "anisoscope.operations.detecting",
     "detection_of_parts": "anisoscope.operations.detecting",
     "StudyPage": "anisoscope.report.study_page",
+    "fit_ink": "anisoscope.operations.inks",
+    "compare_inks": "anisoscope.operations.inks",
+    "InkFit": "anisoscope.ink.fitting",
+    "halftone": "anisoscope.operations.proofing",
+    "soft_proof": "anisoscope.operations.proofing",
+    "ProofView": "anisoscope.parameters.proof",
+    "Press": "anisoscope.sim.proof.halftone",
+    "write_ink": "anisoscope.sim.materials.inks",
+    "read_ink_table": "anisoscope.sim.materials.inks",
+    "write_ink_fit_page": "anisoscope.report.ink_page",
+    "write_ink_show_page": "anisoscope.report.ink_page",
 }
 
 __all__ = [
@@ -316,6 +334,7 @@ __all__ = [
     "HeightMap",
     "History",
     "Ink",
+    "InkFit",
     "InkLight",
     "InputUncertainty",
     "Inspected",
@@ -329,6 +348,8 @@ __all__ = [
     "Pose",
     "Predicted",
     "PredictionMethod",
+    "Press",
+    "ProofView",
     "Readings",
     "Record",
     "RidgeDesign",
@@ -360,6 +381,7 @@ __all__ = [
     "check_recipe",
     "commission",
     "compare",
+    "compare_inks",
     "compare_maps",
     "contrasts",
     "control_chart",
@@ -387,8 +409,10 @@ __all__ = [
     "find_ink",
     "find_ports",
     "findings_map",
+    "fit_ink",
     "fit_ridges",
     "focus",
+    "halftone",
     "history_readings",
     "hold_archived",
     "home_axis",
@@ -424,6 +448,7 @@ __all__ = [
     "read_cycles",
     "read_decisions",
     "read_height_map",
+    "read_ink_table",
     "read_measured_contrasts",
     "read_picture",
     "read_readings",
@@ -448,6 +473,7 @@ __all__ = [
     "self_test",
     "show_inks",
     "snap",
+    "soft_proof",
     "sphere",
     "spoil",
     "srgb",
@@ -463,6 +489,9 @@ __all__ = [
     "write_findings_page",
     "write_height_map",
     "write_height_map_report",
+    "write_ink",
+    "write_ink_fit_page",
+    "write_ink_show_page",
     "write_nexus",
 ]
 

@@ -15,14 +15,15 @@ of exp(c·x) across the lobe is attributed to its width. Step 2: ρ and c of eve
 direction (Eq. 7) with α fixed. Light at 70° is left out.
 """
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.ink.goniometer import Readings
 from anisoscope.sim.light.ink.angles import shift
 from anisoscope.sim.light.ink.ink import Ink
@@ -412,6 +413,11 @@ _WEAK_C = 1.0
 _WEAK_ALPHA = 0.02
 
 
+def _of_grid(grid: Grid) -> dict[str, Any]:
+    readings = int(np.isfinite(grid.value).sum())
+    return {"readings": readings, "noise_floor": grid.floor, "dropped": grid.dropped}
+
+
 @dataclass(frozen=True, eq=False)
 class InkFit:
     """A fitted ink; ρ in the BRDF scale.
@@ -432,19 +438,44 @@ class InkFit:
     """
 
     method: Method
-    alpha: float
-    u_alpha: float
-    nm: FloatArray
-    rho: FloatArray
-    u_rho: FloatArray
-    c: FloatArray
-    u_c: FloatArray
-    residual: FloatArray
-    grid: Grid
+    alpha: float = field(metadata=LEFT_OUT)
+    u_alpha: float = field(metadata=LEFT_OUT)
+    nm: FloatArray = field(metadata=json_field("wavelengths_nm"))
+    rho: FloatArray = field(metadata=LEFT_OUT)
+    u_rho: FloatArray = field(metadata=LEFT_OUT)
+    c: FloatArray = field(metadata=LEFT_OUT)
+    u_c: FloatArray = field(metadata=LEFT_OUT)
+    residual: FloatArray = field(metadata=LEFT_OUT)
+    grid: Grid = field(metadata=json_field(by=_of_grid, merged=True))
     scale: str
     warnings: tuple[str, ...]
 
     @property
+    @in_json("alpha")
+    def alpha_with_u(self) -> dict[str, float]:
+        """Roughness and its uncertainty, which is NaN where it is not determined."""
+        return {"value": self.alpha, "u": self.u_alpha}
+
+    @property
+    @in_json("rho")
+    def rho_with_u(self) -> dict[str, FloatArray]:
+        """(W,) values and uncertainties."""
+        return {"value": self.rho, "u": self.u_rho}
+
+    @property
+    @in_json("c")
+    def c_with_u(self) -> dict[str, FloatArray]:
+        """(W,) values and uncertainties."""
+        return {"value": self.c, "u": self.u_c}
+
+    @property
+    @in_json()
+    def convention(self) -> str:
+        """Scale of ρ."""
+        return "brdf"
+
+    @property
+    @in_json("residual_rms")
     def rms(self) -> float:
         """Root mean square of the residuals: the relative scatter of the readings about the fit."""
         return float(np.sqrt(np.nanmean(self.residual**2)))

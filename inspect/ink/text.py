@@ -1,7 +1,4 @@
-"""Fits and colours of inks as plain data and as text, common to terminal, JSON and page."""
-
-from dataclasses import asdict
-from typing import Any
+"""Fits and colours of inks as text, common to terminal and page."""
 
 import numpy as np
 
@@ -9,28 +6,6 @@ from anisoscope.ink.appearance import Show
 from anisoscope.ink.fitting import InkFit
 
 METHODS = {"joint": "joint fit of all readings", "paper": "two steps, as published"}
-
-
-def fit_as_json(found: InkFit) -> dict[str, Any]:
-    """Fit as plain data; None for an undetermined uncertainty."""
-    return {
-        "method": found.method,
-        "convention": "brdf",
-        "scale": found.scale,
-        "alpha": {"value": found.alpha, "u": _finite(found.u_alpha)},
-        "wavelengths_nm": found.nm.tolist(),
-        "rho": {"value": found.rho.tolist(), "u": [_finite(u) for u in found.u_rho.tolist()]},
-        "c": {"value": found.c.tolist(), "u": [_finite(u) for u in found.u_c.tolist()]},
-        "residual_rms": found.rms,
-        "readings": int(np.isfinite(found.grid.value).sum()),
-        "noise_floor": found.grid.floor,
-        "dropped": [asdict(one) for one in found.grid.dropped],
-        "warnings": list(found.warnings),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def summary(found: InkFit) -> str:

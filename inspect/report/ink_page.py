@@ -24,7 +24,7 @@ LEAST_APART = 60.0
 """Smallest distance in sRGB codes of two distinguishable curve colours."""
 
 
-def write_ink_fit_page(found: InkFit, ink: Ink, title: str, path: Path) -> None:
+def write_ink_fit_page(found: InkFit, ink: Ink, title: str, path: Path | str) -> None:
     """Write the page of a fit, atomically.
 
     Raises:
@@ -71,7 +71,7 @@ def write_ink_fit_page(found: InkFit, ink: Ink, title: str, path: Path) -> None:
             ),
         ],
     }
-    write_page(path, "ink.html", content)
+    write_page(Path(path), "ink.html", content)
 
 
 _DROPPED = ("line", "θi [°]", "θo [°]", "wavelength [nm]", "BRDF [1/sr]", "reason")
@@ -160,7 +160,7 @@ def _label(axes: "Axes", x: str, y: str) -> None:
     axes.grid()
 
 
-def write_ink_show_page(shown: Show, title: str, path: Path) -> None:
+def write_ink_show_page(shown: Show, title: str, path: Path | str) -> None:
     """Write the page of colours against angle, atomically.
 
     Raises:
@@ -185,7 +185,7 @@ def write_ink_show_page(shown: Show, title: str, path: Path) -> None:
             *(f"{one.ink.name}: {one.ink.source}." for one in shown.inks if one.ink.source),
         ],
     }
-    write_page(path, "ink.html", content)
+    write_page(Path(path), "ink.html", content)
 
 
 def write_ink_picture(shown: Show, path: Path) -> None:

@@ -14,7 +14,6 @@ from anisoscope.cli.tables import console, print_lines, print_table
 if TYPE_CHECKING:
     from anisoscope.ink.appearance import Show
     from anisoscope.ink.fitting import InkFit
-    from anisoscope.ink.goniometer import White
 
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
@@ -72,9 +71,8 @@ def fit(
     Examples:
         anisoscope ink fit red.csv --out red.toml --html red-fit.html
     """
-    from anisoscope.ink.fitting import fit as fit_ink
-    from anisoscope.ink.goniometer import read_goniometer, to_brdf
-    from anisoscope.ink.text import fit_as_json, summary
+    from anisoscope.ink.text import summary
+    from anisoscope.operations.inks import fit_ink
     from anisoscope.sim.materials.inks import write_ink
 
     if values == "brdf" and reflectance is not None:
@@ -82,8 +80,16 @@ def fit(
     check_suffix(out, "--out", ".toml")
     check_suffix(html, "--html", ".html", ".htm")
     check_new((out, html), overwrite=overwrite)
-    readings = to_brdf(read_goniometer(data), values, _white(reflectance, white_table, white_readings))
-    found = fit_ink(readings, fit_method, noise=u_reading, floor=floor)
+    found = fit_ink(
+        data,
+        fit_method,
+        values,
+        reflectance=reflectance,
+        white_table=white_table,
+        white_readings=white_readings,
+        u_reading=u_reading,
+        floor=floor,
+    )
     ink = found.ink(name or data.stem, f"fitted to {data.name} ({summary(found)})")
     if out is not None:
         write_ink(ink, out)
@@ -92,24 +98,13 @@ def fit(
 
         write_ink_fit_page(found, ink, f"Ink {ink.name}", html)
     if json_:
-        print_json(fit_as_json(found))
+        print_json(found)
     else:
         print_fit(found, f"Fit of {data.name}")
         for path in (out, html):
             if path is not None:
                 print_lines(f"{path}: written")
     return 0
-
-
-def _white(reflectance: float | None, table: Path | None, readings: Path | None) -> "White":
-    from anisoscope.ink.goniometer import White, read_correction, read_goniometer
-    from anisoscope.sim.light.ink.ink import SPECTRALON
-
-    return White(
-        SPECTRALON if reflectance is None else reflectance,
-        None if table is None else read_correction(table),
-        None if readings is None else read_goniometer(readings),
-    )
 
 
 @app.command(name="import")

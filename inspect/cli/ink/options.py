@@ -81,8 +81,3 @@ def check_new(paths: Iterable[Path | None], *, overwrite: bool) -> None:
     for path in paths:
         if path is not None and path.exists() and not overwrite:
             raise UsageError(f"{path} exists; give another name, or --overwrite")
-
-
-def percent(share: float) -> str:
-    """A share in words."""
-    return "none" if share == 0.0 else f"{100.0 * share:.2g} %"

@@ -13,10 +13,14 @@ from anisoscope.parameters.manufacture import Manufacture
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Microscope
 from anisoscope.parameters.optics import Optics
+from anisoscope.parameters.proof import ProofView
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, plain, with_options
 
-MODELS = (Convention, Fabrication, InputUncertainty, Manufacture, Material, Microscope, Optics, RidgeDesign)
+MODELS = (
+    *(Convention, Fabrication, InputUncertainty, Manufacture, Material, Microscope, Optics, ProofView),
+    RidgeDesign,
+)
 
 
 @dataclass(frozen=True)
