@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import ModelError
+from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.design.dot import WIDE, Dot, DotState, DotTask, Levels
 from anisoscope.sim.light.wave.sampling import Widths
@@ -205,7 +206,7 @@ class Refined:
         stopped: why: "time", "generations", "good enough", "stuck" (polish alone), or "interrupted".
     """
 
-    dot: Dot
+    dot: Dot = field(metadata=LEFT_OUT)
     error: float
     start_error: float
     history: tuple[tuple[float, float], ...]

@@ -91,11 +91,11 @@ def refine(
         f"dot of {chosen.name}",
         ["quantity", "value", "unit"],
         [
-            ["relative error of the best random dot", f"{found.start_error:.4f}", "1"],
-            ["relative error", f"{found.error:.4f}", "1"],
+            ["relative error of the best random dot", f"{found.found.start_error:.4f}", "1"],
+            ["relative error", f"{found.found.error:.4f}", "1"],
             ["best found after", f"{found.seconds:.2f}", "s"],
-            ["generations", str(found.generations), ""],
-            ["ended by", found.stopped, ""],
+            ["generations", str(found.found.generations), ""],
+            ["ended by", found.found.stopped, ""],
         ],
     )
     return _print_written(out, png, html)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from shutil import disk_usage
 from typing import Any, Literal
@@ -265,54 +266,18 @@ class RefinedDot:
         dot_um: side of the dot.
     """
 
-    file: DesignFile = field(metadata=LEFT_OUT)
+    file: DesignFile = field(metadata=json_field("design", by=attrgetter("name")))
     layout: Layout = field(metadata=LEFT_OUT)
-    found: Refined = field(metadata=LEFT_OUT)
+    found: Refined = field(metadata=json_field(merged=True))
     method: str
     seed: int
     dot_um: float
 
     @property
     @in_json()
-    def design(self) -> str:
-        """Name of the design."""
-        return self.file.name
-
-    @property
-    @in_json()
-    def error(self) -> float:
-        """Relative error."""
-        return self.found.error
-
-    @property
-    @in_json()
-    def start_error(self) -> float:
-        """That of the best random dot."""
-        return self.found.start_error
-
-    @property
-    @in_json()
-    def generations(self) -> int:
-        """Generations of the search."""
-        return self.found.generations
-
-    @property
-    @in_json()
-    def stopped(self) -> str:
-        """What ended the search."""
-        return self.found.stopped
-
-    @property
-    @in_json()
     def seconds(self) -> float:
         """When the dot was found."""
         return self.found.history[-1][0]
-
-    @property
-    @in_json()
-    def history(self) -> list[tuple[float, ...]]:
-        """Seconds and errors along the search."""
-        return [tuple(one) for one in self.found.history]
 
 
 def refine_dot(

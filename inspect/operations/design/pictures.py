@@ -12,7 +12,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.csv_table import read_table
 from anisoscope.base.errors import UsageError
-from anisoscope.base.json_fields import LEFT_OUT, in_json
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.operations.design.pages import draw_panels
 from anisoscope.parameters.fabrication import Fabrication
@@ -88,6 +88,11 @@ def read_target(path: Path, reach: float) -> FloatArray:
     return np.asarray(found / found.max(), dtype=np.float64)
 
 
+def _keys_of(design: DesignFile) -> dict[str, Any]:
+    """Name, depths, and what is missed, for JSON."""
+    return {"name": design.name, "depths_nm": design.passes_nm, **design.figures}
+
+
 @dataclass(frozen=True)
 class EtchedPicture:
     """The mixture of step structures whose reflectance comes closest to a picture.
@@ -98,37 +103,7 @@ class EtchedPicture:
     """
 
     found: TargetDesign = field(metadata=LEFT_OUT)
-    design: DesignFile = field(metadata=LEFT_OUT)
-
-    @property
-    @in_json()
-    def name(self) -> str:
-        """Name of the design."""
-        return self.design.name
-
-    @property
-    @in_json()
-    def rel_l2(self) -> float:
-        """Missed light, relative L2."""
-        return self.found.rel_l2
-
-    @property
-    @in_json()
-    def unreachable(self) -> float:
-        """Share of the wanted light that no mixture reaches."""
-        return self.found.unreachable_share
-
-    @property
-    @in_json()
-    def asymmetric(self) -> float:
-        """Share of the target that is not mirror-symmetric, L2."""
-        return self.found.asymmetric
-
-    @property
-    @in_json()
-    def depths_nm(self) -> tuple[float, ...]:
-        """Depth of every etch pass."""
-        return self.design.passes_nm
+    design: DesignFile = field(metadata=json_field(by=_keys_of, merged=True))
 
     @property
     @in_json()
