@@ -89,7 +89,8 @@ def test_the_broken_case_is_what_the_command_prints():
         monte_carlo=MonteCarlo(2000),
     )
     assert_quoted(
-        "At 0° L = # 1/sr; first order says u = #, the budget with its second order #, the draws say #, about a mean of #. Without",
+        "At 0° L = # 1/sr; first order says u = #, the budget with its second order #, the draws say #, "
+        "about a mean of #. Without",
         found.radiance[0],
         found.budget.first_order().u()[0],
         found.budget.u()[0],
