@@ -132,7 +132,7 @@ if TYPE_CHECKING:
     from anisoscope.sim.materials.inks import find_ink
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.press import Change as MachineChange
-    from anisoscope.sim.press import mould
+    from anisoscope.sim.press import mould, write_moulded
     from anisoscope.study.objective import Noise, Scoring, Tolerances
     from anisoscope.study.part_yield import PartYield
     from anisoscope.study.sweep import Workers
@@ -285,6 +285,7 @@ _HOME = {
     "find_illuminant": "anisoscope.sim.materials.spectra",
     "MachineChange": "anisoscope.sim.press:Change",
     "mould": "anisoscope.sim.press",
+    "write_moulded": "anisoscope.sim.press",
     "fit_ridges": "anisoscope.operations.fit",
     "optimise": "anisoscope.operations.optimising",
     "PredictionMethod": "anisoscope.operations.predict:Method",
@@ -492,6 +493,7 @@ __all__ = [
     "write_ink",
     "write_ink_fit_page",
     "write_ink_show_page",
+    "write_moulded",
     "write_nexus",
 ]
 

@@ -11,10 +11,14 @@ their edges sharper; wear rounds them); the sizes are assumptions of this model,
 """
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.errors import UsageError
 
 SETTINGS = {
@@ -126,3 +130,40 @@ def mould(parts: int, changes: tuple[Change, ...], rng: np.random.Generator) -> 
     measured = {name: one + MEASURED[name] * rng.standard_normal(parts) for name, one in measured.items()}
     seconds = EVERY * np.cumsum(cycles["cycle time"])
     return Moulded(seconds, cycles, measured)
+
+
+def check_free(folder: Path) -> None:
+    """Refuse a folder that has the files of `write_moulded`.
+
+    Raises:
+        UsageError: it has one.
+    """
+    taken = next((folder / one for one in ("parts.csv", "cycles.csv") if (folder / one).exists()), None)
+    if taken is not None:
+        raise UsageError(f"rig sim press: {taken} exists: give another --out")
+
+
+def write_moulded(made: Moulded, folder: Path) -> dict[str, dict[str, float]]:
+    """Write parts.csv (measured values and cycle data) and cycles.csv.
+
+    Args:
+        made: the parts.
+        folder: is made where it is missing.
+
+    Returns:
+        Cycle data by serial number.
+    """
+    start = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
+    times = [(start + timedelta(seconds=one)).isoformat(timespec="seconds") for one in made.seconds.tolist()]
+    serials = [f"P-{number:04d}" for number in range(1, len(times) + 1)]
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, columns in (("parts.csv", made.measured | made.cycles), ("cycles.csv", made.cycles)):
+        rows = [
+            [time, serial, *(number_text(f"{column[k]:.7g}") for column in columns.values())]
+            for k, (time, serial) in enumerate(zip(times, serials, strict=True))
+        ]
+        write_text(folder / name, csv_text([["time", "serial", *columns], *rows]))
+    return {
+        serial: {name: float(column[k]) for name, column in made.cycles.items()}
+        for k, serial in enumerate(serials)
+    }

@@ -3,21 +3,16 @@
 import math
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.sim.bench.bench import Bench
-    from anisoscope.sim.bench.benchfile import BenchFile
-    from anisoscope.sim.bench.firmware.device import Firmware
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
 app = App(name="sim", help="Serve a simulated device, byte by byte, to any program.")
-MOST = 6
-OTHERS = 3  # ports of stage, light and camera
 
 
 @app.default
@@ -98,13 +93,9 @@ def press(
     Examples:
         anisoscope rig sim press --out press --setting "mould temperature" --change -2
     """
-    from datetime import UTC, datetime, timedelta
-
     import numpy as np
 
-    from anisoscope.base.atomic_write import write_text
-    from anisoscope.base.csv_style import csv_text, number_text
-    from anisoscope.sim.press import Change, mould
+    from anisoscope.sim.press import Change, check_free, mould, write_moulded
 
     if opcua_port is not None and not 0 < opcua_port < 65536:
         raise UsageError(f"rig sim press: --opcua-port is a TCP port from 1 to 65535, not {opcua_port}")
@@ -116,25 +107,13 @@ def press(
         )
     if (setting is None) != (change == 0.0):
         raise UsageError("rig sim press: --setting and --change go together")
-    taken = next((out / one for one in ("parts.csv", "cycles.csv") if (out / one).exists()), None)
-    if taken is not None:
-        raise UsageError(f"rig sim press: {taken} exists: give another --out")
     changes = () if setting is None else (Change(setting, change, onset - 1, ramp),)
+    check_free(out)
     made = mould(parts, changes, np.random.default_rng(seed))
-    start = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
-    times = [(start + timedelta(seconds=one)).isoformat(timespec="seconds") for one in made.seconds.tolist()]
-    serials = [f"P-{number:04d}" for number in range(1, parts + 1)]
-    out.mkdir(parents=True, exist_ok=True)
-    for name, columns in (("parts.csv", made.measured | made.cycles), ("cycles.csv", made.cycles)):
-        rows = [
-            [time, serial, *(number_text(f"{column[k]:.7g}") for column in columns.values())]
-            for k, (time, serial) in enumerate(zip(times, serials, strict=True))
-        ]
-        write_text(out / name, csv_text([["time", "serial", *columns], *rows]))
+    cycles = write_moulded(made, out)
     print(f"{out / 'parts.csv'} and {out / 'cycles.csv'}: {parts} parts", flush=True)  # noqa: T201
     if opcua_port is not None:
-        cycles = [{name: float(column[k]) for name, column in made.cycles.items()} for k in range(parts)]
-        _serve_press(opcua_port, dict(zip(serials, cycles, strict=True)), every_s)
+        _serve_press(opcua_port, cycles, every_s)
     return 0
 
 
@@ -200,6 +179,7 @@ def bench(
 
     from anisoscope.sim.bench.bench import Bench
     from anisoscope.sim.bench.benchfile import read_bench
+    from anisoscope.sim.bench.serving import MOST, serve_bench, write_rig_file
 
     if pty and tcp_base is not None:
         raise UsageError("rig sim bench: give one of --pty and --tcp-base PORT")
@@ -209,144 +189,12 @@ def bench(
     virtual_rig = Bench(read_bench(file))
     with ExitStack() as stack:
         try:
-            places, urls = _serve_bench(virtual_rig, base, stack, pty=pty)
+            places, urls = serve_bench(virtual_rig, base, stack, pty=pty)
             if write_rig is not None:
-                _write_rig(virtual_rig, urls, write_rig)
+                write_rig_file(virtual_rig, urls, write_rig)
             listing = ", ".join(f"{name} {place}" for name, place in places.items())
             print(f"serving bench on {listing}", flush=True)  # noqa: T201
             threading.Event().wait()
         except KeyboardInterrupt:
             return 0
     return 0
-
-
-def _serve_bench(
-    virtual_rig: "Bench", base: int, stack: ExitStack, *, pty: bool
-) -> tuple[dict[str, str], dict[str, str]]:
-    """Serve all devices; print their ports, and the entries for a rig file."""
-    from anisoscope.sim.bench.camera import SimulatedCamera
-    from anisoscope.sim.bench.camera_server import CameraServer
-    from anisoscope.sim.bench.serve import PtyServer, TcpServer
-
-    def line(firmware: "Firmware", number: int) -> "PtyServer | TcpServer":
-        return PtyServer(firmware) if pty else TcpServer(firmware, base and base + number)
-
-    own = virtual_rig.file.stage.protocol
-    others: list[str] = [name for name in virtual_rig.lines if name != own]
-    lines: dict[str, PtyServer | TcpServer] = {
-        "stage": line(virtual_rig.device(own), 0),
-        "light": line(virtual_rig.light_firmware, 1),
-    }
-    camera = CameraServer(lambda: SimulatedCamera(virtual_rig), base and base + 2)
-    for number, name in enumerate(others, start=OTHERS):
-        lines[name] = line(virtual_rig.device(name), number)
-    if virtual_rig.file.filters:
-        others.append("wheel")
-        lines["wheel"] = line(virtual_rig.wheel, OTHERS + len(others) - 1)
-    for server in (*lines.values(), camera):
-        stack.enter_context(server)
-    places = {"stage": lines["stage"].port, "light": lines["light"].port, "camera": camera.port}
-    places.update((name, lines[name].port) for name in others)
-    urls: dict[str, str] = {name: one.url for name, one in lines.items()}
-    return places, urls | {"camera": camera.port}
-
-
-def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:
-    """A rig file that knows the truth about the bench: zeros, senses, pixel size, fixture."""
-    import tomli_w
-
-    from anisoscope.base.atomic_write import write_text
-
-    file = virtual_rig.file
-    stage: dict[str, Any] = {
-        "driver": file.stage.protocol,
-        "port": urls["stage"],
-        "zero_deg": file.stage.zero_deg,
-        "turns": file.stage.turns,
-    }
-    if file.stage.address:
-        stage["options"] = {_AXIS_OPTION.get(file.stage.protocol, "address"): file.stage.address}
-    table: dict[str, Any] = {"schema": 1, "name": "virtual rig in another process", "stage": stage}
-    if file.tilt is not None:
-        protocol = file.stage.protocol
-        table["tilt"] = {
-            "driver": protocol,
-            "port": urls["stage"],
-            "zero_deg": file.tilt.zero_deg,
-            "sign": file.tilt.sign,
-            "options": {
-                _AXIS_OPTION.get(protocol, "address"): file.tilt.address or _SECOND.get(protocol, "2")
-            },
-        }
-    else:
-        table["geometry"] = {"tilt_deg": file.geometry.tilt_deg}
-    for name, part in file.linear.items():
-        table[name] = {
-            "driver": part.protocol,
-            "port": urls["stage" if part.protocol == file.stage.protocol else part.protocol],
-            "zero_mm": part.zero_mm,
-            "sign": part.sign,
-            "options": _linear_options(virtual_rig, name),
-        }
-    table["camera"] = {
-        "driver": "simulated",
-        "pixel_um": file.optics.pixel_um,
-        "options": {"port": urls["camera"]},
-    }
-    if file.sensor.filters != "mono" or file.sample.kind == "print":
-        table["camera"]["sensitivities"] = file.sensor.sensitivities
-    table["light"] = {
-        "driver": "coolled" if file.lamps else "serial",
-        "port": urls["light"],
-        "angle_deg": file.geometry.light_angle_deg,
-        "spectrum": file.optics.spectrum,
-        **_channels(file, urls.get("wheel")),
-    }
-    if file.fixture is not None:
-        table["fixture"] = file.fixture.model_dump(mode="json")
-    write_text(path, tomli_w.dumps(table))
-
-
-def _channels(file: "BenchFile", wheel: str | None) -> dict[str, Any]:
-    """Light channels: each lamp, behind each filter."""
-    found: dict[str, dict[str, Any]] = {}
-    for letter in (*file.lamps, *([] if file.lamps else [""])):
-        lamp = next((one for name, one in file.lamps.items() if name == letter), None)
-        shared: dict[str, Any] = (
-            {} if lamp is None else {"lamps": [letter], "angle_deg": lamp.light_angle_deg}
-        )
-        for place, passed in enumerate(file.filters or (None,), 1):
-            own = shared if passed is None else shared | {"filter": place}
-            nm = (None if passed is None else passed.wavelength_nm) or (
-                None if lamp is None else lamp.wavelength_nm
-            )
-            if own:
-                name = "-".join([letter] * bool(letter) + [str(place)] * (passed is not None))
-                found[name] = own if nm is None else own | {"wavelength_nm": nm}
-    named = {"channels": found, "channel": next(iter(found))} if found else {}
-    return named if wheel is None else {"wheel": {"driver": "fw102c", "port": wheel}, **named}
-
-
-def _linear_options(virtual_rig: "Bench", name: str) -> dict[str, str | int | float]:
-    """Options of a driver for a linear axis: its address on its line, and the scale if the device does not say it."""
-    file = virtual_rig.file
-    part = file.linear[name]
-    turning = 0 if part.protocol != file.stage.protocol else 1 if file.tilt is None else 2
-    before = [one for one, other in file.linear.items() if other.protocol == part.protocol].index(name)
-    place = turning + before
-    match part.protocol:
-        case "grbl":
-            return {"axis": "Z"}
-        case "apt":
-            return {} if part.model == "LTS150" else {"actuator": part.model or "MTS25-Z8"}
-        case "elliptec":
-            return {"address": part.address or f"{place:X}"}
-        case "zaber":
-            return {"address": part.address or str(place + 1), "counts_per_mm": 1000.0 / 0.047625}
-        case _:
-            return {"address": part.address or str(place + 1)}
-
-
-# How a driver is told which axis of the line it drives, and what the second of a bench is called.
-_AXIS_OPTION = {"grbl": "axis"}
-_SECOND = {"elliptec": "1", "zaber": "2", "grbl": "Y", "smc100": "2"}
