@@ -148,9 +148,14 @@ if TYPE_CHECKING:
     from anisoscope.operations.inks import compare_inks, fit_ink
     from anisoscope.operations.proofing import halftone, soft_proof
     from anisoscope.parameters.proof import ProofView
+    from anisoscope.profiles.limits import judge as judge_limits
+    from anisoscope.profiles.limits import read_limits
+    from anisoscope.profiles.metrology.regions import direction_regions
+    from anisoscope.profiles.textures.texture import MapUncertainty, texture_uncertainty
     from anisoscope.report.experiment_page import write_experiment_page, write_findings_page
     from anisoscope.report.ink_page import write_ink_fit_page, write_ink_show_page
     from anisoscope.report.study_page import StudyPage
+    from anisoscope.report.texture_picture import write_texture_picture
     from anisoscope.sim.materials.inks import read_ink_table, write_ink
     from anisoscope.sim.proof.halftone import Press
     from anisoscope.study.best_angle import best_angle
@@ -318,6 +323,12 @@ _HOME = {
     "read_ink_table": "anisoscope.sim.materials.inks",
     "write_ink_fit_page": "anisoscope.report.ink_page",
     "write_ink_show_page": "anisoscope.report.ink_page",
+    "write_texture_picture": "anisoscope.report.texture_picture",
+    "texture_uncertainty": "anisoscope.profiles.textures.texture",
+    "MapUncertainty": "anisoscope.profiles.textures.texture",
+    "judge_limits": "anisoscope.profiles.limits:judge",
+    "read_limits": "anisoscope.profiles.limits",
+    "direction_regions": "anisoscope.profiles.metrology.regions",
 }
 
 __all__ = [
@@ -342,6 +353,7 @@ __all__ = [
     "LobeTask",
     "MachineChange",
     "Manufacture",
+    "MapUncertainty",
     "Material",
     "Microscope",
     "Noise",
@@ -393,6 +405,7 @@ __all__ = [
     "design_plate",
     "detection_of_masters",
     "detection_of_parts",
+    "direction_regions",
     "dot_pattern",
     "drift_study",
     "drivers",
@@ -421,6 +434,7 @@ __all__ = [
     "ink_brdf",
     "ink_picture",
     "inspect",
+    "judge_limits",
     "line_parameters",
     "list_calibrations",
     "lot_mates",
@@ -450,6 +464,7 @@ __all__ = [
     "read_decisions",
     "read_height_map",
     "read_ink_table",
+    "read_limits",
     "read_measured_contrasts",
     "read_picture",
     "read_readings",
@@ -482,6 +497,7 @@ __all__ = [
     "teach",
     "teach_check",
     "texture",
+    "texture_uncertainty",
     "verify",
     "verify_history",
     "watch",
@@ -495,6 +511,7 @@ __all__ = [
     "write_ink_show_page",
     "write_moulded",
     "write_nexus",
+    "write_texture_picture",
 ]
 
 

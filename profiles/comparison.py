@@ -10,13 +10,14 @@ parts shrink as they cool; where the scales differ, B is stretched to that of A,
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.profiles.editing.gaps import fill_gaps
 from anisoscope.profiles.editing.interpolation import Interpolated, continued
 from anisoscope.profiles.editing.registration import Placed, centred_axes, register, registered, white_noise
@@ -134,11 +135,11 @@ class Comparison:
             none, in tiles; NaN where it is not known.
     """
 
-    first: HeightMap
-    measured: HeightMap
-    second: HeightMap
-    difference: HeightMap
-    u_um: FloatArray
+    first: HeightMap = field(metadata=LEFT_OUT)
+    measured: HeightMap = field(metadata=LEFT_OUT)
+    second: HeightMap = field(metadata=LEFT_OUT)
+    difference: HeightMap = field(metadata=LEFT_OUT)
+    u_um: FloatArray = field(metadata=LEFT_OUT)
     placed: Placed
     mirrored: bool
     lost: Volume
@@ -147,8 +148,8 @@ class Comparison:
     ridges: tuple[RidgeChange, ...]
     ridges_note: str
     replication: Replication
-    changed: npt.NDArray[np.int8]
-    relief: FloatArray
+    changed: npt.NDArray[np.int8] = field(metadata=LEFT_OUT)
+    relief: FloatArray = field(metadata=LEFT_OUT)
 
     def __repr__(self) -> str:
         """One line: place, volumes lost and gained."""

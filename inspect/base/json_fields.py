@@ -57,7 +57,7 @@ def json_field(
         key: in place of the field's name.
         by: makes what is shown of the value.
         merged: the keys of the value, a dataclass or mapping, stand among those of the result.
-        only_given: no key where the value is None or an empty tuple.
+        only_given: no key where the value is None or an empty tuple or text.
     """
     return {_METADATA: _Shown(key, by, merged, only_given)}
 
@@ -67,7 +67,7 @@ def in_json(key: str | None = None, *, only_given: bool = False) -> Callable[[_G
 
     Args:
         key: in place of the property's name.
-        only_given: no key where the value is None or an empty tuple.
+        only_given: no key where the value is None or an empty tuple or text.
     """
 
     def mark(getter: _Getter) -> _Getter:
@@ -101,7 +101,7 @@ def fields_of(result: "DataclassInstance") -> dict[str, Any]:
 
 
 def _missing(value: Any) -> bool:  # noqa: ANN401
-    return value is None or (isinstance(value, tuple) and not value)
+    return value is None or (isinstance(value, tuple | str) and not value)
 
 
 _AS_IT_IS = _Shown()

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, RegistrationError
+from anisoscope.base.json_fields import in_json
 from anisoscope.profiles.editing.interpolation import Interpolated, averaged, continued
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.fold import fold
@@ -89,6 +90,7 @@ class Placed:
     ambiguity: float
 
     @property
+    @in_json()
     def scale_agrees(self) -> bool:
         """Whether the scales of the maps agree within 3 u, or within 1 in 1000."""
         return abs(self.scale - 1.0) <= max(3.0 * self.u_scale, 1e-3)

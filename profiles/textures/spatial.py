@@ -4,11 +4,12 @@ Heights count from their mean. The field is not taken as periodic: only pairs of
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.json_fields import json_field
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 from anisoscope.profiles.textures.spectra import lay
@@ -67,7 +68,7 @@ class Spatial:
     """
 
     sal_um: float
-    str_: float
+    str_: float = field(metadata=json_field("str"))
     str_is_bound: bool
     std_deg: float
 

@@ -1,18 +1,27 @@
 """Areal surface texture parameters of ISO 25178-2 of a scale-limited surface."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
-from anisoscope.profiles.textures.bearing import Core, Volumes, bearing, core, volumes
+from anisoscope.profiles.textures.bearing import Bearing, Core, Volumes, bearing, core, volumes
 from anisoscope.profiles.textures.features import Features, features
-from anisoscope.profiles.textures.filters import ScaleLimited, Smoothing, scale_limited
+from anisoscope.profiles.textures.filters import (
+    ScaleLimited,
+    Smoothing,
+    scale_limited,
+    standard_of,
+    transmission,
+)
 from anisoscope.profiles.textures.spatial import Spatial, spatial
 from anisoscope.profiles.textures.spectra import dominant_wavelength
 
@@ -53,6 +62,20 @@ class Hybrid:
     sdr: float
 
 
+ParameterRow = tuple[str, float, str, str]
+"""Name, value, unit and meaning of a parameter."""
+
+
+def _of_surface(limited: ScaleLimited) -> dict[str, Any]:
+    names = ("form", "s_filter_um", "l_filter_um", "s_filter", "l_filter")
+    found = {name: getattr(limited, name) for name in names}
+    return {"surface": limited.name, **found, "missing_share": limited.map.missing_share}
+
+
+def _by_name(rows: Sequence[ParameterRow]) -> dict[str, Any]:
+    return {name: {"value": value, "unit": unit} for name, value, unit, _ in rows}
+
+
 @dataclass(frozen=True)
 class Texture:
     """Texture parameters of a map, and the surface they refer to.
@@ -70,20 +93,147 @@ class Texture:
         sxp_um: extreme peak height Sxp: Smc(2.5 %) − Smc(50 %).
         ssw_um: dominant spatial wavelength Ssw: that of the largest amplitude; NaN on a flat surface.
         features: feature parameters, where they were wanted.
+        free: parameters of the bearing curve at material ratios and heights that were asked for.
     """
 
-    surface: ScaleLimited
+    surface: ScaleLimited = field(metadata=json_field(by=_of_surface, merged=True))
     heights: Heights
     spatial: Spatial
     hybrid: Hybrid
     core: Core
     volumes: Volumes
-    smr_mean: float
-    smc_10_um: float
-    smc_80_um: float
+    smr_mean: float = field(metadata=LEFT_OUT)
+    smc_10_um: float = field(metadata=LEFT_OUT)
+    smc_80_um: float = field(metadata=LEFT_OUT)
     sxp_um: float
     ssw_um: float
     features: Features | None = None
+    free: tuple[ParameterRow, ...] = field(default=(), metadata=json_field(by=_by_name))
+
+    @property
+    @in_json("bearing")
+    def of_bearing(self) -> dict[str, float]:
+        """Material ratio of the mean height, and heights of 10 % and 80 % material."""
+        return {"smr_mean": self.smr_mean, "smc_10_um": self.smc_10_um, "smc_80_um": self.smc_80_um}
+
+    @property
+    def values(self) -> dict[str, tuple[float, str]]:
+        """Value and unit by name of the parameter."""
+        return {name: (value, unit) for name, value, unit, _ in self.rows()}
+
+    def rows(self) -> list[ParameterRow]:
+        """Name, value, unit and meaning of every parameter."""
+        h, s, y, c, v = self.heights, self.spatial, self.hybrid, self.core, self.volumes
+        rows: list[ParameterRow] = [
+            ("Sa", h.sa_um, "µm", "arithmetic mean height"),
+            ("Sq", h.sq_um, "µm", "root mean square height"),
+            ("Sz", h.sz_um, "µm", "maximum height"),
+            ("Sp", h.sp_um, "µm", "maximum peak height"),
+            ("Sv", h.sv_um, "µm", "maximum pit depth"),
+            ("Ssk", h.ssk, "", "skewness"),
+            ("Sku", h.sku, "", "kurtosis"),
+            ("Sal", s.sal_um, "µm", "autocorrelation length, threshold 0.2"),
+            ("Str", s.str_, "", "texture aspect ratio, threshold 0.2"),
+            ("Std", s.std_deg, "°", "direction of the lay, counter-clockwise from +y"),
+            ("Sdq", y.sdq, "", "root mean square gradient"),
+            ("Sdr", 100.0 * y.sdr, "%", "developed interfacial area ratio"),
+            ("Smr(0 µm)", 100.0 * self.smr_mean, "%", "material ratio of the mean height"),
+            ("Smc(10 %)", self.smc_10_um, "µm", "height of 10 % material, from the mean"),
+            ("Smc(80 %)", self.smc_80_um, "µm", "height of 80 % material, from the mean"),
+            ("Sk", c.sk_um, "µm", "core height"),
+            ("Spk", c.spk_um, "µm", "reduced peak height"),
+            ("Svk", c.svk_um, "µm", "reduced dale depth"),
+            ("Smrk1", 100.0 * c.smr1, "%", "material ratio of the peaks"),
+            ("Smrk2", 100.0 * c.smr2, "%", "material ratio down to the dales"),
+            ("Vmp", v.vmp_um, "µm³/µm²", "material volume of the peaks, 10 %"),
+            ("Vmc", v.vmc_um, "µm³/µm²", "material volume of the core, 10–80 %"),
+            ("Vvc", v.vvc_um, "µm³/µm²", "void volume of the core, 10–80 %"),
+            ("Vvv", v.vvv_um, "µm³/µm²", "void volume of the dales, 80 %"),
+        ]
+        rows += [
+            ("Sxp", self.sxp_um, "µm", "extreme peak height, Smc(2.5 %) − Smc(50 %)"),
+            ("Ssw", self.ssw_um, "µm", "dominant spatial wavelength"),
+        ]
+        if self.features is not None:
+            rows += _feature_rows(self.features)
+        known = {row[0] for row in rows}
+        return [*rows, *(row for row in self.free if row[0] not in known)]
+
+    def notes(self) -> list[str]:
+        """What the surface is, and what its filters do to the values."""
+        limited = self.surface
+        named = {"gaussian": "Gaussian", "robust": "robust Gaussian", "spline": "spline"}
+
+        def words(name: str, cutoff: float | None, kind: Smoothing) -> str:
+            if cutoff is None:
+                return f"{name} none"
+            return f"{name} {named[kind]} ({standard_of(kind)}), nesting index {cutoff:g} µm"
+
+        lines = [
+            f"{limited.name}; missing {100.0 * limited.map.missing_share:.3g} %",
+            "; ".join(
+                (
+                    words("S-filter", limited.s_filter_um, limited.s_filter),
+                    words("L-filter", limited.l_filter_um, limited.l_filter),
+                )
+            ),
+        ]
+        pixel = max(limited.map.pixel_x_um, limited.map.pixel_y_um)
+        for cutoff, kind in (
+            (limited.s_filter_um, limited.s_filter),
+            (limited.l_filter_um, limited.l_filter),
+        ):
+            if kind != "spline" and cutoff is not None and cutoff < 4.0 * pixel:
+                share = 100.0 * transmission(cutoff, pixel, cutoff)
+                lines.append(
+                    f"few pixels in {cutoff:g} µm: the filter passes {share:.0f} % there instead of 50 %"
+                )
+        if self.spatial.str_is_bound:
+            lines.append("Str is an upper bound: along the lay f_ACF stays above 0.2 for half the field")
+        if math.isnan(self.spatial.std_deg) and self.spatial.str_ > 0.0:
+            lines.append(
+                "no Std: a surface of Str 0.5 or more has no lay, and the strongest direction is chance"
+            )
+        return lines
+
+
+def _feature_rows(f: Features) -> list[ParameterRow]:
+    return [
+        ("Spd", 1e6 * f.spd_per_um2, "1/mm²", "density of peaks"),
+        ("Spc", 1e3 * f.spc_per_um, "1/mm", "arithmetic mean peak curvature"),
+        ("S5p", f.s5p_um, "µm", "mean height of the five highest peaks"),
+        ("S5v", f.s5v_um, "µm", "mean depth of the five deepest pits"),
+        ("S10z", f.s10z_um, "µm", "ten-point height"),
+        ("Sha", f.sha_um2, "µm²", "mean area of closed hills"),
+        ("Sda", f.sda_um2, "µm²", "mean area of closed dales"),
+        ("Shv", f.shv_um3, "µm³", "mean volume of closed hills above their saddle"),
+        ("Sdv", f.sdv_um3, "µm³", "mean volume of closed dales below their saddle"),
+    ]
+
+
+def _free_rows(curve: Bearing, shares: Sequence[float], heights: Sequence[float]) -> list[ParameterRow]:
+    rows: list[ParameterRow] = []
+    for share in shares:
+        ratio = 0.01 * share
+        rows += [
+            (f"Smc({share:g} %)", curve.smc(ratio), "µm", "height of this material ratio, from the mean"),
+            (f"Vm({share:g} %)", curve.above(ratio), "µm³/µm²", "material volume above it"),
+            (f"Vv({share:g} %)", curve.below(ratio), "µm³/µm²", "void volume below it"),
+        ]
+    if len(shares) > 1:
+        low, high = shares[:2]
+        value = curve.smc(0.01 * low) - curve.smc(0.01 * high)
+        rows.append((f"Sxp({low:g} %, {high:g} %)", value, "µm", "difference of their heights"))
+    rows += [
+        (
+            f"Smr({height:g} µm)",
+            100.0 * curve.smr(height),
+            "%",
+            "material ratio of this height, from the mean",
+        )
+        for height in heights
+    ]
+    return rows
 
 
 def heights(surface: HeightMap) -> Heights:
@@ -165,6 +315,8 @@ def texture(
     s_filter: Smoothing = "gaussian",
     l_filter: Smoothing = "gaussian",
     pruning: float | None = None,
+    ratios_percent: Sequence[float] = (),
+    at_heights_um: Sequence[float] = (),
 ) -> Texture:
     """Filter a map and take all parameters.
 
@@ -176,6 +328,8 @@ def texture(
         s_filter: kind of the S-filter: "gaussian" (ISO 16610-61), "robust" (-71, order 2) or "spline" (-22).
         l_filter: kind of the L-filter.
         pruning: Wolf pruning of hills and dales, as a share of Sz, such as 0.05; None for no feature parameters.
+        ratios_percent: material ratios, at which also Smc, Vm and Vv are taken, and Sxp of the first two.
+        at_heights_um: heights from the mean, at which also Smr is taken.
 
     Raises:
         UsageError: the surface is no height map, or there is no such kind of filter.
@@ -205,6 +359,7 @@ def texture(
         sxp_um=curve.smc(0.025) - curve.smc(0.5),
         ssw_um=dominant_wavelength(limited.map),
         features=None if pruning is None else features(limited.map, pruning),
+        free=tuple(_free_rows(curve, ratios_percent, at_heights_um)),
     )
 
 

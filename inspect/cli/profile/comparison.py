@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -69,7 +69,11 @@ def compare(
     """
     from anisoscope.profiles.comparison import compare_maps
     from anisoscope.profiles.files.load import write_height_map
-    from anisoscope.report.comparison_page import write_comparison_page, write_comparison_picture
+    from anisoscope.report.comparison_page import (
+        comparison_notes,
+        write_comparison_page,
+        write_comparison_picture,
+    )
     from anisoscope.report.study_page import check_picture
 
     check_picture(plot)
@@ -107,7 +111,8 @@ def compare(
         if plot is not None:
             write_comparison_picture(found, plot, shown)
     if json_:
-        print_json(_as_json(found, first, second) | ({"contrasts": contrasts} if contrasts else {}))
+        content = {"first": first, "second": second, **fields_of(found), "notes": comparison_notes(found)}
+        print_json(content | ({"contrasts": contrasts} if contrasts else {}))
     else:
         _print(found, first, second, contrasts, out)
     return 0
@@ -193,24 +198,6 @@ def _values(found: "Comparison") -> Values:
         "greatest loss": (lost.depth_um, "µm"),
         "overlap": (100.0 * placed.overlap, "%"),
         "ambiguity": (placed.ambiguity, ""),
-    }
-
-
-def _as_json(found: "Comparison", first: Path, second: Path) -> dict[str, Any]:
-    from anisoscope.report.comparison_page import comparison_notes
-
-    return {
-        "first": first,
-        "second": second,
-        "placed": {**fields_of(found.placed), "scale_agrees": found.placed.scale_agrees},
-        "mirrored": found.mirrored,
-        "lost": found.lost,
-        "gained": found.gained,
-        "net_um3": found.net_um3,
-        "replication": found.replication,
-        "ridges": found.ridges,
-        "ridges_note": found.ridges_note,
-        "notes": comparison_notes(found),
     }
 
 

@@ -27,11 +27,7 @@ from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
-    from anisoscope.profiles.textures.features import Features
     from anisoscope.profiles.textures.texture import MapUncertainty, Spread, Texture
-
-ParameterRow = tuple[str, float, str, str]
-"""Name, value, unit and meaning of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +146,7 @@ def texture(
     from anisoscope.report.study_page import check_picture
 
     check_picture(plot)
-    free = _free(ratios, heights)
+    shares, at_heights = _free(ratios, heights)
     doubt.check()
 
     def measured(surface: "HeightMap") -> "Texture":
@@ -162,10 +158,12 @@ def texture(
             s_filter=s_filter_type,
             l_filter=l_filter_type,
             pruning=0.01 * pruning if features else None,
+            ratios_percent=shares,
+            at_heights_um=at_heights,
         )
 
     def valued(surface: "HeightMap") -> Values:
-        return _values(measured(surface), free)
+        return measured(surface).values
 
     chosen = expanded(files)
     if len(chosen) > 1 or many.table is not None:
@@ -185,14 +183,14 @@ def texture(
     with progress(chosen[0].name, quiet=doubt.uncertainty is None) as advance:
         spreads = doubt.spreads(surface, valued, advance)
     if plot is not None:
-        _draw(found, plot)
-    sheet = sheet_of(many.limits, _values(found, free))
+        from anisoscope.report.texture_picture import write_texture_picture
+
+        write_texture_picture(found, plot)
+    sheet = sheet_of(many.limits, found.values)
     if json_:
-        print_json(
-            _as_json(found, free) | _spreads_as_json(doubt, spreads) | ({"sheet": sheet} if sheet else {})
-        )
+        print_json(fields_of(found) | _spreads_as_json(doubt, spreads) | ({"sheet": sheet} if sheet else {}))
     else:
-        _print(chosen[0].name, found, free, spreads)
+        _print(chosen[0].name, found, spreads)
     return print_sheet(sheet, silent=json_)
 
 
@@ -206,7 +204,7 @@ def _spreads_as_json(doubt: UncertaintyOptions, spreads: "Mapping[str, Spread]")
     }
 
 
-def _print(name: str, found: "Texture", free: "Free", spreads: "Mapping[str, Spread]") -> None:
+def _print(name: str, found: "Texture", spreads: "Mapping[str, Spread]") -> None:
     def of(parameter: str) -> list[str]:
         if not spreads:
             return []
@@ -224,9 +222,9 @@ def _print(name: str, found: "Texture", free: "Free", spreads: "Mapping[str, Spr
             unit,
             meaning,
         ]
-        for parameter, value, unit, meaning in _rows(found, free)
+        for parameter, value, unit, meaning in found.rows()
     ]
-    caption = _caption(found)
+    caption = "\n".join(found.notes())
     if spreads:
         caption += (
             "\nu: standard uncertainty (k = 1) from noise, height scale and pixel size; "
@@ -236,51 +234,11 @@ def _print(name: str, found: "Texture", free: "Free", spreads: "Mapping[str, Spr
     print_table(name, columns, rows, caption=caption)
 
 
-Free = tuple[tuple[float, ...], tuple[float, ...]]
-"""Material ratios in %, and heights in µm, at which the bearing curve is read."""
-NO_FREE: Free = ((), ())
-
-
-def _free(ratios: str | None, heights: str | None) -> Free:
+def _free(ratios: str | None, heights: str | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
     shares = () if ratios is None else parse_numbers(ratios, "--ratios", "2,50")
     if any(not 0.0 <= share <= 100.0 for share in shares):
         raise UsageError(f"--ratios takes material ratios from 0 to 100 %, not {ratios!r}")
     return shares, () if heights is None else parse_numbers(heights, "--heights", "-0.5,0.5")
-
-
-def _free_rows(found: "Texture", free: Free) -> "list[ParameterRow]":
-    from anisoscope.profiles.textures.bearing import bearing
-
-    if not any(free):
-        return []
-    curve, (shares, heights) = bearing(found.surface.map), free
-    rows: list[ParameterRow] = []
-    for share in shares:
-        ratio = 0.01 * share
-        rows += [
-            (f"Smc({share:g} %)", curve.smc(ratio), "µm", "height of this material ratio, from the mean"),
-            (f"Vm({share:g} %)", curve.above(ratio), "µm³/µm²", "material volume above it"),
-            (f"Vv({share:g} %)", curve.below(ratio), "µm³/µm²", "void volume below it"),
-        ]
-    if len(shares) > 1:
-        low, high = shares[:2]
-        value = curve.smc(0.01 * low) - curve.smc(0.01 * high)
-        rows.append((f"Sxp({low:g} %, {high:g} %)", value, "µm", "difference of their heights"))
-    rows += [
-        (
-            f"Smr({height:g} µm)",
-            100.0 * curve.smr(height),
-            "%",
-            "material ratio of this height, from the mean",
-        )
-        for height in heights
-    ]
-    known = {row[0] for row in _rows(found, NO_FREE)}
-    return [row for row in rows if row[0] not in known]
-
-
-def _values(found: "Texture", free: Free) -> Values:
-    return {name: (value, unit) for name, value, unit, _ in _rows(found, free)}
 
 
 def _bound(found: "Texture") -> str:
@@ -289,185 +247,3 @@ def _bound(found: "Texture") -> str:
 
 def _number(value: float) -> str:
     return f"{value:.5g}" if math.isfinite(value) else "–"
-
-
-def _as_json(found: "Texture", free: Free) -> dict[str, Any]:
-    limited = found.surface
-    parts = {
-        name: {key.rstrip("_"): value for key, value in fields_of(getattr(found, name)).items()}
-        for name in ("heights", "spatial", "hybrid", "core", "volumes")
-    }
-    bearing = {"smr_mean": found.smr_mean, "smc_10_um": found.smc_10_um, "smc_80_um": found.smc_80_um}
-    return {
-        "surface": limited.name,
-        "form": limited.form,
-        "s_filter_um": limited.s_filter_um,
-        "l_filter_um": limited.l_filter_um,
-        "s_filter": limited.s_filter,
-        "l_filter": limited.l_filter,
-        "missing_share": limited.map.missing_share,
-        **parts,
-        "bearing": bearing,
-        "sxp_um": found.sxp_um,
-        "ssw_um": found.ssw_um,
-        "features": found.features,
-        "free": {name: {"value": value, "unit": unit} for name, value, unit, _ in _free_rows(found, free)},
-    }
-
-
-def _rows(found: "Texture", free: Free) -> "list[ParameterRow]":
-    h, s, y, c, v = found.heights, found.spatial, found.hybrid, found.core, found.volumes
-    rows: list[ParameterRow] = [
-        ("Sa", h.sa_um, "µm", "arithmetic mean height"),
-        ("Sq", h.sq_um, "µm", "root mean square height"),
-        ("Sz", h.sz_um, "µm", "maximum height"),
-        ("Sp", h.sp_um, "µm", "maximum peak height"),
-        ("Sv", h.sv_um, "µm", "maximum pit depth"),
-        ("Ssk", h.ssk, "", "skewness"),
-        ("Sku", h.sku, "", "kurtosis"),
-        ("Sal", s.sal_um, "µm", "autocorrelation length, threshold 0.2"),
-        ("Str", s.str_, "", "texture aspect ratio, threshold 0.2"),
-        ("Std", s.std_deg, "°", "direction of the lay, counter-clockwise from +y"),
-        ("Sdq", y.sdq, "", "root mean square gradient"),
-        ("Sdr", 100.0 * y.sdr, "%", "developed interfacial area ratio"),
-        ("Smr(0 µm)", 100.0 * found.smr_mean, "%", "material ratio of the mean height"),
-        ("Smc(10 %)", found.smc_10_um, "µm", "height of 10 % material, from the mean"),
-        ("Smc(80 %)", found.smc_80_um, "µm", "height of 80 % material, from the mean"),
-        ("Sk", c.sk_um, "µm", "core height"),
-        ("Spk", c.spk_um, "µm", "reduced peak height"),
-        ("Svk", c.svk_um, "µm", "reduced dale depth"),
-        ("Smrk1", 100.0 * c.smr1, "%", "material ratio of the peaks"),
-        ("Smrk2", 100.0 * c.smr2, "%", "material ratio down to the dales"),
-        ("Vmp", v.vmp_um, "µm³/µm²", "material volume of the peaks, 10 %"),
-        ("Vmc", v.vmc_um, "µm³/µm²", "material volume of the core, 10–80 %"),
-        ("Vvc", v.vvc_um, "µm³/µm²", "void volume of the core, 10–80 %"),
-        ("Vvv", v.vvv_um, "µm³/µm²", "void volume of the dales, 80 %"),
-    ]
-    rows += [
-        ("Sxp", found.sxp_um, "µm", "extreme peak height, Smc(2.5 %) − Smc(50 %)"),
-        ("Ssw", found.ssw_um, "µm", "dominant spatial wavelength"),
-    ]
-    if found.features is not None:
-        rows += _feature_rows(found.features)
-    return rows + _free_rows(found, free) if any(free) else rows
-
-
-def _feature_rows(f: "Features") -> "list[ParameterRow]":
-    return [
-        ("Spd", 1e6 * f.spd_per_um2, "1/mm²", "density of peaks"),
-        ("Spc", 1e3 * f.spc_per_um, "1/mm", "arithmetic mean peak curvature"),
-        ("S5p", f.s5p_um, "µm", "mean height of the five highest peaks"),
-        ("S5v", f.s5v_um, "µm", "mean depth of the five deepest pits"),
-        ("S10z", f.s10z_um, "µm", "ten-point height"),
-        ("Sha", f.sha_um2, "µm²", "mean area of closed hills"),
-        ("Sda", f.sda_um2, "µm²", "mean area of closed dales"),
-        ("Shv", f.shv_um3, "µm³", "mean volume of closed hills above their saddle"),
-        ("Sdv", f.sdv_um3, "µm³", "mean volume of closed dales below their saddle"),
-    ]
-
-
-def _caption(found: "Texture") -> str:
-    from anisoscope.profiles.textures.filters import Smoothing, standard_of, transmission
-
-    limited = found.surface
-    named = {"gaussian": "Gaussian", "robust": "robust Gaussian", "spline": "spline"}
-
-    def words(name: str, cutoff: float | None, kind: Smoothing) -> str:
-        if cutoff is None:
-            return f"{name} none"
-        return f"{name} {named[kind]} ({standard_of(kind)}), nesting index {cutoff:g} µm"
-
-    lines = [
-        f"{limited.name}; missing {100.0 * limited.map.missing_share:.3g} %",
-        "; ".join(
-            (
-                words("S-filter", limited.s_filter_um, limited.s_filter),
-                words("L-filter", limited.l_filter_um, limited.l_filter),
-            )
-        ),
-    ]
-    pixel = max(limited.map.pixel_x_um, limited.map.pixel_y_um)
-    for cutoff, kind in (
-        (limited.s_filter_um, limited.s_filter),
-        (limited.l_filter_um, limited.l_filter),
-    ):
-        if kind != "spline" and cutoff is not None and cutoff < 4.0 * pixel:
-            share = 100.0 * transmission(cutoff, pixel, cutoff)
-            lines.append(
-                f"few pixels in {cutoff:g} µm: the filter passes {share:.0f} % there instead of 50 %"
-            )
-    if found.spatial.str_is_bound:
-        lines.append("Str is an upper bound: along the lay f_ACF stays above 0.2 for half the field")
-    if math.isnan(found.spatial.std_deg) and found.spatial.str_ > 0.0:
-        lines.append("no Std: a surface of Str 0.5 or more has no lay, and the strongest direction is chance")
-    return "\n".join(lines)
-
-
-def _draw(found: "Texture", path: Path) -> None:
-    import numpy as np
-
-    from anisoscope.profiles.textures import spatial, spectra
-    from anisoscope.profiles.textures.bearing import bearing
-    from anisoscope.report.study_page import Chart, Curve, write_picture
-
-    surface = found.surface.map
-    lines = [(f"along {axis}", spectra.line_density(surface, axis)) for axis in ("x", "y")]
-    radial = spectra.radial_density(surface)
-    acf = spatial.autocorrelation(surface)
-    curve = bearing(surface)
-
-    def spectrum(label: str, one: spectra.Spectrum) -> Curve:
-        chosen = (one.frequency > 0.0) & (one.density > 0.0)
-        return Curve(label, one.frequency[chosen], one.density[chosen])
-
-    charts = (
-        Chart(
-            "spectra of profiles",
-            "frequency [1/µm]",
-            "density [µm³]",
-            tuple(spectrum(label, one) for label, one in lines),
-            log=True,
-            points=False,
-        ),
-        Chart(
-            "spectrum over rings",
-            "frequency [1/µm]",
-            "density [µm⁴]",
-            (spectrum("all directions", radial),),
-            log=True,
-            points=False,
-        ),
-        Chart(
-            "autocorrelation",
-            "lag [µm]",
-            "f_ACF",
-            (
-                Curve("along x", *acf.along_x()),
-                Curve("along y", *acf.along_y()),
-                Curve("0.2", np.array([0.0, _last(acf)]), np.full(2, spatial.THRESHOLD), dashed=True),
-            ),
-            points=False,
-        ),
-        Chart(
-            "bearing curve",
-            "material ratio [%]",
-            "height from the mean [µm]",
-            (
-                Curve("bearing", 100.0 * curve.ratio, curve.height_um),
-                Curve(
-                    "core",
-                    np.array([0.0, 100.0]),
-                    found.core.top_um - np.array([0.0, found.core.sk_um]),
-                    dashed=True,
-                ),
-            ),
-            points=False,
-        ),
-    )
-    # a flat map has no spectrum that a logarithmic axis could show
-    chosen = [chart for chart in charts if not chart.log or all(one.x.size for one in chart.curves)]
-    write_picture(path, chosen, columns=2)
-
-
-def _last(acf: Any) -> float:  # noqa: ANN401 - the module of the type is slow to import
-    return max(float(acf.along_x()[0][-1]), float(acf.along_y()[0][-1]))
