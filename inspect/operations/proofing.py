@@ -101,7 +101,7 @@ class Films:
     @property
     @in_json()
     def aimed(self) -> dict[str, float]:
-        """Mean coverage asked for, by ink."""
+        """Requested mean coverage, by ink."""
         return dict(zip([ink.name for ink in self.inks], self.halftone.aimed.tolist(), strict=True))
 
     @property
