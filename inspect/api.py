@@ -146,6 +146,7 @@ if TYPE_CHECKING:
     from anisoscope.ink.fitting import InkFit
     from anisoscope.operations.detecting import detection_of_masters, detection_of_parts
     from anisoscope.operations.inks import compare_inks, fit_ink
+    from anisoscope.operations.map_series import map_values, measure_maps, write_map_table
     from anisoscope.operations.proofing import halftone, soft_proof
     from anisoscope.parameters.proof import ProofView
     from anisoscope.profiles.limits import judge as judge_limits
@@ -329,6 +330,9 @@ _HOME = {
     "judge_limits": "anisoscope.profiles.limits:judge",
     "read_limits": "anisoscope.profiles.limits",
     "direction_regions": "anisoscope.profiles.metrology.regions",
+    "measure_maps": "anisoscope.operations.map_series",
+    "map_values": "anisoscope.operations.map_series",
+    "write_map_table": "anisoscope.operations.map_series",
 }
 
 __all__ = [
@@ -438,6 +442,8 @@ __all__ = [
     "line_parameters",
     "list_calibrations",
     "lot_mates",
+    "map_values",
+    "measure_maps",
     "measure_ridges",
     "mirror_design",
     "mould",
@@ -509,6 +515,7 @@ __all__ = [
     "write_ink",
     "write_ink_fit_page",
     "write_ink_show_page",
+    "write_map_table",
     "write_moulded",
     "write_nexus",
     "write_texture_picture",

@@ -16,7 +16,6 @@ from anisoscope.cli.profile.many import (
     OutOptions,
     Values,
     check_table,
-    expanded,
     measure_each,
     write_each,
 )
@@ -147,6 +146,8 @@ def _seconds(first: Path, others: Sequence[Path]) -> list[Path]:
     Raises:
         UsageError: none is given, or a pattern that matches none.
     """
+    from anisoscope.operations.map_series import expanded
+
     if not others:
         raise UsageError(f"compare {first} with which map? name the second one after it")
     return expanded(others)

@@ -17,11 +17,10 @@ from anisoscope.cli.profile.many import (
     OutOptions,
     Values,
     check_table,
-    expanded,
     write_each,
     written_suffix,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales, info_values, note_lost_layers
+from anisoscope.cli.profile.profile import AS_STATED, Scales, note_lost_layers
 from anisoscope.cli.tables import print_table
 from anisoscope.profiles.editing import operations
 
@@ -105,6 +104,7 @@ def _run(
     several: OutOptions,
     as_json: bool,
 ) -> int:
+    from anisoscope.operations.map_series import expanded, map_values
     from anisoscope.profiles.editing.steps import edit_map
     from anisoscope.profiles.files.load import WRITERS, write_height_map
 
@@ -122,7 +122,7 @@ def _run(
             edited = edit_map(scales.read(path), steps, read=scales.read)
             write_height_map(edited, target)
             note_lost_layers(edited, target)
-            return info_values(edited)
+            return map_values(edited)
 
         return write_each(files, work, several, suffix, to_json=as_json)
     if out is None or len(files) != 1:

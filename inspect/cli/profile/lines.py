@@ -12,7 +12,6 @@ from anisoscope.cli.profile.many import (
     ManyOptions,
     Values,
     check_table,
-    expanded,
     measure_each,
     print_sheet,
 )
@@ -68,6 +67,7 @@ def lines(
     Examples:
         anisoscope profile lines part.x3p --direction across --l-filter 250
     """
+    from anisoscope.operations.map_series import expanded
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.lines import line_parameters
 

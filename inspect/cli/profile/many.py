@@ -1,25 +1,20 @@
 """Several files in one command: one table, in which a file that cannot be read, measured or written is a row too."""
 
-import json
-import math
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.base.atomic_write import write_text
-from anisoscope.base.csv_style import csv_text, number_text
-from anisoscope.base.errors import AnisoscopeError, UsageError
-from anisoscope.cli.json_output import as_json, print_json
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.operations.map_series import MapRow
     from anisoscope.profiles.limits import Judged, Limit
 
 Values = Mapping[str, tuple[float, str]]
@@ -101,47 +96,6 @@ NONE = ManyOptions()
 NO_TABLE = OutOptions()
 
 
-@dataclass(frozen=True)
-class Row:
-    """One file: what was measured, or why not."""
-
-    file: Path
-    values: Values = field(default_factory=dict)
-    error: str = ""
-    sheet: "tuple[Judged, ...]" = ()
-    written: Path | None = None
-
-    @property
-    def verdict(self) -> str:
-        """PASS or FAIL by the limits; ERROR where it was not measured, empty without limits."""
-        if self.error:
-            return "ERROR"
-        return (
-            "" if not self.sheet else "FAIL" if any(one.verdict == "FAIL" for one in self.sheet) else "PASS"
-        )
-
-
-def expanded(files: Sequence[Path]) -> list[Path]:
-    """Files, patterns such as ``parts/*.x3p`` replaced by what they match, sorted.
-
-    Raises:
-        UsageError: no file, or a pattern that matches none.
-    """
-    found: list[Path] = []
-    for path in files:
-        if path.exists() or not any(letter in str(path) for letter in "*?["):
-            found.append(path)
-            continue
-        base = Path(path.anchor) if path.anchor else Path()
-        matches = sorted(base.glob(str(path.relative_to(path.anchor) if path.anchor else path)))
-        if not matches:
-            raise UsageError(f"{path} matches no file")
-        found += matches
-    if not found:
-        raise UsageError("give at least one height map")
-    return list(dict.fromkeys(found))
-
-
 def measure_each(
     files: Sequence[Path],
     measure: Callable[[Path], Values],
@@ -165,24 +119,21 @@ def measure_each(
     Raises:
         UsageError: a table that exists or of an unknown format, or fewer than one job.
     """
+    from anisoscope.operations.map_series import measure_maps, write_map_table
+
     check_table(options)
-    limits, written = options.read_limits(), targets or {}
-    rows: dict[Path, Row] = {}
-    with progress(f"{len(files)} maps") as advance, ThreadPoolExecutor(options.jobs) as pool:
-        waiting = {pool.submit(_row, path, measure, limits, written.get(path)): path for path in files}
-        for done, future in enumerate(as_completed(waiting), start=1):
-            rows[waiting[future]] = future.result()
-            advance(waiting[future].name, done, len(files))
-    ordered = [rows[path] for path in files]
+    limits = options.read_limits()
+    with progress(f"{len(files)} maps") as advance:
+        rows = measure_maps(files, measure, limits, jobs=options.jobs, written=targets, on_progress=advance)
     if options.table is not None:
-        write_table(ordered, options.table)
+        write_map_table(rows, options.table)
     if to_json:
-        print_json([_plain(row) for row in ordered])
+        print_json(rows)
     else:
-        _print(ordered, options.table)
-    if any(row.verdict == "FAIL" for row in ordered):
+        _print(rows, options.table)
+    if any(row.verdict == "FAIL" for row in rows):
         return FAILED
-    return BROKEN if any(row.error for row in ordered) else 0
+    return BROKEN if any(row.error for row in rows) else 0
 
 
 def write_each(
@@ -249,89 +200,20 @@ def check_table(options: TableOptions, alone: str = "") -> None:
         raise UsageError(f"{options.table} exists; give another name, or --overwrite")
 
 
-def _row(
-    path: Path, measure: Callable[[Path], Values], limits: "dict[str, Limit] | None", target: Path | None
-) -> Row:
-    from anisoscope.profiles.limits import judge
+def _print(rows: "Sequence[MapRow]", table: Path | None) -> None:
+    from anisoscope.operations.map_series import columns_of
 
-    try:
-        values = measure(path)
-        return Row(path, values, "", () if limits is None else judge(limits, values), target)
-    except AnisoscopeError as error:
-        return Row(path, error=str(error))
-    except OSError as error:  # a folder that takes no files
-        return Row(path, error=f"{error.filename or path}: {error.strerror or error}")
-
-
-def _plain(row: Row) -> dict[str, Any]:
-    found: dict[str, Any] = {"file": str(row.file)}
-    if row.error:
-        return found | {"error": row.error}
-    found |= {name: {"value": value, "unit": unit} for name, (value, unit) in row.values.items()}
-    found |= {} if row.written is None else {"written": str(row.written)}
-    return found | ({"verdict": row.verdict, "sheet": row.sheet} if row.sheet else {})
-
-
-def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Names and units of all values, in the order in which they come."""
-    return list(dict.fromkeys((name, unit) for row in rows for name, (_, unit) in row.values.items()))
-
-
-def _cells(row: Row, columns: Sequence[tuple[str, str]], places: int) -> list[str]:
-    values = (row.values.get(name, (math.nan, ""))[0] for name, _ in columns)
-    return ["" if math.isnan(value) else f"{value:.{places}g}" for value in values]
-
-
-def write_table(rows: Sequence[Row], path: Path) -> None:
-    """Write the table as CSV, JSON or HTML, by the extension.
-
-    Raises:
-        RecordError: the file cannot be written.
-    """
-    columns = _columns(rows)
-    heads = [f"{name} [{unit}]" if unit else name for name, unit in columns]
-    if path.suffix.lower() == ".json":
-        write_text(path, json.dumps(as_json([_plain(row) for row in rows]), indent=2, allow_nan=False) + "\n")
-        return
-    if path.suffix.lower() == ".csv":
-        # "written" only where files are
-        new = ["written"] if any(row.written for row in rows) else []
-        table = [["file", "verdict", "error", *new, *heads]]
-        table += [
-            [
-                str(row.file),
-                row.verdict,
-                row.error,
-                *[str(row.written or "")][: len(new)],
-                *map(number_text, _cells(row, columns, 12)),
-            ]
-            for row in rows
-        ]
-        write_text(path, csv_text(table))
-        return
-    from anisoscope.report.page import write_page
-
-    def link(target: Path | None) -> str:
-        return "" if target is None else Path(os.path.relpath(target, path.parent)).as_posix()
-
-    body = [
-        (row.file.name, row.verdict, row.error, _cells(row, columns, 5), row.sheet, link(row.written))
-        for row in rows
-    ]
-    write_page(path, "table.html", {"heads": heads, "rows": body})
-
-
-def _print(rows: Sequence[Row], table: Path | None) -> None:
-    columns = _columns(rows)[:SHOWN_COLUMNS]
+    every = columns_of(rows)
+    columns = every[:SHOWN_COLUMNS]
     heads = [f"{name} [{unit}]" if unit else name for name, unit in columns]
     limited = any(row.sheet for row in rows)
     body = [
-        [row.file.name, *([row.verdict] if limited else []), *_cells(row, columns, 5)]
+        [row.file.name, *([row.verdict] if limited else []), *row.cells(columns, 5)]
         for row in rows
         if not row.error
     ]
     if body:
-        more = len(_columns(rows)) - len(columns)
+        more = len(every) - len(columns)
         caption = f"{more} further columns with --table or --json" if more > 0 else None
         print_table(f"{len(rows)} maps", ["file", *(["verdict"] if limited else []), *heads], body, caption)
     for row in rows:

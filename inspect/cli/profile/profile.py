@@ -17,7 +17,6 @@ from anisoscope.cli.profile.many import (
     OutOptions,
     Values,
     check_table,
-    expanded,
     measure_each,
     print_sheet,
     write_each,
@@ -161,17 +160,18 @@ def info(
         anisoscope profile info part.x3p
         anisoscope profile info 'lot/*.x3p' --table lot.csv
     """
+    from anisoscope.operations.map_series import expanded, map_values
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.textures.amplitude import amplitude
 
     chosen = expanded(files)
     if len(chosen) > 1 or many.table is not None:
-        return measure_each(chosen, lambda path: info_values(scales.read(path)), many, to_json=json_)
+        return measure_each(chosen, lambda path: map_values(scales.read(path)), many, to_json=json_)
     check_table(many)
     surface = scales.read(chosen[0])
     rows, cols = surface.shape
     found = amplitude(surface)
-    sheet = sheet_of(many.limits, info_values(surface))
+    sheet = sheet_of(many.limits, map_values(surface))
     if json_:
         result = {
             "rows": rows,
@@ -204,23 +204,6 @@ def info(
         caption=_caption(surface),
     )
     return print_sheet(sheet)
-
-
-def info_values(surface: "HeightMap") -> Values:
-    """Size, pixel, missing share and height parameters of a map by name, as ``profile info`` prints them."""
-    from anisoscope.profiles.textures.amplitude import amplitude
-
-    found = amplitude(surface)
-    return {
-        "rows": (surface.shape[0], ""),
-        "columns": (surface.shape[1], ""),
-        "pixel y": (surface.pixel_y_um, "µm"),
-        "pixel x": (surface.pixel_x_um, "µm"),
-        "missing": (100.0 * surface.missing_share, "%"),
-        "Sa": (found.sa_um, "µm"),
-        "Sq": (found.sq_um, "µm"),
-        "Sz": (found.sz_um, "µm"),
-    }
 
 
 def _caption(surface: "HeightMap") -> str:
@@ -268,6 +251,7 @@ def convert(
         anisoscope profile convert 'lot/*.sur' --format x3p --out-dir x3p
         anisoscope profile convert part.opd seen.png --layer intensity
     """
+    from anisoscope.operations.map_series import expanded, map_values
     from anisoscope.profiles.files.images import write_layer
     from anisoscope.profiles.files.load import MESH_WRITERS, WRITERS, write_height_map
 
@@ -278,7 +262,7 @@ def convert(
         else:
             write_height_map(surface, target)
             note_lost_layers(surface, target)
-        return info_values(surface)
+        return map_values(surface)
 
     if several.out_dir is not None:
         known = (*WRITERS, *MESH_WRITERS) if layer is None else (".png",)
@@ -325,6 +309,7 @@ def report(
     Examples:
         anisoscope profile report part.x3p --out report.html
     """
+    from anisoscope.operations.map_series import expanded, map_values
     from anisoscope.report.profile_page import write_profile_page
 
     chosen = expanded(files)
@@ -335,7 +320,7 @@ def report(
         def run(path: Path, target: Path) -> Values:
             surface = scales.read(path)
             write_profile_page(surface, path.name, target)
-            return info_values(surface)
+            return map_values(surface)
 
         return write_each(chosen, run, several, ".html", to_json=json_)
     if out is None or len(chosen) != 1:
@@ -381,6 +366,7 @@ def view(
     Examples:
         anisoscope profile view part.x3p --exaggerate 20
     """
+    from anisoscope.operations.map_series import expanded, map_values
     from anisoscope.report.profile_page import write_view_page
 
     if exaggerate is not None and not 0.0 < exaggerate <= MOST_EXAGGERATION:
@@ -397,7 +383,7 @@ def view(
         def run(path: Path, target: Path) -> Values:
             surface = scales.read(path)
             drawn = write_view_page(surface, path.name, target, exaggerate, layer)
-            return {**info_values(surface), "3-D": (float(drawn.scene is not None), "")}
+            return {**map_values(surface), "3-D": (float(drawn.scene is not None), "")}
 
         return write_each(chosen, run, several, VIEW_SUFFIX, to_json=json_)
     source = chosen[0]

@@ -13,7 +13,6 @@ from anisoscope.cli.profile.many import (
     ManyOptions,
     Values,
     check_table,
-    expanded,
     measure_each,
     print_sheet,
 )
@@ -101,6 +100,7 @@ def ridges(
         anisoscope profile ridges 'lot/*.x3p' --table lot.csv
         anisoscope profile ridges checkerboard.npz --picture regions.png
     """
+    from anisoscope.operations.map_series import expanded
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.metrology.ridges import measure_ridges
 

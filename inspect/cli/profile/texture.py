@@ -17,7 +17,6 @@ from anisoscope.cli.profile.many import (
     ManyOptions,
     Values,
     check_table,
-    expanded,
     measure_each,
     print_sheet,
 )
@@ -141,6 +140,7 @@ def texture(
         anisoscope profile texture part.x3p --s-filter 3 --l-filter 250
         anisoscope profile texture 'lot/*.x3p' --limits limits.toml --table lot.html
     """
+    from anisoscope.operations.map_series import expanded
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.textures.texture import texture as measure
     from anisoscope.report.study_page import check_picture
