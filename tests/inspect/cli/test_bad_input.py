@@ -280,6 +280,12 @@ def test_an_error_that_no_command_foresaw_is_never_the_code_of_a_verdict(monkeyp
 @pytest.mark.parametrize(
     "command",
     [
+        ["predict", "--ridge-angle", "10"],
+        ["predict", "part.x3p"],
+        ["render", "frame", "--ridge-angle", "10", "--out", "x.png"],
+        ["bsdf", "export", "x.bsdf", "--ridge-angle", "10"],
+        ["design", "code", "A17", "--out", "code"],
+        ["profile", "make", "ridges", "--out", "x.x3p"],
         ["optimise"],
         ["init", "job", "--ridge-angle", "10"],
         ["recipe", "new", "--ridge-angle", "10", "--out", "recipe.toml"],
