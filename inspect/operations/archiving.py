@@ -34,9 +34,27 @@ class PushedAll:
     removed: int = 0
     refused: int = field(default=0, metadata=LEFT_OUT)
 
+    @classmethod
+    def of(cls, told: Sequence[Pushed | str], archived: int = 0, refused: int = 0) -> "PushedAll":
+        """Sum over the results of single inspections, also where the archive went away in between."""
+        pushed = [one for one in told if isinstance(one, Pushed)]
+        return cls(
+            archived,
+            sum(one.new for one in pushed),
+            tuple(one for one in told if isinstance(one, str)),
+            sum(one.sent_bytes for one in pushed),
+            sum(one.removed for one in pushed),
+            refused,
+        )
+
 
 def push(
-    store: Store, places: Sequence[Path], *, remove: bool = False, on_progress: Advance = silent
+    store: Store,
+    places: Sequence[Path],
+    *,
+    remove: bool = False,
+    told: list[Pushed | str] | None = None,
+    on_progress: Advance = silent,
 ) -> PushedAll:
     """Archive every finished inspection in some folders and below; what is there already is not sent again.
 
@@ -44,22 +62,15 @@ def push(
         store: of the archive, from `anisoscope.inspection.archive_store.open_store`.
         places: folders; one whose files are not as they were is not archived.
         remove: remove local folders whose files were all read back with right hashes.
+        told: receives what became of each inspection as it happens, for `PushedAll.of` after an error.
         on_progress: called with the work being done, steps done and steps in all.
 
     Raises:
         ArchiveError: the archive does not answer.
     """
-    told: list[Pushed | str] = []
+    told = [] if told is None else told
     done, refused = archive.push_all(store, places, remove=remove, tell=told.append, advance=on_progress)
-    pushed = [one for one in told if isinstance(one, Pushed)]
-    return PushedAll(
-        done,
-        sum(one.new for one in pushed),
-        tuple(one for one in told if isinstance(one, str)),
-        sum(one.sent_bytes for one in pushed),
-        sum(one.removed for one in pushed),
-        refused,
-    )
+    return PushedAll.of(told, done, refused)
 
 
 def archived_inspections(

@@ -2,7 +2,7 @@
 
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
@@ -75,13 +75,14 @@ def push(
     if every is not None and not every > 0.0:
         raise UsageError(f"--every takes seconds above 0, not {every:g}")
     while True:
-        found = PushedAll()
+        told: list[Any] = []
         try:
             with progress("archive", quiet=json_) as advance:
-                found = pushed(store, given, remove=remove, on_progress=advance)
+                found = pushed(store, given, remove=remove, told=told, on_progress=advance)
         except ArchiveError as error:
             if every is None:
                 raise
+            found = PushedAll.of(told)
             write_line(f"{error}; again in {every:g} s")
         words = f"{_counted(found.archived, 'inspection')} in {store.url}, {found.new} of them new, "
         words += f"{found.sent_bytes / 1e6:.1f} MB sent"

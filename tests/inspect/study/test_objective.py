@@ -60,14 +60,14 @@ def test_slopes_are_derivatives(kind):
 
 
 def test_noise_of_one_difference_is_that_of_two_photographs():
-    noisy = Scoring(noise=Noise(floor=0.01))
+    noisy = Scoring(noise=Noise(floor=0.01), bounces=1)
     assert score(Part(), noisy).sd == pytest.approx(0.01 * np.sqrt(2.0))
 
 
 def test_photographs_shared_by_two_pairs_are_counted_as_shared():
     """|L0 - L90| + |L90 - L180| with L90 largest is 2·L90 - L0 - L180: six variances, and half of that sum."""
     part = Part(ridge_angle=2.0, alpha_along=0.3)
-    asked = Scoring(pairs_deg=((0.0, 90.0), (90.0, 180.0)), noise=Noise(floor=0.01))
+    asked = Scoring(pairs_deg=((0.0, 90.0), (90.0, 180.0)), noise=Noise(floor=0.01), bounces=1)
     first = contrast_sign(part, (0.0, 90.0))
     second = contrast_sign(part, (90.0, 180.0))
     expected = np.sqrt(6.0) if first * second < 0 else np.sqrt(2.0)
@@ -86,33 +86,40 @@ def contrast_sign(part, pair):
 
 
 def test_log_ratio_noise_is_relative():
-    noisy = Scoring("log_ratio", noise=Noise(share=0.01))
+    noisy = Scoring("log_ratio", noise=Noise(share=0.01), bounces=1)
     assert score(Part(), noisy).sd == pytest.approx(0.01 * np.sqrt(2.0))
 
 
 def test_signal_to_noise_is_contrast_over_noise():
     noise = Noise(floor=0.01)
-    plain = score(Part(), Scoring(noise=noise))
-    assert score(Part(), Scoring(noise=noise, score="snr")).score == pytest.approx(plain.mean / plain.sd)
+    plain = score(Part(), Scoring(noise=noise, bounces=1))
+    assert score(Part(), Scoring(noise=noise, score="snr", bounces=1)).score == pytest.approx(
+        plain.mean / plain.sd
+    )
 
 
 def test_without_spread_robust_is_nominal():
-    nominal, robust = score(Part(), Scoring()), score(Part(), Scoring(tolerances=Tolerances()))
+    nominal, robust = (
+        score(Part(), Scoring(bounces=1)),
+        score(Part(), Scoring(tolerances=Tolerances(), bounces=1)),
+    )
     assert robust == nominal
 
 
 def test_small_tolerances_give_the_linear_standard_deviation():
     sd = 0.02
-    low, high = (score(Part(ridge_angle=8.0 + d), Scoring()).mean for d in (-0.05, 0.05))
-    robust = score(Part(ridge_angle=8.0), Scoring(tolerances=Tolerances(ridge_angle=sd), samples=256))
+    low, high = (score(Part(ridge_angle=8.0 + d), Scoring(bounces=1)).mean for d in (-0.05, 0.05))
+    robust = score(
+        Part(ridge_angle=8.0), Scoring(tolerances=Tolerances(ridge_angle=sd), samples=256, bounces=1)
+    )
     assert robust.sd == pytest.approx(abs(high - low) / 0.1 * sd, rel=0.02)
     assert robust.score == pytest.approx(robust.mean - 2.0 * robust.sd)
 
 
 def test_low_quantile_of_a_monotonic_effect_is_the_contrast_there():
-    asked = Scoring(tolerances=Tolerances(ridge_angle=0.1), quantile=0.1, samples=256)
+    asked = Scoring(tolerances=Tolerances(ridge_angle=0.1), quantile=0.1, samples=256, bounces=1)
     expected = score(
-        Part(ridge_angle=9.0 + 0.1 * 1.2816), Scoring()
+        Part(ridge_angle=9.0 + 0.1 * 1.2816), Scoring(bounces=1)
     ).score  # contrast falls with the angle there
     assert score(Part(ridge_angle=9.0), asked).score == pytest.approx(expected, rel=0.005)
 
@@ -122,7 +129,7 @@ def test_low_quantile_of_a_monotonic_effect_is_the_contrast_there():
 )
 def test_every_tolerance_spreads_the_contrast(name):
     part = Part(ridge_angle=8.0, edge_radius=5.0, height_loss=0.1)
-    asked = Scoring(tilts_deg=(-5.0,), tolerances=Tolerances(**{name: 0.05}), samples=16)
+    asked = Scoring(tilts_deg=(-5.0,), tolerances=Tolerances(**{name: 0.05}), samples=16, bounces=1)
     assert score(part, asked).sd > 0.0
 
 

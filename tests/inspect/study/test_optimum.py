@@ -13,7 +13,7 @@ from anisoscope.study.sweep import Workers
 
 
 def test_one_parameter_against_brute_force():
-    scoring = Scoring(pairs_deg=((0.0, 90.0), (90.0, 180.0)), tilts_deg=(-10.0, 0.0, 10.0))
+    scoring = Scoring(pairs_deg=((0.0, 90.0), (90.0, 180.0)), tilts_deg=(-10.0, 0.0, 10.0), bounces=1)
     found = optimum(Part(), {"ridge_angle": (2.0, 25.0)}, scoring, Workers())
 
     def scores(angles):
@@ -28,16 +28,16 @@ def test_one_parameter_against_brute_force():
 
 
 def test_kept_interval_is_where_one_percent_is_lost():
-    found = optimum(Part(), {"ridge_angle": (2.0, 25.0)}, Scoring(), Workers())
+    found = optimum(Part(), {"ridge_angle": (2.0, 25.0)}, Scoring(bounces=1), Workers())
     low, high = found.slices[0].kept
     for end in (low, high):
-        assert score(Part(ridge_angle=end), Scoring()).score == pytest.approx(
+        assert score(Part(ridge_angle=end), Scoring(bounces=1)).score == pytest.approx(
             0.99 * found.scored.score, rel=3e-3
         )
 
 
 def test_two_parameters_against_a_fine_grid_of_the_worst_contrast():
-    scoring = Scoring("log_ratio", tilts_deg=(-10.0, 0.0, 10.0), over="worst")
+    scoring = Scoring("log_ratio", tilts_deg=(-10.0, 0.0, 10.0), over="worst", bounces=1)
     bounds = {"ridge_angle": (3.0, 20.0), "alpha_across": (0.05, 0.2)}
     found = optimum(Part(), bounds, scoring, Workers())
     fine = [
@@ -64,7 +64,7 @@ def test_a_narrow_higher_hill_is_not_missed(monkeypatch):
     monkeypatch.setattr(box, "scores", synthetic)
     monkeypatch.setattr(search, "score", hills)
     bounds = {"ridge_angle": (2.0, 25.0), "alpha_across": (0.05, 0.2)}
-    found = optimum(Part(), bounds, Scoring(), Workers())
+    found = optimum(Part(), bounds, Scoring(bounces=1), Workers())
     assert found.part.ridge_angle == pytest.approx(17.3, abs=1e-2)
     angle, roughness = found.slices
     assert not angle.flat
@@ -75,24 +75,27 @@ def test_a_narrow_higher_hill_is_not_missed(monkeypatch):
 
 
 def test_a_bound_is_called_one():
-    found = optimum(Part(), {"ridge_angle": (8.0, 20.0)}, Scoring(), Workers())
+    found = optimum(Part(), {"ridge_angle": (8.0, 20.0)}, Scoring(bounces=1), Workers())
     assert found.part.ridge_angle == pytest.approx(8.0)
     assert found.slices[0].at_bound == "lower"
 
 
 def test_parts_that_cannot_be_made_are_left_out():
     bounds = {"ridge_angle": (3.0, 20.0), "pitch": (5.0, 200.0)}
-    found = optimum(Part(edge_radius=20.0), bounds, Scoring(), Workers())
+    found = optimum(Part(edge_radius=20.0), bounds, Scoring(bounces=1), Workers())
     assert np.isnan(found.landscape.scores).any()
     assert found.part.pitch == pytest.approx(200.0)
     with pytest.raises(UsageError, match="no part within these bounds can be made"):
         optimum(
-            Part(edge_radius=400.0), {"ridge_angle": (15.0, 20.0), "pitch": (5.0, 10.0)}, Scoring(), Workers()
+            Part(edge_radius=400.0),
+            {"ridge_angle": (15.0, 20.0), "pitch": (5.0, 10.0)},
+            Scoring(bounces=1),
+            Workers(),
         )
 
 
 def test_robust_search_repeats_and_does_not_depend_on_who_computes():
-    scoring = Scoring(tolerances=Tolerances(ridge_angle=0.5, seating=0.5), samples=8)
+    scoring = Scoring(tolerances=Tolerances(ridge_angle=0.5, seating=0.5), samples=8, bounces=1)
     bounds = {"ridge_angle": (3.0, 12.0)}
     one, two = (optimum(Part(), bounds, scoring, workers) for workers in (Workers(), Workers(2)))
     assert one.part == two.part
@@ -108,9 +111,11 @@ def test_robust_search_repeats_and_does_not_depend_on_who_computes():
 def test_more_spread_moves_the_robust_optimum_to_a_flatter_place():
     """At log-ratio contrast the steep flank at small angles is punished by an error of the angle."""
     bounds = {"ridge_angle": (3.0, 20.0)}
-    nominal = optimum(Part(), bounds, Scoring(), Workers())
-    robust = optimum(Part(), bounds, Scoring(tolerances=Tolerances(ridge_angle=2.0), samples=16), Workers())
-    again = score(nominal.part, Scoring(tolerances=Tolerances(ridge_angle=2.0), samples=16))
+    nominal = optimum(Part(), bounds, Scoring(bounces=1), Workers())
+    robust = optimum(
+        Part(), bounds, Scoring(tolerances=Tolerances(ridge_angle=2.0), samples=16, bounces=1), Workers()
+    )
+    again = score(nominal.part, Scoring(tolerances=Tolerances(ridge_angle=2.0), samples=16, bounces=1))
     assert robust.scored.score > again.score
 
 
@@ -127,7 +132,7 @@ def test_more_spread_moves_the_robust_optimum_to_a_flatter_place():
 )
 def test_senseless_bounds_are_refused(bounds, match):
     with pytest.raises(UsageError, match=match):
-        optimum(Part(), bounds, Scoring(), Workers())
+        optimum(Part(), bounds, Scoring(bounces=1), Workers())
 
 
 def test_light_that_reflects_often_comes_from_a_table_while_searching():
