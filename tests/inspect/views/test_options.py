@@ -131,12 +131,6 @@ def test_every_field_of_a_model_is_an_option_or_left_out_with_a_reason(guard):
     assert taken <= set(MODELS)
 
 
-BY_HAND = {
-    "fit plates",
-}
-"""Commands that still declare fields of a model themselves."""
-
-
 BEGINNING = "a recipe to begin with asks for pitch and angle; the file states the rest"
 OTHER_THINGS = {
     ("init", RidgeDesign): BEGINNING,
@@ -162,5 +156,4 @@ def test_no_command_declares_the_fields_of_a_model_by_hand(guard):
             like = {plain(one.name).replace("--", prefix, 1) for one in fields(model)} & names
             if len(like) > 1 and model not in models:
                 found.add((words, model))
-    assert set(OTHER_THINGS) <= found, "a reason that is needed no more"
-    assert {words for words, _ in found - set(OTHER_THINGS)} <= BY_HAND
+    assert found == set(OTHER_THINGS), "take the fields from the model, or say why they are none of its"
