@@ -144,7 +144,7 @@ def export_bsdf(
         file_format: by the extension .bsdf (RGL), .binary (MERL) or .xml (Klems) where it is left out.
         wavelength_nm: keep one wavelength.
         resolution: of an RGL file.
-        scene: of an RGL file: scene *.xml for Mitsuba, and the shape in it.
+        scene: of an RGL file: scene (.xml) for Mitsuba, and the shape in it.
         on_progress: called along the way.
 
     Raises:
@@ -227,7 +227,7 @@ def bsdf_textures(
     """Write what varies over a surface as textures, with a scene for Mitsuba: ``anisoscope bsdf textures``.
 
     Args:
-        source: recipe of a plate *.toml, layout of dots *.npz, PNG of a halftone, or height map.
+        source: recipe of a plate (.toml), layout of dots (.npz), PNG of a halftone, or height map.
         out: new folder.
         pixel_um: (y, x) pixel size of a plate's heights (2 µm), or of a map that states none.
         inks: of a halftone; the synthetic ones where they are left out.

@@ -67,7 +67,7 @@ def read_target(path: Path, reach: float) -> FloatArray:
 
     Args:
         path: grey picture over h, or CSV h,density of a radial profile.
-        reach: largest |h_x| and |h_y|.
+        reach: largest ``|h_x|`` and ``|h_y|``.
 
     Raises:
         UsageError: it cannot be read, or wants no light.
@@ -129,7 +129,7 @@ def etched_picture(
     Args:
         targets: (121, 121) light over h_y, h_x each (`read_target`); their weighted sum is wanted.
         weights: of the targets, 0 or more; 1 where they are left out.
-        reach: largest |h_x| and |h_y|.
+        reach: largest ``|h_x|`` and ``|h_y|``.
         etch_passes: of a quarter wave and its halves, 1 to 4; their levels have a zero mean phase.
         fabrication: wavelength, source, smallest feature and grid.
         max_width_um: widest step.
@@ -276,7 +276,7 @@ def etched_hologram(
         fabrication: wavelength of a grey picture, and side of a cell as the smallest feature.
         cells: of the unit along each axis, 64 to 1024.
         coherence_um: of the source; half of the unit's side where it is left out.
-        reach: largest |h_x| and |h_y|.
+        reach: largest ``|h_x|`` and ``|h_y|``.
         search_steps: of the search by gradients.
         over_etch_percent: error of all depths to judge as well, −20 to 20.
         seed: of start and wavelengths.
@@ -400,7 +400,7 @@ def compare_lobe(
         screen: distance, light and turns of the screen.
         to_pixels: (3, 3) homography from mm on the screen to pixels (`pixels_of_marks`, `pixels_of_scale`).
         lamp_half_angle_deg: half of the angle that a round lamp subtends; the design's source where it is left out.
-        reach: largest |h_x| and |h_y|, from the mirrored beam.
+        reach: largest ``|h_x|`` and ``|h_y|``, from the mirrored beam.
         points: directions along each axis.
 
     Raises:
