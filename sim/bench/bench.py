@@ -39,6 +39,7 @@ from anisoscope.sim.bench.benchfile import (
     SensorPart,
     read_bench,
 )
+from anisoscope.sim.bench.faults import Faults
 from anisoscope.sim.bench.firmware.axis import LinearAxis, RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import COOLLED, LIGHT, WHEEL, Mount, build
 from anisoscope.sim.bench.firmware.coolled import CoolLedFirmware
@@ -166,7 +167,10 @@ def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
     if part.kind == "plate":
         assert part.plate is not None  # the bench file's own check
         return PlateSample(part.plate, plastic(part.material), rng, reflections=part.reflections)
-    return ReliefSample(build_surface(part, rng), file)
+    made = build_surface(part, rng)
+    if file.faults.upside_down:
+        made = made._replace(surface=made.surface.with_height(made.surface.height_um[:, ::-1]))
+    return ReliefSample(made, file)
 
 
 def plastic(part: MaterialPart) -> Plastic:
@@ -329,6 +333,7 @@ class Bench:
         wheel = next(name for name, places in PLACES.items() if places >= len(file.filters))
         self.wheel = WheelFirmware(wheel, clock=clock, time_scale=scale)
         self._sample_rng = sample_rng
+        self._faults = Faults(file)
         self._samples: dict[float | None, Sample] = {}
         self._mosaic = Mosaic(file.sensor, file.vision().strengths())
         self._scenes: dict[_Shine, tuple[_Pose, Image]] = {}
@@ -397,17 +402,22 @@ class Bench:
     def photograph(self, exposure_s: float, gain: float) -> Counts:
         """One frame of the sensor, (rows, cols) counts."""
         with self._lock:
-            optics = self.file.optics
-            signal = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
+            optics, faults = self.file.optics, self._faults
             shines = [] if optics.lens_cap else self._shining()
-            if shines:
-                per_second = np.zeros_like(signal)
-                for shine, lamp in shines:
-                    per_second += self._radiance_on_sensor(shine) * np.float64(lamp * optics.electrons)
-                if self.file.sensor.auto_exposure == "on":
-                    exposure_s = self.sensor.automatic_exposure_s(per_second)
-                signal = per_second * exposure_s
-            return self.sensor.expose(signal, exposure_s, gain)
+            lit = bool(shines)
+            faults.attend(self._place, lit)
+            per_second = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
+            for shine, lamp in shines:
+                per_second += self._radiance_on_sensor(shine) * np.float64(lamp * optics.electrons)
+            per_second = faults.signal(per_second, lit)
+            if lit and self.file.sensor.auto_exposure == "on":
+                exposure_s = self.sensor.automatic_exposure_s(per_second)
+            exposure_s, gain = faults.settings(per_second, exposure_s, gain, lit)
+            return faults.delivered(self.sensor.expose(per_second * exposure_s, exposure_s, gain), lit)
+
+    @property
+    def _place(self) -> tuple[float, float]:
+        return round(self.sample_angle_deg, 3), round(self.tilt_deg, 3)
 
     def _shining(self) -> list[tuple["_Shine", float]]:
         """The lamps that shine during the next frame, behind the filter, and their brightness."""
@@ -425,7 +435,8 @@ class Bench:
         return found
 
     def _radiance_on_sensor(self, shine: "_Shine") -> Image:
-        pose = _Pose(self.sample_angle_deg, self.tilt_deg, self.shift_mm, self.defocus_mm)
+        turned = self._faults.part_deg(self._place)
+        pose = _Pose(self.sample_angle_deg, self.tilt_deg, self.shift_mm, self.defocus_mm, turned)
         if shine not in self._scenes or self._scenes[shine][0] != pose:
             axes = (self.axis, self.tilt_axis, *self.linear.values())
             moving = any(axis is not None and axis.busy() for axis in axes)
@@ -439,10 +450,13 @@ class Bench:
 
     def _cached_scene(self, pose: "_Pose", shine: "_Shine") -> Image:
         """The scene of a pose, from the cache of all processes."""
-        exclude = {"stage", "tilt", "x", "y", "z", "lamps", "filters"}
+        exclude = {"stage", "tilt", "x", "y", "z", "lamps", "filters", "faults"}
         key = {"bench": _with_content(self.file.model_dump(mode="json", exclude=exclude)), "pose": pose[:2]}
         if self.file.lamps or self.file.filters:
             key["light"] = shine
+        seen = self.file.faults.model_dump(include=self.file.faults.seen, exclude_defaults=True)
+        if seen or pose.part_deg:
+            key["faults"] = (seen, pose.part_deg)
         entry = Cache().entry("scenes", key, __name__)
         return entry.result(lambda: self._render(pose, shine), _packed, _unpacked)
 
@@ -450,6 +464,7 @@ class Bench:
         if shine not in self._sharp or self._sharp[shine][0] != pose.in_focus:
             self._sharp[shine] = pose.in_focus, self._in_focus(pose, shine)
         file, picture = self.file, self._sharp[shine][1]
+        picture = self._faults.through_lens(picture, pose.angle_deg, pose.tilt_deg)
         if "z" in self.linear:
             picture = np.stack([defocused(channel, file.optics, pose.defocus_mm) for channel in picture])
         shade = vignette(file.optics, file.sensor)
@@ -460,12 +475,14 @@ class Bench:
         """(channels, rows, cols) radiance on the sensor, but for vignette and stray light."""
         file = self.file
         convention = Convention(light_angle_deg=shine.angle_deg)
-        to_light, to_camera = directions((Pose(pose.angle_deg, pose.tilt_deg),), convention)
+        to_light, _ = directions((Pose(pose.angle_deg, pose.tilt_deg),), convention)
         cos_light = to_light[0, 2]
         if file.sample.kind == "white-tile":
             shape = (1, file.sensor.rows, file.sensor.cols)
             return np.full(shape, file.sample.reflectance / np.pi * cos_light)
-        picture, cover = self._image_of_samples(pose, shine, to_light, to_camera)
+        on_part = pose._replace(angle_deg=pose.angle_deg + pose.part_deg)
+        seen_from = directions((Pose(on_part.angle_deg, pose.tilt_deg),), convention)
+        picture, cover = self._image_of_samples(on_part, shine, *seen_from)
         image = picture.astype(np.float64)
         if file.fixture is not None:
             view = (file.optics, file.sensor, pose.angle_deg, pose.tilt_deg)
@@ -515,7 +532,7 @@ class _Shine(NamedTuple):
     wavelength_nm: float | None
 
 
-_InFocus = tuple[float, float, tuple[float, float]]
+_InFocus = tuple[float, float, tuple[float, float], float]
 
 
 class _Pose(NamedTuple):
@@ -525,11 +542,12 @@ class _Pose(NamedTuple):
     tilt_deg: float
     shift_mm: tuple[float, float]
     defocus_mm: float
+    part_deg: float = 0.0
 
     @property
     def in_focus(self) -> _InFocus:
         """All but the distance."""
-        return self[:3]
+        return self.angle_deg, self.tilt_deg, self.shift_mm, self.part_deg
 
 
 def _with_content(value: object) -> object:

@@ -1,7 +1,7 @@
 """The bench file: sample and imperfections of the virtual rig."""
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -267,6 +267,60 @@ class FilterPart(Part):
     wavelength_nm: Positive | None = None
 
 
+class FaultsPart(Part):
+    """Faults of the rig, none by default.
+
+    A pose begins with the first lit frame at another angle. Lists give one factor per pose, the last of which holds on.
+
+    Light: ``lamp`` are factors on its brightness; ``lamp_slope`` is the share by which it rises from the middle to the
+    right and the upper edge; ``glare_radiance`` in 1/sr is light that only lit frames have, ``glare_slope`` its slope;
+    ``room_radiance`` is light of the room that also dark frames have, one value per frame, the last of which holds on.
+
+    Camera: ``exposure`` and ``gain`` are factors on what it was told; with ``automatic_gain`` every pose gets the mean
+    of the first; ``black_in_dark`` is how many counts dark frames lie higher than lit ones; with ``stale_pose`` the
+    first frame of a pose shows the pose before; every ``repeats_every``-th frame is the buffer before, bit for bit;
+    every ``torn_every``-th lit frame is torn in its lower part: rows ``zero``, ``shifted`` or ``dropped``;
+    ``plateau_counts`` is where it clips below full scale; ``stuck_columns`` and ``stuck_pixels`` (row, column) always
+    have ``stuck_counts``; ``mirrored`` exchanges left and right. A response that bends is ``sensor.nonlinearity``.
+
+    Lens: ``barrel`` is the share by which a corner of the picture moves inwards, negative for a pincushion.
+
+    Part: it is ``seated_deg`` turned in its fixture, or ``upside_down``, which mirrors ridges and height maps across;
+    from pose ``slips_at`` on, counted from 1, it stands ``slip_deg`` from its fixture.
+
+    Markers: a blot on ``dirty_marker``, a shadow on ``shadowed_marker``, each the id of one.
+    """
+
+    lamp: tuple[NotNegative, ...] = ()
+    lamp_slope: tuple[float, float] = (0.0, 0.0)
+    glare_radiance: NotNegative = 0.0
+    glare_slope: tuple[float, float] = (0.0, 0.0)
+    room_radiance: tuple[NotNegative, ...] = ()
+    exposure: tuple[Positive, ...] = ()
+    gain: tuple[Positive, ...] = ()
+    automatic_gain: bool = False
+    black_in_dark: float = 0.0
+    stale_pose: bool = False
+    repeats_every: Annotated[int, Field(ge=2)] | None = None
+    torn: Literal["zero", "shifted", "dropped"] | None = None
+    torn_every: Annotated[int, Field(ge=1)] = 1
+    plateau_counts: Annotated[int, Field(ge=1, le=65535)] | None = None
+    stuck_columns: tuple[int, ...] = ()
+    stuck_pixels: tuple[tuple[int, int], ...] = ()
+    stuck_counts: Annotated[int, Field(ge=0, le=65535)] = 4095
+    mirrored: bool = False
+    barrel: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
+    seated_deg: float = 0.0
+    upside_down: bool = False
+    slips_at: Annotated[int, Field(ge=1)] | None = None
+    slip_deg: float = 0.0
+    dirty_marker: int | None = None
+    shadowed_marker: int | None = None
+
+    seen: ClassVar[set[str]] = {"mirrored", "barrel", "upside_down", "dirty_marker", "shadowed_marker"}
+    """The faults that a picture without noise shows."""
+
+
 class BenchFile(Part):
     """A virtual rig: sample, sensor, optics, stage, fixture, and the seed of everything random.
 
@@ -289,6 +343,21 @@ class BenchFile(Part):
     fixture: Fixture | None = None
     lamps: dict[Literal["A", "B", "C", "D"], LampPart] = Field(default_factory=dict)
     filters: Annotated[tuple[FilterPart, ...], Field(max_length=max(PLACES.values()))] = ()
+    faults: FaultsPart = FaultsPart()
+
+    @model_validator(mode="after")
+    def _faults_fit(self) -> Self:
+        markers = {marker.id for marker in self.fixture.markers} if self.fixture is not None else set()
+        for name in ("dirty_marker", "shadowed_marker"):
+            number = getattr(self.faults, name)
+            if number is not None and number not in markers:
+                raise ValueError(f"faults.{name}: the fixture has no marker {number}")
+        pixels = [*self.faults.stuck_pixels, *((0, column) for column in self.faults.stuck_columns)]
+        if any(not (0 <= row < self.sensor.rows and 0 <= col < self.sensor.cols) for row, col in pixels):
+            raise ValueError(
+                f"faults: stuck columns and pixels lie within {self.sensor.rows} rows and {self.sensor.cols} columns"
+            )
+        return self
 
     @property
     def linear(self) -> dict[str, LinearPart]:
