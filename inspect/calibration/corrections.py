@@ -25,6 +25,7 @@ from anisoscope.calibration.record import (
 )
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.imaging.linearisation import Image, Mask, RadianceImage, Stack, WhiteReference
+from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import Placement, angle_between
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.plan import Seat
@@ -92,6 +93,16 @@ class Calibrations:
         if self.followed:
             return 0.5 * (record.camera.cols - 1), 0.5 * (record.camera.rows - 1)
         return record.number("centre_column"), record.number("centre_row")
+
+    @property
+    def lens(self) -> Lens | None:
+        """Distortion of the pictures, where the rotation calibration found a significant one."""
+        record = self.records.get("rotation")
+        if record is None or "distortion_k1" not in record.values:
+            return None
+        k2 = record.values.get("distortion_k2")
+        shape = (record.camera.rows, record.camera.cols)
+        return Lens(shape, record.number("distortion_k1"), 0.0 if k2 is None else k2.value)
 
     def seat(self, place_mm: tuple[float, float] | None) -> Seat:
         """How the axes x, y and z bring a part below the camera.

@@ -22,7 +22,16 @@ from anisoscope.calibration.record import (
     write_calibration,
 )
 from anisoscope.imaging.linearisation import Image, hot_pixels, stack
-from anisoscope.imaging.registration.placement import Placement, angle_between, check_fixture, locate
+from anisoscope.imaging.registration.lens import Corners, FittedLens, fit_lens
+from anisoscope.imaging.registration.placement import (
+    MIN_MARKERS,
+    Placement,
+    angle_between,
+    check_fixture,
+    find_markers,
+    marker_corners_mm,
+    place_markers,
+)
 from anisoscope.rig.acquisition.plan import Plan, Pose, Seat
 from anisoscope.rig.acquisition.runner import FrameRecord, Progress, open_rig, run_plan
 from anisoscope.rig.bayer import grey_of
@@ -47,7 +56,7 @@ def calibrate_rotation(
     at_mm: tuple[float, float] = (0.0, 0.0),
     on_progress: Advance = silent,
 ) -> CalibrationRecord:
-    """Turn the fixture once and determine the rotation centre in the picture, the pixel size, and the runout.
+    """Turn the fixture once and determine rotation centre, pixel size, runout, and the distortion of the lens.
 
     A tilt axis is set to 0°; a fixed arm stays at its tilt. Two frames per pose suffice. With axes x and y a fixture
     off the axis of the stage is followed, and their readings with that axis in the middle of the picture are found,
@@ -91,8 +100,10 @@ def calibrate_rotation(
         bed, name = Bed(rig, tilt_deg, on_progress), rig.stage.name
         content = bed.content(taking, len(records)) | {"stage": name}
     on_progress("markers", 0, 1)
-    places = _places(records, file)
-    record = dated("rotation", content | _results(places, file, bed.camera), valid_days=taking.valid_days)
+    places, lens = _places(records, file)
+    results = _results(places, file, bed.camera)
+    results["values"] |= _distortion(lens)
+    record = dated("rotation", content | results, valid_days=taking.valid_days)
     write_calibration(record, record_path(out))
     return record
 
@@ -149,14 +160,16 @@ class _Located:
     travel_mm: tuple[float, float]
 
 
-def _places(records: list[FrameRecord], file: RigFile) -> list[_Located]:
-    assert file.fixture is not None
+def _places(records: list[FrameRecord], file: RigFile) -> tuple[list[_Located], FittedLens]:
+    fixture = file.fixture
+    assert fixture is not None
+    known = marker_corners_mm(fixture)
     dark = stack(record.frame for record in records if record.frame.kind == "dark")
     poses: dict[tuple[Pose, Path], list[FrameRecord]] = {}
     for record in records:
         if record.frame.kind != "dark" and not record.again:
             poses.setdefault((record.pose, record.path.parent), []).append(record)
-    found = []
+    seen, corners = [], []
     for shots in poses.values():
         lit = stack(shot.frame for shot in shots)
         hot = hot_pixels(dark)
@@ -164,10 +177,31 @@ def _places(records: list[FrameRecord], file: RigFile) -> list[_Located]:
             hot, np.float32(np.median(lit.mean)), lit.mean - np.where(hot, 0.0, dark.mean)
         )
         frame = shots[0].frame
-        even = grey_of(picture.astype(np.float32), frame.filters)
-        travel = _travel(shots[0].linear_mm, file)
-        found.append(_Located(frame.stage_deg, locate(even, file.fixture, frame.tilt_deg), travel))
-    return found
+        markers = find_markers(grey_of(picture.astype(np.float32), frame.filters), fixture)
+        seen.append((frame, markers, _travel(shots[0].linear_mm, file)))
+        if len(markers) >= MIN_MARKERS:
+            points = np.concatenate([known[marker.id] for marker in markers])
+            pixels = np.concatenate([marker.corners for marker in markers])
+            corners.append(Corners(points, pixels, float(np.cos(np.radians(frame.tilt_deg)))))
+    shape = dark.mean.shape[:2]
+    fitted = fit_lens(corners, shape) if len(corners) == len(seen) else None
+    lens = None if fitted is None else fitted.lens
+    places = [
+        _Located(frame.stage_deg, place_markers(markers, fixture, shape, frame.tilt_deg, lens=lens), travel)
+        for frame, markers, travel in seen
+    ]
+    assert fitted is not None  # else a picture with too few markers was refused
+    return places, fitted
+
+
+def _distortion(fitted: FittedLens) -> dict[str, Value]:
+    """The distortion as values of the record, where it is significant."""
+    if fitted.lens is None:
+        return {}
+    return {
+        f"distortion_k{i + 1}": Value(value=k, u=float(u))
+        for i, (k, u) in enumerate(zip((fitted.lens.k1, fitted.lens.k2), fitted.u, strict=False))
+    }
 
 
 def _travel(linear_mm: Mapping[str, float], file: RigFile) -> tuple[float, float]:

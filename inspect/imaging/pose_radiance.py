@@ -11,7 +11,13 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, RegistrationError, Saturated
 from anisoscope.base.parallel import for_each
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.registration.placement import Grid, View, angle_between, resample
+from anisoscope.imaging.registration.placement import (
+    Grid,
+    View,
+    angle_between,
+    lens_advice,
+    resample,
+)
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.recipe.base import LimitsPart
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -81,7 +87,8 @@ def check_view(view: View, first: View, recipe: Limited, pixel_um: float) -> Non
     if place.residual_px > limits.registration_px:
         raise RegistrationError(
             f"at {view.stage_deg:g}° the fixture markers fit with {place.residual_px:.2f} px rms, limit "
-            f"{limits.registration_px:g} px: check focus, and that the markers stand where the rig file says"
+            f"{limits.registration_px:g} px: {lens_advice(place.bent_share)}check focus, and that the markers stand "
+            "where the rig file says"
         )
     off = angle_between(view.stage_deg, place.angle_deg - first.placement.angle_deg + first.stage_deg)
     if abs(off) > limits.angle_deg:
@@ -100,11 +107,12 @@ def check_view(view: View, first: View, recipe: Limited, pixel_um: float) -> Non
             f"the markers give {place.pixel_um:.3f} µm a pixel, the rig file {pixel_um:g} µm (limit "
             f"{limits.scale_share:.0%}): correct camera.pixel_um or the fixture's measures"
         )
-    moved = float(np.hypot(*np.subtract(place.axis_px, first.placement.axis_px)))
-    if moved > 5.0:
+    moved_um = float(np.hypot(*np.subtract(place.axis_px, first.placement.axis_px))) * place.pixel_um
+    if moved_um > limits.moved_um:
         raise RegistrationError(
-            f"between {first.stage_deg:g}° and {view.stage_deg:g}° the fixture's centre moved by {moved:.1f} px "
-            "(limit 5 px): centre the fixture on the stage, and check that nothing slipped"
+            f"between {first.stage_deg:g}° and {view.stage_deg:g}° the fixture's centre moved by {moved_um:.0f} µm "
+            f"(limit {limits.moved_um:g} µm, limits.moved_um): centre the fixture on the stage, and check that nothing "
+            "slipped"
         )
 
 
@@ -188,7 +196,7 @@ def _corners(view: View, grid: Grid) -> FloatArray:
     rows, cols = grid.shape
     ends = np.array([[x, y, 1.0] for x in (0, cols - 1) for y in (0, rows - 1)])
     sampled = ends @ (view.placement.homography @ grid.to_mm()).T
-    return np.asarray(sampled[:, :2] / sampled[:, 2:])
+    return view.placement.seen(np.asarray(sampled[:, :2] / sampled[:, 2:]))
 
 
 def _is_inside(view: View, grid: Grid) -> bool:

@@ -17,6 +17,7 @@ from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, stack
 from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
 from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
+from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import Placement, View, locate
 from anisoscope.parameters.geometry import Pose as LightPose
 from anisoscope.rig.acquisition.plan import Pose
@@ -34,6 +35,11 @@ class Corrections(Protocol):
     @property
     def axis_px(self) -> tuple[float, float] | None:
         """(column, row) of the rotation axis in the picture, where it is known."""
+        ...
+
+    @property
+    def lens(self) -> Lens | None:
+        """Distortion of the pictures, where it is calibrated."""
         ...
 
     def corrected(self, sample: Stack, dark: Stack) -> Stack:
@@ -159,9 +165,7 @@ def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFra
 
     settings = {(shot.frame.exposure_s, shot.frame.gain) for shots in groups_of_shots for shot in shots}
     _ready_before_threads(viewing, settings, like)
-    placed = register(
-        for_each(photograph, groups_of_shots), viewing.fixture, viewing.pixel_um, viewing.corrections.axis_px
-    )
+    placed = register(for_each(photograph, groups_of_shots), viewing)
     first_end, first_resumed = len(requested), len(requested) + len(at_end)
     return Views(placed[:first_end], placed[first_end:first_resumed], placed[first_resumed:])
 
@@ -260,12 +264,7 @@ def _without_stray(
     return replace(sample, mean=sample.mean - (stray.mean - dark.mean), scatter=np.sqrt(own))
 
 
-def register(
-    photographs: Sequence[Photograph],
-    fixture: Fixture | None,
-    pixel_um: float,
-    axis_px: tuple[float, float] | None = None,
-) -> list[View]:
+def register(photographs: Sequence[Photograph], viewing: Viewing) -> list[View]:
     """Register the part in every picture: by the fixture's markers, or by edges.
 
     Without a fixture, or where it permits this and too few of its markers are visible, all pictures are registered to
@@ -273,18 +272,16 @@ def register(
 
     Args:
         photographs: the first is the reference for edges.
-        fixture: the markers.
-        pixel_um: size of a pixel on the sample.
-        axis_px: (column, row) of the rotation axis, where it was calibrated.
+        viewing: fixture, size of a pixel, limits, and the calibrated rotation axis and lens.
 
     Raises:
         RegistrationError: both fail.
     """
-    if fixture is not None:
-        marked = fixture
+    if viewing.fixture is not None:
+        fixture, lens, off_um = viewing.fixture, viewing.corrections.lens, viewing.recipe.limits.marker_off_um
 
         def located(one: Photograph) -> Placement:
-            return locate(_searched(one), marked, one.arm_deg)
+            return locate(_searched(one), fixture, one.arm_deg, lens=lens, marker_off_um=off_um)
 
         try:
             return _views(photographs, for_each(located, photographs))
@@ -292,17 +289,16 @@ def register(
             if fixture.without_markers == "refuse":
                 raise
             try:
-                return _views(photographs, _by_edges(photographs, pixel_um, axis_px))
+                return _views(photographs, _by_edges(photographs, viewing))
             except RegistrationError as by_edges:
                 raise RegistrationError(f"{by_markers}; without them: {by_edges}") from by_edges
-    return _views(photographs, _by_edges(photographs, pixel_um, axis_px))
+    return _views(photographs, _by_edges(photographs, viewing))
 
 
-def _by_edges(
-    photographs: Sequence[Photograph], pixel_um: float, axis_px: tuple[float, float] | None
-) -> list[Placement]:
+def _by_edges(photographs: Sequence[Photograph], viewing: Viewing) -> list[Placement]:
     pictures = [TurnedPicture(_searched(one), one.stage_deg, one.arm_deg) for one in photographs]
-    return place_by_edges(pictures, pixel_um, axis_px)
+    calibrated = viewing.corrections
+    return place_by_edges(pictures, viewing.pixel_um, calibrated.axis_px, calibrated.lens)
 
 
 def _views(photographs: Sequence[Photograph], places: Sequence[Placement]) -> list[View]:

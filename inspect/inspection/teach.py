@@ -16,9 +16,10 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.history.aqdef import read_aqdef
+from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
 from anisoscope.inspection.frame_table import Replay
-from anisoscope.inspection.job import check_serial, prepare
+from anisoscope.inspection.job import Job, check_serial, prepare
 from anisoscope.inspection.replay import inspect_frames, read_given
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import AnyKind
@@ -188,7 +189,7 @@ def teach(
     with open_rig(job.rig) as rig:
         info = rig.camera.info
         job.kind.check_filters(info.filters, f"camera {info.serial}", job.white.filters)
-        probe = _probe(rig, job.recipe, fixture, advance)
+        probe = _probe(rig, job, fixture, advance)
 
     def inspect(candidate: Path) -> Inspected:
         return inspect_part(candidate, rig_path, serial, out, advance, methods=methods)
@@ -388,12 +389,13 @@ def _value(recipe: RecipeBase, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - o
     return getattr(getattr(recipe, key[0]), key[1])
 
 
-def _probe(rig: Rig, recipe: RecipeBase, fixture: Fixture, advance: Advance) -> _Probe:
+def _probe(rig: Rig, job: Job, fixture: Fixture, advance: Advance) -> _Probe:
     """Photograph every pose once, exposed so that the brightest one reaches the target level.
 
     Raises:
         Saturated: no exposure was found.
     """
+    recipe = job.recipe
     exposure_s = recipe.acquisition.exposure_s
     poses = tuple(Pose(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
     for attempt in range(MAX_TRIES):
@@ -401,7 +403,7 @@ def _probe(rig: Rig, recipe: RecipeBase, fixture: Fixture, advance: Advance) -> 
         frames = _photograph(rig, Plan(poses, exposure_s, recipe.acquisition.gain, return_to_first=False))
         level = _level(frames)
         if level < 0.99 and abs(level / LEVEL - 1.0) < 0.1:
-            return _seen(frames, fixture, level, None)
+            return _seen(frames, fixture, level, None, job.calibrations.lens)
         exposure_s = float(f"{exposure_s * (0.25 if level >= 0.99 else LEVEL / max(level, 0.01)):.3g}")
     raise Saturated(
         f"no exposure brings the brightest pose to {LEVEL:.0%} of full scale (last tried: {exposure_s:g} s): "
@@ -430,11 +432,16 @@ def _level(frames: Sequence[Frame]) -> float:
 
 
 def _seen(
-    frames: Sequence[Frame], fixture: Fixture, level: float, brackets: tuple[float, ...] | None
+    frames: Sequence[Frame],
+    fixture: Fixture,
+    level: float,
+    brackets: tuple[float, ...] | None,
+    lens: Lens | None = None,
 ) -> _Probe:
     grey = [grey_of(_above_black(frame).astype(np.float32), frame.filters) for frame in frames]
     places = tuple(
-        locate(picture, fixture, frame.tilt_deg) for picture, frame in zip(grey, frames, strict=True)
+        locate(picture, fixture, frame.tilt_deg, lens=lens)
+        for picture, frame in zip(grey, frames, strict=True)
     )
     pictures = tuple(picture.astype(np.float64) for picture in grey)
     return _Probe(float(f"{frames[0].exposure_s:.3g}"), brackets, level, pictures, places)

@@ -71,6 +71,8 @@ class LimitsPart(Part):
     ``fixture_um`` is the distance of the point about which the fixture turns from the calibrated rotation centre: the
     fixture's markers place every picture, so that only a moved camera or stage is to be noticed. ``beyond_part_um`` is
     how far a corner of the region may reach beyond the part.
+    ``moved_um`` is how far the fixture's centre may stand from where it stood in the first pose, ``marker_off_um`` by
+    how much a marker may be off the others before it is left out; 0.3 px are always allowed.
     """
 
     saturated_share: Share = 0.001
@@ -81,6 +83,8 @@ class LimitsPart(Part):
     min_signal_share: Share = 0.01
     fixture_um: Positive = 250.0
     beyond_part_um: NotNegative = 0.0
+    moved_um: Positive = 100.0
+    marker_off_um: NotNegative = 3.0
 
 
 class CommonUncertainty(Part):

@@ -14,7 +14,7 @@ shift and rotation over all edges.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RegistrationError
+from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import Grid, Placement, resample
 
 Image = npt.NDArray[np.float32]
@@ -208,7 +209,10 @@ class TurnedPicture:
 
 
 def place_by_edges(
-    pictures: Sequence[TurnedPicture], pixel_um: float, axis_px: tuple[float, float] | None = None
+    pictures: Sequence[TurnedPicture],
+    pixel_um: float,
+    axis_px: tuple[float, float] | None = None,
+    lens: Lens | None = None,
 ) -> list[Placement]:
     """Register every picture to the first one.
 
@@ -216,6 +220,7 @@ def place_by_edges(
         pictures: at least one; the first is the reference.
         pixel_um: size of a pixel on the sample.
         axis_px: (column, row) of the rotation axis, calibrated; without it, it is estimated from the pictures.
+        lens: distortion of the pictures, where it is calibrated.
 
     Returns:
         One placement per picture; the sample's origin is the rotation axis.
@@ -225,21 +230,25 @@ def place_by_edges(
     """
     shape = pictures[0].image.shape
     start = axis_px or ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
-    found = _placed(pictures, pixel_um, start, UNKNOWN_AXIS_SHARE * min(shape))
+    found = _placed(pictures, pixel_um, start, UNKNOWN_AXIS_SHARE * min(shape), lens)
     if axis_px is None:
         # repeated about the axis found, so that all sides of the part have equal weight
         about = _about_the_axis(found)[0].axis_px
-        found = _about_the_axis(_placed(pictures, pixel_um, about, 2.0 * MAX_SHIFT_PX))
+        found = _about_the_axis(_placed(pictures, pixel_um, about, 2.0 * MAX_SHIFT_PX, lens))
     for seen, place in zip(pictures[1:], found[1:], strict=True):
         _check(seen, place, found[0])
     return found
 
 
 def _placed(
-    pictures: Sequence[TurnedPicture], pixel_um: float, axis_px: tuple[float, float], reach_px: float
+    pictures: Sequence[TurnedPicture],
+    pixel_um: float,
+    axis_px: tuple[float, float],
+    reach_px: float,
+    lens: Lens | None,
 ) -> list[Placement]:
     """Placement in every picture, searched within ``reach`` of the nominal one."""
-    nominal = [_nominal(seen, pixel_um, axis_px) for seen in pictures]
+    nominal = [replace(_nominal(seen, pixel_um, axis_px), lens=lens) for seen in pictures]
     grid = _raster(pictures[0].image.shape, axis_px, pixel_um)
     scale = grid.pixel_mm * 1000.0 / pixel_um
     first = _turned_back(pictures[0].image, nominal[0], grid, scale)
@@ -335,7 +344,8 @@ def _moved(nominal: Placement, warp: FloatArray, grid: Grid, residual_px: float)
     matrix = nominal.matrix @ motion
     turn = float(np.degrees(np.arctan2(motion[1, 0], motion[0, 0])))
     axis = (float(matrix[0, 2]), float(matrix[1, 2]))
-    return Placement(matrix, (nominal.angle_deg + turn) % 360.0, nominal.pixel_um, axis, residual_px, 0)
+    angle_deg = (nominal.angle_deg + turn) % 360.0
+    return replace(nominal, matrix=matrix, angle_deg=angle_deg, axis_px=axis, residual_px=residual_px)
 
 
 def _about_the_axis(places: list[Placement]) -> list[Placement]:
@@ -351,7 +361,7 @@ def _about_the_axis(places: list[Placement]) -> list[Placement]:
         matrix = place.matrix.copy()
         matrix[:, 2] += matrix[:, :2] @ origin
         axis = (float(matrix[0, 2]), float(matrix[1, 2]))
-        found.append(Placement(matrix, place.angle_deg, place.pixel_um, axis, place.residual_px, 0))
+        found.append(replace(place, matrix=matrix, axis_px=axis))
     return found
 
 

@@ -9,10 +9,13 @@ the tilt; a single inconsistent marker is identified and left out. Where the pla
 one more parameter q describes the perspective of its far side: with (X, Y) the similarity in pixels from the middle of
 the picture and c the cosine, u = X/(1 + qY), v = cY/(1 + qY), a pinhole camera whose axis is tilted about the picture's
 horizontal axis (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 8.1; q = sin(tilt)·focal length/distance).
+
+Where the lens is calibrated, corners are straightened before the fit, and pictures are resampled through its distortion
+(`anisoscope.imaging.registration.lens`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,6 +24,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RegistrationError, RigFileError
 from anisoscope.imaging.linearisation import RadianceImage, upper_quantile
+from anisoscope.imaging.registration.lens import Corners, Lens, fit_lens
 from anisoscope.rig.fixture import Fixture
 
 Image = npt.NDArray[np.float32]
@@ -235,7 +239,7 @@ def _spread(edge: FloatArray, across: FloatArray) -> float:
 
 MIN_MARKERS = 3
 OFF_PX = 0.3
-"""A marker off by less is within what printing and focus do."""
+"""A marker off by less is within what the measurement of corners does; printing is `LimitsPart.marker_off_um`."""
 OFF_SIGMA = 4.0
 _MIN_SQUEEZE_CHANGE = 2e-4  # tilts below 1° show no perspective
 _MIN_F = 12.0
@@ -276,6 +280,7 @@ class Agreed:
         dropped: ids of the others.
         squeeze: measured foreshortening of the rows, relative to the assumed one.
         u_squeeze: its standard uncertainty.
+        bent_share: radial distortion at the corners of the picture that explains the residual, else 0.
     """
 
     fit: Fit
@@ -283,10 +288,15 @@ class Agreed:
     dropped: tuple[int, ...]
     squeeze: float
     u_squeeze: float
+    bent_share: float
 
 
 def agree(
-    found: Sequence[Marker], known_mm: dict[int, FloatArray], squeeze: float, middle_px: tuple[float, float]
+    found: Sequence[Marker],
+    known_mm: dict[int, FloatArray],
+    squeeze: float,
+    shape: tuple[int, int],
+    off_um: float = 0.0,
 ) -> Agreed:
     """Fit the plate to the mutually consistent markers.
 
@@ -294,11 +304,13 @@ def agree(
         found: markers in the picture, all of them of the fixture.
         known_mm: (4, 2) corners of every marker of the fixture.
         squeeze: cosine of the tilt.
-        middle_px: (column, row) of the middle of the picture.
+        shape: (rows, cols) of the picture.
+        off_um: distance by which a marker may be off the others, µm on the sample; 0.3 px are always allowed.
 
     Raises:
         RegistrationError: markers are inconsistent, and too few to identify the wrong one.
     """
+    middle_px = ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
 
     def fitted(markers: Sequence[Marker]) -> Fit:
         points = np.concatenate([known_mm[marker.id] for marker in markers])
@@ -307,18 +319,27 @@ def agree(
     def off(marker: Marker, fit: Fit) -> float:
         return float(np.sqrt(np.mean(np.sum((fit.to_pixels(known_mm[marker.id]) - marker.corners) ** 2, 1))))
 
+    def contradiction() -> RegistrationError:
+        off_px = [(off(m, whole), m.id) for m in used]
+        return RegistrationError(
+            _contradiction(max(off_px), limit, _bent_share(used, known_mm, squeeze, shape))
+        )
+
     used = tuple(found)
     whole = fitted(used)
+    limit = max(OFF_PX, off_um / whole.pixel_um)
     without = {i: fitted([*used[:i], *used[i + 1 :]]) for i in range(len(used)) if len(used) > MIN_MARKERS}
-    suspects = [i for i, fit in without.items() if off(used[i], fit) > _allowed(fit)]
+    suspects = [
+        i for i, fit in without.items() if off(used[i], fit) > max(limit, OFF_SIGMA * fit.residual_px)
+    ]
     dropped: tuple[int, ...] = ()
     if suspects:
         # a wrong marker spoils every fit that includes it; leaving out the right one gives clearly the best fit
         order = sorted(suspects, key=lambda i: without[i].residual_px)
         best = without[order[0]]
         rest = [without[i].residual_px for i in without if i != order[0]]
-        if best.residual_px > OFF_PX or min(rest) < 1.5 * best.residual_px:
-            raise RegistrationError(_contradiction(used, [off(m, whole) for m in used]))
+        if best.residual_px > limit or min(rest) < 1.5 * best.residual_px:
+            raise contradiction()
         dropped = (used[order[0]].id,)
         used = (*used[: order[0]], *used[order[0] + 1 :])
         whole = best
@@ -326,20 +347,36 @@ def agree(
         np.concatenate([known_mm[m.id] for m in used]), np.concatenate([m.corners for m in used])
     )
     # markers that agree on another foreshortening indicate a wrong tilt, which the tilt gate decides on
-    if whole.residual_px > OFF_PX and rest_px > OFF_PX:
-        raise RegistrationError(_contradiction(used, [off(m, whole) for m in used]))
-    return Agreed(whole, used, dropped, measured / squeeze, u_squeeze / squeeze)
+    if whole.residual_px > limit and rest_px > limit:
+        raise contradiction()
+    bent = _bent_share(used, known_mm, squeeze, shape) if whole.residual_px > OFF_PX else 0.0
+    return Agreed(whole, used, dropped, measured / squeeze, u_squeeze / squeeze, bent)
 
 
-def _allowed(fit: Fit) -> float:
-    return max(OFF_PX, OFF_SIGMA * fit.residual_px)
+def _bent_share(
+    markers: Sequence[Marker], known_mm: dict[int, FloatArray], squeeze: float, shape: tuple[int, int]
+) -> float:
+    """Radial distortion at the corners of the picture that explains most of what the markers are off, else 0."""
+    points = np.concatenate([known_mm[m.id] for m in markers])
+    found = fit_lens([Corners(points, np.concatenate([m.corners for m in markers]), squeeze)], shape)
+    return found.lens.share if found.lens is not None and found.residual_px < 0.5 * found.plain_px else 0.0
 
 
-def _contradiction(markers: Sequence[Marker], off_px: list[float]) -> str:
-    worst = max(zip(off_px, (marker.id for marker in markers), strict=True))
+def _contradiction(worst: tuple[float, int], limit: float, bent_share: float) -> str:
     return (
         f"the fixture markers contradict each other (marker {worst[1]} is off by {worst[0]:.2f} px, limit "
-        f"{OFF_PX:g} px): clean them, check focus and tilt, and that all stand where the rig file says"
+        f"{limit:.2g} px): {lens_advice(bent_share)}clean them, check focus and tilt, and that all stand where the rig "
+        "file says"
+    )
+
+
+def lens_advice(bent_share: float) -> str:
+    """The lens as a cause of what markers are off, for a message; "" where it is none."""
+    if bent_share == 0.0:
+        return ""
+    return (
+        f"a lens with {abs(bent_share):.1%} of {'barrel' if bent_share > 0 else 'pincushion'} distortion at the "
+        "corners explains it: take a calibration with `anisoscope calibrate rotation`; else "
     )
 
 
@@ -453,6 +490,8 @@ class Placement:
         squeeze: measured foreshortening of the picture's rows, relative to the cosine of the tilt.
         u_squeeze: its standard uncertainty.
         dropped: ids of inconsistent markers that were left out.
+        lens: distortion of the picture, where it is calibrated; all other places are those without distortion.
+        bent_share: radial distortion at the corners of the picture that explains a residual above 0.3 px, else 0.
     """
 
     matrix: FloatArray
@@ -467,11 +506,21 @@ class Placement:
     squeeze: float = 1.0
     u_squeeze: float = 0.0
     dropped: tuple[int, ...] = ()
+    lens: Lens | None = None
+    bent_share: float = 0.0
 
     @property
     def homography(self) -> FloatArray:
-        """(3, 3) map from sample millimetres to (column, row, 1), up to a factor."""
+        """(3, 3) map from sample millimetres to (column, row, 1) without distortion, up to a factor."""
         return np.vstack([self.matrix, [*self.perspective, 1.0]])
+
+    def seen(self, straight: FloatArray) -> FloatArray:
+        """(..., 2) column and row in the picture, of places without distortion."""
+        return straight if self.lens is None else self.lens.seen(straight)
+
+    def straight(self, seen: FloatArray) -> FloatArray:
+        """(..., 2) column and row without distortion, of places in the picture."""
+        return seen if self.lens is None else self.lens.straight(seen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -506,7 +555,14 @@ def check_fixture(fixture: Fixture) -> None:
         )
 
 
-def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
+def locate(
+    image: Image,
+    fixture: Fixture,
+    tilt_deg: float = 0.0,
+    *,
+    lens: Lens | None = None,
+    marker_off_um: float = 0.0,
+) -> Placement:
     """Find the fixture in a picture and fit a similarity: rotation, scale, shift.
 
     A tilted camera sees the plate foreshortened along the rows of the picture's height by cos(tilt); this is
@@ -517,12 +573,27 @@ def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
         image: (rows, cols) linear picture.
         fixture: the markers and their positions.
         tilt_deg: tilt of the camera about the picture's horizontal axis.
+        lens: distortion of the picture, where it is calibrated.
+        marker_off_um: distance by which a marker may be off the others, µm; 0.3 px are always allowed.
 
     Raises:
         RegistrationError: fewer than three of the fixture's markers are visible, or they contradict each other.
     """
-    known = marker_corners_mm(fixture)
     found = find_markers(image, fixture)
+    return place_markers(found, fixture, image.shape[:2], tilt_deg, lens=lens, marker_off_um=marker_off_um)
+
+
+def place_markers(
+    found: Sequence[Marker],
+    fixture: Fixture,
+    shape: tuple[int, int],
+    tilt_deg: float = 0.0,
+    *,
+    lens: Lens | None = None,
+    marker_off_um: float = 0.0,
+) -> Placement:
+    """Placement by the markers found in a picture of (rows, cols); arguments and errors as for `locate`."""
+    known = marker_corners_mm(fixture)
     distinct = len({marker.id for marker in found})
     if distinct < MIN_MARKERS:
         raise RegistrationError(
@@ -530,12 +601,12 @@ def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
             "the light is on, nothing covers them, the lens is clear and in focus, and the fixture is the one in the "
             "rig file"
         )
-    middle = ((image.shape[1] - 1) / 2.0, (image.shape[0] - 1) / 2.0)
-    agreed = agree(found, known, float(np.cos(np.radians(tilt_deg))), middle)
-    return _placement(agreed)
+    if lens is not None:
+        found = [replace(marker, corners=lens.straight(marker.corners)) for marker in found]
+    return _placement(agree(found, known, float(np.cos(np.radians(tilt_deg))), shape, marker_off_um), lens)
 
 
-def _placement(agreed: Agreed) -> Placement:
+def _placement(agreed: Agreed, lens: Lens | None) -> Placement:
     fit, used = agreed.fit, agreed.markers
     blurs, blacks = [marker.blur_px for marker in used], [marker.black_share for marker in used]
     upper = fit.homography[:2]
@@ -552,6 +623,8 @@ def _placement(agreed: Agreed) -> Placement:
         squeeze=agreed.squeeze,
         u_squeeze=agreed.u_squeeze,
         dropped=agreed.dropped,
+        lens=lens,
+        bent_share=agreed.bent_share,
     )
 
 
@@ -606,7 +679,12 @@ def resample(image: Image, placement: Placement, grid: Grid) -> Image:
     rows, cols = grid.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     nothing = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (float("nan"),)}
-    if any(placement.perspective):
+    if placement.lens is not None:
+        row, column = np.indices(grid.shape).astype(np.float64)
+        x, y, scale = np.einsum("ij,jrc->irc", matrix, np.stack([column, row, np.ones_like(row)]))
+        at = placement.seen(np.stack([x / scale, y / scale], axis=-1)).astype(np.float32)
+        warped = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, **nothing)  # type: ignore[call-overload]
+    elif any(placement.perspective):
         warped = cv2.warpPerspective(image, matrix, (cols, rows), flags=flags, **nothing)  # type: ignore[call-overload]
     else:
         warped = cv2.warpAffine(image, matrix[:2], (cols, rows), flags=flags, **nothing)  # type: ignore[call-overload]

@@ -241,6 +241,7 @@ def _fours(pictures: Mosaics, pose: int, grid: Grid) -> tuple[FloatArray, npt.ND
     fours = fours_of(view.image.value, pictures.filters)
     y, x = np.mgrid[: fours.shape[1], : fours.shape[2]] * 2.0 + 0.5
     back = np.linalg.inv(view.placement.homography @ grid.to_mm())
+    x, y = np.moveaxis(view.placement.straight(np.stack([x, y], axis=-1)), -1, 0)
     across, down, scale = np.einsum("ij,jrc->irc", back, np.stack([x, y, np.ones_like(x)]))
     column, row = (np.floor(axis / scale + 0.5).astype(np.intp) for axis in (across, down))
     inside = (column >= 0) & (column < grid.shape[1]) & (row >= 0) & (row < grid.shape[0])

@@ -180,7 +180,7 @@ def _cells_of_pixels(
     rows, cols = grid.shape
     to_pixel = view.placement.homography @ _to_mm(grid, recipe)
     ends = np.array([[x, y, 1.0] for x in (-0.5, cols - 0.5) for y in (-0.5, rows - 0.5)]) @ to_pixel.T
-    corners = ends[:, :2] / ends[:, 2:]
+    corners = view.placement.seen(ends[:, :2] / ends[:, 2:])
     size = np.array(view.image.value.shape[::-1])
     if np.any(corners < 0.0) or np.any(corners > size - 1.0):
         raise RegistrationError(
@@ -190,6 +190,7 @@ def _cells_of_pixels(
     low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int) + 1
     row, column = np.mgrid[low[1] : high[1], low[0] : high[0]]
     back = np.linalg.inv(to_pixel)
+    column, row = np.moveaxis(view.placement.straight(np.stack([column, row], axis=-1)), -1, 0)
     x, y, scale = np.einsum("ij,jrc->irc", back, np.stack([column, row, np.ones_like(row)]))
     across, down = np.floor(x / scale + 0.5).astype(np.intp), np.floor(y / scale + 0.5).astype(np.intp)
     inside = (across >= 0) & (across < cols) & (down >= 0) & (down < rows)
@@ -323,7 +324,7 @@ def _inside(view: View, recipe: PrintRecipe, shape: tuple[int, int]) -> Mask:
         ]
     )
     projected = corners @ view.placement.homography.T
-    places = (projected[:, :2] / projected[:, 2:] - 0.5) / 2.0
+    places = (view.placement.seen(projected[:, :2] / projected[:, 2:]) - 0.5) / 2.0
     found = np.zeros(shape, dtype=np.uint8)
     cv2.fillConvexPoly(found, np.rint(places).astype(np.int32), 1)
     return found.astype(bool)

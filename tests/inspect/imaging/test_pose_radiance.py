@@ -158,7 +158,7 @@ GATES = {
     ),
     "sense": (1, lambda _: view(90.0, turned=180.0), RegistrationError, "rotation sense"),
     "scale": (0, lambda _: view(0.0, pixel_um=8.3), RegistrationError, "8.300 µm a pixel, the rig file 8 µm"),
-    "centre": (2, lambda _: view(180.0, shift_px=(4.0, 4.0)), RegistrationError, "centre moved by 5.7 px"),
+    "centre": (2, lambda _: view(180.0, shift_px=(9.0, 9.0)), RegistrationError, "centre moved by 102 µm"),
     "blind": (1, blind, MeasurementError, "at 90° .* of the region have no usable pixels"),
     "black": (1, lambda _: view(90.0, -0.001), MeasurementError, "darker than the dark frames"),
 }
