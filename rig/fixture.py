@@ -15,6 +15,16 @@ class Marker(BaseModel):
     y_mm: float
 
 
+class Grey(BaseModel):
+    """A printed square of one grey: its centre in mm in the sample frame, and its side."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    x_mm: float
+    y_mm: float
+    size_mm: Annotated[float, Field(gt=0.0)]
+
+
 class Fixture(BaseModel):
     """The markers of a sample holder.
 
@@ -25,6 +35,7 @@ class Fixture(BaseModel):
         dictionary: name of a predefined ArUco dictionary of OpenCV.
         marker_mm: side of the black square of a marker.
         markers: the markers.
+        greys: grey patches printed beside the markers, by which the linearity of the camera is watched.
         without_markers: what happens where fewer than three of them are seen: "refuse" the pictures, or align them by
             the "edges" of what lies under the camera.
     """
@@ -34,6 +45,7 @@ class Fixture(BaseModel):
     dictionary: Annotated[str, Field(pattern=r"^DICT_[A-Z0-9_h]+$")] = "DICT_4X4_50"
     marker_mm: Annotated[float, Field(gt=0.0)]
     markers: Annotated[tuple[Marker, ...], Field(min_length=1)]
+    greys: tuple[Grey, ...] = ()
     without_markers: Literal["refuse", "edges"] = "refuse"
 
     @model_validator(mode="after")

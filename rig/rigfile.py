@@ -300,6 +300,7 @@ class CalibrationPart(Part):
     rotation: LocalPath | None = None
     focus: LocalPath | None = None
     check: LocalPath | None = None
+    fixture: LocalPath | None = None
 
 
 class RigAxes(Part):

@@ -27,6 +27,7 @@ from anisoscope.calibration.white_reference import read_reference
 from anisoscope.imaging.linearisation import Image, Mask, RadianceImage, Stack, WhiteReference
 from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import Placement, angle_between
+from anisoscope.imaging.rig_monitor import FixtureReference
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.plan import Seat
 from anisoscope.rig.rigfile import CalibrationPart, read_rig
@@ -103,6 +104,14 @@ class Calibrations:
         k2 = record.values.get("distortion_k2")
         shape = (record.camera.rows, record.camera.cols)
         return Lens(shape, record.number("distortion_k1"), 0.0 if k2 is None else k2.value)
+
+    @property
+    def fixture_reference(self) -> FixtureReference | None:
+        """White, black and greys of the fixture on the sound rig, where they were taught."""
+        record = self.records.get("fixture")
+        if record is None:
+            return None
+        return FixtureReference.from_details(record.id, record.details)
 
     def seat(self, place_mm: tuple[float, float] | None) -> Seat:
         """How the axes x, y and z bring a part below the camera.

@@ -18,7 +18,7 @@ from anisoscope.base.errors import CalibrationError, RecordError, UsageError
 from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.record.schema import UNSEALED, InputFile, sha256_of
 
-Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "focus", "check"]
+Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "focus", "check", "fixture"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 VALID_FOR_DAYS: dict[Kind, float] = {
     "flat": 30.0,
@@ -28,6 +28,7 @@ VALID_FOR_DAYS: dict[Kind, float] = {
     "rotation": 30.0,
     "focus": 30.0,
     "check": 1.0,
+    "fixture": 90.0,
 }
 MAX_DAYS = 3650.0
 

@@ -90,7 +90,8 @@ def calibrate_rotation(
 
     with tempfile.TemporaryDirectory() as folder, open_rig(file) as rig:
         tilt_deg = 0.0 if rig.tilt is not None else file.geometry.tilt_deg
-        plan = replace(_plan(file, rig.stage.limits_deg, taking, angles, tilt_deg), seat=Seat(at_mm))
+        poses = poses_all_round(file, rig.stage.limits_deg, angles, tilt_deg)
+        plan = replace(turning_plan(poses, taking), seat=Seat(at_mm))
         plans = [plan, *_shifted_plans(plan, file, rig.camera.info)]
         records = [
             record
@@ -120,10 +121,20 @@ def _shifted_plans(plan: Plan, file: RigFile, info: CameraInfo) -> list[Plan]:
     ]
 
 
-def _plan(
-    file: RigFile, limits_deg: tuple[float, float], taking: Taking, angles: int, tilt_deg: float
-) -> Plan:
-    """Poses all round that can be approached from below."""
+def poses_all_round(
+    file: RigFile, limits_deg: tuple[float, float], angles: int, tilt_deg: float
+) -> tuple[Pose, ...]:
+    """Poses all round that can be approached from below.
+
+    Args:
+        file: of the rig.
+        limits_deg: readings that the stage reaches.
+        angles: equal steps over a turn; those beyond the limits are left out.
+        tilt_deg: tilt of the arm.
+
+    Raises:
+        RigFileError: the stage reaches fewer than six.
+    """
     low, high = limits_deg
     targets_deg = [360.0 * number / angles for number in range(angles)]
     whole_turns = (-360.0, 0.0)
@@ -141,8 +152,13 @@ def _plan(
             f"stage: of {angles} angles all round it reaches {len(found)} (at least {MIN_ANGLES} are needed): "
             "correct stage.zero_deg, or give more --angles"
         )
+    return tuple(Pose(angle, tilt_deg) for angle in found)
+
+
+def turning_plan(poses: tuple[Pose, ...], taking: Taking) -> Plan:
+    """Plan of poses with the frames of a calibration."""
     return Plan(
-        poses=tuple(Pose(angle, tilt_deg) for angle in found),
+        poses=poses,
         exposure_s=taking.exposure_s,
         gain=taking.gain,
         frames_per_pose=taking.frames,

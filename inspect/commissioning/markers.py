@@ -9,6 +9,7 @@ under −tilt is the same picture of a plane, so the markers give the size of a 
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import cycle
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
+from matplotlib.patches import PathPatch, Rectangle
 from matplotlib.path import Path as Outline
 
 from anisoscope.base.arrays import FloatArray
@@ -29,7 +30,7 @@ from anisoscope.imaging.registration.placement import (
     find_markers,
     marker_corners_mm,
 )
-from anisoscope.rig.fixture import Fixture, Marker
+from anisoscope.rig.fixture import Fixture, Grey, Marker
 
 FLIP = np.diag([1.0, -1.0])
 
@@ -149,13 +150,17 @@ A4_MM = (210.0, 297.0)
 RULER_MM = 100.0
 SIDE_SHARE, RING_SHARE = 0.127, 0.38
 """Side of a marker and distance of its centre from the axis, shares of the field; turned, all stay in the picture."""
+GREY_SHARE, GREY_SIDE = 0.48, 0.5
+"""Distance of a grey patch from its marker, as a share of the ring's radius; its side, as a share of a marker's."""
+TONES = ("0.62", "0.4")
+"""Greys of the patches, which need not be exact: their reference is measured."""
 FEWEST_DOTS = 3
 """Dots of the printer along a module, below which its edges are too rough to place pictures by."""
 _AXIS_MM = (105.0, 180.0)
 
 
 def fixture_for_field(field_mm: float, dpi: float) -> Fixture:
-    """Four markers about the rotation axis for a camera that sees a square of this side.
+    """Four markers and four grey patches about the rotation axis for a camera that sees a square of this side.
 
     Their modules are whole dots of the printer, so that all edges are printed alike.
 
@@ -181,7 +186,13 @@ def fixture_for_field(field_mm: float, dpi: float) -> Fixture:
     ring = round(RING_SHARE * field_mm, 3)
     places = ((ring, 0.0), (0.0, ring), (-ring, 0.0), (0.0, -ring))
     markers = tuple(Marker(id=number, x_mm=x, y_mm=y) for number, (x, y) in enumerate(places))
-    return Fixture(marker_mm=round(modules * dots * dot_mm, 4), markers=markers)
+    beside, size = round(GREY_SHARE * ring, 3), round(GREY_SIDE * modules * dots * dot_mm, 4)
+    greys = ((ring, beside), (-beside, ring), (-ring, -beside), (beside, -ring))
+    return Fixture(
+        marker_mm=round(modules * dots * dot_mm, 4),
+        markers=markers,
+        greys=tuple(Grey(x_mm=x, y_mm=y, size_mm=size) for x, y in greys),
+    )
 
 
 def dots_per_module(fixture: Fixture, dpi: float) -> float:
@@ -193,7 +204,11 @@ def fixture_table(fixture: Fixture) -> str:
     """The table ``[fixture]`` of a rig file."""
     rows = [f"{{ id = {one.id}, x_mm = {one.x_mm:g}, y_mm = {one.y_mm:g} }}" for one in fixture.markers]
     joined = ",\n           ".join(rows)
-    return f'[fixture]\ndictionary = "{fixture.dictionary}"\nmarker_mm = {fixture.marker_mm:g}\nmarkers = [{joined}]\n'
+    head = f'[fixture]\ndictionary = "{fixture.dictionary}"\nmarker_mm = {fixture.marker_mm:g}\n'
+    greys = ",\n         ".join(
+        f"{{ x_mm = {one.x_mm:g}, y_mm = {one.y_mm:g}, size_mm = {one.size_mm:g} }}" for one in fixture.greys
+    )
+    return f"{head}markers = [{joined}]\n" + (f"greys = [{greys}]\n" if greys else "")
 
 
 def marker_sheet(fixture: Fixture, *, title: str = "") -> Figure:
@@ -223,6 +238,12 @@ def marker_sheet(fixture: Fixture, *, title: str = "") -> Figure:
         middle = np.array([_AXIS_MM[0] + marker.x_mm, _AXIS_MM[1] + marker.y_mm])
         outline = _outline(fixture, marker.id, middle)
         page.add_patch(PathPatch(outline, facecolor="black", edgecolor="none", snap=False))
+    for patch, tone in zip(fixture.greys, cycle(TONES), strict=False):
+        corner = (
+            _AXIS_MM[0] + patch.x_mm - 0.5 * patch.size_mm,
+            _AXIS_MM[1] + patch.y_mm - 0.5 * patch.size_mm,
+        )
+        page.add_patch(Rectangle(corner, patch.size_mm, patch.size_mm, facecolor=tone, edgecolor="none"))
     for way in ((1.0, 0.0), (0.0, 1.0)):
         _draw_ruler(page, way)
     x, y = _AXIS_MM

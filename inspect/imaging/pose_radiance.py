@@ -275,6 +275,7 @@ def _components(
     # few frames per pose, so the flicker of the lamp is estimated from all poses together
     flicker = np.sqrt(np.mean([view.image.flicker**2 for view in views]))
     frames = np.sqrt([view.image.frames for view in views])
+    level = np.array([view.u_level for view in views])
     found = (
         ("noise of camera and photons", noise / radiance, False),
         ("flicker of the lamp", flicker / frames, False),
@@ -284,6 +285,7 @@ def _components(
         ("stray light", rig.stray_radiance / radiance, True),
         (STAGE_ANGLE, rig.stage_deg * expected.per_degree, False),
         ("registration", shift * residual, False),
+        *((("white of the markers", level, False),) if level.any() else ()),
     )
     return tuple(Component(name, "measurement", relative, shared) for name, relative, shared in found)
 

@@ -1,7 +1,7 @@
-"""Quality gates on the pictures: tilt, sharpness, stray light, stationary dirt, and the identity of the part.
+"""Quality gates on the pictures: tilt, sharpness, stationary dirt, and the identity of the part.
 
-Light, saturation, registration and drift are checked where they are measured (`pose_radiance`); these gates compare
-pictures. Every error message says what to do.
+Light, saturation, registration and drift are checked where they are measured (`pose_radiance`, `rig_monitor`); these
+gates compare pictures. Every error message says what to do.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,6 @@ TILT_DEG = 1.0
 MIN_SQUEEZE_SHARE = 0.002
 BLUR_GROWTH, BLUR_ADDED_PX = 1.5, 0.7
 BLUR_PITCHES = 0.25
-BLACK_SHARE = 0.25
 PITCH_SHARE = 0.03
 DIRECTION_DEG = 5.0
 CLEAR_PEAK, FAINT_PEAK = 0.2, 0.05
@@ -47,12 +46,11 @@ def check_views(views: list[View], recipe: SurfaceRecipe | None = None) -> None:
 
     Raises:
         RegistrationError: the tilt of the arm differs from the commanded one.
-        MeasurementError: a picture is out of focus, or stray light fills the shadows.
+        MeasurementError: a picture is out of focus.
     """
     for view in views:
         check_tilt(view)
         check_sharpness(view, views[0], recipe)
-        check_stray(view)
 
 
 def check_tilt(view: View) -> None:
@@ -92,16 +90,6 @@ def check_sharpness(view: View, first: View, recipe: SurfaceRecipe | None = None
             f"at {worse.stage_deg:g}° the picture is less sharp than at {better.stage_deg:g}° (edges of the markers "
             f"{max(blur, usual):.2f} px instead of {min(blur, usual):.2f} px): focus again, and check that the fixture "
             "lies flat and the stage does not wobble"
-        )
-
-
-def check_stray(view: View) -> None:
-    """Detect stray light in the black of the markers."""
-    black = view.placement.black_share
-    if black is not None and black > BLACK_SHARE:
-        raise MeasurementError(
-            f"at {view.stage_deg:g}° the black of the markers is {black:.0%} as bright as their white (limit "
-            f"{BLACK_SHARE:.0%}): keep other light off the rig, look for glare on the fixture, calibrate stray light"
         )
 
 

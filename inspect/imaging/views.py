@@ -19,6 +19,7 @@ from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
 from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
 from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import Placement, View, locate
+from anisoscope.imaging.rig_monitor import FixtureReference, RigFault, RigMonitor, corrected, watch
 from anisoscope.parameters.geometry import Pose as LightPose
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
@@ -40,6 +41,11 @@ class Corrections(Protocol):
     @property
     def lens(self) -> Lens | None:
         """Distortion of the pictures, where it is calibrated."""
+        ...
+
+    @property
+    def fixture_reference(self) -> FixtureReference | None:
+        """Reference of the fixture's markers, where it was taught."""
         ...
 
     def corrected(self, sample: Stack, dark: Stack) -> Stack:
@@ -74,11 +80,15 @@ class Viewing:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Views of the poses in the order of the recipe, and repetitions of the first: at the end, and on resuming."""
+    """Views of the poses in the order of the recipe, and repetitions of the first: at the end, and on resuming.
+
+    ``monitor`` is the state of the rig in them; None of inspections that were judged without one.
+    """
 
     poses: list[View]
     at_end: list[View]
     on_resuming: list[View]
+    monitor: RigMonitor | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +177,18 @@ def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFra
     _ready_before_threads(viewing, settings, like)
     placed = register(for_each(photograph, groups_of_shots), viewing)
     first_end, first_resumed = len(requested), len(requested) + len(at_end)
-    return Views(placed[:first_end], placed[first_end:first_resumed], placed[first_resumed:])
+    monitor = watch(
+        placed[:first_end],
+        placed[first_end:],
+        viewing.fixture,
+        viewing.recipe.limits,
+        viewing.corrections.fixture_reference,
+    )
+    if monitor.fault is not None:
+        raise RigFault(monitor.fault, monitor)
+    if monitor.poses:
+        placed = [corrected(view, state) for view, state in zip(placed, monitor.poses, strict=True)]
+    return Views(placed[:first_end], placed[first_end:first_resumed], placed[first_resumed:], monitor)
 
 
 def _ready_before_threads(

@@ -11,6 +11,7 @@ from anisoscope.base.errors import CameraError, MeasurementError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.registration.placement import View
+from anisoscope.imaging.rig_monitor import RigFault, RigMonitor
 from anisoscope.imaging.views import as_photographed, resuming_error, views_of
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.kept_measurement import CHANGE, Kept
@@ -18,7 +19,14 @@ from anisoscope.inspection.manifest import Manifest
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation, Results, Sitting
 from anisoscope.kinds.parts import Redeciding, Reference, reporting
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.record.schema import CalibrationUse, FrameRecord, InputFile, PoseRecord, Record
+from anisoscope.record.schema import (
+    CalibrationUse,
+    FrameRecord,
+    InputFile,
+    PoseRecord,
+    Record,
+    RigMonitorRecord,
+)
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures
 from anisoscope.rig.camera import UNCALIBRATED
@@ -98,7 +106,8 @@ def judge(
         sitting, measured, change = measure_frames(manifest.began, job, expected, frames)
         decided = kind.decide(sitting, recipe, expected, measured, reference)
     except (MeasurementError, CameraError) as error:
-        record = make_record(manifest, job, expected, frames, now(), (str(error),))
+        seen = error.monitor if isinstance(error, RigFault) else None
+        record = make_record(manifest, job, expected, frames, now(), (str(error),), monitor=seen)
         return record, lambda: Pictures(raw=as_photographed(frames), surface=expected.surface), None
     invalid_reason = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
     explanation = Explanation()
@@ -117,6 +126,7 @@ def judge(
         results=kind.results(sitting, recipe, expected, measured, decided, reference),
         explanation=explanation,
         drift=measured.drift,
+        monitor=sitting.views.monitor,
     )
     kept = None
     if isinstance(kind, Redeciding):
@@ -164,6 +174,7 @@ def make_record(
     results: Results | None = None,
     explanation: Explanation | None = None,
     drift: float | None = None,
+    monitor: RigMonitor | None = None,
 ) -> Record:
     """The record of an inspection; without ``results`` it is one that could not be judged."""
     explanation = explanation or Explanation()
@@ -173,6 +184,8 @@ def make_record(
     if results is not None:
         notes += results.notes
         details = results.details.model_copy(update=dict(explanation.details))
+    if monitor is not None:
+        notes += monitor.notes
     record = Record(
         kind=job.kind.name,
         software=f"anisoscope {version('anisoscope')}",
@@ -191,6 +204,9 @@ def make_record(
         p_value=results and results.p_value,
         budget=() if results is None else results.budget,
         drift=drift,
+        rig_monitor=None
+        if monitor is None
+        else RigMonitorRecord.model_validate(monitor, from_attributes=True),
         conformance_probability=results and results.conformance_probability,
         diagnosis=explanation.diagnosis,
         details=details,

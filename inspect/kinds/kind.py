@@ -13,6 +13,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+import numpy as np
+
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, RecipeError
 from anisoscope.base.notation import present_notation
@@ -151,6 +153,16 @@ class Sitting:
     def pixel_um(self) -> float:
         """Size of a camera pixel on the sample according to the rig file."""
         return self.rig.camera.pixel_um
+
+    def calibrated(self, recipe: RecipeT) -> RecipeT:
+        """The recipe with the uncertainties that were calibrated, and that of the stray light that was measured."""
+        found = self.calibrations.applied_to(recipe)
+        monitor = self.views.monitor
+        if monitor is None or monitor.u_stray == 0.0:
+            return found
+        stray = float(np.hypot(found.uncertainty.stray_radiance, monitor.u_stray))
+        own = found.uncertainty.model_copy(update={"stray_radiance": stray})
+        return found.model_copy(update={"uncertainty": own})
 
 
 @dataclass(frozen=True, eq=False)

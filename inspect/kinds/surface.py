@@ -214,7 +214,7 @@ class SurfaceKind(
         for view in views.poses:
             sitting.calibrations.check_place(view.stage_deg, view.placement, recipe.limits.fixture_um)
         check_views(views.poses, recipe)
-        calibrated = sitting.calibrations.applied_to(recipe)
+        calibrated = sitting.calibrated(recipe)
         measured = measure(views.poses, closing, calibrated, expected, pixel_um)
         self.check_part(views.poses, measured, recipe)
         return measured, change

@@ -73,6 +73,13 @@ class LimitsPart(Part):
     how far a corner of the region may reach beyond the part.
     ``moved_um`` is how far the fixture's centre may stand from where it stood in the first pose, ``marker_off_um`` by
     how much a marker may be off the others before it is left out; 0.3 px are always allowed.
+
+    The markers' white, black and greys are read in every picture. Against the reference of the fixture ``white_share``
+    limits how much the white of a pose may differ from the other poses, ``level_share`` its distance from the reference
+    (from ``level_note_share`` on a note says so), ``gradient_share`` that of one marker from the others,
+    ``stray_share`` stray light relative to white, ``grey_share`` the deviation of a grey from a straight line through
+    black and white, relative to white. Without a reference ``white_untaught_share`` takes the place of
+    ``white_share``, and ``black_share`` limits the black of the markers relative to their white.
     """
 
     saturated_share: Share = 0.001
@@ -85,6 +92,14 @@ class LimitsPart(Part):
     beyond_part_um: NotNegative = 0.0
     moved_um: Positive = 100.0
     marker_off_um: NotNegative = 3.0
+    white_share: Share = 0.01
+    white_untaught_share: Share = 0.03
+    level_note_share: Share = 0.03
+    level_share: Share = 0.1
+    gradient_share: Share = 0.05
+    stray_share: Share = 0.02
+    grey_share: Share = 0.01
+    black_share: Share = 0.08
 
 
 class CommonUncertainty(Part):

@@ -81,6 +81,39 @@ class PoseRecord(_Part):
     dropped: tuple[int, ...] = ()
 
 
+class RigPoseRecord(_Part):
+    """The rig in one picture, read from the white and black of the fixture's markers.
+
+    ``white`` in 1/sr, ``level`` relative to the reference (to the mean of the poses of this tilt without one),
+    ``stray`` radiance in 1/sr beyond that at the reference, ``edge_um`` the standard deviation of the edge spread.
+    """
+
+    stage_deg: float
+    tilt_deg: float
+    again: bool
+    white: float
+    level: float
+    u_level: float
+    black_share: float
+    stray: float | None
+    u_stray: float
+    gradient: float | None
+    nonlinear: float | None
+    edge_um: float | None
+
+
+class RigMonitorRecord(_Part):
+    """The rig during an inspection; ``reference`` is the id of the calibration of its fixture.
+
+    ``dirty`` are ids of markers that were left out, ``not_watched`` names what could not be seen.
+    """
+
+    reference: str | None
+    poses: tuple[RigPoseRecord, ...] = ()
+    dirty: tuple[int, ...] = ()
+    not_watched: tuple[str, ...] = ()
+
+
 class ContrastRecord(_Part):
     """One contrast of a pair of stage angles.
 
@@ -411,6 +444,7 @@ class Record(_Part):
     p_value: float | None
     budget: tuple[BudgetRecord, ...]
     drift: float | None
+    rig_monitor: RigMonitorRecord | None = None
     conformance_probability: float | None = None
     diagnosis: DiagnosisRecord | None = None
     conclusion: ConclusionRecord | None = None

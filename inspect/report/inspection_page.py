@@ -17,7 +17,7 @@ from anisoscope.record.schema import CauseRecord, PoseRecord, Record
 from anisoscope.report import figures
 from anisoscope.report.page import page_text, ready_template
 from anisoscope.report.peers import Lot, Peers
-from anisoscope.report.provenance import calibrations_of, files_of, groups_of
+from anisoscope.report.provenance import calibrations_of, files_of, groups_of, rig_section
 from anisoscope.report.rule import PRECEDENCE
 from anisoscope.report.surface_view import Picture3D, SurfacePictures, SurfaceView, flat_drawings, viewer_of
 from anisoscope.report.wording import cause_range, cause_text, filters, severity_text, weight_text
@@ -164,6 +164,7 @@ def _content(
         ),
         "fitted_too": sections.fitted_too,
         "unit": sections.unit,
+        "rig_section": rig_section(record),
         "lot": pictures.lot,
         "lot_peers": sections.lot_peers,
         "groups": groups_of(record),

@@ -1,12 +1,19 @@
 """Where the numbers of a report come from: groups of names and values, and the files with their hashes."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 
 from anisoscope.calibration.record import CalibrationRecord, Kind
-from anisoscope.record.schema import InputFile, PoseRecord, Record, sha256_of
+from anisoscope.record.schema import (
+    InputFile,
+    PoseRecord,
+    Record,
+    RigMonitorRecord,
+    RigPoseRecord,
+    sha256_of,
+)
 from anisoscope.rig.acquisition.journal import JOURNAL
 
 NOT_STATED = "not stated"
@@ -161,3 +168,109 @@ def files_of(record: Record, folder: Path) -> tuple[InputFile, ...]:
     if not journal.is_file():
         return record.inputs
     return (*record.inputs, InputFile(name=JOURNAL, sha256=sha256_of(journal)))
+
+
+WIDTH, HEIGHT, MARGIN = 240.0, 70.0, 8.0
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One reading over the poses, drawn in a box of `WIDTH` by `HEIGHT`.
+
+    Attributes:
+        title: reading and unit.
+        points: (x, y) of every picture in the box, with its value in words.
+        limits: y of the limits that lie in the box.
+    """
+
+    title: str
+    points: tuple[tuple[float, float, str], ...]
+    limits: tuple[float, ...]
+
+    @property
+    def line(self) -> str:
+        """The points as SVG writes them."""
+        return " ".join(f"{x:.1f},{y:.1f}" for x, y, _ in self.points)
+
+
+@dataclass(frozen=True)
+class RigSection:
+    """The rig during an inspection: sentences for the operator, and traces; none without markers."""
+
+    says: tuple[str, ...]
+    traces: tuple[Trace, ...] = ()
+    width: float = WIDTH
+    height: float = HEIGHT
+
+
+def rig_section(record: Record) -> RigSection | None:
+    """The section of a record; None of inspections without a monitor."""
+    monitor = record.rig_monitor
+    if monitor is None:
+        return None
+    if not monitor.poses:
+        return RigSection(_lacking(monitor))
+    limits = record.recipe["limits"]
+    level_limit = 100.0 * limits.get(
+        "white_untaught_share" if monitor.reference is None else "white_share", 0.0
+    )
+    usual = sum(pose.level for pose in monitor.poses) / len(monitor.poses)
+    traces = [
+        _trace("lamp and exposure [%]", monitor, lambda pose: 100.0 * (pose.level / usual - 1.0), level_limit)
+    ]
+    if monitor.reference is not None:
+        limit = 100.0 * limits.get("stray_share", 0.0)
+        traces.append(
+            _trace(
+                "stray light [% of white]",
+                monitor,
+                lambda pose: 100.0 * (pose.stray or 0.0) / pose.white,
+                limit,
+            )
+        )
+    traces.append(_trace("black [% of white]", monitor, lambda pose: 100.0 * pose.black_share))
+    if all(pose.edge_um is not None for pose in monitor.poses):
+        traces.append(_trace("edge width [µm]", monitor, lambda pose: pose.edge_um or 0.0))
+    return RigSection((*_says(monitor, usual), *_lacking(monitor)), tuple(traces))
+
+
+def _says(monitor: RigMonitorRecord, usual: float) -> tuple[str, ...]:
+    spread = max(abs(pose.level / usual - 1.0) for pose in monitor.poses)
+    found = [f"Lamp and exposure were equal within {spread:.2%} over the poses"]
+    if monitor.reference is not None:
+        stray = max(abs(pose.stray or 0.0) / pose.white for pose in monitor.poses)
+        found[0] += (
+            f", at {usual:.1%} of the reference {monitor.reference}; the pictures are corrected for it."
+        )
+        found.append(f"Stray light was up to {stray:.2%} of white beyond the reference, and is subtracted.")
+    else:
+        found[0] += "."
+    if monitor.dirty:
+        names = ", ".join(map(str, monitor.dirty))
+        found.append(f"Left out as dirty or in shadow: marker {names}. Clean the fixture.")
+    return tuple(found)
+
+
+def _lacking(monitor: RigMonitorRecord) -> tuple[str, ...]:
+    return tuple(f"Not watched: {one}." for one in monitor.not_watched)
+
+
+def _trace(
+    title: str, monitor: RigMonitorRecord, value: Callable[[RigPoseRecord], float], limit: float | None = None
+) -> Trace:
+    values = [value(pose) for pose in monitor.poses]
+    low, high = min(values), max(values)
+    if limit is not None:
+        low, high = min(low, -limit), max(high, limit)
+    room = max(high - low, 0.2 * abs(high), 1e-6)
+    middle = 0.5 * (low + high)
+
+    def down(number: float) -> float:
+        return HEIGHT / 2.0 - (number - middle) / room * (HEIGHT - 2.0 * MARGIN)
+
+    step = (WIDTH - 2.0 * MARGIN) / max(len(values) - 1, 1)
+    points = tuple(
+        (MARGIN + k * step, down(number), f"{pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°: {number:.3g}")
+        for k, (pose, number) in enumerate(zip(monitor.poses, values, strict=True))
+    )
+    return Trace(title, points, () if limit is None else (down(limit), down(-limit)))

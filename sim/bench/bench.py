@@ -482,7 +482,10 @@ class Bench:
             return np.full(shape, file.sample.reflectance / np.pi * cos_light)
         on_part = pose._replace(angle_deg=pose.angle_deg + pose.part_deg)
         seen_from = directions((Pose(on_part.angle_deg, pose.tilt_deg),), convention)
-        picture, cover = self._image_of_samples(on_part, shine, *seen_from)
+        size = file.sensor.rows, file.sensor.cols
+        picture, cover = np.zeros((1, *size), np.float32), np.zeros(size, np.float32)
+        if file.sample.kind != "none":
+            picture, cover = self._image_of_samples(on_part, shine, *seen_from)
         image = picture.astype(np.float64)
         if file.fixture is not None:
             view = (file.optics, file.sensor, pose.angle_deg, pose.tilt_deg)

@@ -61,7 +61,7 @@ class CodePart(Part):
 
 
 class SamplePart(Part):
-    """The sample: synthetic ridges, a height map from a file, a print, a wafer, a plate, or a white tile.
+    """The sample: synthetic ridges, a height map from a file, a print, a wafer, a plate, a white tile, or none.
 
     ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample; ``print``
     is a sheet as the table ``print`` describes it, ``wafer`` an etched pattern as the table ``wafer`` does, ``plate``
@@ -69,7 +69,7 @@ class SamplePart(Part):
     plates is reflected several times, else once.
     """
 
-    kind: Literal["ridges", "height-map", "print", "wafer", "plate", "white-tile"] = "ridges"
+    kind: Literal["ridges", "height-map", "print", "wafer", "plate", "white-tile", "none"] = "ridges"
     file: LocalPath | None = None
     size_mm: Positive = 2.4
     pitch_um: Positive = 100.0

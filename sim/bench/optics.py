@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import cycle
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ MIDDLE: Place = (0.0, 0.0)
 
 _PAPER_WHITE = 0.75
 _PAPER_BLACK = 0.03
+_PAPER_GREYS = (0.4, 0.2, 0.58)
 PLATE = 0.04
 """Reflectance of the holder's bare plate."""
 _DOTS_PER_MODULE = 48
@@ -141,18 +143,28 @@ def image_of_fixture(
     sigma = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0) / (1000.0 * dot_mm)
     margin = int(4 * sigma) + 1
     views = [pixel_from_mm(part, sensor, angle_deg, tilt_deg, shift_mm, centre) for centre in centres_mm]
+
+    def pasted(reflectance: npt.NDArray[np.float32], x_mm: float, y_mm: float) -> None:
+        """Add a square print to the plate; its elements are dots."""
+        square = _blurred(np.pad(reflectance - PLATE, margin), (sigma, sigma))
+        half = (square.shape[0] - 1) / 2 * dot_mm
+        dot_to_mm = np.array([[dot_mm, 0, x_mm - half], [0, -dot_mm, y_mm + half], [0, 0, 1]])
+        for to_pixel in views:
+            size = sensor.cols, sensor.rows
+            np.add(
+                plate, cv2.warpAffine(square, to_pixel @ dot_to_mm, size, flags=cv2.INTER_LINEAR), out=plate
+            )
+
     for marker in fixture.markers:
         if marker.id >= len(dictionary.bytesList):
             raise RigFileError(f"fixture.markers: {fixture.dictionary} holds no marker {marker.id}")
         code = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.id, modules, borderBits=1))
         paper = np.pad(np.where(code > 0, _PAPER_WHITE, _PAPER_BLACK), 1, constant_values=_PAPER_WHITE)
-        dots = np.kron(paper, np.ones((_DOTS_PER_MODULE, _DOTS_PER_MODULE))).astype(np.float32)
-        label = _blurred(np.pad(dots - PLATE, margin).astype(np.float32), (sigma, sigma))
-        half = (label.shape[0] - 1) / 2 * dot_mm
-        dot_to_mm = np.array([[dot_mm, 0, marker.x_mm - half], [0, -dot_mm, marker.y_mm + half], [0, 0, 1]])
-        for to_pixel in views:
-            matrix = to_pixel @ dot_to_mm
-            plate += cv2.warpAffine(label, matrix, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR)
+        dots = np.kron(paper, np.ones((_DOTS_PER_MODULE, _DOTS_PER_MODULE)))
+        pasted(dots.astype(np.float32), marker.x_mm, marker.y_mm)
+    for patch, grey in zip(fixture.greys, cycle(_PAPER_GREYS), strict=False):
+        count = round(float(patch.size_mm / dot_mm))
+        pasted(np.full((count, count), grey, np.float32), patch.x_mm, patch.y_mm)
     return plate
 
 

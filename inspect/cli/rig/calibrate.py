@@ -227,6 +227,46 @@ def response(
 
 
 @app.command
+def fixture(
+    *,
+    rig: _Rig,
+    out: _Out,
+    exposure: _Exposure,
+    gain: _Gain = 1.0,
+    angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 8,
+    tilts: Annotated[
+        tuple[float, ...], Parameter(help="Tilts of the arm of your recipes, in degrees; usually 0.")
+    ] = (),
+    frames: Annotated[int, Parameter(name="--count", help="Frames in every pose.")] = 4,
+    entries: _Entries = NO_ENTRIES,
+    json_: Json = False,
+) -> int:
+    """Photograph the markers of the fixture all round: the grey card by which inspections watch the rig.
+
+    Inspections then measure lamp level, exposure, stray light and linearity in every picture, and correct for them.
+    Take it after the flat, when lamp, room and camera are as they should be; a part may lie in the fixture. Name the
+    file in the rig file under [calibration] fixture. The axes home and move: keep their paths free. Exit code 0: fit;
+    3: out of limits.
+
+    Examples:
+        anisoscope calibrate fixture --rig rig.toml --exposure 0.006 --out fixture.json
+    """
+    from anisoscope.calibration.fixture import calibrate_fixture
+
+    return _taken(
+        "fixture",
+        calibrate_fixture,
+        rig,
+        out,
+        (exposure, gain, frames),
+        entries,
+        json_=json_,
+        angles=angles,
+        tilts=tilts,
+    )
+
+
+@app.command
 def rotation(
     *,
     rig: _Rig,

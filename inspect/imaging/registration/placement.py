@@ -525,12 +525,17 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photographed pose: picture, placement of the sample, commanded angles."""
+    """One photographed pose: picture, placement of the sample, commanded angles.
+
+    ``u_level`` is the relative standard uncertainty of the level by which the picture was normalised, 0 where it was
+    not.
+    """
 
     stage_deg: float
     tilt_deg: float
     image: RadianceImage
     placement: Placement
+    u_level: float = 0.0
 
 
 def check_fixture(fixture: Fixture) -> None:

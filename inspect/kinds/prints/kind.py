@@ -111,7 +111,7 @@ class Prints(
         self, sitting: Sitting, recipe: PrintRecipe, expected: PrintExpectation
     ) -> tuple[MeasuredPrint, float]:
         """Channels of the poses."""
-        recipe = sitting.calibrations.applied_to(recipe)
+        recipe = sitting.calibrated(recipe)
         views, filters, pixel_um = sitting.views, sitting.frames.filters, sitting.pixel_um
         closing, change = most_changed(
             views, recipe, pixel_um, lambda view: region_mean(view, recipe, filters)
@@ -141,7 +141,7 @@ class Prints(
         reference: Reference | None,
     ) -> PrintDecision:
         """Every quantity against its limit, all channels together, and the area that deviates."""
-        recipe = sitting.calibrations.applied_to(recipe)
+        recipe = sitting.calibrated(recipe)
         return decide_print(expected, measured, recipe, cast("GoldenPrints | None", usable(reference)))
 
     def results(
@@ -177,7 +177,7 @@ class Prints(
         """
         del reference, cached
         advance("causes", 0, 1)
-        recipe = sitting.calibrations.applied_to(recipe)
+        recipe = sitting.calibrated(recipe)
         alpha = recipe.decision.alpha
         if nothing_wrong(decided, alpha):
             return Explanation(DiagnosisRecord(says="nothing: the print is as it should be"))

@@ -1,8 +1,8 @@
 """Common files of the demos of all kinds: the folder, one bench and one rig file a part, and the flat of a tile."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,8 @@ import tomli_w
 
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.calibration.fixture import calibrate_fixture
+from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.pictures import take_flat
 
 FIXTURE = {
@@ -24,6 +26,7 @@ FIXTURE = {
 """Four markers round the part."""
 TILE, TILE_REFLECTANCE = "white-tile", 0.99
 FLAT, FLAT_FRAMES = "flat.tif", 16
+MARKERS, MARKER_FRAMES, EMPTY = "fixture.json", 2, "empty-fixture"
 PORT, BENCH = "sim://elliptec?bench=${here}/bench.toml", {"bench": "${here}/bench.toml"}
 
 
@@ -73,7 +76,10 @@ class Scene:
             raise RecordError(f"cannot make the folder {out}: {error.strerror}") from error
         recipe = self.recipe(folder, rng, advance)
         (folder / "recipe.toml").write_text(tomli_w.dumps(recipe), encoding="utf-8")
-        write_benches(folder, self.parts, lambda name: self.files(name, rng), self.flat_exposure_s, advance)
+        tilts = recipe["poses"].get("tilts_deg", (0.0,))
+        write_benches(
+            folder, self.parts, lambda name: self.files(name, rng), self.flat_exposure_s, advance, tilts
+        )
         return folder
 
 
@@ -96,18 +102,25 @@ def write_benches(
     files: Callable[[str], Files],
     exposure_s: float,
     advance: Advance,
+    tilts: Sequence[float] = (0.0,),
 ) -> None:
-    """Write the files of all parts and of a white tile, and take the flat of the tile on the virtual rig.
+    """Write the files of all parts and of a white tile; take the flat of the tile and the reference of the fixture.
 
     Args:
         folder: of the demo.
         parts: their names.
         files: tables of bench and rig by the name of a part, called for the parts in turn and for `TILE`.
-        exposure_s: of the tile.
+        exposure_s: of the tile, and of the markers.
         advance: progress.
+        tilts: of the arm, in degrees, at which the fixture is photographed.
     """
-    for name in (*parts, TILE):
+    for name in parts:
         write_bench(folder, name, *files(name))
+    bench, rig = files(TILE)
+    write_bench(folder, TILE, bench, rig)
+    write_bench(
+        folder, EMPTY, bench | {"sample": {"kind": "none"}}, rig | {"calibration": {"flat": flat_of(EMPTY)}}
+    )
     advance("flat of the white tile", 0, 1)
     take_flat(
         folder / "bench" / TILE / "rig.toml",
@@ -115,6 +128,14 @@ def write_benches(
         exposure_s=exposure_s,
         frames=FLAT_FRAMES,
         reflectance=TILE_REFLECTANCE,
+    )
+    taking = Taking(exposure_s, frames=MARKER_FRAMES)
+    calibrate_fixture(
+        folder / "bench" / EMPTY / "rig.toml",
+        folder / MARKERS,
+        taking,
+        tilts=tuple(tilts),
+        on_progress=advance,
     )
 
 
@@ -152,5 +173,5 @@ def rig_table(
     if tilts:
         found["tilt"] = {**axis, "zero_deg": 30.0, "options": {"address": "1"}}
     if flat is not None:
-        found["calibration"] = {"flat": flat}
+        found["calibration"] = {"flat": flat, "fixture": str(PurePosixPath(flat).with_name(MARKERS))}
     return found

@@ -188,6 +188,7 @@ def test_the_list_says_what_there_is_and_what_is_missing(virtual_rig, own_flat, 
         "rotation": "missing",
         "focus": "missing",
         "check": "missing",
+        "fixture": "missing",
     }
     assert "anisoscope calibrate stray" in found["stray"].advice
     later = datetime.now(UTC) + timedelta(days=calibrationrecord.VALID_FOR_DAYS["flat"] + 1)

@@ -13,7 +13,6 @@ from anisoscope.imaging.quality_gates import (
     check_dirt,
     check_ridges,
     check_sharpness,
-    check_stray,
     check_tilt,
     check_views,
     find_ridges,
@@ -73,14 +72,6 @@ def test_a_blur_of_a_quarter_pitch_hides_the_cells(make_recipe):
     ):
         check_views(dull, make_recipe())
     check_views(dull, make_recipe().model_copy(update={"area": None}))
-
-
-def test_stray_light_fills_the_black_of_the_markers():
-    with pytest.raises(
-        MeasurementError, match=r"at 0° the black of the markers is 40% .*keep other light off"
-    ):
-        check_stray(view(0.0, black_share=0.4))
-    check_stray(view(0.0, black_share=0.1))
 
 
 def wave(pitch_um, turn_deg=0.0, shape=(0.7, 0.2, 0.1), noise=0.1):
