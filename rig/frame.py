@@ -4,6 +4,7 @@ The file is a 16-bit TIFF, with the metadata as JSON in its ImageDescription; it
 """
 
 import contextlib
+import hashlib
 import importlib.util
 import io
 import json
@@ -12,6 +13,7 @@ import os
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -70,6 +72,13 @@ class Frame:
     def full_scale(self) -> int:
         """Largest count that the bit depth allows."""
         return (1 << self.bit_depth) - 1
+
+    @cached_property
+    def pixels(self) -> str:
+        """SHA-256 of shape and counts, hexadecimal: the same however the file packs them."""
+        shape = f"{self.counts.shape[0]}x{self.counts.shape[1]}:".encode()
+        counts = np.ascontiguousarray(self.counts, dtype="<u2")
+        return hashlib.sha256(shape + counts.tobytes()).hexdigest()
 
     @property
     def grey(self) -> npt.NDArray[np.uint16]:

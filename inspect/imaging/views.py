@@ -13,6 +13,7 @@ import numpy.typing as npt
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError, Saturated
 from anisoscope.base.parallel import for_each
 from anisoscope.imaging.exposure_fusion import Exposed, radiance_of
+from anisoscope.imaging.frame_check import usable_frames
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, stack
 from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
@@ -83,12 +84,14 @@ class Views:
     """Views of the poses in the order of the recipe, and repetitions of the first: at the end, and on resuming.
 
     ``monitor`` is the state of the rig in them; None of inspections that were judged without one.
+    ``frame_notes`` name the frames that were left out.
     """
 
     poses: list[View]
     at_end: list[View]
     on_resuming: list[View]
     monitor: RigMonitor | None = None
+    frame_notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +153,7 @@ def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFra
     Raises:
         MeasurementError, CameraError: INVALID, with the reason.
     """
+    acquired, frame_notes = usable_frames(acquired, viewing.recipe.limits)
     groups: dict[tuple[Pose, bool, bool, int], list[Shot]] = defaultdict(list)
     for shot in acquired.shots:
         if shot.frame.kind == "sample":
@@ -188,7 +192,9 @@ def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFra
         raise RigFault(monitor.fault, monitor)
     if monitor.poses:
         placed = [corrected(view, state) for view, state in zip(placed, monitor.poses, strict=True)]
-    return Views(placed[:first_end], placed[first_end:first_resumed], placed[first_resumed:], monitor)
+    return Views(
+        placed[:first_end], placed[first_end:first_resumed], placed[first_resumed:], monitor, frame_notes
+    )
 
 
 def _ready_before_threads(

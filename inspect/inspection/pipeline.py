@@ -127,6 +127,7 @@ def judge(
         explanation=explanation,
         drift=measured.drift,
         monitor=sitting.views.monitor,
+        frame_notes=sitting.views.frame_notes,
     )
     kept = None
     if isinstance(kind, Redeciding):
@@ -175,11 +176,12 @@ def make_record(
     explanation: Explanation | None = None,
     drift: float | None = None,
     monitor: RigMonitor | None = None,
+    frame_notes: tuple[str, ...] = (),
 ) -> Record:
     """The record of an inspection; without ``results`` it is one that could not be judged."""
     explanation = explanation or Explanation()
     calibrated = frames.linear or "linearity" in job.calibrations.records
-    notes: tuple[str, ...] = () if calibrated else (UNCALIBRATED,)
+    notes = frame_notes if calibrated else (UNCALIBRATED, *frame_notes)
     details = job.kind.without_results()
     if results is not None:
         notes += results.notes

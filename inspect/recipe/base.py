@@ -80,6 +80,10 @@ class LimitsPart(Part):
     ``stray_share`` stray light relative to white, ``grey_share`` the deviation of a grey from a straight line through
     black and white, relative to white. Without a reference ``white_untaught_share`` takes the place of
     ``white_share``, and ``black_share`` limits the black of the markers relative to their white.
+
+    Frames of one pose are compared before they are averaged: ``frame_level`` is how far the light of one may differ
+    from the others', ``frame_difference`` the root mean square of its difference in any few rows as a share of their
+    signal, and ``plateau_share`` the share of its pixels on one largest count below full scale.
     """
 
     saturated_share: Share = 0.001
@@ -100,6 +104,9 @@ class LimitsPart(Part):
     stray_share: Share = 0.02
     grey_share: Share = 0.01
     black_share: Share = 0.08
+    frame_level: Positive = 0.05
+    frame_difference: Positive = 0.1
+    plateau_share: Positive = 0.001
 
 
 class CommonUncertainty(Part):
