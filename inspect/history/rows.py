@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
-from anisoscope.base.json_fields import json_field
+from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.record.schema import RECORD_NAME, Record, sha256_of
 
@@ -40,6 +40,7 @@ class NewRow:
         seal: the record's seal, hexadecimal: no two inspections share it.
         software: program and version.
         numbers: what was measured, by label: see :func:`numbers_of`.
+        pixels: hash of the pixels of each pose's first frame, hexadecimal; not read back from the history.
     """
 
     created_at: datetime = field(metadata=json_field(by=utc_text))
@@ -56,6 +57,7 @@ class NewRow:
     seal: str
     software: str
     numbers: Mapping[str, float]
+    pixels: tuple[str, ...] = field(default=(), compare=False, metadata=LEFT_OUT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +101,18 @@ def row_of(record: Record, folder: Path | None) -> NewRow:
         seal="" if folder is None else seal_of(folder),
         software=record.software,
         numbers=numbers_of(record),
+        pixels=_first_pixels(record),
     )
+
+
+def _first_pixels(record: Record) -> tuple[str, ...]:
+    """Hash of the first frame of each pose, where the record has them."""
+    first = {
+        (one.tilt_deg, one.commanded_deg): one.pixels
+        for one in reversed(record.frames)
+        if one.kind == "sample" and one.pixels
+    }
+    return tuple(first.values())
 
 
 def numbers_of(record: Record) -> dict[str, float]:

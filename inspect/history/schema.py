@@ -120,7 +120,15 @@ stations = Table(
     Column("since_us", BigInteger, nullable=False),
     Column("seen_us", BigInteger, nullable=False),
 )
-GUARDED = (versions, layouts, inspections, dispositions, signed_heads, time_stamps, covariates)
+# First eight bytes of the SHA-256 of the pixels of each pose's first frame: whose pictures they were first.
+pictures = Table(
+    "pictures",
+    metadata,
+    Column("pixels", BigInteger, primary_key=True, autoincrement=False),
+    Column("inspection", _id, ForeignKey("inspections.id"), primary_key=True, autoincrement=False),
+    sqlite_with_rowid=False,
+)
+GUARDED = (versions, layouts, inspections, dispositions, signed_heads, time_stamps, covariates, pictures)
 _REFUSAL = "the history is append-only"
 
 
@@ -172,14 +180,30 @@ def _sixth(connection: Connection) -> None:
         connection.execute(text(_grants("stations", "SELECT, INSERT, UPDATE")))
 
 
+def _seventh(connection: Connection) -> None:
+    """Version 7: pictures of the inspections added from now on."""
+    metadata.create_all(connection, [pictures])
+    _guard(connection, pictures)
+    if connection.dialect.name == "postgresql":
+        connection.execute(text(_grants("pictures")))
+
+
 def _grants(names: str, rights: str = "SELECT, INSERT") -> str:
     """Statement: rights on tables for those who may add inspections."""
     return _POSTGRESQL_GRANTS.format(rights=rights, tables=names)
 
 
-MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third, _fourth, _fifth, _sixth)
+MIGRATIONS: Sequence[Callable[[Connection], None]] = (
+    _first,
+    _second,
+    _third,
+    _fourth,
+    _fifth,
+    _sixth,
+    _seventh,
+)
 VERSION = len(MIGRATIONS)
-WITH_DISPOSITIONS, WITH_SIGNED_HEADS, WITH_COVARIATES, WITH_STATIONS = 2, 4, 5, 6
+WITH_DISPOSITIONS, WITH_SIGNED_HEADS, WITH_COVARIATES, WITH_STATIONS, WITH_PICTURES = 2, 4, 5, 6, 7
 """Versions that brought tables; those before the first cannot be read without being brought up to date."""
 
 
@@ -229,7 +253,8 @@ def unguarded(connection: Connection) -> list[str]:
         present = {_plain(definition) for definition in connection.scalars(text(statement))}
         suffix = ""
     version = version_of(connection)
-    guarded = GUARDED[: 4 if version < WITH_SIGNED_HEADS else 6 if version < WITH_COVARIATES else None]
+    since = ((WITH_SIGNED_HEADS, 4), (WITH_COVARIATES, 6), (WITH_PICTURES, 7))
+    guarded = GUARDED[: next((count for first, count in since if version < first), None)]
     return [
         table.name
         for table in guarded
@@ -269,6 +294,8 @@ def _guard(connection: Connection, table: Table) -> None:
 def _clash(table: Table) -> str:
     """Condition: another row already has the same key, or the same unique value."""
     names = [column.name for column in table.columns if column.primary_key or column.unique]
+    if table is pictures:  # one key of two columns
+        return " AND ".join(f"{name} = NEW.{name}" for name in names)
     return " OR ".join(f"{name} = NEW.{name}" for name in names)
 
 

@@ -86,7 +86,10 @@ def _waiting(address: Address, out: Path, damaged: list[str]) -> Iterator[tuple[
             if content["history"] == str(address):
                 yield (
                     path,
-                    _ROW.validate_python(content["row"] | {"reasons": tuple(content["row"]["reasons"])}),
+                    _ROW.validate_python(
+                        content["row"]
+                        | {name: tuple(content["row"].get(name, ())) for name in ("reasons", "pixels")}
+                    ),
                 )
         except FileNotFoundError:  # delivered meanwhile by another program
             continue

@@ -217,6 +217,7 @@ def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | 
     rows = {row.seal: row for row in (row_from(values, history) for values in known)}
     last, previous = head(connection, schema.inspections)
     added: list[dict[str, Any]] = []
+    shown: list[dict[str, int]] = []
     layouts: dict[str, int] = {}
     for new in news:
         if new.seal in rows:
@@ -230,6 +231,7 @@ def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | 
         values["hash"] = previous
         rows[new.seal] = row_from(values | {"labels": labels}, history)
         added.append(values)
+        shown += [{"pixels": picture_key(one), "inspection": last} for one in dict.fromkeys(new.pixels)]
     if added:
         statement = insert(schema.inspections)
         if (
@@ -238,7 +240,28 @@ def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | 
             connection.execute(statement.returning(schema.inspections.c.id), added)
         else:
             connection.execute(statement, added)
+    if shown:
+        connection.execute(insert(schema.pictures), shown)
     return [rows[new.seal] for new in news]
+
+
+def picture_key(pixels: str) -> int:
+    """First eight bytes of a hash of pixels, as a number with sign."""
+    return int.from_bytes(bytes.fromhex(pixels)[:8], "big", signed=True)
+
+
+def used_by_others(connection: Connection, pixels: Sequence[str], serial: str) -> Values | None:
+    """The first inspection of another serial number that shows one of these pictures, or None."""
+    found = list(dict.fromkeys(map(picture_key, pixels)))
+    for start in range(0, len(found), _AT_ONCE):
+        shown = select(schema.pictures.c.inspection).where(
+            schema.pictures.c.pixels.in_(found[start : start + _AT_ONCE])
+        )
+        statement = _WHOLE.where(inspections.c.id.in_(shown), inspections.c.serial != serial)
+        first = connection.execute(statement.order_by(inspections.c.id).limit(1)).mappings().first()
+        if first is not None:
+            return _values(first)
+    return None
 
 
 def layout_of(connection: Connection, labels: str) -> int:

@@ -23,7 +23,7 @@ from anisoscope.history.database import Database
 from anisoscope.history.dispositions import Disposition, checked_disposition
 from anisoscope.history.filters import Filters
 from anisoscope.history.problems import Damage, HistoryError
-from anisoscope.history.rows import NewRow, Row, seal_of
+from anisoscope.history.rows import NewRow, Row, seal_of, storable
 from anisoscope.record.schema import RECORD_NAME
 
 EVERYTHING = Filters()
@@ -222,6 +222,22 @@ class History:
     def row_by_seal(self, seal: str) -> Row | None:
         """The inspection whose record has a seal, or None."""
         return self._one(schema.inspections.c.seal == bytes.fromhex(seal))
+
+    def used_by_others(self, pixels: Sequence[str], serial: str) -> Row | None:
+        """The first inspection of another serial number that shows one of these pictures, or None.
+
+        Args:
+            pixels: `anisoscope.rig.frame.Frame.pixels` of the frames.
+            serial: of the part itself.
+
+        Raises:
+            HistoryError: the database cannot be read.
+        """
+        with self._database.reading() as connection:
+            if schema.version_of(connection) < schema.WITH_PICTURES:
+                return None
+            found = statements.used_by_others(connection, pixels, storable(serial))
+            return None if found is None else self._row(found)
 
     def _one(self, condition: Any) -> Row | None:  # noqa: ANN401 - SQLAlchemy's conditions have no common type
         with self._database.reading() as connection:

@@ -17,6 +17,7 @@ from anisoscope.record.schema import (
     InputFile,
     record_signature,
     recorded_files,
+    recorded_origin,
     sha256_of,
 )
 from anisoscope.report.inspection_page import REPORT_NAME
@@ -37,6 +38,7 @@ class Verified:
         additional: those that the inspection did not make.
         signed_by: station and key that signed the record; None where it is not signed.
         distrust: why the signature, or a frame, does not belong to this inspection.
+        origin: "rig" or "imported", as the record says; "" where it does not.
         report_written: whether the report is there; a finished inspection without one is intact, unless its record
             lists it, as those of earlier versions do.
     """
@@ -49,6 +51,7 @@ class Verified:
     report_written: bool = True
     signed_by: str | None = None
     distrust: tuple[str, ...] = ()
+    origin: str = ""
 
     @property
     @in_json()
@@ -102,6 +105,7 @@ def verify(folder: Path, trust: Trust | None = None) -> Verified:
         tuple(sorted(present - expected.keys() - own)),
         REPORT_NAME in present,
         *_signature(folder, trust, finished=RECORD_NAME in present),
+        origin="" if listed is None else recorded_origin(folder),
     )
 
 

@@ -48,6 +48,7 @@ class Manifest(BaseModel):
         rig_folder: where the rig file lay, which its ``${here}`` stands for.
         inputs: copies of the files.
         refused: why the part is INVALID without being photographed, such as a code that is not its own.
+        reuse: reason given for judging frames that are already known as those of another part.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -63,6 +64,7 @@ class Manifest(BaseModel):
     rig_folder: str
     inputs: tuple[InputCopy, ...]
     refused: str | None = None
+    reuse: str = ""
 
     @property
     def began(self) -> datetime:
@@ -83,6 +85,7 @@ def begin(
     frames: int,
     rig_folder: Path,
     refused: str | None = None,
+    reuse: str = "",
     share: bool = False,
 ) -> Manifest:
     """Copy the files of a job into ``inputs/`` and write ``job.json``, which makes the folder one to be resumed.
@@ -95,6 +98,7 @@ def begin(
         frames: number of frames of a whole inspection.
         rig_folder: where the rig file is.
         refused: why the part is INVALID without being photographed.
+        reuse: reason for judging frames that are known as those of another part.
         share: large files are on the disk once for all inspections next to this one (`anisoscope.inspection.objects`).
 
     Raises:
@@ -112,6 +116,7 @@ def begin(
         rig_folder=str(rig_folder.resolve()),
         inputs=tuple(_copy(source, folder, share=share) for source in job.sources),
         refused=refused,
+        reuse=reuse,
     )
     _write(manifest, folder)
     return manifest

@@ -225,6 +225,8 @@ def make_record(
         rig=job.rig.model_dump(mode="json", by_alias=True),
         camera=frames.camera,
         stage=frames.stage,
+        origin="rig" if manifest.origin == "rig" else "imported",
+        reuse=manifest.reuse,
         inputs=tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in manifest.inputs),
         frames=tuple(_frame_record(shot) for shot in frames.shots),
     )
@@ -283,4 +285,5 @@ def _frame_record(shot: Shot) -> FrameRecord:
         gain=frame.gain,
         captured_at=frame.captured_at,
         linear_mm=dict(shot.linear_mm),
+        pixels=frame.pixels,
     )

@@ -2,13 +2,14 @@
 
 import contextlib
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from anisoscope.base.errors import CalibrationError, CameraError, MeasurementError, RecordError, UsageError
+from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.white_reference import read_reference, write_reference
 from anisoscope.decision.equipment import UNKNOWN
@@ -39,8 +40,18 @@ from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.frame import header_of
 from anisoscope.rig.framefolder import TABLE, FrameFolder, HeldFile, read_frame_folder
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
+
+UsedBefore = Callable[[Sequence[str], str], str | None]
+"""Function of hashes of pixels and a serial number: the other part that they were judged as, in words, or None."""
+
+
+def never_used(pixels: Sequence[str], serial: str) -> None:
+    """For where no history is known."""
+    del pixels, serial
+
 
 RIG_NAME = "rig.toml"
 WHITE_NAME = "white-reference.tif"
@@ -59,6 +70,8 @@ def inspect_frames(
     lot_mates: Sequence[LotMate] = (),
     methods: Methods | None = None,
     reports: Reports | None = None,
+    used_before: UsedBefore = never_used,
+    reuse: str = "",
 ) -> Inspected:
     """Judge a part by the frames of a folder; they are copied, so that the inspection folder explains itself.
 
@@ -76,15 +89,19 @@ def inspect_frames(
         lot_mates: inspections of the same lot, for the report.
         methods: what varies, for tests.
         reports: as for `anisoscope.inspection.run.inspect_part`.
+        used_before: whose the frames were in earlier inspections.
+        reuse: reason for judging frames of another part all the same; it is kept in the record.
 
     Raises:
-        UsageError: no rig file, or a wrong reflectance.
+        UsageError: no rig file, a wrong reflectance, or the frames are those of another part.
         RecipeError, RigFileError, HeightMapError: one of the files.
         RecordError: the frames are incomplete or do not fit together, or the inspection folder cannot be written.
         RigFileError: there is no flat.
         CalibrationError: a flat of another camera.
     """
     given = read_given(frames, recipe_path, serial, rig_path, reflectance)
+    if not reuse.strip():
+        _check_owner(given, used_before)
     with contextlib.ExitStack() as cleanup:
         folder = cleanup.enter_context(new_folder(out, serial))
         job = given.job(folder / INPUTS / WHITE_NAME)
@@ -96,6 +113,7 @@ def inspect_frames(
             plan=None,
             frames=len(given.replay.entries),
             rig_folder=given.rig_path.resolve().parent,
+            reuse=reuse.strip(),
             share=True,
         )
         acquired = _copy(given.replay, given.frames, folder, on_progress)
@@ -104,6 +122,28 @@ def inspect_frames(
         inspected, report = conclude(folder, manifest, job, ready, on_progress, judged)
     inspected = replace(inspected, notes=(*given.replay.notes, *inspected.notes))
     return reported(inspected, report, reports, on_progress)
+
+
+def _check_owner(given: "Given", used_before: UsedBefore) -> None:
+    """Check that the frames do not belong to another part.
+
+    Raises:
+        UsageError: their metadata or an earlier inspection name another serial number.
+    """
+    samples = given.replay.of_kind("sample")
+    remedy = "name that serial number, take new frames, or say why they serve with `inspect --reuse REASON`"
+    for entry in samples:
+        header = header_of(entry.path if entry.held is None else entry.held.content())
+        if header is not None and header.serial not in {None, given.serial}:
+            raise UsageError(
+                f"{entry.path}: shows a part of serial number {header.serial}, not {given.serial}: {remedy}"
+            )
+    if used_before is not never_used:
+        owner = used_before(for_each(lambda entry: entry.load().pixels, samples), given.serial)
+        if owner is not None:
+            raise UsageError(
+                f"{given.frames}: these frames were judged as {owner}, not as {given.serial}: {remedy}"
+            )
 
 
 @dataclass(frozen=True, eq=False)

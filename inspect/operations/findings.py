@@ -50,6 +50,7 @@ def content_of(inspected: Inspected, notes: tuple[str, ...] = ()) -> dict[str, A
     }
     common |= {name: getattr(diagnosis, name, None) for name in ("says", "tells", "unexplained_p")}
     last = {
+        "origin": record.origin,
         "rounds": record.rounds,
         "dropped_markers": [list(pose.dropped) for pose in record.poses],
         "calibrations": [one.model_dump() for one in record.calibrations],

@@ -6,7 +6,7 @@ from pathlib import Path
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.inspection.recompute import Recomputed, recompute_or_reason
-from anisoscope.inspection.replay import inspect_frames
+from anisoscope.inspection.replay import UsedBefore, inspect_frames, never_used
 from anisoscope.inspection.reports import Reports
 from anisoscope.inspection.run import Inspected, inspect_part
 from anisoscope.record.schema import Particulars
@@ -26,6 +26,8 @@ def inspect(
     particulars: Particulars | None = None,
     lot_mates: Sequence[LotMate] = (),
     reports: Reports | None = None,
+    used_before: UsedBefore = never_used,
+    reuse: str = "",
     on_progress: Advance = silent,
 ) -> Inspected:
     """Photograph a part on a rig, or take a folder of frames, and decide.
@@ -40,6 +42,8 @@ def inspect(
         particulars: operator, lot, cavity, station and place, for the record.
         lot_mates: inspections of the same lot, for the report (`operations.remembering.lot_mates`).
         reports: writes reports beside further work; without it the report is written before this returns.
+        used_before: whose imported frames were in earlier inspections (`operations.remembering.used_before`).
+        reuse: reason for judging frames of another part all the same; it is kept in the record.
         on_progress: called with the work being done, steps done and steps in all.
 
     Returns:
@@ -47,7 +51,7 @@ def inspect(
         see `operations.remembering.remember`.
 
     Raises:
-        UsageError: neither a rig nor frames.
+        UsageError: neither a rig nor frames, or frames of another part.
         AnisoscopeError: recipe, rig file, calibration or hardware.
     """
     who = Particulars() if particulars is None else particulars
@@ -64,6 +68,8 @@ def inspect(
             particulars=who,
             lot_mates=lot_mates,
             reports=reports,
+            used_before=used_before,
+            reuse=reuse,
         )
     if rig_path is None:
         raise UsageError("name a rig file, or a folder of frames")

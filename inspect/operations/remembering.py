@@ -4,6 +4,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from anisoscope.base.errors import AnisoscopeError, RecordError
@@ -14,6 +15,7 @@ from anisoscope.history.heads import sign_head
 from anisoscope.history.rows import NewRow, row_of
 from anisoscope.history.spool import deliver, wait
 from anisoscope.history.store import History, open_history
+from anisoscope.inspection.replay import UsedBefore
 from anisoscope.inspection.run import Inspected
 from anisoscope.report.peers import LotMate
 
@@ -74,6 +76,26 @@ def lot_mates(place: str | Path | None, lot: str | None) -> tuple[LotMate, ...]:
     except AnisoscopeError:  # the report goes without; entering the part will say what is wrong
         return ()
     return tuple(LotMate(row.serial, row.product, row.verdict, row.numbers) for row in rows)
+
+
+def used_before(place: str | Path | None) -> UsedBefore:
+    """Function that looks frames up in a history: the other part that they were judged as, in words, or None.
+
+    Args:
+        place: where the history is, or None.
+    """
+
+    def look(pixels: Sequence[str], serial: str) -> str | None:
+        if place is None or is_away(place):
+            return None
+        try:
+            with open_history(place, create=False) as history:
+                row = history.used_by_others(pixels, serial)
+        except AnisoscopeError:  # entering the part will say what is wrong
+            return None
+        return None if row is None else f"serial number {row.serial} on {row.created_at:%Y-%m-%d}"
+
+    return look
 
 
 def is_away(place: str | Path) -> bool:

@@ -16,7 +16,7 @@ from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.batch.watch import Listener, Watch, Watched
 from anisoscope.inspection.reports import Reports
-from anisoscope.operations.remembering import history_place, lot_mates, remember
+from anisoscope.operations.remembering import history_place, lot_mates, remember, used_before
 from anisoscope.record.verdict import Verdict
 
 
@@ -162,6 +162,7 @@ def watch(
         poll_s,
         code,
         lambda lot: lot_mates(place, lot),
+        used_before(place),
     )
     ended = threading.Event() if stop is None else stop
     with Reports(note) as reports:

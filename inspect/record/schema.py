@@ -53,7 +53,8 @@ class FrameRecord(InputFile):
     """One frame on disk that the verdict rests on; angles in degrees, exposure in seconds.
 
     ``again`` marks those that only show drift: after the return to the first pose, or on resuming. ``linear_mm`` are
-    the readings of x, y and z, of a rig that has them.
+    the readings of x, y and z, of a rig that has them. ``pixels`` is the SHA-256 of shape and counts, which does not
+    depend on how the file packs them.
     """
 
     kind: str
@@ -65,6 +66,7 @@ class FrameRecord(InputFile):
     gain: float
     captured_at: str
     linear_mm: dict[str, float] = Field(default_factory=dict)
+    pixels: str = ""
 
 
 class PoseRecord(_Part):
@@ -421,6 +423,9 @@ class Record(_Part):
     ``details`` holds what is of its ``kind`` of part alone; None where that could not be judged. The schema only grows:
     fields that came later have defaults, which stand for "not recorded" (`json_schema`).
 
+    ``origin`` says whether the rig took the frames or they were imported; ``reuse`` is the reason given for judging
+    frames that are already known as those of another part.
+
     ``files`` lists everything else in the folder but the report. ``record.json`` is written after all of them, so that
     where it is, they are. The report follows, with a seal of its own (``report.sha256``); records of earlier versions
     list it.
@@ -457,6 +462,8 @@ class Record(_Part):
     rig: dict[str, Any]
     camera: str
     stage: str
+    origin: Literal["", "rig", "imported"] = ""
+    reuse: str = ""
     inputs: tuple[InputFile, ...]
     frames: tuple[FrameRecord, ...]
     files: tuple[InputFile, ...] = ()
@@ -517,7 +524,7 @@ def write_record(record: Record, folder: Path) -> Path:
     whole = _with_seal(text, hashlib.sha256(text.encode()).hexdigest())
     signer = signer_in_use()
     if signer is not None:
-        names = "serial", "product", "verdict", "created_at", "software"
+        names = "serial", "product", "verdict", "created_at", "software", "origin"
         statement = {"record": hashlib.sha256(whole.encode()).hexdigest()}
         statement |= {name: content[name] for name in names}
         statement |= {name: content["particulars"][name] for name in ("lot", "station")}
@@ -590,6 +597,16 @@ def recorded_files(folder: Path) -> tuple[InputFile, ...]:
         return tuple(InputFile.model_validate(file) for file in content.get("files", ()))
     except (TypeError, ValueError) as error:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def recorded_origin(folder: Path) -> str:
+    """Origin of the frames, from the record of an inspection folder: "rig" or "imported"; "" in older records.
+
+    Raises:
+        RecordError: there is no record, or it is damaged or was changed.
+    """
+    content, _ = _content_of(folder / RECORD_NAME)
+    return str(content.get("origin", "")) if isinstance(content, dict) else ""
 
 
 def _content_of(path: Path) -> tuple[Any, bool]:

@@ -76,9 +76,15 @@ def _inspection(record: Record) -> tuple[tuple[str, str], ...]:
             else (("place on the plate", f"{who.place_mm[0]:g} mm, {who.place_mm[1]:g} mm"),)
         ),
         ("inspected", when(record.created_at)),
-        ("frames", f"{len(record.frames)}{rounds}"),
+        ("frames", f"{len(record.frames)}{rounds}{_origin(record)}"),
         ("software", record.software),
     )
+
+
+def _origin(record: Record) -> str:
+    """Origin of the frames, in words; empty for older records."""
+    words = {"rig": ", taken by the rig", "imported": ", imported", "": ""}[record.origin]
+    return f"{words}, known as those of another part: {record.reuse}" if record.reuse else words
 
 
 def _recipe(record: Record) -> tuple[tuple[str, str], ...]:

@@ -55,6 +55,10 @@ def inspect(
     reflectance: Annotated[
         float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
     ] = 0.99,
+    reuse: Annotated[
+        str,
+        Parameter(help="With --frames: reason for judging frames that are known as those of another part."),
+    ] = "",
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
     operator: Annotated[str | None, Parameter(help="Operator, for the record.")] = None,
     lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
@@ -81,7 +85,7 @@ def inspect(
     """
     from anisoscope.inspection.reports import Reports
     from anisoscope.operations.inspecting import inspect as inspect_one
-    from anisoscope.operations.remembering import history_place, lot_mates
+    from anisoscope.operations.remembering import history_place, lot_mates, used_before
     from anisoscope.record.schema import Particulars
 
     if rig is None and frames is None:
@@ -106,6 +110,8 @@ def inspect(
                 particulars=who,
                 lot_mates=lot_mates(place, lot),
                 reports=reports,
+                used_before=used_before(place),
+                reuse=reuse,
                 on_progress=advance,
             )
         return _concluded(inspected, reports, place, json_=json_)
@@ -283,6 +289,8 @@ def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -
     lines += found.distrust
     if found.intact:
         lines.append(f"{found.files} files are as they were")
+    if found.origin:
+        lines.append("the rig took the frames" if found.origin == "rig" else "the frames were imported")
     if found.signed_by is not None:
         lines.append(f"signed by {found.signed_by}")
     elif found.finished and not found.distrust:

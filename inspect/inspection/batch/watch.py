@@ -31,7 +31,7 @@ from anisoscope.inspection.batch.slot_folder import clear_copies, inspected_in
 from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.frame_table import arrange
 from anisoscope.inspection.job import check_serial
-from anisoscope.inspection.replay import inspect_frames
+from anisoscope.inspection.replay import UsedBefore, inspect_frames, never_used
 from anisoscope.inspection.reports import WAITING, Reports
 from anisoscope.inspection.run import Inspected, Methods, missing_report
 from anisoscope.kinds.registry import read_any_recipe
@@ -254,6 +254,7 @@ class Watched:
         poll_s: pause between looks.
         code_kind: kind of code that every part bears, which says who it is; None where codes are not read.
         lot_mates: who was inspected before of a lot, for the reports; must not raise.
+        used_before: whose frames were in earlier inspections.
     """
 
     root: Path
@@ -265,6 +266,7 @@ class Watched:
     poll_s: float = 1.0
     code_kind: Kind | None = None
     lot_mates: LotMates = no_lot_mates
+    used_before: UsedBefore = never_used
 
 
 @dataclass(frozen=True)
@@ -541,6 +543,7 @@ class Watch:
                 lot_mates=watched.lot_mates(who.lot),
                 methods=self.methods,
                 reports=self.reports,
+                used_before=watched.used_before,
             )
         copied = _copied_key(inspected)
         if copied == frames:

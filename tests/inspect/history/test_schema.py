@@ -106,7 +106,7 @@ def test_the_last_version_refuses_what_this_one_wrote(last_version, new_row, mon
     with monkeypatch.context() as earlier:
         earlier.setattr(schema, "VERSION", 3)
         earlier.setattr(schema, "MIGRATIONS", schema.MIGRATIONS[:3])
-        with pytest.raises(HistoryError, match=r"made by a later anisoscope \(version 6 .*update"):
+        with pytest.raises(HistoryError, match=r"made by a later anisoscope \(version 7 .*update"):
             open_history(last_version)
     with open_history(last_version) as history:
         assert history.head() == head
@@ -126,7 +126,7 @@ def test_a_rig_that_may_only_add_is_sent_to_the_owner_of_an_earlier_history(post
             connection.execute(text(statement))
     url = make_url(postgresql_place).set(username=role, password="secret")
     with open_history(url.render_as_string(hide_password=False)) as rig:
-        with pytest.raises(HistoryError, match=r"of version 3, .* needs 6, .* as their owner"):
+        with pytest.raises(HistoryError, match=r"of version 3, .* needs 7, .* as their owner"):
             rig.append(new_row(1))
         with open_history(postgresql_place) as owner:
             owner.append(new_row(2))

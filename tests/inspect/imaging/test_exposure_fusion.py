@@ -158,7 +158,7 @@ def test_bright_and_dark_poses_are_right_with_brackets_and_invalid_without(shiny
     assert {frame.exposure_s for frame in record.frames} == {SHORT_S, 0.004, LONG_S}
     assert verify(found.folder).intact
     folder = frame_folder(rig, found)
-    again = inspect_frames(folder, rig.recipe, "R-1", rig.out, rig_path=rig.rig, methods=undiagnosed)
+    again = inspect_frames(folder, rig.recipe, "T-1", rig.out, rig_path=rig.rig, methods=undiagnosed)
     numbers = {"poses", "details", "budget", "drift"}
     assert numbers <= set(Record.model_fields)  # pydantic passes over a name that is no field
     assert again.record.model_dump(include=numbers) == record.model_dump(include=numbers)
@@ -200,4 +200,4 @@ def test_a_table_with_too_few_frames_of_an_exposure(virtual_rig, plain):
         writer.writerows(lines)
     told = r"at 0°, tilt 0° have 2 exposures, which takes 2 or more frames of each; of 0\.003 s there is 1 sample"
     with pytest.raises(RecordError, match=told):
-        inspect_frames(folder, rig.recipe, "R-1", rig.out, rig_path=rig.rig, methods=plain)
+        inspect_frames(folder, rig.recipe, "T-1", rig.out, rig_path=rig.rig, methods=plain)

@@ -3,6 +3,7 @@
 import csv
 import shutil
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,7 +32,9 @@ COLUMNS = ["file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_d
 def taken(inspected_part):
     """A finished inspection, and its frames as a folder of frames."""
     rig, inspected = inspected_part
-    frames = [read_frame(inspected.folder / entry.name) for entry in inspected.record.frames]
+    frames = [
+        replace(read_frame(inspected.folder / entry.name), serial=None) for entry in inspected.record.frames
+    ]
     folder = rig.out.parent / "frames"
     write_frame_folder(folder, frames, [entry.again for entry in inspected.record.frames])
     return rig, inspected, folder
@@ -61,6 +64,37 @@ def test_the_same_frames_give_the_same_numbers_without_any_device(taken, replay)
     shutil.rmtree(rig.rig.parent / "inspections" / live.folder.name)
     assert verify(found.folder).intact
     assert recompute(found.folder).differences == ()
+
+
+def test_frames_of_another_part_are_refused_unless_a_reason_is_given(inspected_part, replay):
+    rig, inspected = inspected_part
+    frames = [read_frame(inspected.folder / entry.name) for entry in inspected.record.frames]
+    folder = rig.out.parent / "frames"
+    write_frame_folder(folder, frames, [entry.again for entry in inspected.record.frames])
+    with pytest.raises(UsageError, match=f"shows a part of serial number {inspected.record.serial}, not R-1"):
+        replay(rig, folder)
+    assert {one.name for one in rig.out.iterdir() if one.name.startswith("R-1")} == set()
+    found = replay(rig, folder, reuse="test of the gauge")
+    assert (found.record.origin, found.record.reuse) == ("imported", "test of the gauge")
+    assert (inspected.record.origin, inspected.record.reuse) == ("rig", "")
+    assert [one.pixels for one in found.record.frames] == [one.pixels for one in inspected.record.frames]
+    assert recompute(found.folder).differences == ()
+    assert verify(found.folder).origin == "imported"
+
+
+def test_frames_that_an_earlier_inspection_judged_are_refused(taken, replay):
+    rig, live, folder = taken
+    asked = []
+
+    def used_before(pixels, serial):
+        asked.append((set(pixels), serial))
+        return "serial number A-1 on 2026-11-01"
+
+    with pytest.raises(
+        UsageError, match=r"judged as serial number A-1 on 2026-11-01, not as R-1.*--reuse REASON"
+    ):
+        replay(rig, folder, used_before=used_before)
+    assert asked == [({one.pixels for one in live.record.frames if one.kind == "sample"}, "R-1")]
 
 
 def rewrite(folder, change):
@@ -287,7 +321,9 @@ def test_the_own_map_of_a_part_may_be_measured_at_any_rotation(virtual_rig, plai
     recipe.write_text(tomli_w.dumps(table), encoding="utf-8")
     # causes of a map of its own take longer than all the rest
     monkeypatch.setattr(surface_kind, "explain", lambda *_: (None, None))
-    record = inspect_frames(folder, recipe, "R-1", rig.out, rig_path=rig.rig, methods=plain).record
+    record = inspect_frames(
+        folder, recipe, live.record.serial, rig.out, rig_path=rig.rig, methods=plain
+    ).record
     assert record.verdict == "PASS", record.reasons
     np.testing.assert_allclose(
         [pose.predicted for pose in record.poses], [pose.measured for pose in record.poses], rtol=0.04
