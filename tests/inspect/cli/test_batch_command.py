@@ -22,7 +22,7 @@ from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.integrity import verify
 from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.rig.frame import read_frame
-from anisoscope.rig.framefolder import write_frame_folder
+from anisoscope.rig.framefolder import read_frame_folder, write_frame_folder
 
 SPEC = importlib.util.spec_from_file_location("nursery", Path(__file__).with_name("nursery.py"))
 nurseries = importlib.util.module_from_spec(SPEC)
@@ -287,9 +287,13 @@ PARTS = [f"P{number}" for number in range(4)]
 
 
 def lay_in(arriving, root):
-    """Four folders with the same frames, each said to show another part."""
-    for name in PARTS:
-        shutil.copytree(arriving, root / name)
+    """Four folders with nearly the same frames, each said to show another part."""
+    entries = read_frame_folder(arriving).entries
+    for number, name in enumerate(PARTS):
+        frames = [entry.load() for entry in entries]
+        for frame in frames:
+            frame.counts[0, number] ^= 1
+        write_frame_folder(root / name, frames, [entry.again for entry in entries])
         (root / name / "part.toml").write_text(f'serial = "{name}"\nlot = "[b]"\n')
 
 
