@@ -14,7 +14,7 @@ from anisoscope.base.arrays import FloatArray
 _SIGMAS = 4.0
 _LEAST_PX = 0.1
 _STRAIGHT_SIDES = 0.1
-"""Share by which k is found too small, because the bent sides of a marker are fitted as straight lines."""
+"""Share by which k may be off, because the bent sides of a marker are fitted as straight lines."""
 _INVERSE_ROUNDS = 8
 
 
