@@ -50,6 +50,7 @@ class Measured:
         cell_noise: (P,) standard uncertainty of a cell's ln L from noise.
         grid: raster of the aligned pictures.
         drift: L(first pose, at the end)/L(first pose, at the start) − 1, or None.
+        unwatched: notes on what the gates could not see.
     """
 
     radiance: FloatArray
@@ -59,6 +60,7 @@ class Measured:
     cell_noise: FloatArray
     grid: Grid
     drift: float | None
+    unwatched: tuple[str, ...] = ()
 
 
 def region_grid(recipe: SurfaceRecipe, pixel_um: float) -> tuple[Grid, int]:

@@ -1,10 +1,13 @@
 """Quality gates on the pictures: tilt, sharpness, stationary dirt, and the identity of the part.
 
 Light, saturation, registration and drift are checked where they are measured (`pose_radiance`, `rig_monitor`); these
-gates compare pictures. Every error message says what to do.
+gates compare pictures. Every error message says what to do. A gate that could not see what it watches
+returns a note for the record.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -25,14 +28,21 @@ BLUR_GROWTH, BLUR_ADDED_PX = 1.5, 0.7
 BLUR_PITCHES = 0.25
 PITCH_SHARE = 0.03
 DIRECTION_DEG = 5.0
-CLEAR_PEAK, FAINT_PEAK = 0.2, 0.05
+FAINT_PEAK = 0.05
+CLEAR_WAVE = 40.0
+"""Power of a clear wave over that of the texture at its frequency; chance reaches 25 in a picture of 512 × 512."""
+MISSING_RATIO, FOREIGN_RATIO = 10.0, 0.5
+"""Power over that of the expected wave from which a harmonic lacks its fundamental, and a longer wave is the pitch."""
 PITCH_BINS = 0.05
 SCALE_SHARE = 0.001
 """Relative standard uncertainty of the size of a pixel on the sample."""
-MIN_EXPECTED_SHARE = 0.01
-POINTS_A_PITCH = 6.0
+POINTS_A_PITCH, POINTS_RESOLVED = 6.0, 3.0
+RINGS, MOST_WAVES = 25, 16
+QUIET_SHARE, NEAR_BINS = 0.2, 6.0
+"""Share of a ray of the spectrum that no wave of a period of a fifth of the picture or less reaches; its least half."""
+MOST_MEDIANS = 3.0
 MAX_WINDOW = 512
-STILL_CELLS = 8.0
+STILL_CELLS, LEAST_CELLS = 8.0, 64
 UNLIKE, LIKE = 1.6, 1.4  # factors in brightness: what is beyond the part, and what is the part
 THINNEST = 2.0  # cells
 SOLID_PART, MOST_LIKE = (
@@ -93,19 +103,33 @@ def check_sharpness(view: View, first: View, recipe: SurfaceRecipe | None = None
         )
 
 
-def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
+def unwatched(views: Sequence[View]) -> tuple[str, ...]:
+    """Notes on what the gates that use the markers could not see, whatever the kind of part."""
+    places = [view.placement for view in views]
+    blind = {
+        "tilt": any(view.tilt_deg and not view.placement.markers for view in views),
+        "sharpness": any(place.blur_px is None for place in places),
+    }
+    names = [name for name, is_blind in blind.items() if is_blind]
+    return (f"not watched: {', '.join(names)} (no markers in the pictures)",) if names else ()
+
+
+def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> tuple[str, ...]:
     """Gates of the aligned pictures of ridges.
+
+    Returns:
+        Notes on what could not be seen.
 
     Raises:
         MeasurementError: the region reaches beyond the part; the ridges are not those of the recipe, or run elsewhere.
         CalibrationError: a deviation is stationary in the picture while the part turns.
     """
-    check_edges(measured.cells, measured.grid, recipe)
-    check_ridges(measured.aligned, measured.grid, recipe)
+    notes = check_edges(measured.cells, measured.grid, recipe)
+    notes += check_ridges(measured.aligned, [view.stage_deg for view in views], measured.grid, recipe)
     rule = MOST_DEVIATION if recipe.area is None else recipe.area.cell_deviation
     if rule == "auto":
         rule = MOST_DEVIATION
-    check_dirt(views, measured, 0.5 * rule)
+    return notes + check_dirt(views, measured, 0.5 * rule)
 
 
 @dataclass(frozen=True)
@@ -183,11 +207,14 @@ def _off_median(values: FloatArray) -> FloatArray:
     return np.asarray(logs - np.median(logs, axis=(1, 2), keepdims=True))
 
 
-def check_edges(cells: FloatArray, grid: Grid, recipe: RecipeBase) -> None:
-    """Check that no corner of the region is beyond the part; cells as for `overhangs`."""
+def check_edges(cells: FloatArray, grid: Grid, recipe: RecipeBase) -> tuple[str, ...]:
+    """Check that no corner of the region is beyond the part; cells as for `overhangs`, notes as of `check_part`."""
     found = beyond_part(cells, grid, recipe)
     if found is not None:
         raise MeasurementError(found)
+    if min(cells.shape[1:]) < CELLS_PER_PITCH:
+        return ("not watched: whether the region lies on the part (it is narrower than a pitch)",)
+    return ()
 
 
 def beyond_part(cells: FloatArray, grid: Grid, recipe: RecipeBase) -> str | None:
@@ -242,7 +269,7 @@ def find_ridges(aligned: tuple[Image, ...], pixel_um: float, pitch_um: float) ->
     """
     factor = max(1, int(pitch_um / pixel_um / POINTS_A_PITCH))
     step_um = factor * pixel_um
-    if pitch_um < 3.0 * step_um:
+    if pitch_um < POINTS_RESOLVED * step_um:
         return None
     power, frequencies = _power(aligned, factor)
     down, across = (axis / step_um for axis in frequencies)
@@ -319,38 +346,198 @@ def measured_pitch(measured: Measured, recipe: SurfaceRecipe) -> tuple[float, fl
     )
 
 
-def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: SurfaceRecipe) -> None:
-    """Compare pitch and direction of the ridges with the recipe; passes where no ridges are found."""
+@dataclass(frozen=True)
+class Wave:
+    """A wave that stands out of the texture of one picture.
+
+    Attributes:
+        pitch_um: period.
+        direction_deg: across its crests, relative to the recipe, −90 to 90.
+        height: power over that of the texture at its frequency.
+        over_fundamental: power over that at the period that the recipe expects.
+        order: k where its period is the k-th part of the expected pitch, whatever its direction; 0 for others.
+    """
+
+    pitch_um: float
+    direction_deg: float
+    height: float
+    over_fundamental: float
+    order: int
+
+    @property
+    def expected(self) -> bool:
+        """Whether the recipe's ridges, or a harmonic of them, make it."""
+        return self.order > 0 and abs(self.direction_deg) <= DIRECTION_DEG
+
+
+def find_waves(picture: Image, pixel_um: float, pitch_um: float) -> tuple[Wave, ...] | None:
+    """Clear waves of a picture whose columns should follow the ridges, the highest first.
+
+    Args:
+        picture: (rows, cols).
+        pixel_um: distance of its points.
+        pitch_um: what the recipe expects.
+
+    Returns:
+        None where the pitch is hardly resolved.
+    """
+    factor = max(1, int(pitch_um / pixel_um / POINTS_A_PITCH))
+    step_um = factor * pixel_um
+    if pitch_um < POINTS_RESOLVED * step_um:
+        return None
+    bright = MOST_MEDIANS * np.float32(np.nanmedian(picture))  # land without ridges may outshine them by far
+    power, frequencies = _power((np.minimum(picture, bright),), factor)
+    down, across = (axis / step_um for axis in frequencies)
+    radius = np.hypot(down[:, None], across)
+    bins = 1.0 / (step_um * np.array(power.shape))
+    searched = (radius > max(0.25 / pitch_um, 3.0 * bins.max())) & (across >= 0.0)[None, :]
+    edges = np.linspace(0.0, float(radius.max()), RINGS)[1:-1]
+    ring = np.digitize(radius, edges)
+    floor = np.array(
+        [
+            np.median(power[inside]) if (inside := searched & (ring == k)).any() else np.inf
+            for k in range(RINGS)
+        ]
+    )
+    searched &= power == cv2.dilate(power, np.ones((3, 3)))
+    height = np.where(
+        searched, power * np.log(2.0) / np.maximum(floor[ring], 1e-30), 0.0
+    )  # mean of chance: 1
+    near = (np.abs(down) <= 1.6 * bins[0])[:, None] & (np.abs(across - 1.0 / pitch_um) <= 1.6 * bins[1])[
+        None, :
+    ]
+    fundamental = float(power[near].max(initial=1e-30))
+    found: list[Wave] = []
+    for _ in range(MOST_WAVES):
+        if height.max() < CLEAR_WAVE:
+            break
+        row, col = (int(i) for i in np.unravel_index(height.argmax(), height.shape))
+        f_down, f_across = (_refined(power, (row, col), axis, frequencies[axis]) / step_um for axis in (0, 1))
+        period = float(1.0 / np.hypot(f_down, f_across))
+        direction = (float(np.degrees(np.arctan2(f_down, f_across))) + 90.0) % 180.0 - 90.0
+        order = round(pitch_um / period)
+        if order and abs(order * period / pitch_um - 1.0) > PITCH_SHARE:
+            order = 0
+        top = min(float(height[row, col]), float(power[row, col]) / _along(power, bins, f_down, f_across))
+        if top >= CLEAR_WAVE:
+            found.append(Wave(period, direction, top, float(power[row, col]) / fundamental, order))
+        own = np.abs(down - down[row])[:, None] <= 3.1 * bins[0]
+        height[own & (np.abs(across - across[col]) <= 3.1 * bins[1])[None, :]] = 0.0
+    return tuple(sorted(found, key=lambda wave: -wave.height))
+
+
+def _along(power: FloatArray, bins: FloatArray, f_down: float, f_across: float) -> float:
+    """Mean power of what does not repeat, around a wave on its ray: ridges missing here and there spread over it."""
+    at = np.array([f_down / bins[0], f_across / bins[1]])
+    length = float(np.hypot(*at))
+    reach = max(0.5 * length, NEAR_BINS)
+    steps = np.arange(max(length - reach, 3.0), min(length + reach, 0.5 * min(power.shape) - 1.0))
+    row, col = np.rint(steps[:, None] * at / length).astype(int).T
+    return float(np.quantile(power[row, col], QUIET_SHARE) / -np.log1p(-QUIET_SHARE)) + 1e-30
+
+
+def check_ridges(
+    aligned: tuple[Image, ...], stages_deg: Sequence[float], grid: Grid, recipe: SurfaceRecipe
+) -> tuple[str, ...]:
+    """Compare the ridges of every pose with the recipe, and their direction with that of the other poses.
+
+    Args:
+        aligned: P pictures (rows, cols).
+        stages_deg: their P stage angles.
+        grid: raster of the pictures.
+        recipe: pitch and limits.
+
+    Returns:
+        Notes on what could not be seen.
+
+    Raises:
+        MeasurementError: another pitch, another direction, or a part that turned on its fixture.
+    """
     pitch_um = recipe.surface.pitch_um
-    found = find_ridges(aligned, grid.pixel_mm * 1000.0, pitch_um)
-    if found is None or found.share < CLEAR_PEAK:
-        return
-    if not found.is_expected and found.expected_share > MIN_EXPECTED_SHARE:
-        return  # a harmonic, or a mark next to the ridges
-    if abs(found.direction_deg) > DIRECTION_DEG:
-        raise MeasurementError(
-            f"the ridges run {abs(found.direction_deg):.0f}° from where the recipe says: lay the part into the fixture "
-            "the right way round, or correct poses.facet_azimuth_deg in the recipe"
+    waves = [find_waves(picture, grid.pixel_mm * 1000.0, pitch_um) for picture in aligned]
+    if any(one is None for one in waves):
+        return (
+            f"not watched: pitch and direction of the ridges (a pitch has fewer than {POINTS_RESOLVED:g} points)",
         )
-    if abs(found.pitch_um / pitch_um - 1.0) > PITCH_SHARE:
+    seen = {deg: one for deg, one in zip(stages_deg, waves, strict=True) if one}
+    if not seen:
+        return ("not watched: pitch and direction of the ridges (no clear wave in any pose)",)
+    # waves of another direction beside those of the ridges are chatter
+    lies = {
+        deg: next((wave for wave in one if wave.expected), one[0]).direction_deg
+        for deg, one in seen.items()
+        if one[0].order or any(wave.expected for wave in one)
+    }
+    check_following(lies, recipe.limits.part_turn_deg, period_deg=180.0)
+    if not any(wave.expected for one in seen.values() for wave in one):
+        turned = max((one[0] for one in seen.values()), key=lambda wave: wave.height)
+        if abs(turned.direction_deg) > DIRECTION_DEG:
+            raise MeasurementError(
+                f"the ridges run {abs(turned.direction_deg):.0f}° from where the recipe says: lay the part into the "
+                "fixture the right way round, or correct poses.facet_azimuth_deg in the recipe"
+            )
+    found_um = _other_pitch(
+        [tuple(w for w in one if abs(w.direction_deg) <= DIRECTION_DEG) for one in seen.values()]
+    )
+    if found_um is not None:
         raise MeasurementError(
-            f"the ridges are {found.pitch_um:.1f} µm apart, the recipe says {pitch_um:g} µm "
+            f"the ridges are {found_um:.1f} µm apart, the recipe says {pitch_um:g} µm "
             f"(limit ±{PITCH_SHARE:.0%}): is this part of another product, or the recipe the wrong one?"
         )
+    blind = ", ".join(f"{deg:g}°" for deg in stages_deg if deg not in lies)
+    return (
+        (f"not watched: whether the part follows its fixture at {blind} (no clear ridges)",) if blind else ()
+    )
 
 
-def check_dirt(views: list[View], measured: Measured, threshold: float) -> None:
+def _other_pitch(seen: Sequence[tuple[Wave, ...]]) -> float | None:
+    """Period of the ridges where it is not the recipe's, else None, from the waves of every pose across the ridges."""
+    for waves in seen:
+        own = max((one.height for one in waves if one.order), default=0.0)
+        others = [one for one in waves if not one.order and one.height > FOREIGN_RATIO * own]
+        if others:
+            return max(one.pitch_um for one in others if one.height >= FOREIGN_RATIO * others[0].height)
+    # with light along the ridges both flanks may look alike: one pose with the fundamental is enough
+    lacking = [waves[0] for waves in seen if waves and waves[0].over_fundamental > MISSING_RATIO]
+    shown = [waves for waves in seen if waves and waves[0].over_fundamental <= MISSING_RATIO]
+    if not lacking or any(wave.order == 1 for waves in shown for wave in waves):
+        return None
+    return max(lacking, key=lambda wave: wave.height).pitch_um
+
+
+def check_following(lies_deg: Mapping[float, float], limit_deg: float, period_deg: float) -> None:
+    """Check that a part follows its fixture.
+
+    Args:
+        lies_deg: how the part lies on its fixture, by stage angle.
+        limit_deg: between two poses.
+        period_deg: angle after which the part looks alike.
+
+    Raises:
+        MeasurementError: it turned between two poses.
+    """
+    for (before, first), (after, second) in pairwise(lies_deg.items()):
+        turned = (second - first + 0.5 * period_deg) % period_deg - 0.5 * period_deg
+        if abs(turned) > limit_deg:
+            raise MeasurementError(
+                f"between {before:g}° and {after:g}° the part turned by {turned:+.1f}° on its fixture (limit "
+                f"±{limit_deg:g}°, limits.part_turn_deg): seat the part so that it cannot slip"
+            )
+
+
+def check_dirt(views: list[View], measured: Measured, threshold: float) -> tuple[str, ...]:
     """Detect stationary dirt: deviations at fixed pixels while the part turns.
 
     Cells are compared with their flank in every pose. Dirt on lens, sensor or white tile makes the same cells of the
     *picture* deviate in every pose, whereas a mark on the part moves. The number expected by chance follows from the
-    number of deviating cells in each pose.
+    number of deviating cells in each pose. Notes as of `check_part`.
     """
     turned = [
         i for i, v in enumerate(views) if i == 0 or abs(angle_between(views[0].stage_deg, v.stage_deg)) > 1.0
     ]
-    if len(turned) < 2 or measured.cells.shape[1] * measured.cells.shape[2] < 64:
-        return
+    if len(turned) < 2 or measured.cells.shape[1] * measured.cells.shape[2] < LEAST_CELLS:
+        few = "one stage angle" if len(turned) < 2 else f"fewer than {LEAST_CELLS} cells"
+        return (f"not watched: dirt on lens and white tile ({few})",)
     maps = [_off_flank(measured.cells[i]) for i in turned]
     first, shape = maps[0], maps[0].shape
     fixed, chance = np.abs(first) > threshold, float(np.mean(np.abs(first) > threshold))
@@ -371,6 +558,7 @@ def check_dirt(views: list[View], measured: Measured, threshold: float) -> None:
             f"({int(fixed.sum())} cells): clean lens and camera, then the white tile, and take a new flat with "
             "`anisoscope calibrate flat`"
         )
+    return ()
 
 
 def _looked_up(cells: FloatArray, at: Image) -> Image:

@@ -10,6 +10,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CameraError, MeasurementError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.imaging.frames import AcquiredFrames, Shot
+from anisoscope.imaging.quality_gates import unwatched
 from anisoscope.imaging.registration.placement import View
 from anisoscope.imaging.rig_monitor import RigFault, RigMonitor
 from anisoscope.imaging.views import as_photographed, resuming_error, views_of
@@ -184,7 +185,7 @@ def make_record(
     notes = frame_notes if calibrated else (UNCALIBRATED, *frame_notes)
     details = job.kind.without_results()
     if results is not None:
-        notes += results.notes
+        notes += (*unwatched(views), *results.notes)
         details = results.details.model_copy(update=dict(explanation.details))
     if monitor is not None:
         notes += monitor.notes

@@ -1,7 +1,7 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -183,12 +183,17 @@ class SurfaceKind(
     def _predict(self, *, cached: bool) -> Predict:
         return partial(cached_expectation if cached else expectation, optics=self.optics)
 
-    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
+    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> tuple[str, ...]:
         """Gates of the aligned pictures.
+
+        Returns:
+            Notes on what could not be seen.
 
         Raises:
             MeasurementError: INVALID, with the reason.
         """
+        del views, measured, recipe
+        return ()
 
     def fit_shape(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
@@ -216,8 +221,7 @@ class SurfaceKind(
         check_views(views.poses, recipe)
         calibrated = sitting.calibrated(recipe)
         measured = measure(views.poses, closing, calibrated, expected, pixel_um)
-        self.check_part(views.poses, measured, recipe)
-        return measured, change
+        return replace(measured, unwatched=self.check_part(views.poses, measured, recipe)), change
 
     def decide(
         self,
@@ -308,6 +312,7 @@ class SurfaceKind(
             decided.dof,
             decided.p_value,
             decided.conformance_probability,
+            measured.unwatched,
         )
 
     def without_results(self) -> SurfaceDetails:

@@ -70,7 +70,8 @@ class LimitsPart(Part):
 
     ``fixture_um`` is the distance of the point about which the fixture turns from the calibrated rotation centre: the
     fixture's markers place every picture, so that only a moved camera or stage is to be noticed. ``beyond_part_um`` is
-    how far a corner of the region may reach beyond the part.
+    how far a corner of the region may reach beyond the part, ``part_turn_deg`` by how much the part may turn on its
+    fixture between two poses.
     ``moved_um`` is how far the fixture's centre may stand from where it stood in the first pose, ``marker_off_um`` by
     how much a marker may be off the others before it is left out; 0.3 px are always allowed.
 
@@ -96,6 +97,7 @@ class LimitsPart(Part):
     beyond_part_um: NotNegative = 0.0
     moved_um: Positive = 100.0
     marker_off_um: NotNegative = 3.0
+    part_turn_deg: Positive = 2.0
     white_share: Share = 0.01
     white_untaught_share: Share = 0.03
     level_note_share: Share = 0.03

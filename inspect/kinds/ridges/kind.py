@@ -37,9 +37,9 @@ class Ridges(SurfaceKind[RidgeRecipe], Beginning):
         write_new_recipe(out, requested)
         return "[material] and [region]"
 
-    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
-        """Check the direction of the ridges, and that nothing hides them."""
-        check_part(views, measured, recipe)
+    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> tuple[str, ...]:
+        """Check pitch and direction of the ridges, and that nothing hides them."""
+        return check_part(views, measured, recipe)
 
     def fit_shape(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured

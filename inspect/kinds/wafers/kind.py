@@ -178,10 +178,10 @@ class Wafers(SurfaceKind[WaferRecipe]):
         stated = recipe.uncertainty.model_copy(update={"step_edges_nm": 0.0})
         return recipe.model_copy(update={"uncertainty": stated})
 
-    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
+    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> tuple[str, ...]:
         """Check that the region does not leave the wafer, whose tiles are all alike."""
         del views
-        check_edges(without_grain(measured.cells), measured.grid, recipe)
+        return check_edges(without_grain(measured.cells), measured.grid, recipe)
 
     def predicted_cells(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
