@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from anisoscope.base.cause_words import CauseWords
+from anisoscope.diagnosis.rig_causes import LIGHT_ADDED, POSE_SCALED, SEATS
 from anisoscope.profiles.defect_injection import DEFECTS
 
 
@@ -15,6 +16,7 @@ def words_of(cause: str, words: Mapping[str, CauseWords]) -> tuple[str, CauseWor
 
 
 _TOOL = "and have the tool checked"
+_SEAT = "Do not reject: check how the part lies in its seat, seat it as the recipe says, and inspect it again"
 
 RIG_WORDS: Mapping[str, CauseWords] = {
     "seating-x": CauseWords(
@@ -29,6 +31,17 @@ RIG_WORDS: Mapping[str, CauseWords] = {
         "The lamp stands about {size} too far from the camera",
         "Do not reject: check the lamp, run the commissioning again, then inspect the part again",
         "The lamp stands about {size} too close to the camera",
+    ),
+    **{name: CauseWords(title[0].upper() + title[1:], _SEAT) for name, (title, _) in SEATS.items()},
+    POSE_SCALED: CauseWords(
+        "One pose is about {size} too bright, as by another lamp, exposure or gain",
+        "Do not reject: check lamp, exposure and gain of the camera, then inspect the part again",
+        "One pose is about {size} too dark, as by another lamp, exposure or gain",
+    ),
+    LIGHT_ADDED: CauseWords(
+        "Light is added to all poses, about {size} of the darkest one",
+        "Do not reject: keep other light off the rig, check the dark frames, then inspect the part again",
+        "Light is missing in all poses, about {size} of the darkest one",
     ),
 }
 """Causes that are not the part, alike for all surfaces."""

@@ -1,4 +1,4 @@
-"""Diagnosis of a deviating part for its record. It never changes the verdict.
+"""Diagnosis of a deviating part for its record. Where a fault of the rig explains the part as well, it is no FAIL.
 
 A diagnosis that fails becomes a note: causes are computed from models and cached on disk, and neither may fail a part.
 """
@@ -23,7 +23,8 @@ from anisoscope.diagnosis.evidence import (
     covariance_of,
     inputs_of,
 )
-from anisoscope.diagnosis.ranking import NOTHING, PLASTIC, Diagnosis, bare_title, diagnose
+from anisoscope.diagnosis.ranking import NOTHING, PLASTIC, TIE, Diagnosis, bare_title, diagnose
+from anisoscope.diagnosis.rig_causes import Predict, RigFault, rig_faults
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.defect_regions import form_of
 from anisoscope.imaging.pose_radiance import Measured
@@ -44,6 +45,9 @@ def explain(
     advance: Advance = silent,
     golden: GoldenSet | None = None,
     causes: CauseModel = PLASTIC_CAUSES,
+    *,
+    predict: Predict | None = None,
+    light_watched: bool = False,
 ) -> tuple[DiagnosisRecord, str | None]:
     """Rank the causes if the part deviates or did not pass.
 
@@ -51,10 +55,12 @@ def explain(
         recipe: the recipe.
         expected: the prediction that decided.
         measured: the measurement.
-        decision: the verdict, which stands.
+        decision: the verdict.
         advance: called at every signature that is not cached.
         golden: the golden parts used as the reference, or None.
         causes: of the kind of part.
+        predict: predicts a recipe's poses; faults of the rig compete where the part fails. None: they do not.
+        light_watched: lamp, exposure and stray light were measured in every frame, and were right.
 
     Returns:
         The diagnosis, and a note where it failed.
@@ -70,7 +76,15 @@ def explain(
         evidence = evidence_of(recipe, expected, measured, decision, golden)
         if any(one.cause.scales_pitch for one in known.found):
             evidence = replace(evidence, pitch=measured_pitch(measured, recipe))
-        found = diagnose(known, evidence)
+        faults: tuple[RigFault, ...] = ()
+        if predict is not None and decision.verdict is Verdict.FAIL:
+
+            def seen_at(seat: Expectation) -> Evidence:
+                turned = evidence_of(recipe, seat, measured, decision)
+                return turned if golden is None else shifted(evidence, turned, expected, seat)
+
+            faults = rig_faults(recipe, expected, evidence, seen_at, predict, light_watched=light_watched)
+        found = diagnose(known, evidence, faults)
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
     record = diagnosis_record(found, recipe.decision.alpha)
@@ -115,8 +129,32 @@ def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> Diagno
         alpha: level of significance: below it none of them explains what was inspected.
         of: noun for the inspected part.
     """
-    return DiagnosisRecord(
+    record = DiagnosisRecord(
         says=_summary(found, alpha, of), causes=found.causes, unexplained_p=found.unexplained_p
+    )
+    if found.fault is None:
+        return record
+    verdict = Verdict.INVALID if found.ahead >= TIE else Verdict.INCONCLUSIVE
+    return record.model_copy(update={"rig_fault": found.fault.name, "verdict": verdict})
+
+
+def rig_reason(found: DiagnosisRecord) -> str:
+    """Reason of a verdict that a fault of the rig decides, for the record."""
+    fault = next(one for one in found.causes if one.cause == found.rig_fault)
+    title = bare_title(fault.title)
+    if found.verdict is Verdict.INVALID:
+        return f"{title}: this explains the poses, and no defect of the part explains them as well"
+    return f"{title}: this explains the poses as well as any defect of the part does"
+
+
+def shifted(evidence: Evidence, turned: Evidence, expected: Expectation, seat: Expectation) -> Evidence:
+    """Evidence against golden parts for a part in another seat: their mean shifts as the prediction does."""
+    shift = np.log(seat.radiance / expected.radiance)
+    return replace(
+        evidence,
+        deviation=evidence.deviation - shift,
+        covariance=turned.covariance,
+        inputs=turned.inputs,
     )
 
 

@@ -41,6 +41,7 @@ from anisoscope.diagnosis.likelihood import (
     pair_interval,
     unspecific,
 )
+from anisoscope.diagnosis.rig_causes import RigFault
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.record.schema import CauseRecord, ComponentRecord
 
@@ -67,10 +68,14 @@ class Diagnosis:
     Attributes:
         causes: ranked causes, "nothing" among them.
         unexplained_p: p value of the residual χ² of the best; small: none of the causes explains the part.
+        fault: the fault of the rig that explains the part as well as the best cause or better, or None.
+        ahead: −2 ln of the likelihoods by which it explains the part better than the best cause.
     """
 
     causes: tuple[CauseRecord, ...]
     unexplained_p: float
+    fault: RigFault | None = None
+    ahead: float = 0.0
 
     @property
     def ties(self) -> tuple[CauseRecord, ...]:
@@ -80,7 +85,7 @@ class Diagnosis:
 
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
-    """A hypothesis with its fit: none, one or two causes, or another plastic.
+    """A hypothesis with its fit: none, one or two causes, another plastic, or a fault of the rig.
 
     ``cost`` is −2 ln of the likelihood, ``bic`` with the penalty of its extents and the prior, ``compared`` what ties
     are counted by: the likelihood, and of a pair with the penalty of its second extent.
@@ -91,14 +96,18 @@ class _Hypothesis:
     bic: float
     compared: float
     extents: int
+    fault: RigFault | None = None
 
 
-def diagnose(known: Signatures, evidence: Evidence, *, together: bool = True) -> Diagnosis:
+def diagnose(
+    known: Signatures, evidence: Evidence, faults: Sequence[RigFault] = (), *, together: bool = True
+) -> Diagnosis:
     """Rank the causes.
 
     Args:
         known: the signatures of the recipe's poses.
         evidence: what was measured.
+        faults: of the rig, fitted, that compete.
         together: consider two causes together; not where causes are so alike that two of them explain anything.
 
     Returns:
@@ -108,6 +117,7 @@ def diagnose(known: Signatures, evidence: Evidence, *, together: bool = True) ->
     good = nothing(evidence)
     rows = [_Hypothesis((), good, good.cost, good.cost, 0)]
     rows += [_single(signature, evidence, data) for signature in known.found]
+    rows += [_of_rig(fault, data) for fault in faults]
     rows.sort(key=lambda row: row.bic)
     if together and _left(rows[0], data, evidence) < BELIEVABLE:
         rows += _pairs(rows, evidence, data)
@@ -128,7 +138,25 @@ def diagnose(known: Signatures, evidence: Evidence, *, together: bool = True) ->
     ]
     place = int(np.count_nonzero(bic <= other.cost))
     causes.insert(max(place, 1), _without_severity(OTHER, _OTHER_TITLE, weight[-1], other.chi2))
-    return Diagnosis(tuple(causes), left)
+    return Diagnosis(tuple(causes), left, *_rival(rows, good.cost, data, evidence))
+
+
+def _of_rig(fault: RigFault, data: int) -> _Hypothesis:
+    compared = fault.fit.cost + fault.penalty
+    bic = compared + fault.extents * float(np.log(data))
+    return _Hypothesis((), fault.fit, bic, compared, fault.extents, fault)
+
+
+def _rival(
+    rows: Sequence[_Hypothesis], good: float, data: int, evidence: Evidence
+) -> tuple[RigFault | None, float]:
+    """The fault of the rig that ties with the best cause or beats it, and by how much; it must explain the part."""
+    others = min((row.compared for row in rows if row.fault is None), default=good)
+    for row in sorted((row for row in rows if row.fault is not None), key=lambda row: row.compared):
+        ahead = others - row.compared
+        if ahead > -TIE and good - row.compared > TIE and _left(row, data, evidence) >= BELIEVABLE:
+            return row.fault, ahead
+    return None, 0.0
 
 
 _OTHER_TITLE = "something else: none of these causes"
@@ -215,6 +243,9 @@ def _record(
             " and ".join(bare_title(s.cause.title) for s in row.causes),
         )
         return _without_severity(name, title, weight, fit.chi2, tie=tie, components=parts)
+    if row.fault is not None:
+        found = _without_severity(row.fault.name, row.fault.title, weight, fit.chi2, tie=tie)
+        return found.model_copy(update={"severity": row.fault.fit.extent})
     if not row.causes:
         return CauseRecord(
             cause=NOTHING,

@@ -115,14 +115,19 @@ def judge(
     if not invalid_reason and (final or decided.verdict is not Verdict.INCONCLUSIVE):
         case = Case(kind, sitting, recipe, expected, measured, decided, reference)
         explanation = diagnose(case, advance)
+    verdict, reasons = decided.verdict, decided.reasons
+    if invalid_reason:
+        verdict, reasons = Verdict.INVALID, (invalid_reason,)
+    elif explanation.reason and explanation.diagnosis is not None:
+        verdict, reasons = explanation.diagnosis.verdict or verdict, (explanation.reason, *reasons)
     record = make_record(
         manifest,
         job,
         expected,
         frames,
         now(),
-        (invalid_reason,) if invalid_reason else decided.reasons,
-        verdict=Verdict.INVALID if invalid_reason else decided.verdict,
+        reasons,
+        verdict=verdict,
         views=sitting.views.poses,
         results=kind.results(sitting, recipe, expected, measured, decided, reference),
         explanation=explanation,

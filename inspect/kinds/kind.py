@@ -142,12 +142,14 @@ class Sitting:
         frames: the raw frames and their camera.
         calibrations: of the rig.
         rig: the rig file.
+        light_watched: lamp, exposure and stray light were measured in every frame, and were right.
     """
 
     views: Views
     frames: AcquiredFrames
     calibrations: Calibrations
     rig: RigFile
+    light_watched: bool = False
 
     @property
     def pixel_um(self) -> float:
@@ -192,11 +194,19 @@ class Results:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Explanation of a verdict, which never changes it: diagnosis, further fields of the details, and notes."""
+    """Explanation of a verdict.
+
+    Attributes:
+        diagnosis: the causes.
+        details: further fields of the details.
+        notes: for the user.
+        reason: why the verdict is that of the diagnosis (`DiagnosisRecord.verdict`) and not FAIL; "" where it stands.
+    """
 
     diagnosis: DiagnosisRecord | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    reason: str = ""
 
 
 class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
@@ -348,7 +358,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         *,
         cached: bool = False,
     ) -> Explanation:
-        """Diagnosis of the verdict, which it never changes.
+        """Diagnosis of the verdict; it takes a FAIL back where a fault of the rig explains the part as well.
 
         Args:
             sitting: the photographs.

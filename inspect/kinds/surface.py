@@ -24,7 +24,7 @@ from anisoscope.decision.predictive import MAX_BIRGE
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.cause_words import plastic_words
-from anisoscope.diagnosis.part_diagnosis import explain
+from anisoscope.diagnosis.part_diagnosis import explain, rig_reason
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map
@@ -332,12 +332,24 @@ class SurfaceKind(
         cached: bool = False,
     ) -> Explanation:
         """Causes, both comparisons, the fit over tilts, the place on the height map, and the golden parts."""
-        del sitting
         golden = cast("GoldenSet | None", usable(reference)) if decided.golden else None
-        diagnosis, unexplained = explain(recipe, expected, measured, decided, advance, golden, self.causes)
+        predict = self._predict(cached=cached)
+        diagnosis, unexplained = explain(
+            recipe,
+            expected,
+            measured,
+            decided,
+            advance,
+            golden,
+            self.causes,
+            predict=partial(predict, light_angle_deg=expected.convention.light_angle_deg)
+            if recipe.decision.rig_faults
+            else None,
+            light_watched=sitting.light_watched,
+        )
         # against golden parts the decision has other numbers
         known = None if decided.golden else (decided.d2, decided.dof, decided.p_value)
-        compared = compare(recipe, expected, measured, self._predict(cached=cached), known)
+        compared = compare(recipe, expected, measured, predict, known)
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
         lacking = reference and reference.lacking
@@ -353,6 +365,7 @@ class SurfaceKind(
                 "golden": None if golden is None else golden_record(golden, measured, decided),
             },
             tuple(note for note in (lacking, unlike, unexplained, compared.note, unfitted, unplaced) if note),
+            "" if diagnosis.verdict is None else rig_reason(diagnosis),
         )
 
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
@@ -383,6 +396,8 @@ class SurfaceKind(
         changes["material"] = recipe.material.model_copy(
             update={name: stated[name] for name in ("u_tail", "u_alpha_share", "u_albedo") if name in stated}
         )
+        if "rig_faults" not in recorded.get("decision", {}):
+            changes["decision"] = recipe.decision.model_copy(update={"rig_faults": False})
         if "wear_um" not in recorded.get("defects", {}):
             changes["defects"] = recipe.defects.model_copy(update={"wear_um": None})
         return recipe.model_copy(update=changes)

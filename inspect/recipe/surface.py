@@ -267,9 +267,10 @@ class DecisionPart(DecisionBase):
     ``tolerance`` is the largest deviation |measured − predicted| of a good part, one number for all pairs or
     one a pair; without it a significant deviation at ``alpha`` fails the part. ``deviation`` says what a
     significant deviation within the tolerance does. INCONCLUSIVE parts are measured up to ``remeasure`` times
-    more.
+    more. With ``rig_faults`` a failing part is INVALID or INCONCLUSIVE where a fault of the rig explains it as well.
     """
 
+    rig_faults: bool = True
     contrast: ContrastKind = "log_ratio"
     tolerance: Positive | tuple[Positive, ...] | None = None
 

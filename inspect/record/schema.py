@@ -254,13 +254,16 @@ class CauseRecord(_Part):
 class DiagnosisRecord(_Part):
     """Diagnosis: one line, and the causes, the best first; none where nothing was to be explained.
 
-    ``tells`` names what would separate the tied causes, where that was computed.
+    ``tells`` names what would separate the tied causes, where that was computed. ``rig_fault`` is the cause that is a
+    fault of the rig and explains a failing part as well as the best defect, ``verdict`` what the part gets then.
     """
 
     says: str
     causes: tuple[CauseRecord, ...] = ()
     unexplained_p: float | None = None
     tells: str | None = None
+    rig_fault: str | None = None
+    verdict: Verdict | None = None
 
 
 class ConclusionRecord(_Part):

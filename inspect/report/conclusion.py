@@ -117,10 +117,11 @@ def _of_verdict(
 ) -> tuple[str, str]:
     """Key of the action, and the finding."""
     reason = record.reasons[0] if record.reasons else "no reason is recorded"
+    fault = None if record.diagnosis is None else record.diagnosis.rig_fault
     if record.verdict == "INVALID":
-        return "invalid", f"The part was not judged: {reason}"
+        return fault or "invalid", f"The part was not judged: {reason}"
     if record.verdict == "INCONCLUSIVE":
-        return "inconclusive", f"Too close to a limit to decide. {measured}"
+        return (fault, reason) if fault else ("inconclusive", f"Too close to a limit to decide. {measured}")
     named = _named(record, words)
     finding = _finding(named, nominal, _sign_unknown(record, named))
     rivals = _rivals(record, named)
