@@ -23,7 +23,7 @@ from anisoscope.diagnosis.evidence import (
     covariance_of,
     inputs_of,
 )
-from anisoscope.diagnosis.ranking import NOTHING, PLASTIC, TIE, Diagnosis, bare_title, diagnose
+from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC, TIE, Diagnosis, bare_title, diagnose
 from anisoscope.diagnosis.rig_causes import Predict, RigFault, rig_faults
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.defect_regions import form_of
@@ -144,7 +144,10 @@ def rig_reason(found: DiagnosisRecord) -> str:
     title = bare_title(fault.title)
     if found.verdict is Verdict.INVALID:
         return f"{title}: this explains the poses, and no defect of the part explains them as well"
-    return f"{title}: this explains the poses as well as any defect of the part does"
+    other = next(one for one in found.causes if one.cause not in {found.rig_fault, NOTHING, OTHER})
+    return (
+        f"{title}: this explains the poses as well as a defect of the part does ({bare_title(other.title)})"
+    )
 
 
 def shifted(evidence: Evidence, turned: Evidence, expected: Expectation, seat: Expectation) -> Evidence:
