@@ -145,6 +145,9 @@ def decide(
     )
     like = predictive.strongest if predictive is not None and predictive.decides else None
     verdict, reasons = _combine(pairs, p_value, area, rule, number, where, like)
+    if measured.mirroring is not None:
+        verdict, own = Verdict.FAIL, reasons if verdict is Verdict.FAIL else ()
+        reasons = (_of_mirroring(measured.mirroring), *own)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
     tolerances = recipe.tolerances()
@@ -305,6 +308,13 @@ def _combine(
     decisive = tuple(line for found, line in findings if found == verdict)
     warn = significant and verdict == Verdict.PASS
     return verdict, (("warning: significant deviation within the tolerance",) if warn else ()) + decisive
+
+
+def _of_mirroring(cells: npt.NDArray[np.bool_]) -> str:
+    return (
+        f"{np.mean(cells):.1%} of the area is saturated where the same flanks elsewhere are not: it mirrors, as where "
+        "a ridge is missing or flat"
+    )
 
 
 def _share(area: AreaRecord, share: float) -> str:

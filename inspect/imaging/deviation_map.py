@@ -184,7 +184,7 @@ def judge_area(
     if rule is None:
         return None, None
     found = cell_map(measured, poses, rule) if cells is None else cells
-    over, each_noise, least = found.deviating(), _noise(measured, poses), float(found.thresholds.min())
+    over, each_noise, least = _over(found, measured), _noise(measured, poses), float(found.thresholds.min())
     noise = float(each_noise.max())
     if noise > (1.0 + 1e-9) * MAX_CELL_NOISE * least:
         raise MeasurementError(
@@ -207,6 +207,12 @@ def judge_area(
     return AreaRecord(
         share=share, u=u, max_share=limit, cells=over.size, verdict=verdict, cell_deviations=each
     ), over
+
+
+def _over(found: CellMap, measured: Measured) -> npt.NDArray[np.bool_]:
+    """Cells that deviate, those that a defect saturates among them."""
+    over = found.deviating()
+    return over if measured.mirroring is None else over | measured.mirroring
 
 
 def _limit_by_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaRecord:

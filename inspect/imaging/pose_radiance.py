@@ -20,7 +20,7 @@ from anisoscope.imaging.registration.placement import (
 )
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.recipe.base import LimitsPart
-from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.recipe.surface import MOST_DEVIATION, SurfaceRecipe
 
 Image = npt.NDArray[np.float32]
 
@@ -51,6 +51,8 @@ class Measured:
         grid: raster of the aligned pictures.
         drift: L(first pose, at the end)/L(first pose, at the start) − 1, or None.
         unwatched: notes on what the gates could not see.
+        mirroring: (cell rows, cell cols) True where a defect saturates a pose; its radiance is a lower bound. None:
+            nothing does.
     """
 
     radiance: FloatArray
@@ -61,6 +63,7 @@ class Measured:
     grid: Grid
     drift: float | None
     unwatched: tuple[str, ...] = ()
+    mirroring: npt.NDArray[np.bool_] | None = None
 
 
 def region_grid(recipe: SurfaceRecipe, pixel_um: float) -> tuple[Grid, int]:
@@ -140,12 +143,14 @@ def measure(
         check_view(view, alike, recipe, pixel_um)
     grid, per_cell = region_grid(recipe, pixel_um)
 
-    def sampled(view: View) -> tuple[Image, float, FloatArray]:
+    def sampled(view: View) -> tuple[Image, float, FloatArray, float, npt.NDArray[np.bool_] | None]:
         picture = resample(view.image.value, view.placement, grid)
-        _check_region(view, picture, grid, recipe)
-        return picture, _mean_noise(view, grid), _cell_means(picture, per_cell)
+        usable = mean_of(picture)
+        bright = _check_region(view, picture, grid, recipe, per_cell)
+        return picture, _mean_noise(view, grid), _cell_means(picture, per_cell), usable, bright
 
-    pictures, noises, blocks = zip(*for_each(sampled, views), strict=True)
+    pictures, noises, blocks, usable, bright = zip(*for_each(sampled, views), strict=True)
+    marked = [one for one in bright if one is not None]
     aligned, noise, cells = list(pictures), np.array(noises), np.stack(blocks)
     radiance = np.array([mean_of(picture) for picture in aligned])
     if np.any(radiance <= 0):
@@ -155,12 +160,19 @@ def measure(
     drift = None
     if closing is not None:
         again = mean_of(resample(closing.image.value, closing.placement, grid))
-        drift = again / radiance[0] - 1.0
+        drift = again / usable[0] - 1.0
     pixels_per_point = (grid.pixel_mm * 1000.0 / pixel_um) ** 2
     area_px, cell_px = grid.shape[0] * grid.shape[1] * pixels_per_point, per_cell**2 * pixels_per_point
     components = _components(recipe, expected, radiance, noise / np.sqrt(area_px), drift, views, aligned)
     return Measured(
-        radiance, components, tuple(aligned), cells, noise / np.sqrt(cell_px) / radiance, grid, drift
+        radiance,
+        components,
+        tuple(aligned),
+        cells,
+        noise / np.sqrt(cell_px) / radiance,
+        grid,
+        drift,
+        mirroring=np.any(marked, axis=0) if marked else None,
     )
 
 
@@ -201,14 +213,30 @@ def _corners(view: View, grid: Grid) -> FloatArray:
     return view.placement.seen(np.asarray(sampled[:, :2] / sampled[:, 2:]))
 
 
+def _window(view: View, grid: Grid) -> tuple[slice, slice]:
+    """Rows and columns of the picture that hold the region."""
+    at, shape = _corners(view, grid), view.image.value.shape
+    low = np.clip(np.floor(at.min(axis=0)), 0, np.array(shape[::-1]) - 1).astype(int)
+    high = np.clip(np.ceil(at.max(axis=0)) + 1, low + 1, shape[::-1]).astype(int)
+    cols, rows = (slice(int(first), int(last)) for first, last in zip(low, high, strict=True))
+    return rows, cols
+
+
 def _is_inside(view: View, grid: Grid) -> bool:
     """Whether the corners of the region, and so all of it, are within the picture."""
     at = _corners(view, grid)
     return bool(np.all((at >= 0.0) & (at <= np.array(view.image.value.shape[::-1]) - 1.0)))
 
 
-def _check_region(view: View, picture: Image, grid: Grid, recipe: SurfaceRecipe) -> None:
-    share = 0.0
+def _check_region(
+    view: View, picture: Image, grid: Grid, recipe: SurfaceRecipe, per_cell: int
+) -> npt.NDArray[np.bool_] | None:
+    """Check that the region is in the picture and not over-exposed.
+
+    Returns:
+        The cells that a defect saturates, or None; their pixels get the largest radiance that was measured.
+    """
+    share, bright = 0.0, None
     if not _is_inside(view, grid) or view.image.saturated.any():
         saturated = resample(view.image.saturated.astype(np.float32), view.placement, grid)
         inside = np.isfinite(saturated)
@@ -219,6 +247,11 @@ def _check_region(view: View, picture: Image, grid: Grid, recipe: SurfaceRecipe)
             )
         share = float(np.mean(saturated > 0.01))
     if share > recipe.limits.saturated_share:
+        rows, cols = _window(view, grid)
+        largest = float(np.nanmax(view.image.value[rows, cols], initial=0.0))
+        bright = _mirroring(saturated > 0.01, picture, recipe, per_cell, largest)
+        np.copyto(picture, largest, where=np.isnan(picture) & (saturated > 0.0))
+    if share > recipe.limits.saturated_share and bright is None:
         raise Saturated(
             f"at {view.stage_deg:g}° {share:.2%} of the region are saturated (limit "
             f"{recipe.limits.saturated_share:.2%}): shorten acquisition.exposure_s in the recipe"
@@ -227,6 +260,40 @@ def _check_region(view: View, picture: Image, grid: Grid, recipe: SurfaceRecipe)
     missing = 0.0 if whole else float(np.mean(~np.isfinite(picture)))
     if missing > 0.05 + 10 * recipe.limits.saturated_share:
         raise MeasurementError(f"at {view.stage_deg:g}° {missing:.1%} of the region have no usable pixels")
+    return bright
+
+
+def _mirroring(
+    saturated: npt.NDArray[np.bool_], picture: Image, recipe: SurfaceRecipe, per_cell: int, largest: float
+) -> npt.NDArray[np.bool_] | None:
+    """Cells that a defect saturates, which mirrors where the same flanks elsewhere do not; None: over-exposed.
+
+    Args:
+        saturated: (rows, cols) points of the region.
+        picture: of the same size.
+        recipe: by how much a cell must deviate, and the share of points that may saturate elsewhere.
+        per_cell: points a side of a cell.
+        largest: radiance that was measured near them, which they have at least.
+    """
+    rows, cols = saturated.shape
+    size = cols // per_cell, rows // per_cell
+    share = cv2.resize(saturated.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    cells = np.asarray(share > 0.5)
+    groups = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)[2][1:, cv2.CC_STAT_AREA]
+    if np.mean(cells) > 0.5 or groups.max(initial=0) < CELLS_PER_PITCH:
+        return None
+    near = cv2.resize(
+        cv2.dilate(cells.astype(np.uint8), np.ones((3, 3))), (cols, rows), interpolation=cv2.INTER_NEAREST
+    )
+    rule = MOST_DEVIATION if recipe.area is None else recipe.area.cell_deviation
+    least = largest / np.exp(MOST_DEVIATION if rule == "auto" else rule)
+    means = _cell_means(picture, per_cell)
+    for phase in range(CELLS_PER_PITCH):
+        own, taken = means[:, phase::CELLS_PER_PITCH], cells[:, phase::CELLS_PER_PITCH]
+        if taken.mean() > 0.5 or np.median(own[~taken]) > least:
+            return None
+    elsewhere = float(np.mean(saturated & (near == 0)))
+    return None if elsewhere > recipe.limits.saturated_share else cells
 
 
 def _cell_means(picture: Image, side: int) -> FloatArray:
@@ -244,13 +311,12 @@ def _cell_means(picture: Image, side: int) -> FloatArray:
 
 def _mean_noise(view: View, grid: Grid) -> float:
     """Root mean square of the noise of the region's pixels; of a large region, of every n-th along either axis."""
-    at, shape = _corners(view, grid), view.image.value.shape
-    low = np.clip(np.floor(at.min(axis=0)), 0, np.array(shape[::-1]) - 1).astype(int)
-    high = np.clip(np.ceil(at.max(axis=0)) + 1, low + 1, shape[::-1]).astype(int)
-    step = 1 + 2 * int(
-        0.5 * np.sqrt(float(np.prod(high - low)) / _NOISE_SAMPLE)
-    )  # odd: on all filters of a mosaic
-    cols, rows = (slice(int(first), int(last), step) for first, last in zip(low, high, strict=True))
+    at = _corners(view, grid)
+    rows, cols = _window(view, grid)
+    low = np.array([cols.start, rows.start])
+    pixels = float((rows.stop - rows.start) * (cols.stop - cols.start))
+    step = 1 + 2 * int(0.5 * np.sqrt(pixels / _NOISE_SAMPLE))  # odd: on all filters of a mosaic
+    rows, cols = slice(rows.start, rows.stop, step), slice(cols.start, cols.stop, step)
     noise = view.image.noise_in((rows, cols))
     inside = np.zeros(noise.shape, dtype=np.uint8)
     edges = np.rint((at[[0, 1, 3, 2]] - low) / step).astype(np.int32)

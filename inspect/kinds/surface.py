@@ -242,7 +242,9 @@ class SurfaceKind(
     def kept(self, recipe: RecipeT, measured: Measured) -> Mapping[str, Any]:
         """Radiances, cells and uncertainties; the pictures are in the frames."""
         grid, parts = measured.grid, measured.components
+        marked = {} if measured.mirroring is None else {"mirroring": measured.mirroring}
         return {
+            **marked,
             "radiance": measured.radiance,
             "cells": measured.cells,
             "cell_noise": measured.cell_noise,
@@ -813,4 +815,5 @@ def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Meas
             float(kept["grid_turn_deg"]),
         ),
         drift=None if np.isnan(drift) else drift,
+        mirroring=kept.get("mirroring"),
     )

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import MeasurementError, RegistrationError, Saturated
+from anisoscope.decision.decision import decide
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.pose_radiance import drift_error, measure, region_grid
 from anisoscope.imaging.registration.placement import Placement, View
+from anisoscope.kinds.ridges.kind import RIDGES
 from anisoscope.prediction.expectation import expectation
+from anisoscope.record.verdict import Verdict
 
 SIZE = 200
 LEVELS = {0.0: 0.30, 90.0: 0.05, 180.0: 0.04}
@@ -119,6 +122,50 @@ def saturated(seen):
     mask = np.zeros((SIZE, SIZE), bool)
     mask[90:110, 90:110] = True
     return with_image(seen, saturated=mask, value=np.where(mask, np.nan, seen.image.value).astype(np.float32))
+
+
+def mirroring(seen, first=60, wide=12, beside=0.3):
+    """One ridge is missing: its land saturates, with a seam of bright pixels."""
+    mask, value = np.zeros((SIZE, SIZE), bool), seen.image.value.copy()
+    value[:, first - 1 : first + wide + 1] = beside
+    mask[:, first : first + wide] = True
+    return with_image(seen, saturated=mask, value=np.where(mask, np.nan, value).astype(np.float32))
+
+
+def test_a_defect_that_saturates_is_a_fail(views, recipe, expected):
+    views[2] = mirroring(views[2])
+    found = measure(views, view(0.0), recipe, expected, 8.0)
+    assert found.drift == pytest.approx(0.0, abs=1e-6)
+    columns = np.flatnonzero(found.mirroring.mean(axis=0) > 0.9)
+    assert 3 <= len(columns) <= 5
+    assert np.all(found.cells[2][:, columns] > 0.2)
+    decided = decide(expected, found, recipe)
+    assert decided.verdict is Verdict.FAIL
+    assert re.match(
+        r"1\d\.\d% of the area is saturated where the same flanks .* it mirrors", decided.reasons[0]
+    )
+    assert np.all(decided.deviating[found.mirroring])
+    kept = RIDGES.kept(recipe, found)
+    again = RIDGES.decide_again(kept, recipe, expected, None)[1]
+    assert (again.verdict, again.reasons) == (Verdict.FAIL, decided.reasons)
+
+
+OVEREXPOSED = {
+    "the same flanks are nearly as bright": lambda seen: mirroring(
+        with_image(seen, value=np.full_like(seen.image.value, 0.28))
+    ),
+    "most of the region": lambda seen: mirroring(seen, first=20, wide=110),
+    "points everywhere": lambda seen: with_image(
+        seen, saturated=np.indices((SIZE, SIZE)).sum(axis=0) % 9 == 0
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OVEREXPOSED)
+def test_general_over_exposure_stays_invalid(case, views, recipe, expected):
+    views[0] = OVEREXPOSED[case](views[0])
+    with pytest.raises(Saturated, match=r"at 0° .* saturated .*shorten acquisition.exposure_s"):
+        measure(views, None, recipe, expected, 8.0)
 
 
 def residual(seen):
