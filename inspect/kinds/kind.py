@@ -142,14 +142,12 @@ class Sitting:
         frames: the raw frames and their camera.
         calibrations: of the rig.
         rig: the rig file.
-        light_watched: lamp, exposure and stray light were measured in every frame, and were right.
     """
 
     views: Views
     frames: AcquiredFrames
     calibrations: Calibrations
     rig: RigFile
-    light_watched: bool = False
 
     @property
     def pixel_um(self) -> float:

@@ -335,7 +335,7 @@ class SurfaceKind(
     ) -> Explanation:
         """Causes, both comparisons, the fit over tilts, the place on the height map, and the golden parts."""
         golden = cast("GoldenSet | None", usable(reference)) if decided.golden else None
-        predict = self._predict(cached=cached)
+        predict, monitor = self._predict(cached=cached), sitting.views.monitor
         diagnosis, unexplained = explain(
             recipe,
             expected,
@@ -347,7 +347,7 @@ class SurfaceKind(
             predict=partial(predict, light_angle_deg=expected.convention.light_angle_deg)
             if recipe.decision.rig_faults
             else None,
-            light_watched=sitting.light_watched,
+            light_watched=monitor is not None and monitor.light_watched,
         )
         # against golden parts the decision has other numbers
         known = None if decided.golden else (decided.d2, decided.dof, decided.p_value)

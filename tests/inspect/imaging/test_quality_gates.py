@@ -192,7 +192,7 @@ def test_a_gate_that_sees_nothing_says_so(make_recipe):
     assert "follows its fixture at 90°" in one
     edges = [view(angle, 10.0, blur_px=None, black_share=None) for angle in ANGLES]
     edges = [replace(one, placement=replace(one.placement, markers=0)) for one in edges]
-    assert unwatched(edges) == ("not watched: tilt, sharpness, stray light (no markers in the pictures)",)
+    assert unwatched(edges) == ("not watched: tilt, sharpness (no markers in the pictures)",)
     assert unwatched([view(angle) for angle in ANGLES]) == ()
     few = SimpleNamespace(cells=np.ones((3, 4, 4)), grid=GRID)
     assert "fewer than 64 cells" in check_dirt([view(angle) for angle in ANGLES], few, 0.1)[0]
