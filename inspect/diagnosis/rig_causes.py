@@ -98,12 +98,13 @@ def rig_faults(
 
 def _best(evidence: Evidence, extents: FloatArray, changes: FloatArray) -> Fitted:
     """The likeliest of (E,) extents with (E, P) changes of ln L: of every tenth, then of those around it."""
-    fits: dict[int, Fitted] = {}
-    near = range(0, len(extents), _COARSE)
-    for _ in range(2):
-        fits |= {k: nothing(replace(evidence, deviation=evidence.deviation - changes[k])) for k in near}
-        best = min(fits, key=lambda k: fits[k].cost)
-        near = range(max(best - _COARSE, 0), min(best + _COARSE + 1, len(extents)))
+
+    def fitted(near: range) -> tuple[int, dict[int, Fitted]]:
+        fits = {k: nothing(replace(evidence, deviation=evidence.deviation - changes[k])) for k in near}
+        return min(fits, key=lambda k: fits[k].cost), fits
+
+    coarse, _ = fitted(range(0, len(extents), _COARSE))
+    best, fits = fitted(range(max(coarse - _COARSE, 0), min(coarse + _COARSE + 1, len(extents))))
     return replace(fits[best], extent=float(extents[best]))
 
 

@@ -236,7 +236,7 @@ def _check_region(
     Returns:
         The cells that a defect saturates, or None; their pixels get the largest radiance that was measured.
     """
-    share, bright = 0.0, None
+    share, bright, saturated = 0.0, None, np.zeros((0, 0), dtype=np.float32)
     if not _is_inside(view, grid) or view.image.saturated.any():
         saturated = resample(view.image.saturated.astype(np.float32), view.placement, grid)
         inside = np.isfinite(saturated)

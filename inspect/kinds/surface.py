@@ -344,7 +344,7 @@ class SurfaceKind(
             advance,
             golden,
             self.causes,
-            predict=partial(predict, light_angle_deg=expected.convention.light_angle_deg)
+            predict=(lambda other: predict(other, expected.convention.light_angle_deg))
             if recipe.decision.rig_faults
             else None,
             light_watched=monitor is not None and monitor.light_watched,
