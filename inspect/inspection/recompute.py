@@ -100,6 +100,9 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     if before.get("u", 0.0) > after.get("u", 0.0):
         unrecorded.add("details.area.u, for which all cells near the limit were moved together")
         after["u"] = before["u"]
+    # gates did not say then what they could not see
+    if "part_turn_deg" not in recorded.recipe.get("limits", {}):
+        new["notes"] = [note for note in new["notes"] if not note.startswith("not watched: ")]
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:
         notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)
