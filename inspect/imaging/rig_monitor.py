@@ -387,15 +387,16 @@ def _against(
     names = tuple(number for number, bad in zip(ids, dirty, strict=True) if bad)
     notes = [f"marker {number} is dirty or in shadow: its neighbours serve" for number in names]
     level = float(np.mean([pose.level for pose in poses]))
-    if abs(level - 1.0) > limits.level_note_share:
+    fault = _fault(poses, level, reference, limits)
+    if fault is None and abs(level - 1.0) > limits.level_note_share:
         notes.append(
             f"the markers are {abs(level - 1.0):.1%} {'brighter' if level > 1.0 else 'darker'} than at the reference "
             f"{reference.id}: has the lamp aged, or its level changed?"
         )
     stray = max((pose.stray or 0.0) / pose.white for pose in poses)
-    if stray > 0.25 * limits.stray_share:
+    if fault is None and stray > 0.25 * limits.stray_share:
         notes.append(f"stray light of {stray:.1%} of white was measured at the markers and subtracted")
-    return RigMonitor(reference.id, poses, names, tuple(notes), (), _fault(poses, level, reference, limits))
+    return RigMonitor(reference.id, poses, names, tuple(notes), (), fault)
 
 
 def _dirty(readings: Sequence[MarkerReading], reference: FixtureReference) -> FloatArray:

@@ -11,6 +11,8 @@ from typing import Any
 from anisoscope.base.errors import CalibrationError, CameraError, MeasurementError, RecordError, UsageError
 from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
+from anisoscope.calibration.corrections import Calibrations, calibrations_of
+from anisoscope.calibration.record import record_path
 from anisoscope.calibration.white_reference import read_reference, write_reference
 from anisoscope.decision.equipment import UNKNOWN
 from anisoscope.imaging.frames import AcquiredFrames, Shot
@@ -25,6 +27,7 @@ from anisoscope.inspection.job import (
     fixture_of,
     flat_of,
     sources_of,
+    sources_of_calibrations,
 )
 from anisoscope.inspection.manifest import begin
 from anisoscope.inspection.pipeline import measure_frames
@@ -174,6 +177,7 @@ class Given:
     _white_of_frames: dict[str, Any] | None
     _white_of_rig: WhiteReference | None
     _sources: tuple[Source, ...]
+    _calibrations: Calibrations
 
     def job(self, white_path: Path) -> Job:
         """The inspection of these frames; a white reference of their flat frames is written to a path."""
@@ -183,9 +187,22 @@ class Given:
         elif self.rig.calibration is not None:
             path = self.rig.calibration.flat
         white = white or read_reference(path)
-        sources = (*self._sources, Source("white reference", path, white.sha256))
+        calibrations = self._calibrations
+        sources = (
+            *self._sources,
+            Source("white reference", path, white.sha256),
+            *sources_of_calibrations(calibrations),
+        )
         return Job(
-            self.serial, self.kind, self.recipe, self.rig, self.fixture, white, sources, self.reference
+            self.serial,
+            self.kind,
+            self.recipe,
+            self.rig,
+            self.fixture,
+            white,
+            sources,
+            self.reference,
+            calibrations,
         )
 
 
@@ -226,12 +243,22 @@ def read_given(
         white_of_frames,
         white,
         sources,
+        Calibrations() if white is None else _fixture_reference(rig, white, (replay.rows, replay.cols)),
     )
+
+
+def _fixture_reference(rig: RigFile, white: WhiteReference, shape: tuple[int, int]) -> Calibrations:
+    """Reference of the fixture, where the frames are scaled by the flat of a rig that has one."""
+    if rig.calibration is None or rig.calibration.fixture is None:
+        return Calibrations()
+    found = calibrations_of({"fixture record": record_path(rig.calibration.fixture)})
+    found.check_camera(white.camera, shape)
+    return found
 
 
 FROM_FRAMES = (
     "whether another exposure would show more, and what a second round of photographs would decide; of the rig's "
-    "calibrations frames use the flat alone"
+    "calibrations frames use flat and fixture alone"
 )
 
 
