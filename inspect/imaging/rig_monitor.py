@@ -454,8 +454,8 @@ def _noise_of(one: MarkerReading) -> float:
 
 
 def _uneven(poses: Sequence[PoseState], limit: float, key: str) -> str | None:
-    """Fault where the level differs between the poses, or None."""
-    usual = float(np.median([pose.level for pose in poses]))
+    """Fault where the level differs between the poses, or None; that nearest to the reference is the right one."""
+    usual = min((pose.level for pose in poses), key=lambda level: abs(level - 1.0))
     worst = max(poses, key=lambda pose: abs(pose.level / usual - 1.0))
     off = worst.level / usual - 1.0
     if abs(off) <= limit + 3.0 * worst.u_level:

@@ -195,3 +195,9 @@ def test_a_print_whose_white_turns_with_the_stage_is_learnt() -> None:
     assert scatter < 0.001
     assert watched(paper, taught).fault is None
     assert "lamp, exposure or gain" in (watched(lambda image, _: image, taught).fault or "")
+
+
+def test_the_pose_that_is_off_the_reference_is_the_wrong_one(reference: FixtureReference) -> None:
+    found = watched(lambda image, angle: image * (0.75 if angle == 0.0 else 1.0), reference).fault
+    assert "at 0° the white of the markers is 25." in (found or "")
+    assert "darker" in (found or "")
