@@ -199,5 +199,5 @@ def test_a_print_whose_white_turns_with_the_stage_is_learnt() -> None:
 
 def test_the_pose_that_is_off_the_reference_is_the_wrong_one(reference: FixtureReference) -> None:
     found = watched(lambda image, angle: image * (0.75 if angle == 0.0 else 1.0), reference).fault
-    assert "at 0° the white of the markers is 25." in (found or "")
+    assert "at 0° at the end the white of the markers is 25." in (found or "")
     assert "darker" in (found or "")
