@@ -49,6 +49,9 @@ from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL, Line, find_inside,
 Counts = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 _PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8\xff"
+_LOSSY = "JPEG is lossy: let the camera's program save raw counts as TIFF or PNG"
+_LOSSY_TIFF = {6, 7, 34892}  # compressions of TIFF: JPEG, old and new, and lossy DNG
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG_COLOURS = {2: "colour", 3: "a palette of colours", 4: "grey with transparency", 6: "colour"}
 _MIN_IS_WHITE, _MIN_IS_BLACK = 0, 1
@@ -75,6 +78,8 @@ def counts_of(data: bytes, path: Path) -> Counts:
         counts = _png(path, data)
     elif data.startswith(_TIFF):
         counts = _tiff(path, data)
+    elif data.startswith(_JPEG):
+        raise RecordError(f"{path}: {_LOSSY}")
     else:
         raise RecordError(f"{path}: neither a TIFF nor a PNG file")
     if counts.ndim != 2 or counts.size == 0:
@@ -162,6 +167,8 @@ def _check_page(path: Path, pages: Sequence[object]) -> None:
         raise RecordError(f"{path}: a frame is grey; this TIFF holds colour ({samples} values per pixel)")
     if kind == _MIN_IS_WHITE:
         raise RecordError(f"{path}: this TIFF says that 0 is white; write it with 0 as black")
+    if int(getattr(page, "compression", 1)) in _LOSSY_TIFF:
+        raise RecordError(f"{path}: {_LOSSY}")
     bits = getattr(page, "bitspersample", 16)
     if bits not in {8, 16}:
         raise RecordError(f"{path}: a frame has 8 or 16 bits per pixel; this TIFF has {bits}")

@@ -47,13 +47,13 @@ def make_reference(
     Raises:
         CalibrationError: the tile is saturated or dark.
     """
-    saturated = float(flat.saturated.mean())
+    hot = hot_pixels(dark)
+    saturated = float(np.mean(flat.saturated & ~hot))  # a defective pixel says nothing about the exposure
     if saturated > 0.001:
         raise CalibrationError(
             f"{saturated:.1%} of the flat are saturated: shorten --exposure and take it again"
         )
     signal = flat.mean - dark.mean
-    hot = hot_pixels(dark)
     usual = usual_of_filters(signal, filters, hot)
     level = float(usual.min()) / full_scale
     if level < 0.05:

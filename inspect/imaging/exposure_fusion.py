@@ -76,7 +76,7 @@ def radiance_of(
     return RadianceImage(
         value=np.asarray(merged.rate * scale, dtype=np.float32),
         scatter=np.asarray(np.sqrt(merged.variance) * scale, dtype=np.float32),
-        saturated=clipped,
+        saturated=clipped & ~hot,
         signal_share=float(np.percentile(thinned, 99) / full_scale),
         flicker=_flicker(ordered[0]),
         frames=min(one.raw.frames for one in ordered),

@@ -281,7 +281,8 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
     check_size(white, sample.mean.shape)
     value = np.empty_like(sample.mean)
     per_second = np.float32(1.0 / (sample.exposure_s * sample.gain))
-    unlit, hot, saturated, light = white.unlit, dark.hot, sample.saturated, 0.0
+    unlit, hot, light = white.unlit, dark.hot, 0.0
+    saturated = sample.saturated & ~hot  # a defective pixel says nothing about the exposure
     for rows in _blocks(value.shape):
         scale = white.radiance_per_signal[rows] * per_second
         signal = np.subtract(sample.mean[rows], dark.mean[rows], out=value[rows])
@@ -294,7 +295,7 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
     return RadianceImage(
         value,
         _noise_of(sample, dark, white),
-        sample.saturated,
+        saturated,
         upper_quantile(thinned, 0.99) / full_scale,
         sample.flicker / max(light / value.size, 1e-9),
         sample.frames,

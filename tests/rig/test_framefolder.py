@@ -315,6 +315,10 @@ def spoil_cut(path):
     path.write_bytes(path.read_bytes()[:300])
 
 
+def spoil_text(path):
+    path.write_bytes(b"P5 8 6 255 ")
+
+
 def spoil_jpeg(path):
     path.write_bytes(cv2.imencode(".jpg", np.zeros((6, 8), np.uint8))[1].tobytes())
 
@@ -352,7 +356,8 @@ def spoil_png_cut(path):
         (spoil_two, "this TIFF holds 2"),
         (spoil_inverted, "0 is white"),
         (spoil_cut, "not a readable TIFF file"),
-        (spoil_jpeg, "neither a TIFF nor a PNG"),
+        (spoil_jpeg, "JPEG is lossy"),
+        (spoil_text, "neither a TIFF nor a PNG"),
         (spoil_png_colour, "this PNG holds colour"),
         (spoil_png_alpha, "grey with transparency"),
         (spoil_png_palette, "a palette of colours"),

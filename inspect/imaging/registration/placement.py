@@ -585,6 +585,14 @@ def locate(
         RegistrationError: fewer than three of the fixture's markers are visible, or they contradict each other.
     """
     found = find_markers(image, fixture)
+    if len({marker.id for marker in found}) < MIN_MARKERS:
+        mirrored = find_markers(np.ascontiguousarray(image[:, ::-1]), fixture)
+        if len({marker.id for marker in mirrored}) >= MIN_MARKERS:
+            raise RegistrationError(
+                "the picture is mirrored: its markers are seen only in its mirror image: switch the mirroring of the "
+                'camera off or on (features = "ReverseX=…" in [camera.options]), or of the program that saves the '
+                "pictures, and take a new flat"
+            )
     return place_markers(found, fixture, image.shape[:2], tilt_deg, lens=lens, marker_off_um=marker_off_um)
 
 

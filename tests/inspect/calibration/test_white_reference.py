@@ -59,6 +59,14 @@ def test_a_hot_pixel_of_the_flat_is_filled_with_a_plausible_signal():
     assert make(level(1064.0), dark)["signal"][3, 3] == pytest.approx(1000.0)
 
 
+def test_a_stuck_column_is_filled_and_does_not_ask_for_a_shorter_exposure():
+    flat, dark = level(1064.0), level(64.0)
+    for one in (flat, dark):
+        one.mean[:, 7] = 4095.0
+    flat.saturated[:, 7] = True
+    assert make(flat, dark)["signal"] == pytest.approx(np.full(SHAPE, 1000.0))
+
+
 @pytest.mark.parametrize(
     ("flat", "message"),
     [(level(3000.0, saturated=5), "saturated: shorten"), (level(200.0), "full scale: lengthen")],

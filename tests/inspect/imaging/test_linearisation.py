@@ -43,6 +43,19 @@ def test_radiance_comes_back_whatever_shading_exposure_and_gain(scene, exposure_
     assert not image.noise[known].any()
 
 
+def test_a_stuck_column_has_no_value_and_does_not_count_as_saturated():
+    counts, dark = np.full(SHAPE, 500), np.full(SHAPE, 60)
+    counts[:, 7] = dark[:, 7] = 4095
+    image = linearise(
+        stack([frame(counts, bits=12)] * 2),
+        stack([frame(dark, bits=12)] * 2),
+        white(np.full(SHAPE, 1000.0)),
+        4095,
+    )
+    assert not image.saturated.any()
+    assert np.unique(np.argwhere(~image.usable)[:, 1]).tolist() == [7]
+
+
 def test_saturated_pixels_have_no_value_even_if_only_one_frame_saturates():
     counts = np.full(SHAPE, 500)
     burnt = counts.copy()

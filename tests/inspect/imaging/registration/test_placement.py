@@ -129,6 +129,12 @@ def test_fewer_than_three_markers_are_refused(missing):
         locate(paint(truth(0.0, PIXEL_UM), missing=missing), FIXTURE)
 
 
+def test_a_mirrored_picture_is_named():
+    picture = paint(truth(17.3, PIXEL_UM))
+    with pytest.raises(RegistrationError, match=r"the picture is mirrored: .*ReverseX"):
+        locate(picture[:, ::-1], FIXTURE)
+
+
 def test_markers_of_another_fixture_do_not_count():
     other = Fixture(
         marker_mm=0.52, markers=tuple(m.model_copy(update={"id": m.id + 10}) for m in FIXTURE.markers)
