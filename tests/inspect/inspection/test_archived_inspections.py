@@ -60,7 +60,12 @@ UNSIGNED = "note: the record is not signed\n"
 def test_verify_says_what_it_said(archive, anisoscope, kind):
     folder, _ = archive
     found = anisoscope("verify", kind, "--json", cwd=folder).json
-    later = ("report_written", True), ("signed_by", None), ("distrust", []), ("origin", "")  # keys that came later
+    later = (
+        ("report_written", True),
+        ("signed_by", None),
+        ("distrust", []),
+        ("origin", ""),
+    )  # keys that came later
     assert all(found.pop(key) == value for key, value in later)
     assert found == _then(f"verify-{kind}.json", folder)
     done = anisoscope("verify", kind, cwd=folder)

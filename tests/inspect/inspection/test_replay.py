@@ -322,7 +322,7 @@ def test_the_own_map_of_a_part_may_be_measured_at_any_rotation(virtual_rig, plai
     recipe = rig.recipe.with_name("own.toml")
     recipe.write_text(tomli_w.dumps(table), encoding="utf-8")
     # causes of a map of its own take longer than all the rest
-    monkeypatch.setattr(surface_kind, "explain", lambda *_, **__: (None, None))
+    monkeypatch.setattr(surface_kind, "explain", lambda *_, **__: (DiagnosisRecord(says=""), None))
     record = inspect_frames(
         folder, recipe, live.record.serial, rig.out, rig_path=rig.rig, methods=plain
     ).record
