@@ -19,7 +19,7 @@ from anisoscope.inspection.run import resume_part
 from anisoscope.kinds import surface as surface_kind
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record.schema import Record
+from anisoscope.record.schema import DiagnosisRecord, Record
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import TABLE, HeldFile, write_frame_folder
 from anisoscope.sim.bench.bench import Bench, build_surface
