@@ -222,7 +222,13 @@ def rig_section(record: Record) -> RigSection | None:
     )
     usual = sum(pose.level for pose in monitor.poses) / len(monitor.poses)
     traces = [
-        _trace("lamp and exposure [%]", monitor, lambda pose: 100.0 * (pose.level / usual - 1.0), level_limit)
+        _trace(
+            "lamp and exposure [%]",
+            "+.2f",
+            monitor,
+            lambda pose: 100.0 * (pose.level / usual - 1.0),
+            level_limit,
+        )
     ]
     if monitor.reference is not None:
         limit = 100.0 * limits.get("stray_share", 0.0)
@@ -234,9 +240,9 @@ def rig_section(record: Record) -> RigSection | None:
                 limit,
             )
         )
-    traces.append(_trace("black [% of white]", monitor, lambda pose: 100.0 * pose.black_share))
+    traces.append(_trace("black [% of white]", ".2f", monitor, lambda pose: 100.0 * pose.black_share))
     if all(pose.edge_um is not None for pose in monitor.poses):
-        traces.append(_trace("edge width [µm]", monitor, lambda pose: pose.edge_um or 0.0))
+        traces.append(_trace("edge width [µm]", ".1f", monitor, lambda pose: pose.edge_um or 0.0))
     return RigSection((*_says(monitor, usual), *_lacking(monitor)), tuple(traces))
 
 
@@ -248,7 +254,9 @@ def _says(monitor: RigMonitorRecord, usual: float) -> tuple[str, ...]:
         found[0] += (
             f", at {usual:.1%} of the reference {monitor.reference}; the pictures are corrected for it."
         )
-        found.append(f"Stray light was up to {stray:.2%} of white beyond the reference, and is subtracted.")
+        found.append(
+            f"Stray light was within {stray:.2%} of white of that at the reference, and is subtracted."
+        )
     else:
         found[0] += "."
     if monitor.dirty:
@@ -262,7 +270,11 @@ def _lacking(monitor: RigMonitorRecord) -> tuple[str, ...]:
 
 
 def _trace(
-    title: str, monitor: RigMonitorRecord, value: Callable[[RigPoseRecord], float], limit: float | None = None
+    title: str,
+    form: str,
+    monitor: RigMonitorRecord,
+    value: Callable[[RigPoseRecord], float],
+    limit: float | None = None,
 ) -> Trace:
     values = [value(pose) for pose in monitor.poses]
     low, high = min(values), max(values)
@@ -276,7 +288,7 @@ def _trace(
 
     step = (WIDTH - 2.0 * MARGIN) / max(len(values) - 1, 1)
     points = tuple(
-        (MARGIN + k * step, down(number), f"{pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°: {number:.3g}")
+        (MARGIN + k * step, down(number), f"{pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°: {number:{form}}")
         for k, (pose, number) in enumerate(zip(monitor.poses, values, strict=True))
     )
     return Trace(title, points, () if limit is None else (down(limit), down(-limit)))
