@@ -210,7 +210,8 @@ class ChannelPart(Part):
         level_percent: level of these lamps.
         filter: place of the filter wheel, from 1.
         angle_deg: as in `LightPart`, as are spectrum, wavelength, bandwidth and half angle.
-        flat: white reference that was taken under it; that of ``[calibration]`` by default.
+        flat, fixture: white reference and reference of the fixture that were taken under it; those of
+            ``[calibration]`` by default.
     """
 
     lamps: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = ()
@@ -222,6 +223,7 @@ class ChannelPart(Part):
     bandwidth_nm: Annotated[float, Field(ge=0.0)] | None = None
     half_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
     flat: LocalPath | None = None
+    fixture: LocalPath | None = None
 
 
 class LightPart(Part):
@@ -385,7 +387,7 @@ class RigFile(RigAxes):
     light: LightPart
 
     def in_channel(self, name: str | None) -> Self:
-        """The rig in a light channel: its lamp, and the flat that was taken under it.
+        """The rig in a light channel: its lamp, and flat and reference of the fixture that were taken under it.
 
         Args:
             name: of the channel; None for the one that the rig file uses by default.
@@ -405,9 +407,12 @@ class RigFile(RigAxes):
             there = f"it has {names}" if names else "it has none"
             raise RigFileError(f"light.channels: the rig '{self.name}' has no channel '{name}'; {there}")
         found: dict[str, object] = {"light": self.light.in_channel(name)}
-        if (flat := self.light.channels[name].flat) is not None:
-            known = self.calibration or CalibrationPart(flat=flat)
-            found["calibration"] = known.model_copy(update={"flat": flat})
+        channel = self.light.channels[name]
+        own = {"flat": channel.flat, "fixture": channel.fixture}
+        own = {kind: path for kind, path in own.items() if path is not None}
+        known = self.calibration or (None if channel.flat is None else CalibrationPart(flat=channel.flat))
+        if known is not None:
+            found["calibration"] = known.model_copy(update=own)
         return self.model_copy(update=found)
 
     @property

@@ -30,12 +30,14 @@ from anisoscope.imaging.registration.placement import Placement, angle_between
 from anisoscope.imaging.rig_monitor import FixtureReference
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.plan import Seat
-from anisoscope.rig.rigfile import CalibrationPart, read_rig
+from anisoscope.rig.rigfile import CalibrationPart, LightPart, read_rig
 
 RecipeT = TypeVar("RecipeT", bound=RecipeBase)
 TURN_DEG = 0.2
 DARK_LEVEL_SHARE = 0.005
 BEYOND_MAP = 1.25
+LIGHT_DEG = 0.5
+"""Distance of the rig's light angle from that of the fixture's reference from which on it is another lamp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,30 @@ class Calibrations:
                     f"the {kind} calibration {record.id} has {record.camera.cols} × {record.camera.rows} pixels, the "
                     f"camera {shape[1]} × {shape[0]}: {advice(kind)}"
                 )
+
+    def check_light(self, light: LightPart) -> None:
+        """Check that the reference of the fixture was taken under this light.
+
+        Args:
+            light: of the rig, in the channel that is used.
+
+        Raises:
+            CalibrationError: it was taken in another channel, or at another light angle.
+        """
+        record = self.records.get("fixture")
+        if record is None:
+            return
+        channel, angle_deg = record.details.get("channel"), record.details.get("light_angle_deg")
+        if channel != light.channel:
+            raise CalibrationError(
+                f"the fixture calibration {record.id} was taken in {_channel_words(channel)}, this is "
+                f"{_channel_words(light.channel)}: {advice('fixture')} in it, and name it as fixture of that channel"
+            )
+        if angle_deg is not None and abs(angle_deg - light.angle_deg) > LIGHT_DEG:
+            raise CalibrationError(
+                f"the fixture calibration {record.id} was taken at a light angle of {angle_deg:g}°, the rig file "
+                f"states {light.angle_deg:g}° (limit ±{LIGHT_DEG:g}°): {advice('fixture')}"
+            )
 
     @property
     def axis_px(self) -> tuple[float, float] | None:
@@ -249,6 +275,10 @@ class Calibrations:
                 f"the dark frames lie {off:+.1f} counts from the dark calibration {record.id} (limit ±{limit:.1f}): "
                 f"keep other light off the camera, let it warm up, or {advice('dark')}"
             )
+
+
+def _channel_words(name: str | None) -> str:
+    return "no light channel" if name is None else f"light channel {name}"
 
 
 def read_calibrations(part: CalibrationPart, without: Kind | None = None) -> Calibrations:

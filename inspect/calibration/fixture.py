@@ -41,7 +41,7 @@ WIDE = LimitsPart(black_share=0.5, white_untaught_share=0.5)
 
 
 @dataclass(frozen=True)
-class _Limited:
+class LimitsAlone:
     """A recipe of nothing but limits."""
 
     limits: LimitsPart
@@ -85,7 +85,7 @@ def calibrate_fixture(
     check_fixture(file.fixture)
     calibrations = read_calibrations(file.calibration, "fixture")
     white = calibrations.white(read_reference(file.calibration.flat))
-    viewing = Viewing(white, calibrations, file.fixture, file.camera.pixel_um, _Limited(WIDE))
+    viewing = Viewing(white, calibrations, file.fixture, file.camera.pixel_um, LimitsAlone(WIDE))
 
     def report(now: Progress) -> None:
         on_progress(now.text, now.done, now.total)

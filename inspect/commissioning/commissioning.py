@@ -378,6 +378,11 @@ def _notes(file: RigFile, picture_set: PictureSet, angles: Angles) -> tuple[str,
         found.append("the rig file describes no fixture: centre and pixel size were not measured")
     elif angles.markers is None:
         found.append("fewer than 5 pictures show the markers: sense and zero come from the ridges alone")
+    elif file.calibration is None or file.calibration.fixture is None:
+        found.append(
+            "nothing watches lamp, stray light and camera yet: after the flat, teach the markers by `anisoscope "
+            "calibrate fixture`"
+        )
     if angles.ridges is None:
         found.append("the camera does not resolve the ridges: their direction comes from brightness alone")
     if not picture_set.absolute:

@@ -27,6 +27,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.warm_up import fit_warmup
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.commissioning.exposure import proof_on, sentence
+from anisoscope.commissioning.fixture_check import FIXTURE, fixture_checks
 from anisoscope.commissioning.markers import Fix, edge_blur_px, find_fixture, modules_of
 from anisoscope.commissioning.record import Commissioning, default_record_path, read_commissioning
 from anisoscope.commissioning.selftest_record import Check, SelfTest, Settings, limit_check, skipped_check
@@ -35,7 +36,8 @@ from anisoscope.imaging.linearisation import SATURATION_SHARE
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.acquisition.runner import Rig, open_rig
-from anisoscope.rig.camera import UNCALIBRATED
+from anisoscope.rig.camera import UNCALIBRATED, CameraSettings
+from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.rigfile import AxisPart, RigFile, read_rig
 from anisoscope.rig.stage import RotationStage
 
@@ -54,6 +56,7 @@ class Bed:
         dark: (rows, cols) mean of the dark frames, counts.
         lit: (rows, cols) mean of the last lit frames, less the dark.
         views: angle, markers and picture of every angle that was visited.
+        frames: the dark frames, and those of the angles with what was commanded; raw.
     """
 
     rig: Rig
@@ -64,6 +67,20 @@ class Bed:
     dark: FloatArray | None = None
     lit: FloatArray | None = None
     views: list[tuple[float, Fix | None, Image]] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
+
+    def keep(
+        self, kind: FrameKind, counts: npt.NDArray[np.uint16], used: CameraSettings, angle_deg: float
+    ) -> None:
+        """Keep a raw frame, of a sample angle in degrees."""
+        info = self.rig.camera.info
+        tilt_deg = 0.0 if self.rig.tilt is not None else self.file.geometry.tilt_deg
+        self.frames.append(
+            Frame(
+                counts, kind, info.bit_depth, info.black_level, used.exposure_s, used.gain, angle_deg, angle_deg,
+                tilt_deg, datetime.now(UTC).isoformat(timespec="milliseconds"), info.serial, info.filters,
+            )
+        )  # fmt: skip
 
 
 Step = tuple[tuple[tuple[str, str], ...], Callable[[Bed], list[Check]]]
@@ -187,6 +204,12 @@ def check_white(bed: Bed) -> list[Check]:
     ]
 
 
+def check_greys(bed: Bed) -> list[Check]:
+    """Compare white, black, greys and edges of the fixture with its reference."""
+    devices = f"{bed.rig.camera.info.model} {bed.rig.camera.info.serial}", bed.rig.stage.name
+    return fixture_checks(bed.file, bed.rig.camera.info, devices, bed.frames, bed.settings)
+
+
 CAMERA = (
     ("camera.exposure", "brightness follows the exposure (power)"),
     ("camera.linear", "counts in proportion to light"),
@@ -234,10 +257,13 @@ def _grab(bed: Bed, count: int) -> list[npt.NDArray[np.uint16]]:
 
 def check_dark(bed: Bed) -> list[Check]:
     """Dark level against the black level that the camera states, and noise of dark frames."""
-    bed.rig.camera.configure(bed.settings.exposure_s, bed.settings.gain)
+    used = bed.rig.camera.configure(bed.settings.exposure_s, bed.settings.gain)
     bed.rig.light.off()
     info, settings = bed.rig.camera.info, bed.settings
-    frames = np.stack(_grab(bed, settings.dark_frames)).astype(np.float64)
+    grabbed = _grab(bed, settings.dark_frames)
+    for one in grabbed:
+        bed.keep("dark", one, used, 0.0)
+    frames = np.stack(grabbed).astype(np.float64)
     full = 2.0**info.bit_depth - 1.0
     bed.dark = frames.mean(axis=0)
     spread = frames.std(axis=0, ddof=1)
@@ -357,13 +383,16 @@ def check_moves(bed: Bed) -> list[Check]:
             "rig file so that it does"
         )
     bed.rig.light.on()
+    used = bed.rig.camera.configure(bed.settings.exposure_s, bed.settings.gain)
     off: list[float] = []
     fixes: list[tuple[float, Fix | None]] = []
     for angle in [*angles, angles[0], angles[0]]:
         if fixes and angle == angles[0]:
             stage.move_to(max(part.reading(angle) - part.approach_deg - 5.0, stage.limits_deg[0]))
         off.append(_go(part, stage, angle))
-        picture = _picture(bed)
+        (counts,) = _grab(bed, 1)
+        bed.keep("sample", counts, used, angle)
+        picture = np.asarray(counts - (0.0 if bed.dark is None else bed.dark), dtype=np.float32)
         fix = (
             None if bed.settings.tile or bed.file.fixture is None else find_fixture(picture, bed.file.fixture)
         )
@@ -391,12 +420,6 @@ def check_moves(bed: Bed) -> list[Check]:
         *names[1], spread, max(bed.settings.repeat_deg, stage.resolution_deg), "°", advice, remark=remark
     )
     return [moved, again]
-
-
-def _picture(bed: Bed) -> npt.NDArray[np.float32]:
-    dark = bed.dark
-    counts = bed.rig.camera.grab().astype(np.float64)
-    return np.asarray(counts - (0.0 if dark is None else dark), dtype=np.float32)
 
 
 def check_tilt(bed: Bed) -> list[Check]:
@@ -442,6 +465,7 @@ STEPS: tuple[Step, ...] = (
     ),
     (MARKERS, check_markers),
     (WHITE, check_white),
+    (FIXTURE, check_greys),
 )
 
 

@@ -13,9 +13,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.calibration.warm_up import MIN_FRAMES
+from anisoscope.recipe.base import LimitsPart
 from anisoscope.record.verdict import Verdict
 
 Outcome = Literal["PASS", "FAIL", "WARN", "SKIPPED"]
+_LIMITS = LimitsPart()
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Settings:
         centre_px: largest distance of the rotation centre from the commissioned one.
         residual_px: largest misfit of the markers.
         scale_share: largest relative distance of the pixel size from the rig file's.
-        blur_ratio: largest blur of marker edges, over the commissioned one.
+        blur_ratio: largest blur of marker edges, over the commissioned one and over that of the fixture's reference.
         black_share: largest distance of the dark level from the camera's black level, of full scale.
         noise_share: largest noise of a dark frame, of full scale.
         noise_ratio: the same over the commissioned one.
@@ -43,7 +45,10 @@ class Settings:
         flicker_share: largest scatter of the light from frame to frame.
         white_days: age of the white reference.
         shading_share: largest change of the shading since the white reference.
-        level_share: largest change of the light since the white reference.
+        level_share: largest change of the light since the white reference, and since the fixture's reference.
+        stray_share: largest stray light at the markers since the fixture's reference, relative to their white.
+        gradient_share: largest deviation of a marker from the level of the others.
+        grey_share: largest deviation of a grey from a straight line through black and white, relative to white.
         light_channel: of the rig file; None for the one that it uses by default.
     """
 
@@ -68,7 +73,10 @@ class Settings:
     flicker_share: float = 0.01
     white_days: float = 30.0
     shading_share: float = 0.02
-    level_share: float = 0.1
+    level_share: float = _LIMITS.level_share
+    stray_share: float = _LIMITS.stray_share
+    gradient_share: float = _LIMITS.gradient_share
+    grey_share: float = _LIMITS.grey_share
     light_channel: str | None = None
 
     def __post_init__(self) -> None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 STATE = "guide.json"
 MOST_STEPS = 1000
 
-Key = Literal["flat", "rotation", "commissioning", "golden", "gauge", "material", "focus"]
+Key = Literal["flat", "rotation", "fixture", "commissioning", "golden", "gauge", "material", "focus"]
 Rows = Sequence[Sequence[str]]
 
 
@@ -361,6 +361,18 @@ def find_rotation(place: Workplace, advance: Advance, *, taking: Any) -> Outcome
     return _calibrated(calibrate_rotation(place.rig, path, taking, on_progress=advance), notes)
 
 
+def teach_fixture(place: Workplace, advance: Advance, *, recipe: Path, taking: Any) -> Outcome:  # noqa: ANN401
+    """White, black and greys of the fixture at the tilts of a recipe, as `anisoscope calibrate fixture`."""
+    from anisoscope.calibration.fixture import calibrate_fixture  # noqa: PLC0415
+    from anisoscope.kinds.registry import read_any_recipe  # noqa: PLC0415
+    from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
+
+    path, notes = _calibration_file(place.rig, "fixture", "fixture.json")
+    poses = read_any_recipe(recipe).poses.poses() if read_rig(place.rig).tilt is not None else ()
+    tilts = sorted({pose.tilt_deg for pose in poses})
+    return _calibrated(calibrate_fixture(place.rig, path, taking, tilts=tilts, on_progress=advance), notes)
+
+
 def commission_rig(place: Workplace, advance: Advance, *, recipe: Path, entry: RecipeEntry) -> Outcome:
     """Geometry of the rig, as `anisoscope rig commission`."""
     from anisoscope.commissioning.commissioning import commission, part_of_recipe  # noqa: PLC0415
@@ -531,6 +543,14 @@ def _rotation(asked: Entered, _: GuideState) -> list[Step]:
     return [Step(text, partial(find_rotation, taking=_taking(asked, 2)))]
 
 
+def _fixture(asked: Entered, _: GuideState) -> list[Step]:
+    text = message(
+        "Seat the fixture, empty or with a part; lamp and room as in inspections. The stage homes and turns by a full "
+        "turn: keep its path free."
+    )
+    return [Step(text, partial(teach_fixture, recipe=asked.recipe, taking=_taking(asked, 2)))]
+
+
 def _commissioning(asked: Entered, _: GuideState) -> list[Step]:
     find = partial(commission_rig, recipe=asked.recipe, entry=asked.entry)
     return [
@@ -616,6 +636,12 @@ def guides() -> Mapping[Key, Guide]:
         ),
         "rotation": Guide(
             message("Rotation"), message("Rotation centre and size of a pixel."), (), _rotation
+        ),
+        "fixture": Guide(
+            message("Fixture"),
+            message("White, black and greys of the markers, by which inspections watch lamp and camera."),
+            (),
+            _fixture,
         ),
         "commissioning": Guide(
             message("Commissioning"),

@@ -330,6 +330,12 @@ def watch(
     readings = [read_markers(view, fixture, places) for view in views]
     readings += [read_markers(view, fixture, places, again=True) for view in again]
     ids = [one.id for one in fixture.markers]
+    blind = [one for one in readings if not np.isfinite(one.white).any()]
+    if blind:
+        lacking = "lamp, exposure, stray light and linearity: no white of a marker can be read"
+        return RigMonitor(
+            None, (), not_watched=(f"{lacking} at {blind[0].stage_deg:g}° (saturated, or covered)",)
+        )
     if reference is None:
         return _compared(readings, limits)
     return _against(readings, reference, ids, limits)

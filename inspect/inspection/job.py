@@ -151,6 +151,7 @@ def prepare(
     check_calibration_files(rig_path, rig.calibration, without)
     followed = rig.x is not None and rig.y is not None
     calibrations = replace(read_calibrations(rig.calibration, without), followed=followed)
+    calibrations.check_light(rig.light)
     white = read_reference(white_path)
     kind.check_filters(white.filters, f"camera {white.camera} of the flat", white.filters)
     sources = (

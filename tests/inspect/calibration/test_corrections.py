@@ -19,6 +19,7 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import Methods
+from anisoscope.rig.rigfile import ChannelPart, LightPart
 
 EXPOSURE_S = 0.0015
 
@@ -245,6 +246,27 @@ def test_without_calibrations_nothing_is_touched():
     assert Calibrations().corrected(sample, level(64.0)) is sample
     assert Calibrations().axis_px is None
     Calibrations().check_valid(datetime.now(UTC))
+
+
+@pytest.mark.parametrize(
+    ("channel", "angle_deg", "says"),
+    [
+        ("red", 10.4, None),
+        ("blue", 10.0, "light channel red, this is light channel blue"),
+        ("red", 11.0, "of 10°"),
+    ],
+)
+def test_a_reference_of_the_fixture_holds_for_its_own_light(channel, angle_deg, says):
+    record = made("fixture", details={"channel": "red", "light_angle_deg": 10.0})
+    light = LightPart(
+        driver="manual", angle_deg=angle_deg, channels={channel: ChannelPart()}, channel=channel
+    )
+    Calibrations().check_light(light)
+    if says is None:
+        Calibrations({"fixture": record}).check_light(light)
+    else:
+        with pytest.raises(CalibrationError, match=f"{says}.*calibrate fixture"):
+            Calibrations({"fixture": record}).check_light(light)
 
 
 def test_hot_pixels_of_the_dark_calibration_carry_no_value():

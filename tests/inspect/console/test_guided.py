@@ -113,6 +113,16 @@ def test_the_rotation_by_steps(guiding, at):
     assert (at.place.rig.parent / "rotation.json").is_file()
 
 
+def test_the_fixture_by_steps(guiding, at):
+    guiding.begin("fixture")
+    asked, state = guiding.all_steps()
+    assert asked[0].startswith("Seat the fixture, empty or with a part")
+    found = state["guide"]["results"][-1]
+    assert found["rows"][0][0] == "white"
+    assert "Name fixture.json in the rig file" in found["notes"][0]
+    assert (at.place.rig.parent / "fixture.json").is_file()
+
+
 Z_MM = 10.0
 
 
@@ -211,7 +221,7 @@ def test_reasons_recipes_and_roles_are_asked_for(guiding, at):
     assert guiding.client.post("/guides/step").status_code == 409
     operator = Session("o", "t", "an operator", frozenset({"operator"}))
     for key, guide in guides().items():
-        assert operator.may(guide.needs) == (key in {"flat", "rotation", "gauge", "focus"})
+        assert operator.may(guide.needs) == (key in {"flat", "rotation", "fixture", "gauge", "focus"})
 
 
 def test_a_damaged_file_of_a_guide_is_left_alone(at):

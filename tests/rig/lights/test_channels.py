@@ -260,6 +260,7 @@ lamps = ["A", "B"]
 wavelength_nm = 470.0
 angle_deg = 30.0
 flat = "blue.tif"
+fixture = "fixture-blue.json"
 [light.channels.red]
 lamps = ["C"]
 filter = 2
@@ -285,6 +286,8 @@ def test_a_channel_replaces_what_it_states(rig_file):
     assert (red.light.wavelength_nm, red.light.angle_deg) == (630.0, 10.0)
     assert [one.calibration.flat.name for one in (plain, blue, red)] == ["white.tif", "blue.tif", "white.tif"]
     assert blue.calibration.dark.name == "dark.json"
+    assert [one.calibration.fixture for one in (plain, red)] == [None, None]
+    assert blue.calibration.fixture.name == "fixture-blue.json"
     assert read_replay_rig(path, "blue").light == blue.light
     default = read_rig(rig_file(RIG.replace("angle_deg = 10.0", 'angle_deg = 10.0\nchannel = "red"')))
     assert default.light.model_copy(update={"channel": None}) == red.light.model_copy(
