@@ -54,7 +54,7 @@ TEMPLATES = (
 )
 CALLS = (
     *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig", "inspect/cli/demo", "inspect/operations"),
-    *("inspect/cli/history", "inspect/kinds", "inspect/console"),
+    *("inspect/cli/history", "inspect/kinds", "inspect/console", "inspect/live_view"),
 )
 """Folders whose calls of `message` are messages."""
 ERRORS = {"MeasurementError", "CalibrationError", "RegistrationError"}
@@ -102,6 +102,9 @@ SENTENCES = {
 }
 """File -> names of definitions whose texts, or of functions whose first argument, are messages."""
 FURTHER = (
+    *("lamp level", "stray light", "focus", "angle", "not taught (anisoscope calibrate fixture)"),
+    *("the markers are not seen", "the arm is tilted", "the markers disagree by {residual} px"),
+    *("marker {names} is left out", "marker {marker} is dirty or in shadow: clean it"),
     *("PASS", "FAIL", "INCONCLUSIVE", "INVALID"),
     *("ln ratio {contrast}", "Michelson contrast {contrast}", "difference {contrast}"),
     *("company", "drawing", "lot", "cavity", "operator", "station", "reviewed by", "date, signature"),

@@ -18,6 +18,7 @@ from anisoscope.rig.hold import HeldLight, SharedCamera
 from anisoscope.rig.light import ChannelLight, Light
 
 if TYPE_CHECKING:
+    from anisoscope.live_view.lamps import RigLamps
     from anisoscope.live_view.view import FocusMeasure
 
 MOST_EVENTS = 5000
@@ -106,11 +107,12 @@ class EventLog:
 
 @dataclass(frozen=True)
 class Eyes:
-    """Camera and light of the live picture; the light's channel where none is named."""
+    """Camera and light of the live picture; the light's channel where none is named; lamps of the rig."""
 
     camera: SharedCamera
     light: Light | None
     channel: str | None = None
+    lamps: "RigLamps | None" = None
 
 
 class Live:
@@ -165,7 +167,7 @@ class Live:
                 raise RigError("the camera of the rig cannot be used here")
             asked = (exposure_s, gain, channel or self._eyes.channel)
             if self._newest is not None and self._newest[1] != asked:
-                self._meter, self._newest = self._new_meter(), None
+                self._new_sequence()
                 self._darken()  # another channel may be wanted
             if self._newest is not None and self._clock() - self._newest[0] < self._gap_s:
                 return self._newest[2:]
@@ -175,7 +177,9 @@ class Live:
                 self._eyes.light.on()
                 self._lit = True
             counts, info = self._eyes.camera.grab(exposure_s, gain), self._eyes.camera.info
-            reading = self._meter.read(look_at(counts, info, focus=self._measure), self._clock())
+            now_s, lamps = self._clock(), self._eyes.lamps
+            read = () if lamps is None else lamps.read(counts, info, (exposure_s, gain), now_s, asked[2])
+            reading = self._meter.read(look_at(counts, info, focus=self._measure), now_s, read)
             view, before = reading.view, None if self._newest is None else self._newest[3]["focus"]
             numbers = as_json(reading) | {
                 "advice": [
@@ -187,6 +191,11 @@ class Live:
             self._newest = (self._clock(), asked, jpeg, numbers)
             self._lamp_off_later()
             return jpeg, numbers
+
+    def _new_sequence(self) -> None:
+        self._meter, self._newest = self._new_meter(), None
+        if self._eyes is not None and self._eyes.lamps is not None:
+            self._eyes.lamps.forget()
 
     def _lamp_off_later(self) -> None:
         if self._off is not None:
@@ -216,7 +225,8 @@ class Live:
     def go_on(self) -> None:
         """Take pictures again, on request."""
         with self._lock:
-            self._paused, self._meter = False, self._new_meter()
+            self._paused = False
+            self._new_sequence()
 
 
 def exposure_advice(mean: float, saturated_share: float) -> list[str]:

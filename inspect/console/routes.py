@@ -11,7 +11,7 @@ from fastapi.responses import HTMLResponse, JSONResponse, StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.json_fields import as_json
-from anisoscope.base.language import message
+from anisoscope.base.language import message, translated
 from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.guided import Begin, described
 from anisoscope.console.live import Live
@@ -158,8 +158,19 @@ def _add_pictures(router: APIRouter, station: Station) -> None:
 
 def _picture(live: Live, taken: tuple[float, float, str | None], **more: str) -> Response:
     jpeg, numbers = live.look(*taken)
-    said = numbers | {"advice": [message(one) for one in numbers["advice"]], **more}
+    said = numbers | {
+        "advice": [message(one) for one in numbers["advice"]],
+        "lamps": [one | {"words": _lamp_words(one)} for one in numbers.get("lamps", [])],
+        **more,
+    }
     return Response(jpeg, media_type="image/jpeg", headers={"X-Numbers": json.dumps(said)})
+
+
+def _lamp_words(shown: dict[str, Any]) -> str:
+    from anisoscope.live_view.lamps import Lamp, in_words  # noqa: PLC0415 - loads OpenCV
+
+    lamp = Lamp(**shown)
+    return f"{translated(lamp.name)}: {in_words(lamp)}"
 
 
 def _add_changes(router: APIRouter, station: Station) -> None:

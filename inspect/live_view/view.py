@@ -6,7 +6,7 @@ Pure functions of a frame's counts, (rows, cols). What cannot be told from a fra
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
@@ -16,6 +16,9 @@ from anisoscope.base.json_fields import json_field
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.frame import SATURATION
+
+if TYPE_CHECKING:
+    from anisoscope.live_view.lamps import Lamp
 
 Counts = npt.NDArray[np.uint16]
 Plane = npt.NDArray[np.float32]
@@ -56,12 +59,13 @@ class View:
 
 @dataclass(frozen=True)
 class Reading:
-    """A view in its sequence: focus over the best focus so far (NaN if too dark), and frames per second."""
+    """A view in its sequence: focus over the best focus so far (NaN if too dark), frame rate, lamps of the rig."""
 
     frame: int
     view: View = field(metadata=json_field(merged=True))
     relative_focus: float
     frames_per_s: float
+    lamps: "tuple[Lamp, ...]" = field(default=(), metadata=json_field(only_given=True))
 
 
 class Meter:
@@ -72,7 +76,7 @@ class Meter:
         self._frames = 0
         self._times: deque[float] = deque(maxlen=FRAMES_FOR_SPEED)
 
-    def read(self, view: View, time_s: float) -> Reading:
+    def read(self, view: View, time_s: float, lamps: "tuple[Lamp, ...]" = ()) -> Reading:
         """Take the next view, seen at a monotonic time in seconds; frames per second are NaN at the first."""
         self._frames += 1
         self._times.append(time_s)
@@ -80,7 +84,7 @@ class Meter:
         passed = self._times[-1] - self._times[0]
         speed = (len(self._times) - 1) / passed if passed > 0.0 else math.nan
         relative = view.focus / self._best if self._best > 0.0 else math.nan
-        return Reading(self._frames, view, relative, speed)
+        return Reading(self._frames, view, relative, speed, lamps)
 
 
 def look_at(counts: Counts, info: CameraInfo, *, focus: FocusMeasure = "tenengrad", bins: int = 32) -> View:

@@ -71,6 +71,7 @@ def serve(
     from anisoscope.console.trail import Trail, trail_of
     from anisoscope.history.signs import Beacon
     from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
+    from anisoscope.live_view.lamps import RigLamps
 
     if (certificate is None) != (key is None):
         raise UsageError("--certificate and --key go together")
@@ -87,7 +88,7 @@ def serve(
         listener = stack.enter_context(listen(host, port))
         here = int(listener.getsockname()[1])
         own = stack.enter_context(held_rig(rig))
-        eyes = None if own.camera is None else Eyes(own.camera, own.light, own.channel)
+        eyes = None if own.camera is None else Eyes(own.camera, own.light, own.channel, RigLamps(rig))
         work = Workplace(rig, out, place, remember, lot_mates, explained)
         worker = WorkerProcess(work)
         stack.callback(worker.close)

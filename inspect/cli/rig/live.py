@@ -7,13 +7,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RigError, UsageError
-from anisoscope.base.language import decimal, message
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.options import Json, extra_packages
@@ -29,6 +30,7 @@ from anisoscope.cli.rig.options import (
 )
 
 if TYPE_CHECKING:
+    from anisoscope.live_view.lamps import Lamp, RigLamps
     from anisoscope.live_view.view import Counts, FocusMeasure, Reading
     from anisoscope.rig.camera import Camera, CameraInfo
     from anisoscope.rig.jogging import Gamepad, Jogger
@@ -79,6 +81,7 @@ def live(
         anisoscope rig live --rig rig.toml --exposure 0.003 --web
         anisoscope rig live --rig rig.toml --exposure 0.003 --jog --pad auto --yes
     """
+    from anisoscope.live_view.lamps import RigLamps
     from anisoscope.operations.rigging import home_axes
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.rigfile import BY_HAND, read_rig
@@ -107,10 +110,23 @@ def live(
                 jogger, ended = _jogging(devices.axes, pad, stack) if jog else (None, None)
                 ended = ended or end_request(listen=not by_hand)
                 if web:
-                    _serve(camera, (exposure, gain), focus, 1.0 / fps, port, file.name, jogger, ended)
+                    exposed = exposure, gain
+                    _serve(
+                        camera,
+                        exposed,
+                        RigLamps(rig),
+                        focus,
+                        1.0 / fps,
+                        port,
+                        file.name,
+                        jogger,
+                        ended,
+                        channel,
+                    )
                 else:
                     sink = stack.enter_context(_sink(jogger, json_=json_))
-                    _watch(camera, sink, focus, frames, 1.0 / fps, ended)
+                    lamps = partial(RigLamps(rig).read, taken=(exposure, gain), channel=channel)
+                    _watch(camera, sink, lamps, focus, frames, 1.0 / fps, ended)
         except KeyboardInterrupt:
             return 0
     return 0
@@ -173,6 +189,7 @@ def _listen_to_keys(jogger: "Jogger", ended: threading.Event, stack: ExitStack) 
 def _watch(
     camera: "Camera",
     sink: "Sink",
+    lamps: "Callable[[Counts, CameraInfo, float], tuple[Lamp, ...]]",
     focus: "FocusMeasure",
     frames: int | None,
     pause_s: float,
@@ -184,7 +201,8 @@ def _watch(
     while not ended.is_set():
         started = time.monotonic()
         counts = camera.grab()
-        reading = meter.read(look_at(counts, info, focus=focus), time.monotonic())
+        read = lamps(counts, info, time.monotonic())
+        reading = meter.read(look_at(counts, info, focus=focus), time.monotonic(), read)
         sink(counts, info, reading)
         if frames is not None and reading.frame >= frames:
             return
@@ -212,12 +230,14 @@ def end_request(*, listen: bool) -> threading.Event:
 def _serve(
     camera: "Camera",
     exposed: tuple[float, float],
+    lamps: "RigLamps",
     focus: "FocusMeasure",
     gap_s: float,
     port: int,
     name: str,
     jogger: "Jogger | None",
     ended: threading.Event,
+    channel: str | None,
 ) -> None:
     """The picture on a page of the console, until the event is set."""
     with extra_packages("the page", "console"):
@@ -238,7 +258,8 @@ def _serve(
 
     with listen(HERE, port, "--web-port") as listener:
         hosts = hosts_of(HERE, int(listener.getsockname()[1]))
-        live = Live(Eyes(SharedCamera(camera), None), gap_s=gap_s, measure=focus)  # the light is on, or not
+        eyes = Eyes(SharedCamera(camera), None, channel, lamps)  # the light is on, or not
+        live = Live(eyes, gap_s=gap_s, measure=focus)
         app = create_app(
             Access(None, Trail(None)),
             [live_router(live, *exposed, jogger, name)],
@@ -288,6 +309,7 @@ def plain(reading: "Reading") -> str:
         message("ridges {angle}", angle=ridges),
         blocks(view.histogram),
         _speed(reading.frames_per_s),
+        *(f"{name}: {words}" for name, words in _lamps(reading)),
     ]
     return "  ".join(words)
 
@@ -313,6 +335,7 @@ def panel(reading: "Reading") -> str:
         (message("mean"), message("{share} of full scale", share=f"{view.mean:.1%}")),
         (message("histogram"), f"{blocks(view.histogram)} ({message('black to full scale')})"),
         (message("ridges"), ridges),
+        *_lamps(reading),
         (message("frame"), f"{reading.frame}, {_speed(reading.frames_per_s)}; {ends}"),
     )
     width = max(len(name) for name, _ in rows)
@@ -325,6 +348,13 @@ def blocks(histogram: tuple[float, ...]) -> str:
     if top <= 0.0:
         return BLOCKS[0] * len(histogram)
     return "".join(BLOCKS[math.ceil((len(BLOCKS) - 1) * math.sqrt(share / top))] for share in histogram)
+
+
+def _lamps(reading: "Reading") -> list[tuple[str, str]]:
+    """Names of the lamps of the rig, and what they say."""
+    from anisoscope.live_view.lamps import in_words
+
+    return [(translated(one.name), in_words(one)) for one in reading.lamps]
 
 
 def _focus(share: float) -> str:

@@ -20,6 +20,12 @@ function showNumbers(found) {
   const bars = $("histogram"), top = Math.max(...found.histogram, 1e-9);
   while (bars.children.length < found.histogram.length) bars.append(document.createElement("div"));
   found.histogram.forEach((part, k) => { bars.children[k].style.height = `${100 * Math.sqrt(part / top)}%`; });
+  $("lamps").replaceChildren(...found.lamps.map(one => {
+    const item = document.createElement("li"), lamp = document.createElement("span");
+    item.className = one.colour; lamp.className = "lamp"; lamp.setAttribute("aria-hidden", "true");
+    item.append(lamp, one.words);
+    return item;
+  }));
   if ($("axes")) $("axes").textContent = found.axes;
 }
 

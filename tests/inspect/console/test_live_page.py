@@ -13,6 +13,7 @@ from anisoscope.console.application import Page, create_app, permissions_of
 from anisoscope.console.live import Eyes, Live
 from anisoscope.console.routes import live_router
 from anisoscope.console.trail import Trail
+from anisoscope.live_view.lamps import Lamp
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.jogging import Step
 from anisoscope.rig.light import Channel, ChannelLight
@@ -38,6 +39,24 @@ class Ridges:
         return counts.astype(np.uint16)
 
 
+class RigLights:
+    """What reads four lamps, of which one is grey; and how often it was to forget."""
+
+    def __init__(self):
+        self.forgot = 0
+
+    def read(self, counts, info, taken, now_s, channel=None):
+        return (
+            Lamp("lamp level", "green", 99.84, "%"),
+            Lamp("stray light", "grey", why="not taught (anisoscope calibrate fixture)"),
+            Lamp("focus", "yellow", 9.32, "µm"),
+            Lamp("angle", "red", why="the markers are not seen"),
+        )
+
+    def forget(self):
+        self.forgot += 1
+
+
 class Keys:
     """What takes the commands of a page."""
 
@@ -56,7 +75,9 @@ class Keys:
 
 
 def app_with(keys):
-    router = live_router(Live(Eyes(Ridges(), None), gap_s=0.0), 0.003, 1.0, keys, "rig <2>")
+    router = live_router(
+        Live(Eyes(Ridges(), None, lamps=RigLights()), gap_s=0.0), 0.003, 1.0, keys, "rig <2>"
+    )
     pages = [Page("/station", "Picture")]
     return lambda hosts: create_app(Access(None, Trail(None)), [router], hosts, pages=pages)
 
@@ -91,6 +112,27 @@ def test_every_picture_has_its_numbers(client):
     later = json.loads(client.get("/api/v1/live.jpg").headers["X-Numbers"])
     assert (later["ridge_deg"] - numbers["ridge_deg"]) % 180 == pytest.approx(5.0, abs=0.5)
     assert later["frame"] == numbers["frame"] + 1
+
+
+def test_the_lamps_of_the_rig_have_colours_and_words(client):
+    lamps = json.loads(client.get("/api/v1/live.jpg").headers["X-Numbers"])["lamps"]
+    assert [(one["colour"], one["words"]) for one in lamps] == [
+        ("green", "lamp level: good, 99.8 %"),
+        ("grey", "stray light: not taught (anisoscope calibrate fixture)"),
+        ("yellow", "focus: look at it, 9.3 µm"),
+        ("red", "angle: not good, the markers are not seen"),
+    ]
+
+
+def test_another_exposure_and_work_at_the_rig_begin_the_lamps_anew():
+    lamps = RigLights()
+    live = Live(Eyes(Ridges(), None, lamps=lamps), VirtualClock(), gap_s=0.0)
+    for exposure_s in (0.003, 0.003, 0.004):
+        live.look(exposure_s, 1.0)
+    assert lamps.forgot == 1
+    live.pause()
+    live.go_on()
+    assert lamps.forgot == 2
 
 
 def test_axes_are_moved_by_the_page_alone(client, keys):
@@ -163,6 +205,8 @@ def test_the_picture_moves_and_the_numbers_follow(page):
     page.locator("#ridges").get_by_text(re.compile("°")).wait_for()
     assert page.locator("h1").inner_text() == "rig <2>"
     assert page.locator("#saturated").inner_text() == "1.39 %"
+    assert page.locator("#lamps li.yellow").inner_text().strip() == "focus: look at it, 9.3 µm"
+    assert page.locator("#lamps li").count() == 4
     first = page.evaluate("document.images[0].src")
     page.wait_for_function(
         "first => document.images[0].src !== first && document.images[0].naturalWidth === 480", arg=first
