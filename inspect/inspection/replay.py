@@ -253,6 +253,7 @@ def _fixture_reference(rig: RigFile, white: WhiteReference, shape: tuple[int, in
         return Calibrations()
     found = calibrations_of({"fixture record": record_path(rig.calibration.fixture)})
     found.check_camera(white.camera, shape)
+    found.check_light(rig.light)
     return found
 
 

@@ -26,7 +26,7 @@ from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.rigfile import RigFile, read_rig
 
-GAP_S = 0.4
+GAP_S = 0.5
 """Time between two readings at least, in seconds; pictures between them show the one before."""
 SHARP, BLURRED = 1.1, 1.3
 """Edge width over the reference's, from which on the lamp of the focus is yellow, and red."""

@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -125,8 +124,16 @@ def live(
                     )
                 else:
                     sink = stack.enter_context(_sink(jogger, json_=json_))
-                    lamps = partial(RigLamps(rig).read, taken=(exposure, gain), channel=channel)
-                    _watch(camera, sink, lamps, focus, frames, 1.0 / fps, ended)
+                    lamps = RigLamps(rig)
+                    _watch(
+                        camera,
+                        sink,
+                        lambda counts, info, at_s: lamps.read(counts, info, (exposure, gain), at_s, channel),
+                        focus,
+                        frames,
+                        1.0 / fps,
+                        ended,
+                    )
         except KeyboardInterrupt:
             return 0
     return 0
