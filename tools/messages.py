@@ -103,7 +103,8 @@ SENTENCES = {
 """File -> names of definitions whose texts, or of functions whose first argument, are messages."""
 FURTHER = (
     *("lamp level", "stray light", "focus", "angle", "not taught (anisoscope calibrate fixture)"),
-    *("the markers are not seen", "the arm is tilted", "the markers disagree by {residual} px"),
+    *("the markers are not seen", "the arm is tilted", "focus first: blur looks like stray light"),
+    "the markers disagree by {residual} px",
     *("marker {names} is left out", "marker {marker} is dirty or in shadow: clean it"),
     *("PASS", "FAIL", "INCONCLUSIVE", "INVALID"),
     *("ln ratio {contrast}", "Michelson contrast {contrast}", "difference {contrast}"),

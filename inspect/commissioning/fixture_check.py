@@ -23,11 +23,11 @@ from anisoscope.rig.rigfile import CalibrationPart, RigFile
 
 FIXTURE = (
     ("fixture.age", "age of the fixture's reference"),
+    ("fixture.edge", "edge width at the markers over the reference"),
     ("fixture.level", "white of the markers off the reference"),
     ("fixture.stray", "stray light at the markers, of their white"),
     ("fixture.gradient", "a marker off the level of the others"),
     ("fixture.greys", "greys off a straight line, of white"),
-    ("fixture.edge", "edge width at the markers over the reference"),
 )
 
 
@@ -100,43 +100,50 @@ def _compared(monitor: RigMonitor, reference: FixtureReference | None, settings:
         pose = max(monitor.poses, key=lambda one: abs(value(one)))
         return abs(value(pose)), f"{value(pose):+.2%} at {pose.stage_deg:g}°"
 
+    edge = _edge(monitor, reference, settings)
+    if edge.outcome == "FAIL":  # blur brings white into black
+        return [
+            edge,
+            *(skipped_check(*name, "focus first: blur looks like stray light") for name in FIXTURE[2:]),
+        ]
     level, at_level = worst(lambda pose: pose.level - 1.0)
     stray, at_stray = worst(lambda pose: (pose.stray or 0.0) / pose.white)
     gradient, at_gradient = worst(lambda pose: pose.gradient or 0.0)
     dirty = "".join(f"; marker {number} is dirty or in shadow: clean it" for number in monitor.dirty)
     checks = [
         limit_check(
-            *FIXTURE[1], level, settings.level_share, "relative",
+            *FIXTURE[2], level, settings.level_share, "relative",
             "are exposure and gain those that the camera reports? else the lamp changed: take a new flat, and teach "
             "the fixture", remark=at_level,
         ),
         limit_check(
-            *FIXTURE[2], stray, settings.stray_share, "relative",
+            *FIXTURE[3], stray, settings.stray_share, "relative",
             "keep other light off the rig, look for glare on lens and fixture, check the camera's black level",
             remark=at_stray,
         ),
         limit_check(
-            *FIXTURE[3], gradient, settings.gradient_share, "relative",
+            *FIXTURE[4], gradient, settings.gradient_share, "relative",
             "the light is uneven: clean the fixture, put the lamp as it was, or take a new flat",
             remark=at_gradient + dirty,
         ),
     ]  # fmt: skip
     if any(pose.nonlinear is None for pose in monitor.poses):
         why = "the fixture has no greys: print new markers with `anisoscope rig markers`"
-        checks.append(skipped_check(*FIXTURE[4], why))
+        checks.append(skipped_check(*FIXTURE[5], why))
     else:
         bent, at_bent = worst(lambda pose: pose.nonlinear or 0.0)
         linear = "the camera is not linear, or the patch is dirty: switch gamma off, `anisoscope calibrate response`"
-        checks.append(limit_check(*FIXTURE[4], bent, settings.grey_share, "relative", linear, remark=at_bent))
+        checks.append(limit_check(*FIXTURE[5], bent, settings.grey_share, "relative", linear, remark=at_bent))
+    return [edge, *checks]
+
+
+def _edge(monitor: RigMonitor, reference: FixtureReference | None, settings: Settings) -> Check:
     edges = [pose.edge_um for pose in monitor.poses if pose.edge_um is not None]
     taught = None if reference is None else reference.like(monitor.poses[0].tilt_deg)
     if taught is None or not edges or taught.edge_um <= 0.0:
-        return [*checks, skipped_check(*FIXTURE[5], "the reference holds no edge width")]
+        return skipped_check(*FIXTURE[1], "the reference holds no edge width")
     edge_um = float(np.median(edges))
-    return [
-        *checks,
-        limit_check(
-            *FIXTURE[5], edge_um / taught.edge_um, settings.blur_ratio, "1", "focus the lens, or clean it",
-            remark=f"{edge_um:.3g} µm",
-        ),
-    ]  # fmt: skip
+    return limit_check(
+        *FIXTURE[1], edge_um / taught.edge_um, settings.blur_ratio, "1", "focus the lens, or clean it",
+        remark=f"{edge_um:.3g} µm",
+    )  # fmt: skip

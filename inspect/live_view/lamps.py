@@ -5,7 +5,7 @@ of the fixture, with the black level of the camera in place of dark frames. Focu
 else with the sharpest edges seen so far. The angle is that of the fixture; its lamp says how well the markers agree.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
@@ -134,11 +134,10 @@ class RigLamps:
                 Lamp("focus", "grey", why=none),
                 Lamp("angle", "red", why=str(error)),
             )
-        return (
-            *_light(rig, frame, place, tilt_deg),
-            self._focus(place, None if rig.reference is None else rig.reference.like(tilt_deg)),
-            _angle(place),
-        )
+        focus = self._focus(place, None if rig.reference is None else rig.reference.like(tilt_deg))
+        if focus.colour == "red" and rig.reference is not None:
+            rig = replace(rig, reference=None, why="focus first: blur looks like stray light")
+        return *_light(rig, frame, place, tilt_deg), focus, _angle(place)
 
     def _focus(self, place: Placement, taught: TiltReference | None) -> Lamp:
         assert place.blur_px is not None
