@@ -235,6 +235,7 @@ def rig_section(record: Record) -> RigSection | None:
         traces.append(
             _trace(
                 "stray light [% of white]",
+                ".2f",
                 monitor,
                 lambda pose: 100.0 * (pose.stray or 0.0) / pose.white,
                 limit,
