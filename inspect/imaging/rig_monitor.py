@@ -34,14 +34,6 @@ SHARE_OF_STRAY = 0.1
 EVEN_GREY = 0.01  # a patch that varies more over the stage angles, relative to white, is no grey
 
 
-class RigFault(MeasurementError):
-    """The rig was not as it should be while the part was photographed; `monitor` shows it."""
-
-    def __init__(self, reason: str, monitor: "RigMonitor") -> None:
-        super().__init__(reason)
-        self.monitor = monitor
-
-
 @dataclass(frozen=True, eq=False)
 class MarkerReading:
     """Radiances of the greys of a fixture in one picture, in 1/sr; NaN where a marker is not seen.

@@ -20,7 +20,7 @@ from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
 from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
 from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import Placement, View, locate
-from anisoscope.imaging.rig_monitor import FixtureReference, RigFault, RigMonitor, corrected, watch
+from anisoscope.imaging.rig_monitor import FixtureReference, RigMonitor, corrected, watch
 from anisoscope.parameters.geometry import Pose as LightPose
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
@@ -188,9 +188,7 @@ def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFra
         viewing.recipe.limits,
         viewing.corrections.fixture_reference,
     )
-    if monitor.fault is not None:
-        raise RigFault(monitor.fault, monitor)
-    if monitor.poses:
+    if monitor.poses and monitor.fault is None:
         placed = [corrected(view, state) for view, state in zip(placed, monitor.poses, strict=True)]
     return Views(
         placed[:first_end], placed[first_end:first_resumed], placed[first_resumed:], monitor, frame_notes

@@ -12,8 +12,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.quality_gates import unwatched
 from anisoscope.imaging.registration.placement import View
-from anisoscope.imaging.rig_monitor import RigFault, RigMonitor
-from anisoscope.imaging.views import as_photographed, resuming_error, views_of
+from anisoscope.imaging.views import Views, as_photographed, resuming_error, views_of
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.kept_measurement import CHANGE, Kept
 from anisoscope.inspection.manifest import Manifest
@@ -103,14 +102,17 @@ def judge(
     if manifest.refused is not None:
         record = make_record(manifest, job, expected, frames, now(), (manifest.refused,))
         return record, lambda: Pictures(surface=expected.surface), None
+    views, fault = None, None
     try:
-        sitting, measured, change = measure_frames(manifest.began, job, expected, frames)
+        views = _photographed(manifest.began, job, expected, frames)
+        fault = views.monitor and views.monitor.fault
+        sitting, measured, change = _measured(views, job, expected, frames)
         decided = kind.decide(sitting, recipe, expected, measured, reference)
     except (MeasurementError, CameraError) as error:
-        seen = error.monitor if isinstance(error, RigFault) else None
-        record = make_record(manifest, job, expected, frames, now(), (str(error),), monitor=seen)
+        record = make_record(manifest, job, expected, frames, now(), (fault or str(error),), views=views)
         return record, lambda: Pictures(raw=as_photographed(frames), surface=expected.surface), None
-    invalid_reason = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
+    drifted = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
+    invalid_reason = fault or drifted  # what could be measured is kept
     explanation = Explanation()
     if not invalid_reason and (final or decided.verdict is not Verdict.INCONCLUSIVE):
         case = Case(kind, sitting, recipe, expected, measured, decided, reference)
@@ -128,12 +130,10 @@ def judge(
         now(),
         reasons,
         verdict=verdict,
-        views=sitting.views.poses,
+        views=views,
         results=kind.results(sitting, recipe, expected, measured, decided, reference),
         explanation=explanation,
         drift=measured.drift,
-        monitor=sitting.views.monitor,
-        frame_notes=sitting.views.frame_notes,
     )
     kept = None
     if isinstance(kind, Redeciding):
@@ -159,10 +159,22 @@ def measure_frames(
     Raises:
         MeasurementError, CameraError: INVALID, with the reason.
     """
+    views = _photographed(when, job, expected, frames)
+    if views.monitor is not None and views.monitor.fault is not None:
+        raise MeasurementError(views.monitor.fault)
+    return _measured(views, job, expected, frames)
+
+
+def _photographed(when: datetime, job: Job, expected: Expected, frames: AcquiredFrames) -> Views:
     job.calibrations.check_valid(when)
     job.kind.check_valid(job.recipe, when)
     job.kind.check_filters(frames.filters, frames.camera, job.white.filters)
-    views = views_of(job.viewing(), expected.poses, frames)
+    return views_of(job.viewing(), expected.poses, frames)
+
+
+def _measured(
+    views: Views, job: Job, expected: Expected, frames: AcquiredFrames
+) -> tuple[Sitting, Any, float]:
     sitting = Sitting(views, frames, job.calibrations, job.rig)
     measured, change = job.kind.measure(sitting, job.recipe, expected)
     return sitting, measured, change
@@ -177,20 +189,20 @@ def make_record(
     reasons: tuple[str, ...],
     *,
     verdict: Verdict = Verdict.INVALID,
-    views: Sequence[View] = (),
+    views: Views | None = None,
     results: Results | None = None,
     explanation: Explanation | None = None,
     drift: float | None = None,
-    monitor: RigMonitor | None = None,
-    frame_notes: tuple[str, ...] = (),
 ) -> Record:
     """The record of an inspection; without ``results`` it is one that could not be judged."""
     explanation = explanation or Explanation()
     calibrated = frames.linear or "linearity" in job.calibrations.records
-    notes = frame_notes if calibrated else (UNCALIBRATED, *frame_notes)
+    seen, monitor = (views.poses, views.monitor) if views is not None else ((), None)
+    notes: tuple[str, ...] = () if calibrated else (UNCALIBRATED,)
+    notes += () if views is None else views.frame_notes
     details = job.kind.without_results()
     if results is not None:
-        notes += (*unwatched(views), *results.notes)
+        notes += (*unwatched(seen), *results.notes)
         details = results.details.model_copy(update=dict(explanation.details))
     if monitor is not None:
         notes += monitor.notes
@@ -206,7 +218,7 @@ def make_record(
         model=expected.model,
         optics=expected.optics,
         convention=vars(expected.convention),
-        poses=() if results is None else pose_records(views, results.measured, results.predicted),
+        poses=() if results is None else pose_records(seen, results.measured, results.predicted),
         d2=results and results.d2,
         dof=results and results.dof,
         p_value=results and results.p_value,
