@@ -145,7 +145,7 @@ INVALID = {
     "lens cap": ({"bench": {"optics": {"lens_cap": True}}}, "is the lens cap on"),
     "drift": (
         {"bench": {"optics": {"lamp_drift_per_frame": 0.01}}},
-        r"\d\.\d% brighter.*let the lamp warm up",
+        r"\d\.\d% (brighter|darker).*let the lamp warm up",
     ),
     "quarter turn": ({"bench": {"stage": {"zero_deg": 100.0}}}, "stands -90.00° from.*stage.zero_deg"),
     "three degrees": ({"bench": {"stage": {"zero_deg": 13.0}}}, "stands -3.00° from.*stage.zero_deg"),
