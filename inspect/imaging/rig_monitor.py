@@ -290,9 +290,9 @@ def _means(view: View, areas: Sequence[FloatArray]) -> tuple[FloatArray, FloatAr
 
 
 def _pixels_of(view: View, points: FloatArray) -> FloatArray:
-    """(..., 2) column and row of points (..., 2) in sample millimetres."""
+    """(..., 2) column and row of points (..., 2) in sample millimetres, as the lens shows them."""
     found = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1) @ view.placement.homography.T
-    return np.asarray(found[..., :2] / found[..., 2:])
+    return view.placement.seen(found[..., :2] / found[..., 2:])
 
 
 def watch(

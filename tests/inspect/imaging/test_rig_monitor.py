@@ -1,11 +1,14 @@
 """The rig read from the greys of the fixture: level, stray light, linearity; pictures of another program's print."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from anisoscope.imaging.linearisation import RadianceImage
+from anisoscope.imaging.registration.lens import Lens
 from anisoscope.imaging.registration.placement import View, locate
 from anisoscope.imaging.rig_monitor import (
     FixtureReference,
@@ -58,6 +61,18 @@ def reference() -> FixtureReference:
     )
     assert scatter < 0.001
     return found
+
+
+def test_the_greys_are_read_where_a_lens_shows_them() -> None:
+    plain = picture(30.0)
+    lens = Lens((400, 400), 0.12)
+    rows, cols = np.indices((400, 400)).astype(np.float32)
+    column, row = np.moveaxis(lens.straight(np.stack([cols, rows], axis=-1)), -1, 0).astype(np.float32)
+    bent = cv2.remap(plain.image.value, column, row, cv2.INTER_LINEAR)
+    view = replace(plain, image=replace(plain.image, value=bent), placement=locate(bent, FIXTURE, lens=lens))
+    found, wanted = read_markers(view, FIXTURE), read_markers(plain, FIXTURE)
+    np.testing.assert_allclose(found.white, wanted.white, rtol=0.01)
+    np.testing.assert_allclose(found.black, wanted.black, rtol=0.25)
 
 
 def watched(fault: Fault, reference: FixtureReference | None, limits: LimitsPart = LIMITS) -> RigMonitor:
@@ -173,6 +188,17 @@ def test_a_tilt_that_was_not_taught_is_named(reference: FixtureReference) -> Non
     found = watch([*views, *tilted], [], FIXTURE, LIMITS, reference)
     assert "does not hold tilt 20°" in found.not_watched[0]
     assert len(found.poses) == 6
+
+
+def test_a_picture_whose_white_has_no_value_is_not_watched(reference: FixtureReference) -> None:
+    burnt = picture(90.0)
+    white = burnt.image.value > 0.5 * 0.75 / np.pi
+    value = np.where(white, np.float32(np.nan), burnt.image.value)
+    views = [picture(0.0), replace(burnt, image=replace(burnt.image, value=value))]
+    found = watch(views, [], FIXTURE, LIMITS, reference)
+    assert found.poses == ()
+    assert found.fault is None
+    assert "no white of a marker can be read at 90°" in found.not_watched[0]
 
 
 def test_without_markers_nothing_is_watched() -> None:
