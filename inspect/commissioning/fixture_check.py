@@ -12,7 +12,7 @@ from anisoscope.calibration.record import advice
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.commissioning.selftest_record import Check, Settings, limit_check, skipped_check
 from anisoscope.imaging.frames import AcquiredFrames, Shot
-from anisoscope.imaging.rig_monitor import FixtureReference, PoseState, RigFault, RigMonitor
+from anisoscope.imaging.rig_monitor import FixtureReference, PoseState, RigMonitor
 from anisoscope.imaging.views import Viewing, views_of
 from anisoscope.parameters.geometry import Pose as LightPose
 from anisoscope.recipe.base import LimitsPart
@@ -85,10 +85,7 @@ def _monitor(
             poses[pose] = None
     white = known.white(read_reference(part.flat))
     viewing = Viewing(white, known, file.fixture, file.camera.pixel_um, LimitsAlone(LimitsPart()))
-    try:
-        found = views_of(viewing, list(poses), AcquiredFrames(tuple(shots), *devices, linear)).monitor
-    except RigFault as fault:  # the checks say it, each with its limit
-        found = fault.monitor
+    found = views_of(viewing, list(poses), AcquiredFrames(tuple(shots), *devices, linear)).monitor
     assert found is not None
     return found
 
