@@ -111,8 +111,8 @@ def judge(
     except (MeasurementError, CameraError) as error:
         record = make_record(manifest, job, expected, frames, now(), (fault or str(error),), views=views)
         return record, lambda: Pictures(raw=as_photographed(frames), surface=expected.surface), None
-    drifted = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
-    invalid_reason = fault or drifted  # what could be measured is kept
+    resumed, drifted = resuming_error(change, recipe.limits.drift), kind.drift_error(measured, recipe)
+    invalid_reason = resumed or fault or drifted  # what could be measured is kept
     explanation = Explanation()
     if not invalid_reason and (final or decided.verdict is not Verdict.INCONCLUSIVE):
         case = Case(kind, sitting, recipe, expected, measured, decided, reference)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -115,7 +115,9 @@ def write_benches(
         tilts: of the arm, in degrees, at which the fixture is photographed.
     """
     for name in parts:
-        write_bench(folder, name, *files(name))
+        bench, rig = files(name)
+        taught = rig["calibration"] | {"fixture": f"../../{MARKERS}"}
+        write_bench(folder, name, bench, rig | {"calibration": taught})
     bench, rig = files(TILE)
     write_bench(folder, TILE, bench, rig)
     write_bench(
@@ -173,5 +175,5 @@ def rig_table(
     if tilts:
         found["tilt"] = {**axis, "zero_deg": 30.0, "options": {"address": "1"}}
     if flat is not None:
-        found["calibration"] = {"flat": flat, "fixture": str(PurePosixPath(flat).with_name(MARKERS))}
+        found["calibration"] = {"flat": flat}
     return found

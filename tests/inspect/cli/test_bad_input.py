@@ -23,7 +23,7 @@ def laid_out(made_once):
 @pytest.fixture
 def job(laid_out, tmp_path):
     """A copy of the demo's files, to be spoiled; a picture is as few frames as can be."""
-    for name in ("recipe.toml", "reference.x3p", "flat.tif"):
+    for name in ("recipe.toml", "reference.x3p", "flat.tif", "fixture.json"):
         shutil.copy(laid_out / name, tmp_path)
     shutil.copytree(laid_out / "bench", tmp_path / "bench")
     frames = "frames_per_pose = {}\ndark_frames = {}"
