@@ -29,6 +29,7 @@ BORDER = (-0.7, -0.3)
 SEEN_BLACK = 0.6  # a marker that is covered shows no contrast
 HARMONICS = 2
 DIRTY_SIGMA = 4.0
+BLURRED = 1.3
 SHARE_OF_STRAY = 0.1
 """Relative standard uncertainty of the stray light at the part, whose place is not that of the markers."""
 EVEN_GREY = 0.01  # a patch that varies more over the stage angles, relative to white, is no grey
@@ -485,11 +486,27 @@ def _stray_fault(poses: Sequence[PoseState], reference: FixtureReference, limits
     )
 
 
+def _blur_instead(poses: Sequence[PoseState], reference: FixtureReference) -> str | None:
+    """Fault of the focus, where blur that brings white into black explains a reading of stray light; or None."""
+    worst = max(poses, key=lambda pose: pose.edge_um or 0.0)
+    taught = reference.like(worst.tilt_deg)
+    if taught is None or worst.edge_um is None or not worst.edge_um > BLURRED * taught.edge_um > 0.0:
+        return None
+    return (
+        f"at {worst.stage_deg:g}° the edges of the markers are {worst.edge_um:.1f} µm wide, {taught.edge_um:.1f} µm at "
+        f"the reference {reference.id}: the picture is out of focus, so that the black of the markers is not black; "
+        "focus again, and clean the lens"
+    )
+
+
 def _fault(
     poses: Sequence[PoseState], level: float, reference: FixtureReference, limits: LimitsPart
 ) -> str | None:
     """First fault of the rig against the reference, or None."""
-    found = _stray_fault(poses, reference, limits) or _uneven(poses, limits.white_share, "limits.white_share")
+    found = _stray_fault(poses, reference, limits)
+    if found is not None:
+        return _blur_instead(poses, reference) or found
+    found = _uneven(poses, limits.white_share, "limits.white_share")
     tilted = max(poses, key=lambda pose: pose.gradient or 0.0)
     bent = max(poses, key=lambda pose: abs(pose.nonlinear or 0.0))
     if found is not None:

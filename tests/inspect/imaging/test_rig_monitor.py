@@ -227,3 +227,8 @@ def test_the_pose_that_is_off_the_reference_is_the_wrong_one(reference: FixtureR
     found = watched(lambda image, angle: image * (0.75 if angle == 0.0 else 1.0), reference).fault
     assert "at 0° at the end the white of the markers is 25." in (found or "")
     assert "darker" in (found or "")
+
+
+def test_blur_is_called_blur_and_not_stray_light(reference: FixtureReference) -> None:
+    found = watched(lambda image, _: cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.7), reference)
+    assert "the picture is out of focus" in (found.fault or "")
