@@ -22,6 +22,7 @@ HARMONICS = 8
 MIN_CYCLES = 4.0
 MIN_FUNDAMENTAL = 0.1
 MIN_SCORE = 0.5
+AS_WELL = 0.005
 MIN_POINTS = 8
 FEW_CYCLES = 5.5
 SHARPEN_SHARE = 0.01
@@ -263,6 +264,25 @@ def _predicted_share(
     return 1.0 - (cycles / (cycles - 2.0)) ** 2 * unexplained
 
 
+def _shortest(
+    residual: FloatArray, known: npt.NDArray[np.bool_], spectrum: _Spectrum, f: FloatArray
+) -> tuple[FloatArray, float]:
+    """The frequency, or twice or three times it where this predicts the ridges as well; with its predicted share.
+
+    Where much of a map is missing, its gaps put power at a fraction of the frequency of the ridges.
+    """
+    best, share = f, _predicted_share(residual, known, spectrum, f)
+    for times in (2, 3):
+        other = times * f
+        if (np.abs(other) > 0.5 * spectrum.nyquist).any():
+            break
+        other = spectrum.refine(other, spectrum.orders(other))
+        found = _predicted_share(residual, known, spectrum, other)
+        if found >= share - AS_WELL:
+            best, share = other, found
+    return best, share
+
+
 def _sharpened(surface: HeightMap, frequency: FloatArray) -> float:
     """Factor on a frequency across x, from the shift at which a map of few ridges repeats itself best.
 
@@ -361,7 +381,8 @@ def _period(surface: HeightMap) -> Period:
     )
     spectrum = _Spectrum(residual, known, pixel_y, pixel_x)
     best = _strongest(spectrum)
-    score = float(np.clip(_predicted_share(residual, known, spectrum, best), 0.0, 1.0))
+    best, predicted = _shortest(residual, known, spectrum, best)
+    score = float(np.clip(predicted, 0.0, 1.0))
     if score < MIN_SCORE:
         return Period(float("nan"), float("nan"), score, False)
     fx, fy = (best * _sharpened(surface, best)).tolist()

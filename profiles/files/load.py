@@ -77,6 +77,8 @@ def _check_given(name: str, found: Format, given: Given) -> None:
         )
     if found.units_from_user != "counts" and given.height_per_count is not None:
         refuse(name, "height per count", "is for pictures", f"leave it out for {found.title}")
+    if given.missing and found.name not in {"text", "xyz"}:
+        refuse(name, "missing points", "numbers that mark them are for text files", "leave --missing out")
     if given.regions and ".x3p" not in found.suffixes:
         refuse(name, "mask", "only x3p files hold a mask.png", "leave --mask-from-x3p out")
 
@@ -93,6 +95,7 @@ def read_height_map(
     rows: Rows = "auto",
     trust: Sequence[Trust] = (),
     mask_regions: Sequence[str] = (),
+    missing: Sequence[float] = (),
 ) -> HeightMap:
     """Read a height map, by content and extension, and check that it is plausible.
 
@@ -114,6 +117,7 @@ def read_height_map(
             pass is listed as ``trusted`` in the origin.
         mask_regions: regions of the ``mask.png`` of an x3p file that become missing points, by name or colour, or
             "all"; without them every point is read.
+        missing: numbers that stand for missing points in a text file, such as -9999, in the unit of the file.
 
     Returns:
         The map; its origin holds ``file``, ``sha256``, ``format``, ``reader``, ``pixel_um`` [y, x],
@@ -128,7 +132,7 @@ def read_height_map(
         raise HeightMapError(f"unknown role {role!r}; a height map is of a part or of a tool")
     micrometres_per(z_unit or "um")
     micrometres_per(xy_unit or "um")
-    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout, tuple(mask_regions))
+    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout, tuple(missing), tuple(mask_regions))
     sha256, head = _fingerprint(path)
     found = find_format(path, head)
     _check_given(path.name, found, given)

@@ -13,10 +13,11 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.files.checks import AXIS_TOLERANCE, check_claim, checked_map, refuse
+from anisoscope.profiles.files.checks import AXIS_TOLERANCE, check_claim, checked_map, passes, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import (
+    STATED_MICROMETRES_PER,
     Given,
     Layout,
     micrometres_per,
@@ -81,6 +82,10 @@ def points_to_map(name: str, points_um: FloatArray, origin: dict[str, Any]) -> H
 
 MISSING = {"", "-", "--", "***", "nan", "na", "n/a", "null", "bad"}
 HEADER = re.compile(r"\W*x", re.IGNORECASE)
+_COLUMN = r"{0}[a-z]*(?![a-z0-9])(?P<{0}>[^;,\t]*?)"
+NAMED = re.compile(r"\W*" + r"\W+".join(map(_COLUMN.format, "xyz")), re.IGNORECASE)
+"""A header of three columns, each with what stands behind its name, such as a unit in brackets."""
+CODE_REPEATS = 3
 COMMENT = ("#", "%", "//")
 PIXEL_NOTE = re.compile(r"pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
 SIZE_NOTE = re.compile(r"(\d{1,9}) x (\d{1,9}) heights in um")
@@ -89,12 +94,16 @@ MAX_TEXT_BYTES = 2**31
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers of a text file: (rows, cols) with NaN where missing, and what stood around them."""
+    """Numbers of a text file: (rows, cols) with NaN where missing, and what stood around them.
+
+    ``names`` and ``units`` are those of the header of a list of points; a unit is "" where it states none.
+    """
 
     numbers: FloatArray
     separator: str
     decimal: str
     names: tuple[str, ...]
+    units: tuple[str, ...]
     comments: tuple[str, ...]
     endless: int = 0
 
@@ -203,10 +212,12 @@ def read_table(path: Path) -> Table:
     name = path.name
     lines, comments = _content_lines(name, path)
     names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
     separator, decimal = _dialect(name, (lines[1:] or lines) if HEADER.match(lines[0][1]) else lines)
-    first = tuple(cell.strip('"').lower() for cell in _cells(lines[0][1], separator))
-    if [cell[:1] for cell in first] == ["x", "y", "z"]:
-        names, lines = first, lines[1:]
+    header = NAMED.fullmatch(lines[0][1].replace('"', ""))
+    if header is not None:
+        names, lines = ("x", "y", "z"), lines[1:]
+        units = tuple(_unit_behind(name, axis, header[axis]) for axis in names)
     rows: list[list[float]] = []
     for number, line in lines:
         row = _row(name, number, _cells(line, separator), decimal)
@@ -221,7 +232,107 @@ def read_table(path: Path) -> Table:
     numbers = np.array(rows, dtype=np.float64)
     endless = int(np.count_nonzero(np.isinf(numbers)))
     numbers[~np.isfinite(numbers)] = np.nan
-    return Table(numbers, separator, decimal, names, comments, endless)
+    return Table(numbers, separator, decimal, names, units, comments, endless)
+
+
+def _unit_behind(name: str, axis: str, text: str) -> str:
+    """Unit that a header states behind the name of a column, "" for none.
+
+    Raises:
+        HeightMapError: what stands there is no unit of length.
+    """
+    unit = text.strip(" ()[]{}<>/_:").strip()
+    if unit and unit not in STATED_MICROMETRES_PER:
+        option = "--z-unit" if axis == "z" else "--xy-unit"
+        refuse(
+            name,
+            f"header, column {axis}",
+            f"{unit[:40]!r} is no unit of length",
+            f"take the line out, and say the unit with {option}",
+        )
+    return unit
+
+
+def _unit(name: str, stated: tuple[str, ...], given: str | None, option: str) -> str | None:
+    """Unit of columns by header and option, None where neither says one.
+
+    Raises:
+        HeightMapError: the header states several, or another than the option.
+    """
+    found = set(filter(None, stated))
+    if len(found) > 1:
+        refuse(name, "header", f"x in {stated[0]} and y in {stated[1]}", "write both in one unit")
+    if not found:
+        return given
+    unit = found.pop()
+    if given is not None and micrometres_per(given) != STATED_MICROMETRES_PER[unit]:
+        refuse(name, "units", f"the header states {unit}, not {given}", f"leave {option} out")
+    return unit
+
+
+def _without_codes(name: str, heights: FloatArray, missing: tuple[float, ...]) -> FloatArray:
+    """Heights, NaN where they are a code for a missing point.
+
+    Raises:
+        HeightMapError: a number repeats at an end, farther from the others than these are apart: it may be a code.
+    """
+    known = np.isin(heights, missing)
+    if known.any():
+        heights = np.where(known, np.nan, heights)
+    levels, counts = np.unique(heights[np.isfinite(heights)], return_counts=True)
+    if len(levels) < 4:  # a step or two are a surface
+        return heights
+    for end, rest in ((0, levels[1:]), (-1, levels[:-1])):
+        gap = abs(levels[end] - rest[end])
+        if counts[end] < CODE_REPEATS or gap <= rest[-1] - rest[0]:
+            continue
+        text = f"{levels[end]:g} stands {counts[end]} times, {gap:.4g} from all other heights"
+        if not passes("heights", text):
+            refuse(
+                name,
+                "heights",
+                text,
+                f"if it marks missing points, say --missing {levels[end]:g}; if it was measured, --trust heights",
+            )
+    return heights
+
+
+def _equal_steps(values: FloatArray) -> float | None:
+    """Step of equidistant values, None where they are not."""
+    if len(values) < 2 or not np.isfinite(values).all():
+        return None
+    steps = np.diff(values)
+    step = float(steps.mean())
+    return step if step != 0.0 and np.abs(steps - step).max() <= AXIS_TOLERANCE * abs(step) else None
+
+
+def _without_axes(
+    name: str, table: Table, pixel_um: tuple[float, float] | None, xy_unit: str | None
+) -> tuple[FloatArray, tuple[float, float] | None, list[str]]:
+    """Heights of a matrix whose first row and column may be its axes, with the pixel size that they give.
+
+    They are axes where the corner is empty and both are equidistant.
+
+    Raises:
+        HeightMapError: axes of an unknown unit.
+    """
+    numbers = table.numbers
+    corner = np.isnan(numbers[0, 0]) and min(numbers.shape) > 2
+    across, down = (_equal_steps(numbers[0, 1:]), _equal_steps(numbers[1:, 0])) if corner else (None, None)
+    if across is None or down is None:
+        return numbers, pixel_um, []
+    if xy_unit is not None:
+        factor = STATED_MICROMETRES_PER[xy_unit]
+        pixel_um = abs(down) * factor, abs(across) * factor
+    elif pixel_um is None:
+        refuse(
+            name,
+            "axes",
+            f"first row and column rise by {across:g} and {down:g}, with an empty corner",
+            "say the unit of these axes with --xy-unit, or the pixel size with --pixel; --layout matrix if they are "
+            "heights",
+        )
+    return numbers[1:, 1:], pixel_um, ["first row and column are axes"]
 
 
 def _is_point_list(name: str, table: Table, layout: Layout, pixel_um: tuple[float, float] | None) -> bool:
@@ -336,8 +447,12 @@ def read_text(
     z_unit: str | None = None,
     xy_unit: str | None = None,
     layout: Layout = "auto",
+    missing: tuple[float, ...] = (),
 ) -> HeightMap:
     """Read a matrix of heights (rows along y, as in the file), or a list of points x y z.
+
+    A header ``X (mm), Y (mm), Z (um)`` gives the units of a list. A matrix whose corner is empty and whose first row
+    and column are equidistant has axes.
 
     The header that Gwyddion writes (width, height, unit of the values) is read; the first row then is the top of the
     picture.
@@ -346,8 +461,9 @@ def read_text(
         path: text file; numbers separated by white space, semicolons or commas.
         pixel_um: (y, x) pixel size in µm; needed for a matrix.
         z_unit: unit of the heights: um, nm, mm or m; µm where it is not given.
-        xy_unit: unit of x and y of a list of points; the unit of the heights where it is not given.
+        xy_unit: unit of x and y of a list of points, or of axes; the unit of the heights where it is not given.
         layout: "matrix", "xyz", or "auto", which refuses a file that could be either.
+        missing: numbers that stand for missing points, in the unit of the file.
 
     Raises:
         HeightMapError: no numbers, an ambiguous file, a missing pixel size, or implausible values.
@@ -358,26 +474,29 @@ def read_text(
     stated = _gwyddion_header(name, table)
     if stated is not None:
         return _gwyddion_map(name, table, stated, pixel_um, z_unit)
-    z_unit = z_unit or "um"
-    factor = micrometres_per(z_unit)
     if layout == "auto" and path.suffix.lower() == ".xyz":
         layout = "xyz"
     if _is_point_list(name, table, layout, pixel_um):
         if pixel_um is not None:
             refuse(name, "pixel size", pixel_um, "a list of points brings its own; leave the pixel size out")
-        lateral = micrometres_per(xy_unit or z_unit)
-        origin = {
-            "format": "text points",
-            "z_unit": z_unit,
-            "xy_unit": xy_unit or z_unit,
-            **table.corrected(),
-        }
-        return points_to_map(name, table.numbers * [lateral, lateral, factor], origin)
+        z_unit = _unit(name, table.units[2:], z_unit, "--z-unit") or "um"
+        xy_unit = _unit(name, table.units[:2], xy_unit, "--xy-unit") or z_unit
+        lateral, factor = STATED_MICROMETRES_PER[xy_unit], STATED_MICROMETRES_PER[z_unit]
+        origin = {"format": "text points", "z_unit": z_unit, "xy_unit": xy_unit, **table.corrected()}
+        points = table.numbers.copy()
+        points[:, 2] = _without_codes(name, points[:, 2], missing)
+        return points_to_map(name, points * [lateral, lateral, factor], origin)
     check_claim(name, table.numbers.shape[0], table.numbers.shape[1], 0, 0)
     _check_noted_size(name, table)
+    origin = {"format": "text matrix", "z_unit": z_unit or "um", **table.corrected()}
+    heights = table.numbers
+    if layout == "auto":
+        heights, pixel_um, done = _without_axes(name, table, pixel_um, xy_unit)
+        if done:
+            origin["corrected"] = [*origin.get("corrected", []), *done]
     pixel = require_pixel(name, pixel_um or _noted_pixel(table))
-    origin = {"format": "text matrix", "z_unit": z_unit, **table.corrected()}
-    return checked_map(name, scaled(table.numbers, factor), pixel, origin)
+    heights = _without_codes(name, heights, missing)
+    return checked_map(name, scaled(heights, micrometres_per(z_unit or "um")), pixel, origin)
 
 
 def write_text(surface: HeightMap, path: Path | str) -> None:
@@ -404,6 +523,7 @@ def _read(path: Path, given: Given) -> HeightMap:
         z_unit=given.z_unit,
         xy_unit=given.xy_unit,
         layout=given.layout,
+        missing=given.missing,
     )
 
 

@@ -27,6 +27,7 @@ class Given:
         height_per_count: height of one count of an integer image, in ``z_unit`` or µm.
         xy_unit: unit of x and y of a list of points.
         layout: what a text file with three columns holds.
+        missing: numbers that stand for missing points in a text file, in its own unit.
         regions: regions of the ``mask.png`` of an x3p file that become missing points.
     """
 
@@ -35,6 +36,7 @@ class Given:
     height_per_count: float | None = None
     xy_unit: str | None = None
     layout: Layout = "auto"
+    missing: tuple[float, ...] = ()
     regions: tuple[str, ...] = ()
 
 

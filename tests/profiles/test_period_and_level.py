@@ -130,3 +130,17 @@ def test_the_period_of_a_turned_map_is_taken_over(quarters):
     known, found = find_period(turned), find_period(searched)
     assert known.pitch_um == pytest.approx(found.pitch_um, rel=1e-4)
     assert known.direction_deg == pytest.approx(found.direction_deg, abs=0.02)
+
+
+@pytest.mark.parametrize("start", [0.2, 0.3, 0.4])
+@pytest.mark.parametrize(("pitch_um", "angle_deg"), [(40.0, 20.0), (60.0, 10.0), (75.0, 5.0), (100.0, 10.0)])
+def test_a_gap_of_three_pitches_does_not_double_the_pitch(pitch_um, angle_deg, start):
+    x = np.arange(round(10.0 * pitch_um), dtype=float)
+    phase = x / pitch_um % 1.0
+    height = np.tan(np.radians(angle_deg)) * pitch_um * np.where(phase < 0.97, phase, 32.3 * (1.0 - phase))
+    noise = 0.05 * np.random.default_rng(1).standard_normal((64, x.size))
+    made = height + noise
+    made[:, int(start * x.size) : int((start + 0.3) * x.size)] = np.nan
+    found = find_period(HeightMap(made, 1.0, 1.0))
+    assert found.pitch_um == pytest.approx(pitch_um, rel=0.002)
+    assert found.score > 0.95

@@ -98,6 +98,15 @@ class Scales:
         Unit | None, Parameter(help="Unit of x and y of a list of points; that of the heights if not given.")
     ] = None
     layout: Annotated[Layout, Parameter(help="What a text file with three columns holds.")] = "auto"
+    missing: Annotated[
+        tuple[float, ...],
+        Parameter(
+            help="Number that stands for missing points in a text file, such as -9999; may be given several times.",
+            negative="",
+            consume_multiple=False,
+            allow_leading_hyphen=True,
+        ),
+    ] = ()
     rows: Annotated[
         Rows,
         Parameter(help="Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md."),
@@ -133,6 +142,7 @@ class Scales:
             role=self.role,
             xy_unit=self.xy_unit,
             layout=self.layout,
+            missing=self.missing,
             height_per_count=self.height_per_count,
             rows=self.rows,
             trust=self.trust,

@@ -223,3 +223,84 @@ def test_provenance_travels_with_the_map(tmp_path):
     assert origin["pixel_um"] == [2.0, 1.0]
     assert origin["missing_share"] == 0.25
     assert len(origin["sha256"]) == 64
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "X (mm)\tY (mm)\tZ (um)",
+        "x [mm], y [mm], z [µm]",
+        "X (mm) Y (mm) Z (um)",
+        "x_mm;y_mm;z_um",
+        '"X / mm","Y / mm","Z / um"',
+    ],
+)
+def test_units_of_a_header_are_meant(tmp_path, header):
+    separator = next((one for one in ("\t", ",", ";") if one in header), " ")
+    rows = [f"{0.5 * x:g}{separator}{0.25 * y:g}{separator}{x + 2 * y:g}" for y in range(4) for x in range(5)]
+    path = tmp_path / "points.xyz"
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    found = read_height_map(path)
+    assert (found.pixel_x_um, found.pixel_y_um) == (500.0, 250.0)
+    assert found.height_um[3, 4] == 10.0
+    with pytest.raises(HeightMapError, match="the header states mm, not nm; leave --xy-unit out"):
+        read_height_map(path, xy_unit="nm")
+
+
+def test_a_header_of_other_units_is_refused(tmp_path):
+    path = tmp_path / "points.xyz"
+    path.write_text("x (px), y (px), z (um)\n0,0,1\n1,0,2\n0,1,3\n1,1,4\n")
+    with pytest.raises(
+        HeightMapError, match=r"column x: 'px' is no unit of length; take the line out.*--xy-unit"
+    ):
+        read_height_map(path)
+
+
+def test_axes_of_a_matrix_are_no_heights(tmp_path):
+    path = tmp_path / "labelled.csv"
+    path.write_text(",0,0.5,1,1.5\n0,1.1,1.2,1.3,1.0\n0.25,2.1,2,2.5,2.2\n0.5,3,3.3,3.1,3\n")
+    with pytest.raises(HeightMapError, match=r"rise by 0\.5 and 0\.25.*--xy-unit.*--layout matrix"):
+        read_height_map(path)
+    for given in ({"xy_unit": "mm"}, {"pixel_um": (250.0, 500.0)}):
+        found = read_height_map(path, **given)
+        assert found.shape == (3, 4)
+        assert (found.pixel_x_um, found.pixel_y_um) == (500.0, 250.0)
+        assert found.height_um[0].tolist() == [1.1, 1.2, 1.3, 1.0]
+        assert "first row and column are axes" in found.origin["corrected"]
+    assert read_height_map(path, pixel_um=(1.0, 1.0), layout="matrix").shape == (4, 5)
+
+
+@pytest.mark.parametrize("code", [-9999.0, 0.0, -1.0, 9999.0])
+def test_a_code_for_missing_points_is_asked_about(tmp_path, code):
+    rng = np.random.default_rng(3)
+    heights = 440.0 + 80.0 * rng.random((40, 50))
+    heights[rng.random(heights.shape) < 0.05] = code
+    path = tmp_path / "coded.txt"
+    np.savetxt(path, heights, fmt="%.4f")
+    with pytest.raises(
+        HeightMapError, match=rf"{code:g} stands \d+ times.*--missing {code:g}; .*--trust heights"
+    ):
+        read_height_map(path, pixel_um=(1.0, 1.0))
+    found = read_height_map(path, pixel_um=(1.0, 1.0), missing=(code,))
+    assert np.isnan(found.height_um).sum() == (heights == code).sum()
+    assert np.nanmin(found.height_um) > 439.0
+    kept = read_height_map(path, pixel_um=(1.0, 1.0), trust=("heights",))
+    assert kept.missing_share == 0.0
+    assert "stands" in kept.origin["trusted"][0]
+
+
+def test_a_staircase_and_a_single_spike_are_surfaces(tmp_path):
+    path = tmp_path / "steps.txt"
+    stairs = np.repeat(np.arange(6.0), 20)[None, :] * np.ones((20, 1))
+    spike = np.random.default_rng(4).random((30, 30))
+    spike[3, 4] = 60.0
+    for heights in (stairs, spike):
+        np.savetxt(path, heights, fmt="%.4f")
+        np.testing.assert_allclose(read_height_map(path, pixel_um=(1.0, 1.0)).height_um, heights, atol=1e-4)
+
+
+def test_codes_for_missing_points_are_for_text(tmp_path):
+    path = tmp_path / "map.npy"
+    np.save(path, np.arange(12.0).reshape(3, 4))
+    with pytest.raises(HeightMapError, match="leave --missing out"):
+        read_height_map(path, pixel_um=(1.0, 1.0), missing=(-1.0,))
