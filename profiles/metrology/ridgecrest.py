@@ -1,6 +1,6 @@
 """Wall and crest of the ridges: wall angle, height, what is missing of it, and how round the edge is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -297,6 +297,27 @@ def _crest(
     return Crest(
         inclination, wall.width, actual, Quantity(full, u_full), Quantity(loss, u_loss), radius, flat
     )
+
+
+def against_the_surface(wall: Quantity, removed: float, tilt: float) -> Quantity:
+    """Wall angle in degrees against the plane of the surface, from that against levelled heights.
+
+    Levelling takes a slope off all heights, which changes the angle of a steep wall by more than that of the plane; so
+    slopes are turned into angles before they are subtracted.
+
+    Args:
+        wall: angle in levelled heights, or a lower bound.
+        removed: slope across that levelling took off, in the direction in which the walls rise.
+        tilt: slope across of the plane of the surface in levelled heights.
+    """
+
+    def turned(angle_deg: float | None) -> float | None:
+        if angle_deg is None:
+            return None
+        slope = np.tan(np.radians(angle_deg))
+        return float(np.degrees(np.arctan(slope + removed) - np.arctan(tilt + removed)))
+
+    return replace(wall, value=turned(wall.value), at_least=turned(wall.at_least))
 
 
 def _radius(radius: float, u: float, step_um: float, *, plateau: bool) -> Quantity:

@@ -21,7 +21,14 @@ from anisoscope.profiles.level import periodic_form, periodic_tilt
 from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.burrlist import Outlier, find_outliers, limits
 from anisoscope.profiles.metrology.quantity import Quantity, variation
-from anisoscope.profiles.metrology.ridgecrest import Crest, Line, core_of_wall, mean_profile, measure_crest
+from anisoscope.profiles.metrology.ridgecrest import (
+    Crest,
+    Line,
+    against_the_surface,
+    core_of_wall,
+    mean_profile,
+    measure_crest,
+)
 from anisoscope.profiles.metrology.ridgefit import (
     Planes,
     Single,
@@ -252,6 +259,7 @@ class _Fit:
         ends = slope_of_ends(self.folded, self.facet, self.course.pitch_um)
         angle = ridge_angle(self.planes, self.course, removed, pitch.u, ends)
         crest, x_um, height_um = self._crest(angle)
+        wall_angle = against_the_surface(crest.wall_angle_deg, removed, self.planes.tilt_across)
         slow = slow_slopes(self.planes)
         slopes = measure_slopes(
             self.above, self.owner, self.grid.pixel, self.course, self.planes.weight.size, slow
@@ -261,7 +269,7 @@ class _Fit:
         span = (self.facet.begin * self.course.pitch_um, self.facet.end * self.course.pitch_um)
         lean_x, lean_y = course.downhill()
         return RidgeMeasurement(
-            pitch, self.positions.direction_deg, angle, crest.wall_angle_deg, crest.height_um, crest.height_loss,
+            pitch, self.positions.direction_deg, angle, wall_angle, crest.height_um, crest.height_loss,
             crest.edge_radius_um, slopes.alpha_along, slopes.alpha_across, slopes.noise_um,
             (float(min(self.grid.pixel)), float(span[1] - span[0])), float(np.degrees(np.arctan2(lean_y, lean_x))),
             variation([r.angle_deg for r in ridges]), variation([r.height_um for r in ridges]),

@@ -134,12 +134,21 @@ class Truth:
             z[i : i + hole, j : j + hole] = np.nan
         return HeightMap(z, px, py)
 
-    def ridge_angle(self):
-        """The angle against the tilted plane of the surface, as the tilt was added by shearing."""
+    def tilt_across(self):
+        """Slope of the surface across the ridges; the tilt was added by shearing."""
         a = np.radians(self.direction)
-        across = self.lean * (
+        return self.lean * (
             np.tan(np.radians(self.tilt[0])) * np.cos(a) + np.tan(np.radians(self.tilt[1])) * np.sin(a)
         )
+
+    def wall_angle(self):
+        """The angle of the wall against the tilted plane of the surface."""
+        across = self.tilt_across()
+        return np.degrees(np.arctan(across + np.tan(np.radians(self.wall_deg))) - np.arctan(across))
+
+    def ridge_angle(self):
+        """The angle against the tilted plane of the surface."""
+        across = self.tilt_across()
         return np.degrees(np.arctan(across) - np.arctan(across - np.tan(np.radians(self.angle))))
 
     def _alpha(self, slope, length, direction_deg):

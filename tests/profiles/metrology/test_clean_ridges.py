@@ -50,7 +50,7 @@ def statements(truth, found):
         "pitch": (found.pitch_um, truth.pitch),
         "direction": (found.direction_deg, truth.direction),
         "ridge angle": (found.ridge_angle_deg, truth.ridge_angle()),
-        "wall angle": (found.wall_angle_deg, truth.wall_deg),
+        "wall angle": (found.wall_angle_deg, truth.wall_angle()),
         "height": (found.height_um, truth.full_height * (1.0 - truth.whole_loss)),
         "height loss": (found.height_loss, truth.whole_loss),
         "edge radius": (found.edge_radius_um, truth.radius),

@@ -97,7 +97,7 @@ def test_direction_and_lean_of_clean_ridges(direction, lean):
 def test_wall_angle_where_the_wall_is_resolved(angle, wall):
     truth = Truth(angle=angle, wall=wall, direction=3.0, shape=(500, 1000))
     found = measure_ridges(truth.surface(4))
-    assert found.wall_angle_deg.value == pytest.approx(truth.wall_deg, abs=2.5 * found.wall_angle_deg.u)
+    assert found.wall_angle_deg.value == pytest.approx(truth.wall_angle(), abs=2.5 * found.wall_angle_deg.u)
     assert found.wall_angle_deg.u < 0.3
     assert found.height_um.value == pytest.approx(truth.full_height, rel=0.01)
 
@@ -211,7 +211,7 @@ def errors(truth, found):
         (found.pitch_um, truth.pitch),
         (found.direction_deg, truth.direction),
         (found.ridge_angle_deg, truth.ridge_angle()),
-        (found.wall_angle_deg, truth.wall_deg),
+        (found.wall_angle_deg, truth.wall_angle()),
         (found.height_um, truth.full_height * (1 - truth.loss)),
         (found.height_loss, truth.loss),
         (found.alpha_along, truth.alpha_along),
@@ -323,3 +323,21 @@ def test_surfaces_without_ridges_are_refused(name):
     surface = real(name)
     with pytest.raises(HeightMapError, match="no ridges found"):
         measure_ridges(surface)
+
+
+@pytest.mark.parametrize("tilt_deg", [-2.0, -1.0, 1.0, 2.0])
+def test_a_rigid_tilt_leaves_the_wall_angle(tilt_deg):
+    pitch, facet, wall, ridges = 100.0, np.radians(10.0), np.radians(65.0), 12
+    height = pitch / (1.0 / np.tan(facet) + 1.0 / np.tan(wall))
+    valley = np.arange(ridges + 1) * pitch
+    crest = valley + height / np.tan(wall)
+    x = np.column_stack([valley, crest]).ravel()
+    z = np.column_stack([np.zeros_like(valley), np.full_like(valley, height)]).ravel()
+    turn = np.radians(tilt_deg)
+    turned_x, turned_z = x * np.cos(turn) - z * np.sin(turn), x * np.sin(turn) + z * np.cos(turn)
+    at = np.arange(1.0, ridges * pitch - 40.0, 0.5)
+    noise = 0.02 * np.random.default_rng(2).standard_normal((40, at.size))
+    found = measure_ridges(HeightMap(np.interp(at, turned_x, turned_z) + noise, 0.5, 0.5))
+    assert found.wall_angle_deg.value == pytest.approx(65.0, abs=2.0 * found.wall_angle_deg.u)
+    assert found.wall_angle_deg.u < 0.5
+    assert found.ridge_angle_deg.value == pytest.approx(10.0, abs=2.0 * found.ridge_angle_deg.u + 0.002)
