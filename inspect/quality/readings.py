@@ -162,7 +162,8 @@ def read_readings(path: Path | str) -> Readings:
     Columns are separated by commas, or by semicolons, and numbers then have a decimal comma.
 
     Columns named as in ``TEXTS`` hold words, all others numbers. An empty field, ``nan``, ``invalid`` or ``-`` is a
-    missing number; where there is a column ``verdict``, so are the numbers of a line that says INVALID.
+    missing number, and so is a blank line in a file of one column. Where there is a column ``verdict``, the numbers of
+    a line that says INVALID are missing too.
 
     Raises:
         UsageError: the file cannot be read, or a line of it cannot be used; line and column are named.
@@ -182,7 +183,7 @@ def read_readings(path: Path | str) -> Readings:
     reader = CsvReader(read_text(path), path)
     try:
         columns = _columns(path, next(reader, []))
-        rows = [(reader.line_num, row) for row in reader if any(field.strip() for field in row)]
+        rows = _rows(reader, len(columns))
     except csv.Error as error:
         raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
     if not rows:
@@ -199,6 +200,16 @@ def read_readings(path: Path | str) -> Readings:
         if name not in TEXTS
     }
     return Readings(str(path), texts, without_invalid(texts, numbers), base=path.parent)
+
+
+def _rows(reader: CsvReader, columns: int) -> list[tuple[int, list[str]]]:
+    """Line numbers and fields. A blank line between others is a missing reading of one column, else no line at all."""
+    rows = [(reader.line_num, row or [""] * columns) for row in reader]
+    while rows and not any(field.strip() for field in rows[-1][1]):
+        rows.pop()
+    if columns == 1:
+        return rows
+    return [(line, row) for line, row in rows if any(field.strip() for field in row)]
 
 
 def without_invalid(

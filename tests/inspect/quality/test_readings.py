@@ -112,3 +112,13 @@ def test_serials_and_operators_serve_as_parts_and_appraisers(made):
 def test_a_gauge_study_with_holes_is_refused(made, text, word):
     with pytest.raises(UsageError, match=word):
         gauge_data(read_readings(made(text)))
+
+
+def test_a_blank_line_of_one_column_is_a_missing_reading(tmp_path):
+    path = tmp_path / "values.csv"
+    path.write_text("value\n\n10\n11\n\n13\n12\n\n\n")
+    np.testing.assert_array_equal(
+        read_readings(path).numbers["value"], [np.nan, 10.0, 11.0, np.nan, 13.0, 12.0]
+    )
+    path.write_text("value,other\n10,1\n\n11,2\n\n")
+    assert len(read_readings(path)) == 2
