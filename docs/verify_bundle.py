@@ -64,10 +64,23 @@ def verify_record(files, keys):
         if sha256(files[file["name"]]) != file["sha256"]:
             raise Wrong(f"{file['name']} was changed")
     known = {file["name"] for file in record["files"]}
-    known |= {"record.json", "record.signature.json", "report.html", "report.sha256", "history.json"}
+    known |= {"record.json", "record.signature.json", "history.json"}
+    known |= {"report.html", "report.sha256", "report.signature.json"}
     if files.keys() - known:
         raise Wrong(f"{min(files.keys() - known)} does not belong to the inspection")
     return record, said
+
+
+def verify_report(files, keys):
+    """What is known of the report: signed with the record, not covered by a signature, or missing."""
+    if "report.html" not in files:
+        return "missing"
+    if "report.signature.json" not in files:
+        return "not covered by a signature"
+    said = statement(files["report.signature.json"], "report", keys)
+    if (said["record"], said["report"]) != (sha256(files["record.json"]), sha256(files["report.html"])):
+        raise Wrong("the report was changed, or belongs to another record")
+    return "signed"
 
 
 def verify_history(files, record, keys):
@@ -100,12 +113,14 @@ def main(arguments):
         if len(files) != len(names):
             raise Wrong("a file is in the bundle twice")
         record, said = verify_record(files, keys)
+        report = verify_report(files, keys)
         head = verify_history(files, record, keys)
     except (Wrong, OSError, ValueError, KeyError, IndexError, TypeError, zipfile.BadZipFile) as problem:
         print(f"NOT VERIFIED: {path}: {type(problem).__name__}: {problem}")
         return 1
     print(
-        f"{record['serial']}: {record['verdict']}, signed {said['signed_at']}, {len(record['files'])} files unchanged"
+        f"{record['serial']}: {record['verdict']}, signed {said['signed_at']}, {len(record['files'])} files unchanged; "
+        f"report: {report}"
     )
     print(f"among the first {head['inspections']} inspections of a history signed {head['signed_at']}")
     return 0

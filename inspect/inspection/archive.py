@@ -44,7 +44,7 @@ from anisoscope.inspection.objects import (
     objects_of,
     share,
 )
-from anisoscope.inspection.report_seal import SEAL_NAME
+from anisoscope.inspection.report_seal import REPORT_SIGNATURE, SEAL_NAME
 from anisoscope.record.schema import (
     RECORD_NAME,
     SIGNATURE_NAME,
@@ -365,7 +365,7 @@ def _check_clearing(store: Store, now: datetime) -> None:
 def _manifest_of(folder: Path, now: datetime) -> Archived:
     record = read_record(folder)
     files = [*recorded_files(folder)]
-    own = (RECORD_NAME, SIGNATURE_NAME, REPORT_NAME, SEAL_NAME)
+    own = (RECORD_NAME, SIGNATURE_NAME, REPORT_NAME, SEAL_NAME, REPORT_SIGNATURE)
     listed = {file.name for file in files}
     files += [
         InputFile(name=name, sha256=sha256_of(folder / name))

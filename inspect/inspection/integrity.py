@@ -6,11 +6,18 @@ from pathlib import Path
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.json_fields import in_json
-from anisoscope.base.signature import Trust
+from anisoscope.base.signature import Signed, Trust
 from anisoscope.inspection.folder import JOB, files_in
 from anisoscope.inspection.kept_measurement import KEPT_NAME
 from anisoscope.inspection.manifest import read_job_file
-from anisoscope.inspection.report_seal import OWN, SEAL_NAME, ReportState, report_state
+from anisoscope.inspection.report_seal import (
+    OWN,
+    REPORT_SIGNATURE,
+    SEAL_NAME,
+    ReportState,
+    report_signature,
+    report_state,
+)
 from anisoscope.record.schema import (
     RECORD_NAME,
     SIGNATURE_NAME,
@@ -38,6 +45,8 @@ class Verified:
         additional: those that the inspection did not make.
         signed_by: station and key that signed the record; None where it is not signed.
         distrust: why the signature, or a frame, does not belong to this inspection.
+        report_signed: whether the key that signed the record also signed the report; None where the record is not
+            signed, or there is no report beside it.
         origin: "rig" or "imported", as the record says; "" where it does not.
         report_written: whether the report is there; a finished inspection without one is intact, unless its record
             lists it, as those of earlier versions do.
@@ -51,6 +60,7 @@ class Verified:
     report_written: bool = True
     signed_by: str | None = None
     distrust: tuple[str, ...] = ()
+    report_signed: bool | None = None
     origin: str = ""
 
     @property
@@ -109,19 +119,42 @@ def verify(folder: Path, trust: Trust | None = None) -> Verified:
     )
 
 
-def _signature(folder: Path, trust: Trust | None, *, finished: bool) -> tuple[str | None, tuple[str, ...]]:
-    """Signer of the record, and the reason why the signature does not count."""
+def _signature(
+    folder: Path, trust: Trust | None, *, finished: bool
+) -> tuple[str | None, tuple[str, ...], bool | None]:
+    """Signer of the record, reasons why signatures do not count, and whether the report is signed by the same key."""
     if not finished:
-        return None, () if trust is None else ("the inspection is not finished, so that nothing is signed",)
+        return (
+            None,
+            () if trust is None else ("the inspection is not finished, so that nothing is signed",),
+            None,
+        )
     try:
         found = record_signature(folder)
     except RecordError as error:
-        return None, (str(error),)
+        return None, (str(error),), None
     if found is None:
-        return None, () if trust is None else ("the record is not signed",)
+        return None, () if trust is None else ("the record is not signed",), None
     wrong = None if trust is None else trust.distrust(found)
-    problems = (*([] if wrong is None else [wrong]), *_strangers(folder, found.content))
-    return found.key if trust is None else trust.station(found), problems
+    signed, by_other = _report_signed(folder, found)
+    problems = (*(one for one in (wrong, by_other) if one is not None), *_strangers(folder, found.content))
+    return found.key if trust is None else trust.station(found), problems, signed
+
+
+def _report_signed(folder: Path, of_record: Signed) -> tuple[bool | None, str | None]:
+    """Whether the report is signed as the record is, and the reason why its signature does not count."""
+    if not (folder / REPORT_NAME).is_file():
+        return None, None
+    try:
+        found = report_signature(folder)
+    except RecordError as error:
+        return False, str(error)
+    if found is not None and found.public != of_record.public:
+        return (
+            False,
+            f"{folder / REPORT_SIGNATURE}: another key signed the report ({found.key}) than the record",
+        )
+    return found is not None, None
 
 
 def _strangers(folder: Path, signed: Mapping[str, object]) -> Iterator[str]:
@@ -137,7 +170,9 @@ def _strangers(folder: Path, signed: Mapping[str, object]) -> Iterator[str]:
 
 def _count(report: ReportState | None, present: set[str]) -> int:
     """Number of files of the report compared besides the files that the record lists."""
-    return 0 if report is None or report.by_record else len({REPORT_NAME, SEAL_NAME} & present)
+    return (
+        0 if report is None or report.by_record else len({REPORT_NAME, SEAL_NAME, REPORT_SIGNATURE} & present)
+    )
 
 
 def _begun(folder: Path) -> tuple[list[InputFile], list[str]]:

@@ -3,6 +3,9 @@
 The verdict does not wait for its report: the record is written first, then the report. The line that seals the report
 also names the hash of the record that it belongs to. The file has the form of the program ``sha256sum``, which checks
 it: ``sha256sum --check report.sha256``. Records of earlier versions list their report themselves.
+
+Whoever rewrites a report can hash it anew. So where a signing key is in use, a second statement binds the report to the
+record: ``report.signature.json``.
 """
 
 import hashlib
@@ -14,11 +17,15 @@ from typing import Literal
 
 from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import RecordError
+from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
 from anisoscope.record.schema import RECORD_NAME, InputFile, recorded_files, sha256_of
 from anisoscope.report.inspection_page import REPORT_NAME
 
 SEAL_NAME = "report.sha256"
-OWN = frozenset({REPORT_NAME, SEAL_NAME, f".{REPORT_NAME}.partial", f".{SEAL_NAME}.partial"})
+REPORT_SIGNATURE = "report.signature.json"
+_FILES = REPORT_NAME, SEAL_NAME, REPORT_SIGNATURE
+OWN = frozenset({*_FILES, *(f".{name}.partial" for name in _FILES)})
 """Files that belong to a report, those of a program included that was killed while it wrote them."""
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 State = Literal["written", "missing", "changed"]
@@ -50,12 +57,40 @@ def write_report_sealed(folder: Path, page: str) -> Path:
 
     Raises:
         RecordError: a file cannot be read or written.
+        ConfigError: the signing key cannot be used.
     """
     content = page.encode()
     lines = {RECORD_NAME: _hash(folder / RECORD_NAME), REPORT_NAME: hashlib.sha256(content).hexdigest()}
+    signer = signer_in_use()
+    if signer is not None:
+        statement = {"record": lines[RECORD_NAME], "report": lines[REPORT_NAME]}
+        write_text(folder / REPORT_SIGNATURE, signed("report", statement, signer) + "\n")
+    else:
+        (folder / REPORT_SIGNATURE).unlink(missing_ok=True)  # of a report that is replaced
     write_text(folder / SEAL_NAME, "".join(f"{sha256}  {name}\n" for name, sha256 in lines.items()))
     write_bytes(folder / REPORT_NAME, content)
     return folder / REPORT_NAME
+
+
+def report_signature(folder: Path) -> Signed | None:
+    """Signature of the report, checked with the key that it names; None where the report is not signed.
+
+    Raises:
+        RecordError: it is damaged, or that of another report or record.
+    """
+    path = folder / REPORT_SIGNATURE
+    try:
+        if not path.exists():
+            return None
+        found = read_signed("report", bounded_bytes(path))
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise RecordError(f"{path}: {error}") from None
+    is_of = {"record": _hash(folder / RECORD_NAME), "report": _hash(folder / REPORT_NAME)}
+    if any(found.content.get(name) != sha256 for name, sha256 in is_of.items()):
+        raise RecordError(f"{path}: it is the signature of another report, or the report was changed")
+    return found
 
 
 def report_state(folder: Path, listed: Collection[InputFile] | None = None) -> ReportState:

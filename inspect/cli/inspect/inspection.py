@@ -293,6 +293,10 @@ def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -
         lines.append("the rig took the frames" if found.origin == "rig" else "the frames were imported")
     if found.signed_by is not None:
         lines.append(f"signed by {found.signed_by}")
+        if found.report_signed is False and not found.distrust:
+            lines.append(
+                "note: the report is not covered by a signature: rely on record.json, or write it again"
+            )
     elif found.finished and not found.distrust:
         lines.append("note: the record is not signed")
     if found.finished and not found.report_written and "report.html" not in found.missing:

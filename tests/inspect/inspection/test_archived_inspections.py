@@ -65,6 +65,7 @@ def test_verify_says_what_it_said(archive, anisoscope, kind):
         ("signed_by", None),
         ("distrust", []),
         ("origin", ""),
+        ("report_signed", None),
     )  # keys that came later
     assert all(found.pop(key) == value for key, value in later)
     assert found == _then(f"verify-{kind}.json", folder)

@@ -233,6 +233,7 @@ def test_a_stranger_verifies_a_bundle(station, tmp_path, capsys):
     code, said = verified(bundle, entry.public)
     assert (code, said.count("\n")) == (0, 2)
     assert said.startswith("GOOD-1: PASS, signed 20")
+    assert "report: signed" in said
     thief = base64.b64encode(make_key(tmp_path / "thief.pem").public).decode()
     assert verified(bundle, thief)[0] == 1
 
@@ -270,3 +271,34 @@ def test_a_key_that_is_missing_shows_before_anything_moves(virtual_rig, monkeypa
     with pytest.raises(signature.ConfigError, match="anisoscope key new"):
         rig.inspect("A1")
     assert not rig.out.exists() or not list(rig.out.iterdir())
+
+
+def report_hashed_anew(folder, report):
+    """Another report, hashed anew as anybody can."""
+    (folder / "report.html").write_text(report)
+    lines = [f"{sha256_of(folder / name)}  {name}\n" for name in ("record.json", "report.html")]
+    (folder / "report.sha256").write_text("".join(lines))
+
+
+def test_a_report_that_was_rewritten_and_hashed_anew_is_found_out(station, tmp_path, anisoscope):
+    good = next((station / "out").glob("GOOD-1*"))
+    folder = tmp_path / good.name
+    shutil.copytree(good, folder)
+    trust = ("--trust", str(station / "keys.toml"))
+    assert anisoscope("verify", str(folder), *trust, "--json").json["report_signed"] is True
+    report_hashed_anew(folder, "<h1>FAIL</h1>")
+    done = anisoscope("verify", str(folder), *trust)
+    assert done.code == 1
+    assert "signature of another report, or the report was changed" in done.out
+    # without its signature the report counts for nothing, and that is said
+    (folder / "report.signature.json").unlink()
+    done = anisoscope("verify", str(folder), *trust)
+    assert "the report is not covered by a signature" in done.out
+    # nor does another key sign it
+    other = make_key(tmp_path / "other.pem")
+    names = (("record", "json"), ("report", "html"))
+    hashes = {name: sha256_of(folder / f"{name}.{end}") for name, end in names}
+    (folder / "report.signature.json").write_text(signed("report", hashes, other))
+    done = anisoscope("verify", str(folder), *trust)
+    assert done.code == 1
+    assert "another key signed the report" in done.out
