@@ -432,6 +432,8 @@ def _along(power: FloatArray, bins: FloatArray, f_down: float, f_across: float) 
     length = float(np.hypot(*at))
     reach = max(0.5 * length, NEAR_BINS)
     steps = np.arange(max(length - reach, 3.0), min(length + reach, 0.5 * min(power.shape) - 1.0))
+    if not steps.size:  # a picture of few pitches
+        return 1e-30
     row, col = np.rint(steps[:, None] * at / length).astype(int).T
     return float(np.quantile(power[row, col], QUIET_SHARE) / -np.log1p(-QUIET_SHARE)) + 1e-30
 

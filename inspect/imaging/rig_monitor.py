@@ -337,7 +337,7 @@ def watch(
 def _compared(readings: Sequence[MarkerReading], limits: LimitsPart) -> RigMonitor:
     """Readings of the poses against each other, tilt by tilt."""
     usual = {
-        tilt: np.nanmean([one.white for one in readings if one.tilt_deg == tilt], axis=0)
+        tilt: _mean_seen(np.stack([one.white for one in readings if one.tilt_deg == tilt]))
         for tilt in {one.tilt_deg for one in readings}
     }
     poses = tuple(
@@ -398,6 +398,13 @@ def _against(
     return RigMonitor(reference.id, poses, names, tuple(notes), (), fault)
 
 
+def _mean_seen(values: FloatArray) -> FloatArray:
+    """(M,) means of the known values of (N, M); NaN for a marker that is never seen."""
+    known = np.isfinite(values)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
 def _dirty(readings: Sequence[MarkerReading], reference: FixtureReference) -> FloatArray:
     """(M,) True for markers that differ from the others in every pose, by more than their own scatter; not for most."""
     rows = []
@@ -407,7 +414,8 @@ def _dirty(readings: Sequence[MarkerReading], reference: FixtureReference) -> Fl
         ratio = np.log(one.white / tilt.at(one.stage_deg))
         rows.append(ratio - np.nanmedian(ratio))
     off = np.stack(rows)
-    mean, spread = np.nanmean(off, axis=0), np.nanstd(off, axis=0)
+    mean = _mean_seen(off)
+    spread = np.sqrt(_mean_seen((off - mean) ** 2))
     usual = 1.4826 * float(np.nanmedian(np.abs(mean - np.nanmedian(mean))))
     found = np.abs(mean) > np.maximum(DIRTY_SIGMA * np.maximum(spread, usual), 0.02)
     found |= np.isnan(mean)

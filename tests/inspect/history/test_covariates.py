@@ -110,5 +110,5 @@ def test_an_earlier_history_has_none_and_gets_the_table_with_the_first(sqlite_pl
         assert history.verify_chain() == []
     with monkeypatch.context() as earlier:
         earlier.setattr(schema, "VERSION", 4)
-        with pytest.raises(schema.HistoryError, match=r"later anisoscope \(version 6"):
+        with pytest.raises(schema.HistoryError, match=r"later anisoscope \(version 7"):
             open_history(sqlite_place)

@@ -15,6 +15,7 @@ from anisoscope.prediction.expectation import Expectation
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
+from anisoscope.record.schema import DiagnosisRecord
 
 PITCH_UM, STEP_UM = 100.0, 5.0
 POSES = (Pose(0.0), Pose(90.0))
@@ -84,7 +85,7 @@ def test_without_a_map_nothing_is_said_and_a_small_one_is_not_matched(recipe):
 @pytest.mark.parametrize("reflections", [True, pytest.param(False, marks=pytest.mark.soak)])
 def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, tmp_path, monkeypatch, reflections):
     monkeypatch.setattr(
-        surface_kind, "explain", lambda *_: (None, None)
+        surface_kind, "explain", lambda *_, **__: (DiagnosisRecord(says=""), None)
     )  # causes take longer than all the rest
     plain = ridges(RidgeDesign(PITCH_UM, 10.0), (301, 601), (4.0, 2.0))
     part = add_facet_roughness(plain, 0.08, 0.08, 20.0, np.random.default_rng(6))

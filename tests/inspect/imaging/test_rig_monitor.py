@@ -20,7 +20,7 @@ from anisoscope.imaging.rig_monitor import (
     watch,
 )
 from anisoscope.recipe.base import LimitsPart
-from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.fixture import Fixture, Marker
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import image_of_fixture, pixel_from_mm
 
@@ -232,3 +232,11 @@ def test_the_pose_that_is_off_the_reference_is_the_wrong_one(reference: FixtureR
 def test_blur_is_called_blur_and_not_stray_light(reference: FixtureReference) -> None:
     found = watched(lambda image, _: cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.7), reference)
     assert "the picture is out of focus" in (found.fault or "")
+
+
+def test_a_marker_outside_the_picture_is_no_fault(reference: FixtureReference) -> None:
+    views = [picture(angle) for angle in POSES]
+    wider = FIXTURE.model_copy(update={"markers": (*FIXTURE.markers, Marker(id=9, x_mm=9.0, y_mm=9.0))})
+    assert watch(views, [], wider, LIMITS, None).fault is None
+    assert np.isnan(read_markers(views[0], wider).white[4])
+    assert watch(views, [], FIXTURE, LIMITS, reference).fault is None
