@@ -13,7 +13,7 @@ pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="make is no
 
 def make(*arguments):
     """Run make with this environment taken as complete, whatever is newer than it."""
-    command = ["make", "-o", f"{sys.prefix}/.dev", f"VENV={sys.prefix}", *arguments]
+    command = ["make", "--no-print-directory", "-o", f"{sys.prefix}/.dev", f"VENV={sys.prefix}", *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
 
 
