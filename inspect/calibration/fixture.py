@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from anisoscope.base.errors import CalibrationError, RigFileError
+from anisoscope.base.errors import CalibrationError, RigFileError, Saturated, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.corrections import read_calibrations
 from anisoscope.calibration.frames import Bed, Taking
@@ -21,7 +21,7 @@ from anisoscope.calibration.record import (
     record_path,
     write_calibration,
 )
-from anisoscope.calibration.rotation import poses_all_round, turning_plan
+from anisoscope.calibration.rotation import MIN_ANGLES, poses_all_round, turning_plan
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.registration.placement import check_fixture
@@ -70,11 +70,15 @@ def calibrate_fixture(
         on_progress: called with what is being done, steps done and steps in all.
 
     Raises:
+        UsageError: too few angles.
         RigFileError, RigError: the rig; it has no fixture, or no flat.
         CalibrationError: the flat.
         RegistrationError, MeasurementError: markers are not seen.
+        Saturated: the exposure is too long.
         RecordError: a file cannot be written.
     """
+    if angles < MIN_ANGLES:
+        raise UsageError(f"the fixture needs at least {MIN_ANGLES} angles, not {angles}: give more --steps")
     days_of("fixture", taking.valid_days)
     file = read_rig(rig_path, channel=taking.light_channel)
     if file.fixture is None or file.calibration is None:
@@ -110,7 +114,12 @@ def calibrate_fixture(
     )
     on_progress("markers", 0, 1)
     frames = AcquiredFrames(shots, f"{info.model} {info.serial}", stage, info.linear)
-    views = views_of(viewing, [LightPose(pose.stage_deg, pose.tilt_deg) for pose in poses], frames)
+    try:
+        views = views_of(viewing, [LightPose(pose.stage_deg, pose.tilt_deg) for pose in poses], frames)
+    except Saturated as error:
+        raise Saturated(
+            f"the pictures of the fixture are saturated at {taking.exposure_s:g} s: shorten --exposure"
+        ) from error
     readings = [read_markers(view, file.fixture) for view in (*views.poses, *views.at_end)]
     reference, scatter = teach(readings, "")
     black = max(float(one.black.max()) for one in reference.tilts)

@@ -150,7 +150,7 @@ def poses_all_round(
     if len(found) < MIN_ANGLES:
         raise RigFileError(
             f"stage: of {angles} angles all round it reaches {len(found)} (at least {MIN_ANGLES} are needed): "
-            "correct stage.zero_deg, or give more --angles"
+            "correct stage.zero_deg, or give more --steps"
         )
     return tuple(Pose(angle, tilt_deg) for angle in found)
 

@@ -28,7 +28,7 @@ from anisoscope.diagnosis.rig_causes import Predict, RigFault, rig_faults
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.defect_regions import form_of
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.imaging.quality_gates import measured_pitch
+from anisoscope.imaging.ridge_waves import measured_pitch
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import DiagnosisRecord

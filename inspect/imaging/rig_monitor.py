@@ -387,6 +387,7 @@ def _against(
     notes = [f"marker {number} is dirty or in shadow: its neighbours serve" for number in names]
     level = float(np.mean([pose.level for pose in poses]))
     fault = _fault(poses, level, reference, limits)
+    fault = fault and (_blur_instead(poses, reference) or fault)
     if fault is None and abs(level - 1.0) > limits.level_note_share:
         notes.append(
             f"the markers are {abs(level - 1.0):.1%} {'brighter' if level > 1.0 else 'darker'} than at the reference "
@@ -495,15 +496,15 @@ def _stray_fault(poses: Sequence[PoseState], reference: FixtureReference, limits
 
 
 def _blur_instead(poses: Sequence[PoseState], reference: FixtureReference) -> str | None:
-    """Fault of the focus, where blur that brings white into black explains a reading of stray light; or None."""
+    """Fault of the focus, where blur, which mixes white and black, explains readings of the light; or None."""
     worst = max(poses, key=lambda pose: pose.edge_um or 0.0)
     taught = reference.like(worst.tilt_deg)
     if taught is None or worst.edge_um is None or not worst.edge_um > BLURRED * taught.edge_um > 0.0:
         return None
     return (
         f"at {worst.stage_deg:g}° the edges of the markers are {worst.edge_um:.1f} µm wide, {taught.edge_um:.1f} µm at "
-        f"the reference {reference.id}: the picture is out of focus, so that the black of the markers is not black; "
-        "focus again, and clean the lens"
+        f"the reference {reference.id}: the picture is out of focus, so that white and black of the markers "
+        "mix; focus again, and clean the lens"
     )
 
 
@@ -511,10 +512,7 @@ def _fault(
     poses: Sequence[PoseState], level: float, reference: FixtureReference, limits: LimitsPart
 ) -> str | None:
     """First fault of the rig against the reference, or None."""
-    found = _stray_fault(poses, reference, limits)
-    if found is not None:
-        return _blur_instead(poses, reference) or found
-    found = _uneven(poses, limits.white_share, "limits.white_share")
+    found = _stray_fault(poses, reference, limits) or _uneven(poses, limits.white_share, "limits.white_share")
     tilted = max(poses, key=lambda pose: pose.gradient or 0.0)
     bent = max(poses, key=lambda pose: abs(pose.nonlinear or 0.0))
     if found is not None:

@@ -73,6 +73,8 @@ def inspect(
         )
     if rig_path is None:
         raise UsageError("name a rig file, or a folder of frames")
+    if reuse:
+        raise UsageError("--reuse says why frames of another part are judged: it needs a folder of --frames")
     return inspect_part(
         Path(recipe),
         rig_path,

@@ -45,13 +45,11 @@ class Marker:
         id: its number in the dictionary.
         corners: (4, 2) column and row, top left first, clockwise.
         blur_px: standard deviation of the edge spread across its sides.
-        black_share: brightness of its black border relative to its white label.
     """
 
     id: int
     corners: FloatArray
     blur_px: float
-    black_share: float
 
 
 def dictionary_of(fixture: Fixture) -> cv2.aruco.Dictionary:
@@ -141,7 +139,7 @@ def _measured(image: Image, number: int, corners: FloatArray, modules: int, top:
         gap = points - before
         steps = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / np.where(np.abs(turn) < 1e-3, 1.0, turn)
         corners = before + steps[:, None] * neighbour
-    return Marker(number, corners, _spread(edge, across), float(edge[0] / max(edge[-1], 1e-9)))
+    return Marker(number, corners, _spread(edge, across))
 
 
 def _sides(
@@ -486,7 +484,6 @@ class Placement:
         markers: number of markers used; 0 where the pictures are registered by edges.
         perspective: third row of the homography without its 1, per millimetre; zeros for parallel projection.
         blur_px: standard deviation of the edge spread at the markers, where it is known.
-        black_share: brightness of the markers' black relative to their white, where it is known.
         squeeze: measured foreshortening of the picture's rows, relative to the cosine of the tilt.
         u_squeeze: its standard uncertainty.
         dropped: ids of inconsistent markers that were left out.
@@ -502,7 +499,6 @@ class Placement:
     markers: int
     perspective: tuple[float, float] = (0.0, 0.0)
     blur_px: float | None = None
-    black_share: float | None = None
     squeeze: float = 1.0
     u_squeeze: float = 0.0
     dropped: tuple[int, ...] = ()
@@ -621,7 +617,7 @@ def place_markers(
 
 def _placement(agreed: Agreed, lens: Lens | None) -> Placement:
     fit, used = agreed.fit, agreed.markers
-    blurs, blacks = [marker.blur_px for marker in used], [marker.black_share for marker in used]
+    blurs = [marker.blur_px for marker in used]
     upper = fit.homography[:2]
     return Placement(
         upper,
@@ -632,7 +628,6 @@ def _placement(agreed: Agreed, lens: Lens | None) -> Placement:
         len(used),
         perspective=(float(fit.homography[2, 0]), float(fit.homography[2, 1])),
         blur_px=float(np.median(blurs)),
-        black_share=float(np.median(blacks)),
         squeeze=agreed.squeeze,
         u_squeeze=agreed.u_squeeze,
         dropped=agreed.dropped,

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import RigFileError
+from anisoscope.base.errors import RigFileError, Saturated, UsageError
 from anisoscope.calibration.corrections import read_calibrations
 from anisoscope.calibration.fixture import calibrate_fixture
 from anisoscope.calibration.frames import Taking
@@ -90,3 +90,11 @@ def test_a_rig_without_fixture_or_flat_is_refused(virtual_rig, tmp_path):
     bare.rig.write_text(text)
     with pytest.raises(RigFileError, match=r"describes no \[fixture\]"):
         calibrate_fixture(bare.rig, tmp_path / "fixture.json", TAKING)
+
+
+def test_too_few_angles_and_too_long_an_exposure_name_their_options(virtual_rig, tmp_path):
+    empty = virtual_rig("empty", bench=EMPTY)
+    with pytest.raises(UsageError, match="needs at least 6 angles, not 3: give more --steps"):
+        calibrate_fixture(empty.rig, tmp_path / "fixture.json", TAKING, angles=3)
+    with pytest.raises(Saturated, match="saturated at 1 s: shorten --exposure"):
+        calibrate_fixture(empty.rig, tmp_path / "fixture.json", Taking(1.0, frames=2), angles=6)

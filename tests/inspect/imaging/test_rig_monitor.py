@@ -240,3 +240,10 @@ def test_a_marker_outside_the_picture_is_no_fault(reference: FixtureReference) -
     assert watch(views, [], wider, LIMITS, None).fault is None
     assert np.isnan(read_markers(views[0], wider).white[4])
     assert watch(views, [], FIXTURE, LIMITS, reference).fault is None
+
+
+def test_blur_of_one_pose_is_no_change_of_the_lamp(reference: FixtureReference) -> None:
+    def blurred(image: Image, stage_deg: float) -> Image:
+        return cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.9) if stage_deg == 90.0 else image
+
+    assert "at 90° the edges of the markers" in (watched(blurred, reference).fault or "")

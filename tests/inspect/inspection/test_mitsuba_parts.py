@@ -11,7 +11,7 @@ import pytest
 from anisoscope.diagnosis.part_diagnosis import evidence_of
 from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
-from anisoscope.imaging.quality_gates import measured_pitch
+from anisoscope.imaging.ridge_waves import measured_pitch
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.parts import usable
 from detection_study.mitsuba import ARCHIVE, CAUSES, GOOD, TILTED, UPRIGHT, Inspector, Parts

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RegistrationError
-from anisoscope.imaging.registration.placement import angle_between, locate
+from anisoscope.imaging.linearisation import RadianceImage
+from anisoscope.imaging.registration.placement import View, angle_between, locate
+from anisoscope.imaging.rig_monitor import read_markers
 from anisoscope.rig.fixture import Fixture, Marker
 
 SIZE, SUB, PIXEL_UM = 460, 4, 9.0
@@ -220,8 +222,11 @@ def test_stray_light_shows_in_the_black_of_the_markers():
     rng = np.random.default_rng(10)
     clean = photograph(plate(0.1), view(0.0, PIXEL_UM, (0.0, 0.0)), rng)
     for stray in (0.0, 0.02, 0.06):
-        wanted = (BLACK + stray) / (WHITE + stray)
-        assert locate(clean + np.float32(stray), FIXTURE).black_share == pytest.approx(wanted, abs=0.015)
+        seen = clean + np.float32(stray)
+        image = RadianceImage(seen, np.zeros_like(seen), np.zeros(seen.shape, bool), 0.3)
+        found = read_markers(View(0.0, 0.0, image, locate(seen, FIXTURE)), FIXTURE)
+        assert found.black_share == pytest.approx((BLACK + stray) / (WHITE + stray), abs=0.015)
+        np.testing.assert_allclose(found.white, WHITE + stray, rtol=0.03)
 
 
 @pytest.mark.parametrize("scale", [2, 3])
