@@ -68,6 +68,7 @@ SENTENCES = {
     "inspect/diagnosis/part_diagnosis.py": ("explain", "_summary"),
     "inspect/imaging/pose_radiance.py": ERRORS,
     "inspect/imaging/quality_gates.py": ERRORS,
+    "inspect/imaging/ridge_waves.py": ERRORS,
     "inspect/imaging/views.py": ERRORS,
     "inspect/imaging/registration/placement.py": ERRORS,
     "inspect/imaging/deviation_map.py": ERRORS,

@@ -94,6 +94,15 @@ def test_page_1_of_its_reports_has_finding_action_and_pictures(demo_folder):
         assert re.findall(r'alt="(\w+): ', pictures) == ["Measured", "Predicted", "Difference"] * 3
 
 
+def test_its_rig_repeats_within_the_tenth_of_a_percent_that_the_docs_say(demo_folder):
+    for path in (demo_folder / "inspections").glob("DEMO-*/record.json"):
+        found = json.loads(path.read_text())["rig_monitor"]
+        assert found["not_watched"] == []
+        for pose in found["poses"]:
+            assert abs(pose["level"] - 1.0) < 0.001
+            assert abs(pose["stray"]) < 0.0005 * pose["white"]
+
+
 @pytest.mark.soak
 def test_demo_in_json_and_again_into_the_same_folder(anisoscope, demo_folder):
     done = anisoscope("demo", "--out", demo_folder, "--seed", 6, "--json")
