@@ -5,13 +5,13 @@ import tempfile
 import threading
 import tomllib
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import RecordError, RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_edits import with_values
+from anisoscope.calibration.fixture import calibrate_fixture
+from anisoscope.calibration.frames import Taking
+from anisoscope.calibration.record import CalibrationRecord
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.commissioning.angles import Angles, Assumed, evaluate
 from anisoscope.commissioning.findings import findings_of
@@ -37,6 +40,7 @@ from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.metrology.ridges import measure_ridges
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.material_file import MaterialFile
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
@@ -287,6 +291,78 @@ def write_to_rig_file(rig_path: Path, record: Commissioning) -> Written | None:
     return update_rig_file(rig_path, changes) if changes else None
 
 
+def tilts_of(rig_path: Path, recipe: RecipeBase) -> tuple[float, ...]:
+    """Tilts of a recipe at which the markers are taught; empty where no axis tilts the arm."""
+    if read_rig(rig_path).tilt is None:
+        return ()
+    return tuple(sorted({pose.tilt_deg for pose in recipe.poses.poses()}))
+
+
+@dataclass(frozen=True)
+class Taught:
+    """Reference of a fixture that was taught: its record and file; ``written`` where the rig file named none."""
+
+    record: CalibrationRecord
+    path: Path
+    written: Written | None
+
+
+def lacks_reference(file: RigFile) -> bool:
+    """Whether the markers of a rig could be taught, as it has a fixture and a flat, and were not yet."""
+    return file.fixture is not None and file.calibration is not None and file.calibration.fixture is None
+
+
+def teach_fixture(
+    rig_path: Path, taking: Taking, *, tilts: Sequence[float] = (), on_progress: Advance = silent
+) -> Taught:
+    """Photograph the markers all round, and name their reference in the rig file.
+
+    The file is the one that the rig file names, else ``fixture.json`` beside it, with the name of the light channel
+    where it has channels. A reference that is out of its limits is not named anew.
+
+    Args:
+        rig_path: rig file with a fixture and a flat.
+        taking: exposure, gain and frames of every pose, and the light channel.
+        tilts: of the arm, degrees, as of `anisoscope.calibration.fixture.calibrate_fixture`.
+        on_progress: progress.
+
+    Raises:
+        RigFileError, RigError, CalibrationError, RegistrationError, MeasurementError, RecordError: as of that function,
+            and of `update_rig_file`.
+    """
+    file = read_rig(rig_path, channel=taking.light_channel)
+    name = "fixture.json" if file.light.channel is None else f"fixture-{file.light.channel}.json"
+    path = (file.calibration and file.calibration.fixture) or rig_path.parent / name
+    record = calibrate_fixture(rig_path, path, taking, tilts=tilts, on_progress=on_progress)
+    written = name_in_rig(rig_path, "fixture", path, taking.light_channel) if record.in_limits else None
+    return Taught(record, path, written)
+
+
+def name_in_rig(
+    rig_path: Path, kind: Literal["flat", "fixture"], path: Path, channel: str | None = None
+) -> Written | None:
+    """Name a calibration in the rig file, under its light channel where it has channels; None if it is named there.
+
+    Args:
+        rig_path: rig file.
+        kind: of the calibration.
+        path: its file; named from the folder of the rig file where it lies there.
+        channel: light channel; None for the one that the rig file uses by default.
+
+    Raises:
+        RigFileError, RecordError: as of `update_rig_file`.
+    """
+    file = read_rig(rig_path, channel=channel)
+    named = None if file.calibration is None else getattr(file.calibration, kind)
+    path, home = path.resolve(), rig_path.resolve().parent
+    if named is not None and named.resolve() == path:
+        return None
+    own = file.light.channel
+    place = ("calibration", kind) if own is None else ("light", "channels", own, kind)
+    inside = path.is_relative_to(home)
+    return update_rig_file(rig_path, {place: path.relative_to(home).as_posix() if inside else str(path)})
+
+
 def _record(
     rig_path: Path,
     file: RigFile,
@@ -380,8 +456,8 @@ def _notes(file: RigFile, picture_set: PictureSet, angles: Angles) -> tuple[str,
         found.append("fewer than 5 pictures show the markers: sense and zero come from the ridges alone")
     elif file.calibration is None or file.calibration.fixture is None:
         found.append(
-            "nothing watches lamp, stray light and camera yet: after the flat, teach the markers by `anisoscope "
-            "calibrate fixture`"
+            "nothing watches lamp, stray light and camera before the markers are taught: --write does it where the rig "
+            "has a flat, else `anisoscope calibrate flat --write` after the tile"
         )
     if angles.ridges is None:
         found.append("the camera does not resolve the ridges: their direction comes from brightness alone")

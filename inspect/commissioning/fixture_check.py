@@ -49,7 +49,10 @@ def fixture_checks(
     """
     part = file.calibration
     if file.fixture is None or part is None or part.fixture is None or settings.tile:
-        why = "the rig has no reference of its fixture: teach one with `anisoscope calibrate fixture`"
+        why = (
+            "the rig has no reference of its fixture: `anisoscope rig check --teach` teaches one, or `anisoscope "
+            "calibrate fixture`"
+        )
         if settings.tile:
             why = "the white tile lies on the stage"
         return [skipped_check(*name, why) for name in FIXTURE]

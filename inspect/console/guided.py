@@ -361,15 +361,40 @@ def find_rotation(place: Workplace, advance: Advance, *, taking: Any) -> Outcome
     return _calibrated(calibrate_rotation(place.rig, path, taking, on_progress=advance), notes)
 
 
-def teach_fixture(place: Workplace, advance: Advance, *, recipe: Path, taking: Any) -> Outcome:  # noqa: ANN401
-    """White, black and greys of the fixture at the tilts of a recipe, as `anisoscope calibrate fixture`."""
+def teach_fixture(
+    place: Workplace,
+    advance: Advance,
+    *,
+    recipe: Path,
+    taking: Any,  # noqa: ANN401
+    write: bool = False,
+    needed: bool = True,
+) -> Outcome:
+    """White, black and greys of the fixture at the tilts of a recipe, as `anisoscope calibrate fixture`.
+
+    Args:
+        place: with the rig.
+        advance: progress.
+        recipe: the recipe.
+        taking: exposure, gain and frames.
+        write: name the reference in the rig file.
+        needed: a rig without markers or flat is an error; else a note.
+    """
     from anisoscope.calibration.fixture import calibrate_fixture  # noqa: PLC0415
+    from anisoscope.commissioning.commissioning import teach_fixture as taught  # noqa: PLC0415
+    from anisoscope.commissioning.commissioning import tilts_of  # noqa: PLC0415
     from anisoscope.kinds.registry import read_any_recipe  # noqa: PLC0415
     from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
 
+    file = read_rig(place.rig, channel=taking.light_channel)
+    if not needed and (file.fixture is None or file.calibration is None):
+        return Outcome(
+            True, (), (message("The rig file names no fixture or no flat: no markers are taught."),)
+        )
+    tilts = tilts_of(place.rig, read_any_recipe(recipe))
+    if write:
+        return _calibrated(taught(place.rig, taking, tilts=tilts, on_progress=advance).record, ())
     path, notes = _calibration_file(place.rig, "fixture", "fixture.json")
-    poses = read_any_recipe(recipe).poses.poses() if read_rig(place.rig).tilt is not None else ()
-    tilts = sorted({pose.tilt_deg for pose in poses})
     return _calibrated(calibrate_fixture(place.rig, path, taking, tilts=tilts, on_progress=advance), notes)
 
 
@@ -535,6 +560,10 @@ def _flat_and_dark(asked: Entered, _: GuideState) -> list[Step]:
             message("The light goes off by itself; keep other light away."),
             partial(take_dark, taking=_taking(asked, 32)),
         ),
+        Step(
+            _seat_fixture(),
+            partial(teach_fixture, recipe=asked.recipe, taking=_taking(asked, 4), needed=False),
+        ),
     ]
 
 
@@ -543,12 +572,15 @@ def _rotation(asked: Entered, _: GuideState) -> list[Step]:
     return [Step(text, partial(find_rotation, taking=_taking(asked, 2)))]
 
 
-def _fixture(asked: Entered, _: GuideState) -> list[Step]:
-    text = message(
+def _seat_fixture() -> str:
+    return message(
         "Seat the fixture, empty or with a part; lamp and room as in inspections. The stage homes and turns by a full "
         "turn: keep its path free."
     )
-    return [Step(text, partial(teach_fixture, recipe=asked.recipe, taking=_taking(asked, 2)))]
+
+
+def _fixture(asked: Entered, _: GuideState) -> list[Step]:
+    return [Step(_seat_fixture(), partial(teach_fixture, recipe=asked.recipe, taking=_taking(asked, 2)))]
 
 
 def _commissioning(asked: Entered, _: GuideState) -> list[Step]:
@@ -561,6 +593,10 @@ def _commissioning(asked: Entered, _: GuideState) -> list[Step]:
         Step(
             message("Write what was found into the rig file? The old file stays; End leaves it as it is."),
             write_findings,
+        ),
+        Step(
+            _seat_fixture(),
+            partial(teach_fixture, recipe=asked.recipe, taking=_taking(asked, 4), write=True, needed=False),
         ),
     ]
 
@@ -630,7 +666,7 @@ def guides() -> Mapping[Key, Guide]:
     return {
         "flat": Guide(
             message("Flat and dark"),
-            message("White reference and dark frames, with the exposure of the recipe."),
+            message("White reference, dark frames and markers, with the exposure of the recipe."),
             (Entry("reflectance", message("Reflectance of the white tile"), 0.99),),
             _flat_and_dark,
         ),

@@ -11,6 +11,7 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
+from anisoscope.cli.rig.options import asked_to_seat_fixture
 from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class Entries:
     channel: _Channel = None
 
 
+FIXTURE_FRAMES = 4
 _Entries = Annotated[Entries, Parameter(name="*")]
 NO_ENTRIES = Entries()
 
@@ -64,21 +66,32 @@ def flat(
     gain: _Gain = 1.0,
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile, 0 to 1.")] = 0.99,
     frames: _Frames = 16,
+    write: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Write it into the rig file; then the terminal asks for the fixture, whose markers are taught.",
+        ),
+    ] = False,
     entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile: shading of the picture and scale of the radiances.
 
-    Place the tile on the stage so that it fills the picture. Name the file in the rig file under [calibration] flat.
+    Place the tile on the stage so that it fills the picture. The file is named in the rig file under [calibration]
+    flat. The tile hides the markers of the fixture, which are taught after it.
 
     Examples:
-        anisoscope calibrate flat --rig rig.toml --exposure 0.006 --reflectance 0.99 --out flat.tif
+        anisoscope calibrate flat --rig rig.toml --exposure 0.006 --reflectance 0.99 --out flat.tif --write
     """
     from anisoscope.calibration.pictures import calibrate_flat
+    from anisoscope.commissioning.commissioning import name_in_rig
 
     taking = _taking((exposure, gain, frames), entries)
     with progress("flat", quiet=json_) as advance:
         meta, record = calibrate_flat(rig, out, taking, reflectance=reflectance, on_progress=advance)
+    if write:
+        name_in_rig(rig, "flat", out, taking.light_channel)
     if json_:
         print_json({"file": str(out), **meta, "record": record})
         return 0
@@ -86,7 +99,29 @@ def flat(
         f"{out}: {meta['frames']} frames, median {meta['level']:.0%} of full scale, "
         f"radiance of the tile {meta['radiance']:.4f} 1/sr"
     )
-    return _show(record, out, json_=False)
+    code = _show(record, out, json_=False)
+    return max(code, _fixture_after_tile(rig, taking, write=write))
+
+
+def _fixture_after_tile(rig: Path, taking: "Taking", *, write: bool) -> int:
+    """Ask for the fixture and teach its markers, which the tile hid; where nobody answers, say how."""
+    from dataclasses import replace
+
+    from anisoscope.commissioning.commissioning import teach_fixture
+    from anisoscope.rig.rigfile import read_rig
+
+    if read_rig(rig, channel=taking.light_channel).fixture is None:
+        return 0
+    if not (write and asked_to_seat_fixture()):
+        channel = "" if taking.light_channel is None else f" --channel {taking.light_channel}"
+        print_lines(
+            "the tile hid the markers, by which inspections watch the rig: seat the fixture, then `anisoscope "
+            f"calibrate fixture --rig {rig} --exposure {taking.exposure_s:g}{channel} --out fixture.json`"
+        )
+        return 0
+    with progress("fixture") as advance:
+        taught = teach_fixture(rig, replace(taking, frames=FIXTURE_FRAMES), on_progress=advance)
+    return _show(taught.record, taught.path, json_=False)
 
 
 @app.command

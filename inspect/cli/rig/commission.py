@@ -12,9 +12,10 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import PITCH, Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import Channel
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import console, print_lines, print_table
 
 if TYPE_CHECKING:
+    from anisoscope.calibration.frames import Taking
     from anisoscope.commissioning.part import RidgedPart
     from anisoscope.commissioning.record import Commissioning
     from anisoscope.commissioning.selftest_record import SelfTest
@@ -80,7 +81,13 @@ def commission(
         Path | None, Parameter(help="Record to write; else RIG.commissioning.json next to the rig file.")
     ] = None,
     html: Annotated[Path | None, Parameter(help="Page to write.")] = None,
-    write: Annotated[bool, Parameter(negative="", help="Write the findings into the rig file.")] = False,
+    write: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Write the findings into the rig file; with a flat the markers are taught then, the part may stay.",
+        ),
+    ] = False,
     json_: Json = False,
 ) -> int:
     """Find rotation sense, zero, centre, pixel size, tilt and light angle of a rig, from a known ridged part.
@@ -92,12 +99,14 @@ def commission(
         anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html
         anisoscope rig commission --rig rig.toml --ridge-angle 10 --pitch 100 --spot-mm 1.5 --exposure 0.006
     """  # fmt: skip
+    from anisoscope.calibration.frames import Taking
     from anisoscope.commissioning.angles import Assumed
     from anisoscope.commissioning.commissioning import commission as find
-    from anisoscope.commissioning.commissioning import write_to_rig_file
+    from anisoscope.commissioning.commissioning import lacks_reference, tilts_of, write_to_rig_file
     from anisoscope.commissioning.record import default_record_path, write_commissioning
     from anisoscope.commissioning.series import Series
     from anisoscope.kinds.registry import read_recipe
+    from anisoscope.rig.rigfile import read_rig
 
     if bounces != "all" and bounces < 1:
         raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
@@ -138,6 +147,9 @@ def commission(
         )
         if written is not None and not written.comments_preserved:
             lines.append(message("the comments of the rig file are lost; the old file has them"))
+        if lacks_reference(read_rig(rig, channel=channel)):
+            taking = Taking(exposure, gain, max(frames, 4), light_channel=channel)
+            lines += _taught(rig, taking, () if recipe is None else tilts_of(rig, recipe), quiet=json_)
     _show(done.record, lines, json_)
     return 0
 
@@ -209,6 +221,12 @@ def check(
     tile: Annotated[
         bool, Parameter(negative="", help="The white tile lies on the stage: compare its shading.")
     ] = False,
+    teach: Annotated[
+        bool,
+        Parameter(
+            negative="", help="Teach the markers of the fixture where the rig is fit: they watch it then."
+        ),
+    ] = False,
     out: Annotated[Path | None, Parameter(help="Folder that receives the result as JSON.")] = None,
     json_: Json = False,
 ) -> int:
@@ -219,9 +237,12 @@ def check(
     Examples:
         anisoscope rig check --rig rig.toml --exposure 0.006 --out selftests
     """  # fmt: skip
+    from anisoscope.calibration.frames import Taking
     from anisoscope.commissioning.selftest import self_test
     from anisoscope.commissioning.selftest_record import Settings, write_self_test
 
+    if teach and tile:
+        raise UsageError("--teach photographs the markers, which the white tile hides: leave --tile out")
     settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile, light_channel=channel)
     with progress("self test", quiet=json_) as advance:
         result = self_test(rig, settings, commissioned, on_progress=advance)
@@ -230,7 +251,23 @@ def check(
         sys.stdout.write(result.model_dump_json(by_alias=True, indent=2) + "\n")
     else:
         _show_checks(result, written_to)
+    if teach and result.fit:
+        lines = _taught(rig, Taking(exposure, gain, 4, light_channel=channel), (), quiet=json_)
+        if not json_:
+            print_lines(*lines)
     return result.exit_code
+
+
+def _taught(rig: Path, taking: "Taking", tilts: tuple[float, ...], *, quiet: bool) -> list[str]:
+    """Teach the markers of the fixture; lines on what came of it."""
+    from anisoscope.commissioning.commissioning import teach_fixture
+
+    with progress("fixture", quiet=quiet) as advance:
+        done = teach_fixture(rig, taking, tilts=tilts, on_progress=advance)
+    lines = [message("the markers are taught: {path}", path=done.path), *done.record.remarks]
+    if not done.record.in_limits:
+        lines[0] = message("the markers are out of limits, and not taught: {path}", path=done.path)
+    return lines
 
 
 def _show_checks(result: "SelfTest", written_to: Path | None) -> None:

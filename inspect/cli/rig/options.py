@@ -124,6 +124,19 @@ def confirm(what: str, *, yes: bool) -> None:
         raise UsageError("nothing was moved: the motion was not confirmed")
 
 
+def asked_to_seat_fixture() -> bool:
+    """Ask for the fixture in place of the tile; False where the answer is no, or there is no terminal to ask in."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    text = message(
+        "Take the tile away and seat the fixture, empty or with a part. The axes home and move: keep their paths free. "
+        "Enter teaches its markers, n leaves that:"
+    )
+    print(f"{text} ", end="", file=sys.stderr, flush=True)  # noqa: T201
+    line = sys.stdin.readline()
+    return bool(line) and line.strip().lower() not in {"n", "no", message("no"), message("no")[0]}
+
+
 def asking(*, yes: bool) -> "Confirm":
     """Announcement of motions as `confirm`."""
     return partial(confirm, yes=yes)

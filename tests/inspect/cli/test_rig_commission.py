@@ -1,8 +1,12 @@
 """``rig commission`` and ``rig check`` as a user calls them."""
 
+import io
+import sys
+
 import pytest
 import tomli_w
 
+from anisoscope.calibration.record import read_calibration
 from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.rig.rigfile import read_rig
 
@@ -49,6 +53,83 @@ def rig(tmp_path):
     return path
 
 
+def laid(rig, **sample):
+    """Lay another sample on the stage."""
+    bench = {**BENCH, "sample": BENCH["sample"] | sample}
+    (rig.parent / "bench.toml").write_text(tomli_w.dumps(bench), encoding="utf-8")
+
+
+class Operator(io.StringIO):
+    """A terminal at which somebody takes the tile away, and answers."""
+
+    def __init__(self, rig, answer):
+        super().__init__(answer)
+        self.rig = rig
+
+    def isatty(self):
+        return True
+
+    def readline(self):
+        laid(self.rig, kind="none")
+        return super().readline()
+
+
+@pytest.mark.parametrize("answer", ["\n", "n\n"])
+def test_flat_asks_for_the_fixture_after_the_tile_and_teaches_it(rig, monkeypatch, capsys, answer):
+    from anisoscope.cli.rig.calibrate import app
+
+    laid(rig, kind="white-tile")
+    monkeypatch.setattr(sys, "stdin", Operator(rig, answer))
+    flat = [
+        "flat",
+        "--rig",
+        str(rig),
+        "--exposure",
+        "0.0015",
+        "--out",
+        str(rig.parent / "flat.tif"),
+        "--write",
+    ]
+    assert app(flat, result_action="return_value", exit_on_error=False) == 0
+    told = capsys.readouterr()
+    assert "Take the tile away and seat the fixture" in told.err
+    now = read_rig(rig).calibration
+    assert now.flat == rig.parent / "flat.tif"
+    if answer.startswith("n"):
+        assert now.fixture is None
+        assert "anisoscope calibrate fixture --rig" in " ".join(told.out.split())
+    else:
+        assert now.fixture == rig.parent / "fixture.json"
+        assert read_calibration(now.fixture, "fixture", None).in_limits
+
+
+def test_a_new_rig_with_a_flat_ends_commissioned_with_a_reference(anisoscope, rig):
+    laid(rig, kind="white-tile")
+    flat = ("--rig", rig, "--exposure", "0.0015", "--out", rig.parent / "flat.tif", "--write")
+    done = anisoscope("calibrate", "flat", *flat)
+    assert done.code == 0, done.err
+    assert "the tile hid the markers" in " ".join(done.out.split())  # nobody sits at a terminal
+    laid(rig)
+    done = anisoscope("rig", "commission", "--rig", rig, *COMMON, "--step", "45", "--write")
+    assert done.code == 0, done.err
+    assert "the markers are taught" in " ".join(done.out.split())
+    now = read_rig(rig)
+    assert (now.stage.turns, now.calibration.fixture) == ("cw", rig.parent / "fixture.json")
+
+    checked = anisoscope("rig", "check", "--rig", rig, "--exposure", "0.0015", "--count", "8", "--json")
+    assert checked.code == 0, checked.out
+    outcomes = {one["key"]: one["outcome"] for one in checked.json["checks"]}
+    assert {outcomes[f"fixture.{what}"] for what in ("level", "stray", "edge", "gradient")} == {"PASS"}
+
+    rig.write_text(rig.read_text(encoding="utf-8").replace('fixture = "fixture.json"', ""), encoding="utf-8")
+    check = ("rig", "check", "--rig", rig, "--exposure", "0.0015", "--count", "8", "--teach")
+    assert anisoscope(*check, "--tile").code == 64
+    checked = anisoscope(*check)
+    assert checked.code == 0, checked.out
+    assert "anisoscope rig check --teach" in " ".join(checked.out.split())
+    assert read_rig(rig).calibration.fixture == rig.parent / "fixture.json"
+
+
 def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path):
     before = anisoscope("rig", "check", "--rig", rig, "--exposure", "0.0015", "--count", "8")
     assert before.code == 3, before.err
@@ -82,6 +163,9 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
     assert after.code == 0, after.out
     assert after.json["fit"] is True
     assert next((tmp_path / "tests").iterdir()).name.startswith("selftest-")
+    assert "anisoscope calibrate flat --write" in done.out.replace(
+        "\n", " "
+    )  # without a flat nothing is taught
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from anisoscope.inspection.work import Workplace
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.material_file import read_material_file
 from anisoscope.record.schema import read_record
+from anisoscope.rig.rigfile import read_rig
 
 
 class Guiding:
@@ -94,9 +95,16 @@ def with_own_flat(rig):
 def check_flat_and_dark(guiding, at):
     assert guiding.begin("flat", reflectance="0.98").status_code == 200
     assert guiding.begin("rotation").status_code == 409, "one at a time"
-    asked, state = guiding.all_steps()
+    asked = [guiding.client.get("/status").json()["guide"]["ask"]]
+    guiding.step()
+    guiding.step()
+    bench = at.place.rig.with_name("bench.toml")
+    bench.write_text(bench.read_text(encoding="utf-8").replace("white-tile", "none"), encoding="utf-8")
+    rest, state = guiding.all_steps()
     assert asked[0].startswith("Place the white tile")
-    assert [one["good"] for one in state["guide"]["results"]] == [True, True]
+    assert rest[0].startswith("Seat the fixture")
+    assert [one["good"] for one in state["guide"]["results"]] == [True, True, True]
+    assert (at.place.rig.parent / "fixture.json").is_file()
     assert "Name dark.json in the rig file" in state["guide"]["results"][1]["notes"][0]
     flat = next(one for one in list_calibrations(at.place.rig) if one.kind == "flat")
     assert flat.state == "valid"
@@ -241,6 +249,8 @@ def test_commissioning_by_steps(served, app_of, station_at):
         _, state = guiding.all_steps()
         guiding.end()
     found = state["guide"]["results"]
+    assert found[-1]["rows"][0][0] == "white"
+    assert read_rig(at.place.rig).calibration.fixture == at.place.rig.parent / "fixture.json"
     assert "angle between light and camera" in {row[0] for row in found[0]["rows"]}
     record = read_commissioning(default_record_path(at.place.rig))
     (pixel,) = [one.value for one in record.findings if one.key.endswith("pixel_um")]
