@@ -104,7 +104,7 @@ def flat(
 
 
 def _fixture_after_tile(rig: Path, taking: "Taking", *, write: bool) -> int:
-    """Ask for the fixture and teach its markers, which the tile hid; where nobody answers, say how."""
+    """Ask for the fixture and teach its markers, which the tile hid; without an answer print the command."""
     from dataclasses import replace
 
     from anisoscope.commissioning.commissioning import teach_fixture
