@@ -211,8 +211,7 @@ def reopen(folder: Path, channel: str | None = None) -> tuple[Manifest, Job]:
     reference = None
     if known is not None and isinstance(kind, References):
         reference = kind.read_reference(known, recipe)
-    followed = manifest.plan is not None and rig.x is not None and rig.y is not None
-    calibrations = replace(calibrations_of(paths), followed=followed)
+    calibrations = replace(calibrations_of(paths), followed=rig.x is not None and rig.y is not None)
     white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
     return manifest, Job(manifest.serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)
 

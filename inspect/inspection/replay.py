@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from anisoscope.base.errors import CalibrationError, CameraError, MeasurementError, RecordError, UsageError
 from anisoscope.base.parallel import for_each
@@ -243,23 +243,34 @@ def read_given(
         white_of_frames,
         white,
         sources,
-        Calibrations() if white is None else _fixture_reference(rig, white, (replay.rows, replay.cols)),
+        _calibrations_of(rig, replay, white),
     )
 
 
-def _fixture_reference(rig: RigFile, white: WhiteReference, shape: tuple[int, int]) -> Calibrations:
-    """Reference of the fixture, where the frames are scaled by the flat of a rig that has one."""
-    if rig.calibration is None or rig.calibration.fixture is None:
-        return Calibrations()
-    found = calibrations_of({"fixture record": record_path(rig.calibration.fixture)})
-    found.check_camera(white.camera, shape)
+def _calibrations_of(rig: RigFile, replay: Replay, white: WhiteReference | None) -> Calibrations:
+    """Calibrations that frames of a rig use: its rotation, and the fixture where its flat scales them.
+
+    Raises:
+        CalibrationError: one is damaged, or of another camera or light.
+    """
+    kinds: tuple[Literal["rotation", "fixture"], ...] = (
+        ("rotation",) if white is None else ("rotation", "fixture")
+    )
+    named = {kind: getattr(rig.calibration, kind) for kind in kinds if rig.calibration is not None}
+    files = {f"{kind} record": record_path(path) for kind, path in named.items() if path is not None}
+    found = replace(calibrations_of(files), followed=rig.x is not None and rig.y is not None)
+    camera = white.camera if white is not None else camera_of(replay)
+    for kind, record in found.records.items():
+        own = record.camera.serial
+        serial = own if camera is None or camera.endswith(own) else camera
+        replace(found, records={kind: record}).check_camera(serial, (replay.rows, replay.cols))
     found.check_light(rig.light)
     return found
 
 
 FROM_FRAMES = (
     "whether another exposure would show more, and what a second round of photographs would decide; of the rig's "
-    "calibrations frames use flat and fixture alone"
+    "calibrations frames use flat, fixture and rotation alone"
 )
 
 

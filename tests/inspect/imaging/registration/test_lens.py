@@ -1,17 +1,23 @@
 """Radial distortion: there and back, its fit to painted markers, and what an inspection does with a bent lens."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from anisoscope.base.errors import CalibrationError
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.rotation import calibrate_rotation
 from anisoscope.imaging.registration.lens import Corners, Lens, fit_lens
 from anisoscope.imaging.registration.placement import Grid, Placement, marker_corners_mm, resample
+from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.replay import inspect_frames
 from anisoscope.operations.demo.folder import FIXTURE
 from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.frame import read_frame
+from anisoscope.rig.framefolder import write_frame_folder
 from anisoscope.rig.rigfile import read_rig
 
 SHAPE = (512, 640)
@@ -94,11 +100,12 @@ def inspected(virtual_rigs, undiagnosed):
         "known", bench=BARREL, rig={"calibration": {"rotation": str(bent.rig.with_name("rotation.json"))}}
     )
     parts = {"straight": straight, "bent": bent, "known": known}
-    return record, parts, {name: rig.inspect(methods=undiagnosed).record for name, rig in parts.items()}
+    return record, parts, {name: rig.inspect(methods=undiagnosed) for name, rig in parts.items()}
 
 
 def test_a_bent_lens_is_named_and_once_calibrated_changes_nothing(inspected):
-    calibration, parts, records = inspected
+    calibration, parts, done = inspected
+    records = {name: one.record for name, one in done.items()}
     k1 = calibration.values["distortion_k1"]
     assert k1.value == pytest.approx(0.03, abs=2 * k1.u)
     assert k1.u < 0.004
@@ -115,3 +122,31 @@ def test_a_bent_lens_is_named_and_once_calibrated_changes_nothing(inspected):
     found = read_calibrations(read_rig(parts["known"].rig).calibration)
     assert found.lens == Lens((512, 512), k1.value)
     assert Calibrations().lens is None
+
+
+def test_folders_of_frames_are_straightened_as_live_pictures(inspected, tmp_path, undiagnosed):
+    _, parts, done = inspected
+    live = done["known"]
+    frames = [replace(read_frame(live.folder / one.name), serial=None) for one in live.record.frames]
+    again = [one.again for one in live.record.frames]
+    write_frame_folder(tmp_path / "frames", frames, again)
+
+    def judged(rig, folder="frames"):
+        how = {"rig_path": parts[rig].rig, "methods": undiagnosed}
+        return inspect_frames(tmp_path / folder, parts[rig].recipe, "L-1", tmp_path / "out", **how)
+
+    found = judged("known")
+    assert [one.measured for one in found.record.poses] == pytest.approx(
+        [one.measured for one in live.record.poses], rel=1e-6
+    )
+    assert {one.kind for one in found.record.calibrations} >= {"rotation"}
+    again_found = recompute(found.folder).differences  # with the diagnosis that was left out
+    assert [one for one in again_found if not one.startswith("details.")] == []
+    assert "barrel distortion" in judged("bent").record.reasons[0]
+
+    other = [replace(frame, camera="another 7") for frame in frames]
+    flat = tmp_path / "flat"  # frames with a flat of their own are those of no rig's flat
+    tile = [replace(frame, kind="flat", counts=np.full_like(frame.counts, 2000)) for frame in other[:4]]
+    write_frame_folder(flat, [*other, *tile], [*again, *[False] * 4])
+    with pytest.raises(CalibrationError, match=r"rotation calibration .* this is another 7"):
+        judged("known", "flat")
