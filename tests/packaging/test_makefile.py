@@ -60,3 +60,12 @@ def test_quick_says_in_a_line_what_is_missing():
     )
     done = make("quick", "FILE=inspect/nothing.py")
     assert done.stderr.startswith("quick: no file 'inspect/nothing.py'; say FILE=")
+
+
+def test_what_runs_is_locked_in_the_versions_that_are_tested():
+    """Otherwise pip installs one version for the demo, and another one, with complaints, for the tests."""
+
+    def pinned(name):
+        return {line.rstrip(" \\") for line in (ROOT / name).read_text().splitlines() if "==" in line}
+
+    assert pinned("requirements.lock") - pinned("requirements-dev.lock") == set()
