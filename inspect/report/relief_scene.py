@@ -1,7 +1,8 @@
-"""Process of `anisoscope.report.surface_view` that draws a height map with pyvista.
+"""Process of `anisoscope.report.surface_view` that draws a height map with VTK.
 
 Where no usable OpenGL is found VTK ends its process with a signal, so this never runs in the main process: run
-as ``python -m anisoscope.report.relief_scene MAP.npz PICTURE.png [SCENE.zip]``.
+as ``python -m anisoscope.report.relief_scene MAP.npz PICTURE.png [SCENE.zip]``. Of VTK only what is used is imported:
+what draws with it more conveniently takes longer to import than the map to draw.
 """
 
 import io
@@ -10,16 +11,17 @@ import sys
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 
-if TYPE_CHECKING:
-    import pyvista
-
+WINDOW = 1100, 720
+SAMPLES = 8  # of a pixel, for smooth edges
+LABELS = {"title": 26, "labels": 22}  # points
 STEP_UM = 2.0**-9  # a power of two: the last bits of every number are zeros, which pack well
 
 
@@ -31,39 +33,54 @@ def draw(source: Path, picture: Path, scene: Path | None = None) -> None:
         picture: PNG to write.
         scene: zip to write, for the viewer that turns.
     """
-    import pyvista
+    import vtkmodules.vtkRenderingOpenGL2  # noqa: F401 - registers what draws
+    from vtkmodules.vtkRenderingCore import (
+        vtkActor,
+        vtkLightKit,
+        vtkPolyDataMapper,
+        vtkRenderer,
+        vtkRenderWindow,
+    )
 
     with np.load(source) as data:
         z, (pixel_y, pixel_x), exaggeration = data["z"], data["pixel"], float(data["exaggeration"])
         colours = data.get("rgb")
-    mesh = _mesh(z, (pixel_y, pixel_x), exaggeration)
-    limits = [float(value) for value in np.percentile(mesh["height [µm]"], [0.0, 100.0])]
-    plotter: Any = pyvista.Plotter(off_screen=True, window_size=[1100, 720])
-    plotter.background_color = pyvista.Color("white")
+    mapper, actor, renderer, window = vtkPolyDataMapper(), vtkActor(), vtkRenderer(), vtkRenderWindow()
+    mesh = _mesh(z, (pixel_y, pixel_x), exaggeration, colours)
+    mapper.SetInputDataObject(mesh)
+    bar = None
     if colours is None:
-        plotter.add_mesh(
-            mesh, scalars="height [µm]", cmap="viridis", clim=limits, specular=0.2, show_scalar_bar=False
-        )
-    else:
-        mesh["colour"] = colours.reshape(-1, 3)
-        plotter.add_mesh(mesh, scalars="colour", rgb=True, specular=0.0, show_scalar_bar=False)
+        mapper.SetLookupTable(_viridis())
+        mapper.SetScalarRange(*mesh.GetPointData().GetScalars().GetRange())
+        mapper.UseLookupTableScalarRangeOff()
+        mapper.InterpolateScalarsBeforeMappingOn()
+        bar = _bar(mapper.GetLookupTable())
+        renderer.AddViewProp(bar)
+    actor.SetMapper(mapper)
+    actor.GetProperty().SetSpecular(0.2 if colours is None else 0.0)
+    actor.GetProperty().SetSpecularPower(100.0)
+    actor.GetProperty().SetInterpolationToFlat()
+    renderer.AddActor(actor)
+    renderer.SetBackground(1.0, 1.0, 1.0)
+    vtkLightKit().AddLightsToRenderer(renderer)
+    window.SetOffScreenRendering(True)
+    window.SetMultiSamples(SAMPLES)
+    window.SetSize(*WINDOW)
+    window.AddRenderer(renderer)
     extent = np.multiply(np.array(z.shape) - 1, (pixel_y, pixel_x))
-    if colours is None:
-        _draw_bar(plotter)
-    _look_at(plotter, extent, 1.0, lower=0.08)
-    stream = io.BytesIO()
-    plotter.screenshot(stream)
-    _write(picture, stream.getvalue())
+    _look_at(renderer, extent, 1.0, lower=0.08)
+    window.Render()
+    _write(picture, _png(window))
     if scene is not None:
-        if colours is None:
-            plotter.remove_scalar_bar()
-        _look_at(plotter, extent, 0.8, lower=0.0)
-        plotter.render()
-        _write(scene, _packed(plotter))
-    plotter.deep_clean()
+        if bar is not None:
+            renderer.RemoveViewProp(bar)
+        _look_at(renderer, extent, 0.8, lower=0.0)
+        window.Render()
+        _write(scene, _packed(window))
+    window.Finalize()
 
 
-def _look_at(plotter: "pyvista.Plotter", extent: FloatArray, distance: float, lower: float) -> None:
+def _look_at(renderer: Any, extent: FloatArray, distance: float, lower: float) -> None:  # noqa: ANN401
     """See the map from the front and above; ``lower`` leaves room for the colour bar, as a share of the extent.
 
     The camera goes closer instead of zooming: the viewer of the scene knows no angle of view.
@@ -72,52 +89,112 @@ def _look_at(plotter: "pyvista.Plotter", extent: FloatArray, distance: float, lo
     centre = np.array([0.5 * extent[1], 0.5 * extent[0], 0.0])
     eye = centre + distance * reach * np.array([0.5, -1.6, 1.35])
     target = centre - [0.0, lower * reach, 0.0]
-    plotter.camera_position = [tuple(eye), tuple(target), (0.0, 0.0, 1.0)]
-    plotter.reset_camera_clipping_range()
+    camera = renderer.GetActiveCamera()
+    camera.SetPosition(*eye)
+    camera.SetFocalPoint(*target)
+    camera.SetViewUp(0.0, 0.0, 1.0)
+    renderer.ResetCameraClippingRange()
 
 
-def _mesh(z: FloatArray, pixel_um: tuple[float, float], exaggeration: float) -> "pyvista.PolyData":
+def _mesh(
+    z: FloatArray, pixel_um: tuple[float, float], exaggeration: float, colours: npt.NDArray[np.uint8] | None
+) -> Any:  # noqa: ANN401 - VTK's classes have no usable types
     """Squares between measured points, row by row in strips; numbers in steps, so that the scene packs well."""
-    import pyvista
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkPolyData
 
     measured = np.isfinite(z)
     height = np.where(measured, z - np.nanmedian(z), 0.0)
     x, y = np.meshgrid(np.arange(z.shape[1]) * pixel_um[1], np.arange(z.shape[0]) * pixel_um[0])
-    points = _in_steps(np.stack([x, y, height * exaggeration], axis=-1).reshape(-1, 3))
+    places = _in_steps(np.stack([x, y, height * exaggeration], axis=-1).reshape(-1, 3))
     number = np.arange(z.size).reshape(z.shape)
+    points, mesh = vtkPoints(), vtkPolyData()
+    points.SetData(numpy_to_vtk(places, deep=True))
+    mesh.SetPoints(points)
     if measured.all():
-        strips = np.stack([number[:-1], number[1:]], axis=2).reshape(z.shape[0] - 1, -1)
-        mesh = pyvista.PolyData(points, strips=np.insert(strips, 0, strips.shape[1], axis=1).ravel())
+        mesh.SetStrips(_cells(np.stack([number[:-1], number[1:]], axis=2).reshape(z.shape[0] - 1, -1)))
     else:
         corners = (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1])
         whole = np.logical_and.reduce([measured[corner] for corner in corners])
-        squares = np.stack([number[corner][whole] for corner in corners], axis=1)
-        mesh = pyvista.PolyData(points, np.insert(squares, 0, 4, axis=1).ravel())
-    mesh["height [µm]"] = _in_steps(height.ravel())
+        mesh.SetPolys(_cells(np.stack([number[corner][whole] for corner in corners], axis=1)))
+    shown = _in_steps(height.ravel()) if colours is None else np.ascontiguousarray(colours.reshape(-1, 3))
+    scalars = numpy_to_vtk(shown, deep=True)
+    scalars.SetName("height [µm]" if colours is None else "colour")
+    mesh.GetPointData().SetScalars(scalars)
     return mesh
+
+
+def _cells(points: npt.NDArray[np.intp]) -> Any:  # noqa: ANN401
+    """Cells of equally many points, (cells, points)."""
+    from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray
+    from vtkmodules.vtkCommonDataModel import vtkCellArray
+
+    cells = vtkCellArray()
+    starts = np.arange(len(points) + 1) * points.shape[1]
+    cells.SetData(
+        *(numpy_to_vtkIdTypeArray(np.ascontiguousarray(one), deep=True) for one in (starts, points.ravel()))
+    )
+    return cells
 
 
 def _in_steps(values: FloatArray) -> npt.NDArray[np.float32]:
     return np.asarray(np.round(values / STEP_UM) * STEP_UM, dtype=np.float32)
 
 
-def _draw_bar(plotter: Any) -> None:  # noqa: ANN401 - wrapped methods of pyvista have no usable types
+def _viridis() -> Any:  # noqa: ANN401
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkLookupTable
+
+    colours = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
+    table = vtkLookupTable()
+    table.SetTable(numpy_to_vtk(np.insert(colours, 3, 255, axis=1), deep=True))
+    return table
+
+
+def _bar(table: Any) -> Any:  # noqa: ANN401
     """Colour bar of the still picture; the interactive scene has none, since the map next to it has one."""
-    plotter.add_scalar_bar(
-        "height [µm]",
-        color="black",
-        n_labels=3,
-        title_font_size=26,
-        label_font_size=22,
-        fmt="%.1f",
-        width=0.6,
-        height=0.09,
-        position_x=0.2,
-        position_y=0.02,
-    )
+    import vtkmodules.vtkRenderingFreeType  # noqa: F401 - registers what writes
+    from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+
+    bar = vtkScalarBarActor()
+    bar.SetLookupTable(table)
+    bar.SetMaximumNumberOfColors(256)
+    bar.SetOrientationToHorizontal()
+    bar.SetNumberOfLabels(3)
+    bar.SetLabelFormat("%.1f")
+    bar.SetTitle("height [µm]")
+    bar.UnconstrainedFontSizeOn()
+    for text, size in (
+        (bar.GetTitleTextProperty(), LABELS["title"]),
+        (bar.GetLabelTextProperty(), LABELS["labels"]),
+    ):
+        text.SetColor(0.0, 0.0, 0.0)
+        text.SetFontSize(size)
+        text.ItalicOff()
+        text.BoldOff()
+        text.ShadowOff()
+    bar.SetWidth(0.6)
+    bar.SetHeight(0.09)
+    bar.SetPosition(0.2, 0.02)
+    return bar
 
 
-def _packed(plotter: "pyvista.Plotter") -> bytes:
+def _png(window: Any) -> bytes:  # noqa: ANN401
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
+
+    grabbed = vtkWindowToImageFilter()
+    grabbed.SetInput(window)
+    grabbed.ShouldRerenderOff()
+    grabbed.Update()
+    image = grabbed.GetOutput()
+    width, height, _ = image.GetDimensions()
+    pixels = vtk_to_numpy(image.GetPointData().GetScalars()).reshape(height, width, -1)
+    return cv2.imencode(".png", pixels[::-1, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+
+
+def _packed(window: Any) -> bytes:  # noqa: ANN401
     """The scene as the offline viewer of trame-vtk reads it, without any server."""
     from trame_vtk.modules.vtk.protocols.local_rendering import (  # type: ignore[import-untyped]
         vtkWebLocalRendering,
@@ -127,7 +204,7 @@ def _packed(plotter: "pyvista.Plotter") -> bytes:
     application = vtkWebApplication()
     rendering: Any = vtkWebLocalRendering()
     rendering.coreServer = SimpleNamespace(getSharedObject=lambda _: application)
-    view = application.GetObjectIdMap().GetGlobalId(plotter.render_window)
+    view = application.GetObjectIdMap().GetGlobalId(window)
     state = rendering.get_standalone_state(view)
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:

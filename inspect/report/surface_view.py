@@ -40,7 +40,7 @@ MAX_POINTS = 256
 FIELD_UM = 600.0
 DRAWS = DRAWN_BY = "anisoscope.report.relief_scene"
 FLAT_BY = "anisoscope.report.figures"
-DRAWN_WITH = ("anisoscope", "vtk", "pyvista", "trame-vtk")
+DRAWN_WITH = ("anisoscope", "vtk", "trame-vtk")
 NEEDS = "it needs EGL (Debian: apt-get install libegl1 libgl1-mesa-dri)"
 
 
@@ -96,16 +96,12 @@ class Renderer:
         self._formats = ("png", "zip") if interactive else ("png",)
         self._entries = _entries(source, self._formats)
         self._cached = {kind: entry.read() for kind, entry in self._entries.items()}
-        self._missing = importlib.util.find_spec("pyvista") is None
+        self._missing = importlib.util.find_spec("vtkmodules") is None
         if self._missing or None not in self._cached.values():
             return
         folder = Path(self._folder.name)
         (folder / "map.npz").write_bytes(source)
-        environment = {
-            **os.environ,
-            "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow",
-            "PYVISTA_OFF_SCREEN": "true",
-        }
+        environment = {**os.environ, "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
         targets = [str(folder / f"map.{kind}") for kind in self._formats]
         try:
             self._process = subprocess.Popen(
@@ -138,7 +134,7 @@ class Renderer:
 
     def _result(self, found: dict[str, bytes | None], code: int) -> Picture3D:
         if found["png"] is None and self._missing:
-            return Picture3D(None, "pyvista is not installed (pip install pyvista trame-vtk)")
+            return Picture3D(None, "VTK is not installed (pip install vtk trame-vtk)")
         if found["png"] is None:
             return Picture3D(None, f"the renderer ended with code {code}; {NEEDS}")
         scene = found.get("zip")
