@@ -200,7 +200,7 @@ def spectrum(tmp_path_factory):
 
 @pytest.mark.parametrize("what", ["design", "map"])
 def test_a_spectrum_is_predicted_at_each_of_its_wavelengths(anisoscope, spectrum, height_map, what):
-    of = (height_map,) if what == "map" else ("--ridge-angle", 10)
+    of = (height_map, "--bounces", 1) if what == "map" else ("--ridge-angle", 10)
     done = anisoscope("predict", *of, "--u-alpha", 0, "--spectrum", spectrum, "--covariance", "--json")
     assert done.code == 0, done.err
     found = done.json
