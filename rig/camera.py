@@ -32,6 +32,7 @@ class CameraInfo:
         auto_exposure: whether it has automatic exposure or gain, so that one has to prove that they are off.
         filters: the colour filters on its pixels, named by the first two rows of the mosaic, such as "rggb"; "mono" has
             none. See `anisoscope.rig.bayer`.
+        repeats: whether its pictures are those of its last start again, noise included, as a simulation's may be.
 
     Raises:
         CameraError: no such mosaic is known.
@@ -47,6 +48,7 @@ class CameraInfo:
     linear: bool = True
     auto_exposure: bool = False
     filters: str = "mono"
+    repeats: bool = False
 
     def __post_init__(self) -> None:
         if self.filters not in FILTERS:

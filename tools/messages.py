@@ -95,7 +95,7 @@ SENTENCES = {
     "inspect/quality/capability.py": ("specification", "_one"),
     "inspect/cli/inspect/batch_operator.py": ("place", "serial_of", "trouble", "_part"),
     "inspect/cli/rig/motion.py": {"confirm"},
-    "inspect/inspection/run.py": {"advance"},
+    "inspect/inspection/run.py": {"advance", "old_pictures"},
     "inspect/diagnosis/signatures.py": {"advance"},
     "rig/acquisition/runner.py": {"_report"},
     "rig/stages/manual.py": {"_prompt"},

@@ -254,14 +254,19 @@ def used_by_others(connection: Connection, pixels: Sequence[str], serial: str) -
     """The first inspection of another serial number that shows one of these pictures, or None."""
     found = list(dict.fromkeys(map(picture_key, pixels)))
     for start in range(0, len(found), _AT_ONCE):
-        shown = select(schema.pictures.c.inspection).where(
-            schema.pictures.c.pixels.in_(found[start : start + _AT_ONCE])
+        first = (
+            connection.execute(shown_by_others(found[start : start + _AT_ONCE], serial)).mappings().first()
         )
-        statement = _WHOLE.where(inspections.c.id.in_(shown), inspections.c.serial != serial)
-        first = connection.execute(statement.order_by(inspections.c.id).limit(1)).mappings().first()
         if first is not None:
             return _values(first)
     return None
+
+
+def shown_by_others(keys: Sequence[int], serial: str) -> Select[Any]:
+    """Statement for the first inspection of another serial number with a picture of these keys (`picture_key`)."""
+    shown = select(schema.pictures.c.inspection).where(schema.pictures.c.pixels.in_(keys))
+    statement = _WHOLE.where(inspections.c.id.in_(shown), inspections.c.serial != serial)
+    return statement.order_by(inspections.c.id).limit(1)
 
 
 def layout_of(connection: Connection, labels: str) -> int:

@@ -289,7 +289,7 @@ def _identical(shots: Sequence[Shot]) -> dict[int, _Fault]:
     """Faults of frames that equal an earlier one bit for bit, by the id of the shot."""
     alike: dict[str, list[Shot]] = defaultdict(list)
     for shot, pixels in zip(shots, for_each(lambda one: one.frame.pixels, shots), strict=True):
-        if shot.frame.kind in _KINDS and (shot.frame.kind != "dark" or _is_noisy(shot.frame.counts)):
+        if shot.frame.kind in _KINDS and (shot.frame.kind != "dark" or is_noisy(shot.frame.counts)):
             alike[pixels].append(shot)
     return {
         id(shot): _Fault(f"is the same picture bit for bit as {same[0].name}: {_BUFFER}", _DRIVER, pixels)
@@ -298,8 +298,8 @@ def _identical(shots: Sequence[Shot]) -> dict[int, _Fault]:
     }
 
 
-def _is_noisy(counts: _Counts) -> bool:
-    """Whether noise shows in a dark frame: not where the camera clips most pixels at one count."""
+def is_noisy(counts: _Counts) -> bool:
+    """Whether noise shows in counts (rows, cols): not where the camera clips most pixels at one count."""
     some = counts[::8, ::8].ravel()
     return bool(np.bincount(some).max() < 0.5 * some.size)
 

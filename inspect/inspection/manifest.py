@@ -47,7 +47,7 @@ class Manifest(BaseModel):
         frames: number of frames of a whole inspection.
         rig_folder: where the rig file lay, which its ``${here}`` stands for.
         inputs: copies of the files.
-        refused: why the part is INVALID without being photographed, such as a code that is not its own.
+        refused: why the part is INVALID without being judged, such as a code that is not its own.
         reuse: reason given for judging frames that are already known as those of another part.
     """
 
@@ -133,6 +133,17 @@ def one_round_more(folder: Path, manifest: Manifest) -> Manifest:
     more = manifest.model_copy(update={"plan": plan, "frames": plan.frame_count})
     _write(more, folder)
     return more
+
+
+def refuse(folder: Path, manifest: Manifest, reason: str) -> Manifest:
+    """Write down why photographs make a part INVALID without being judged.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    refused = manifest.model_copy(update={"refused": reason})
+    _write(refused, folder)
+    return refused
 
 
 def _write(manifest: Manifest, folder: Path) -> None:

@@ -101,7 +101,7 @@ def judge(
     kind, recipe, reference = job.kind, job.recipe, job.reference
     if manifest.refused is not None:
         record = make_record(manifest, job, expected, frames, now(), (manifest.refused,))
-        return record, lambda: Pictures(surface=expected.surface), None
+        return record, lambda: Pictures(raw=as_photographed(frames), surface=expected.surface), None
     views, fault = None, None
     try:
         views = _photographed(manifest.began, job, expected, frames)

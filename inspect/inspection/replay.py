@@ -2,7 +2,7 @@
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,7 +32,16 @@ from anisoscope.inspection.job import (
 from anisoscope.inspection.manifest import begin
 from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.inspection.reports import Reports
-from anisoscope.inspection.run import Inspected, Methods, conclude, expecting, judged_by, reported
+from anisoscope.inspection.run import (
+    Inspected,
+    Methods,
+    UsedBefore,
+    conclude,
+    expecting,
+    judged_by,
+    never_used,
+    reported,
+)
 from anisoscope.kinds.kind import AnyKind
 from anisoscope.kinds.parts import Reference, reference_on
 from anisoscope.kinds.recipe_check import RecipeCheck
@@ -46,15 +55,6 @@ from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import header_of
 from anisoscope.rig.framefolder import TABLE, FrameFolder, HeldFile, read_frame_folder
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
-
-UsedBefore = Callable[[Sequence[str], str], str | None]
-"""Function of hashes of pixels and a serial number: the other part that they were judged as, in words, or None."""
-
-
-def never_used(pixels: Sequence[str], serial: str) -> None:
-    """For where no history is known."""
-    del pixels, serial
-
 
 RIG_NAME = "rig.toml"
 WHITE_NAME = "white-reference.tif"
@@ -134,7 +134,7 @@ def _check_owner(given: "Given", used_before: UsedBefore) -> None:
         UsageError: their metadata or an earlier inspection name another serial number.
     """
     samples = given.replay.of_kind("sample")
-    remedy = "name that serial number, take new frames, or say why they serve with `inspect --reuse REASON`"
+    remedy = "name that serial number, take new frames, or say why they serve with `--reuse REASON`"
     for entry in samples:
         header = header_of(entry.path if entry.held is None else entry.held.content())
         if header is not None and header.serial not in {None, given.serial}:

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.errors import CalibrationError, RecordError, RigError
+from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
+from anisoscope.imaging.frame_check import is_noisy
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.linearisation import check_size
 from anisoscope.inspection.folder import SCAN, add_resume_hint, new_folder, sweep, working_in
@@ -20,7 +22,7 @@ from anisoscope.inspection.frames import check_frames, missing_frames, read_fram
 from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.kept_measurement import write_kept
-from anisoscope.inspection.manifest import Manifest, begin, one_round_more, reopen
+from anisoscope.inspection.manifest import Manifest, begin, one_round_more, refuse, reopen
 from anisoscope.inspection.objects import SharedDarks, begin_series, shared_darks
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
 from anisoscope.inspection.report_seal import report_state, write_report_sealed
@@ -64,6 +66,15 @@ def diagnose_cached(case: Case, advance: Advance) -> Explanation:
 def sections_by_kind(kind: AnyKind, record: Record, pictures: Pictures) -> Sections:
     """The sections that the kind of part adds to the report."""
     return reporting(kind).sections(record, pictures)
+
+
+UsedBefore = Callable[[Sequence[str], str], str | None]
+"""Function of hashes of pixels and a serial number: the other part that they were judged as, in words, or None."""
+
+
+def never_used(pixels: Sequence[str], serial: str) -> None:
+    """For where no history is known."""
+    del pixels, serial
 
 
 @dataclass(frozen=True)
@@ -132,6 +143,7 @@ def inspect_part(
     *,
     particulars: Particulars | None = None,
     lot_mates: Sequence[LotMate] = (),
+    used_before: UsedBefore = never_used,
     cancel: threading.Event | None = None,
     methods: Methods | None = None,
     reports: Reports | None = None,
@@ -147,6 +159,7 @@ def inspect_part(
         on_progress: called with what is being done, steps done and steps in all.
         particulars: operator, lot, cavity, station.
         lot_mates: inspections of the same lot, for the report.
+        used_before: whose the pictures were in earlier inspections: those of another part come from no working camera.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
         methods: what varies, for tests.
         reports: where the report is written in the background; without it, before this returns.
@@ -189,6 +202,7 @@ def inspect_part(
             )
             darks = shared_darks(folder, plan, rig, now)
             fresh = _photograph(manifest, rig, folder, on_progress, cancel, darks, now)
+            manifest = _without_old_pictures(manifest, rig, folder, fresh, used_before)
             manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel, fresh)
         concluded = conclude(folder, manifest, job, ready, on_progress, judged)
     return reported(*concluded, reports, on_progress)
@@ -225,6 +239,7 @@ def resume_part(
     on_progress: Advance = silent,
     *,
     lot_mates: LotMates = no_lot_mates,
+    used_before: UsedBefore = never_used,
     cancel: threading.Event | None = None,
     methods: Methods | None = None,
     reports: Reports | None = None,
@@ -239,6 +254,7 @@ def resume_part(
         folder: the inspection folder.
         on_progress: called with what is being done, steps done and steps in all.
         lot_mates: who was inspected before of the lot that the folder names, for the report; must not raise.
+        used_before: as for `inspect_part`.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
         methods: what varies, for tests.
         reports: as for `inspect_part`.
@@ -255,7 +271,8 @@ def resume_part(
         raise RecordError(
             f"{folder}: this inspection is finished; there is nothing to resume{_report_hint(folder)}"
         )
-    return reported(*_resumed(folder, on_progress, lot_mates, cancel, methods), reports, on_progress)
+    resumed = _resumed(folder, on_progress, lot_mates, used_before, cancel, methods)
+    return reported(*resumed, reports, on_progress)
 
 
 def _report_hint(folder: Path) -> str:
@@ -268,6 +285,7 @@ def _resumed(
     folder: Path,
     on_progress: Advance,
     lot_mates: LotMates,
+    used_before: UsedBefore,
     cancel: threading.Event | None,
     methods: Methods | None,
 ) -> tuple[Inspected, PendingReport]:
@@ -291,6 +309,7 @@ def _resumed(
                 _check_rig(rig, manifest.plan, job)
                 ready = ready or cleanup.enter_context(expecting(job, on_progress, mates, methods))
                 fresh = _photograph(manifest, rig, folder, on_progress, cancel)
+                manifest = _without_old_pictures(manifest, rig, folder, fresh, used_before)
                 manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel, fresh)
             return conclude(folder, manifest, job, ready, on_progress, judged)
 
@@ -343,6 +362,27 @@ def _photograph(
     if began is not None:
         begin_series(folder, manifest.plan, rig, taken, began)
     return {one.path.relative_to(folder).as_posix(): one.frame for one in taken}
+
+
+def _without_old_pictures(
+    manifest: Manifest, rig: Rig, folder: Path, fresh: Mapping[str, Frame], used_before: UsedBefore
+) -> Manifest:
+    """Refuse pictures that equal those of another part bit for bit, which the noise of a sensor excludes."""
+    if used_before is never_used or rig.camera.info.repeats:
+        return manifest
+    noisy = [frame for frame in fresh.values() if frame.kind == "sample" and is_noisy(frame.counts)]
+    owner = used_before(for_each(lambda frame: frame.pixels, noisy), manifest.serial)
+    if owner is None:
+        return manifest
+    return refuse(folder, manifest, old_pictures(owner))
+
+
+def old_pictures(owner: str) -> str:
+    """Reason why pictures of another part make this one INVALID."""
+    return (
+        f"pictures are those of {owner} bit for bit: the camera or its driver delivers old ones: check the camera's "
+        "cable and driver, and that it delivers a new picture for every trigger"
+    )
 
 
 def _decide(

@@ -32,7 +32,7 @@ from anisoscope.rig.rigfile import read_rig
 
 if TYPE_CHECKING:
     from anisoscope.inspection.reports import Wanted
-    from anisoscope.inspection.run import Inspected
+    from anisoscope.inspection.run import Inspected, UsedBefore
 
 Emit = Callable[[str, dict[str, Any]], None]
 POLL_S = 0.02
@@ -47,6 +47,10 @@ def _nothing(*_: object) -> None:
 
 def _no_mates(*_: object) -> tuple[Any, ...]:
     return ()
+
+
+def _never(_: object) -> "UsedBefore":
+    return lambda *_: None
 
 
 def _no_lines(_: object) -> list[str]:
@@ -88,6 +92,7 @@ class Workplace:
         explain: lines that say what is wrong and where, from a record.
         methods: as for `anisoscope.inspection.run.inspect_part`.
         reports: which parts get a report by themselves.
+        used_before: whose pictures were in earlier inspections, from the place.
     """
 
     rig: Path
@@ -98,6 +103,7 @@ class Workplace:
     explain: Callable[[Any], list[str]] = _no_lines
     methods: Any = None
     reports: "Wanted" = "all"
+    used_before: "Callable[[str | Path | None], UsedBefore]" = _never
 
 
 class Worker(Protocol):
@@ -155,6 +161,7 @@ def _inspect(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) 
                 task.folder,
                 advance,
                 lot_mates=lambda lot: tuple(place.lot_mates(place.history, lot)),
+                used_before=place.used_before(place.history),
                 cancel=cancel,
                 methods=place.methods,
                 reports=reports,
@@ -169,6 +176,7 @@ def _inspect(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) 
                 advance,
                 particulars=task.particulars,
                 lot_mates=place.lot_mates(place.history, task.particulars.lot),
+                used_before=place.used_before(place.history),
                 cancel=cancel,
                 methods=place.methods,
                 reports=reports,

@@ -27,7 +27,7 @@ from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe
 from anisoscope.inspection.reports import Wanted, gets_report
 from anisoscope.inspection.work import LINE, Task, Worker, WorkerProcess, Workplace, held_rig
 from anisoscope.operations.findings import explained
-from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned
+from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned, used_before
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record
 from anisoscope.report.inspection_page import REPORT_NAME
 
@@ -532,7 +532,9 @@ def jobs_at(
     rig, out = rig.resolve(), out.resolve()
     with contextlib.ExitStack() as stack:
         own = stack.enter_context(held_rig(rig))
-        workplace = Workplace(rig, out, place, remember, lot_mates, explained, reports=reports)
+        workplace = Workplace(
+            rig, out, place, remember, lot_mates, explained, reports=reports, used_before=used_before
+        )
         worker = WorkerProcess(workplace)
         stack.callback(worker.close)
         jobs = Jobs(workplace, recipes.resolve(), worker, own.stop, station)

@@ -6,9 +6,9 @@ from pathlib import Path
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.inspection.recompute import Recomputed, recompute_or_reason
-from anisoscope.inspection.replay import UsedBefore, inspect_frames, never_used
+from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.reports import Reports
-from anisoscope.inspection.run import Inspected, inspect_part
+from anisoscope.inspection.run import Inspected, UsedBefore, inspect_part, never_used
 from anisoscope.record.schema import Particulars
 from anisoscope.report.peers import LotMate
 from anisoscope.study.sweep import Workers
@@ -42,7 +42,7 @@ def inspect(
         particulars: operator, lot, cavity, station and place, for the record.
         lot_mates: inspections of the same lot, for the report (`operations.remembering.lot_mates`).
         reports: writes reports beside further work; without it the report is written before this returns.
-        used_before: whose imported frames were in earlier inspections (`operations.remembering.used_before`).
+        used_before: whose frames were in earlier inspections (`operations.remembering.used_before`).
         reuse: reason for judging frames of another part all the same; it is kept in the record.
         on_progress: called with the work being done, steps done and steps in all.
 
@@ -83,6 +83,7 @@ def inspect(
         on_progress,
         particulars=who,
         lot_mates=lot_mates,
+        used_before=used_before,
         reports=reports,
     )
 

@@ -15,8 +15,7 @@ from anisoscope.history.heads import sign_head
 from anisoscope.history.rows import NewRow, row_of
 from anisoscope.history.spool import deliver, wait
 from anisoscope.history.store import History, open_history
-from anisoscope.inspection.replay import UsedBefore
-from anisoscope.inspection.run import Inspected
+from anisoscope.inspection.run import Inspected, UsedBefore
 from anisoscope.report.peers import LotMate
 
 RETRY_S = 60.0

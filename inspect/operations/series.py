@@ -80,7 +80,15 @@ def batch(
     folder = (base / f"batch-{Path(tray).stem}").resolve()
     place = history_place(history, base)
     order = Order(
-        listed, Path(recipe), Path(rig), folder, operator, station, look, lambda lot: lot_mates(place, lot)
+        listed,
+        Path(recipe),
+        Path(rig),
+        folder,
+        operator,
+        station,
+        look,
+        lambda lot: lot_mates(place, lot),
+        used_before(place),
     )
     say = note or (lambda _: None)
     begun_before = (folder / BATCH_NAME).exists() and not resume
@@ -117,6 +125,7 @@ def watch(
     stable_s: float = 2.0,
     poll_s: float = 1.0,
     code: Kind | None = None,
+    reuse: str = "",
     history: str | None = None,
     note: Callable[[str], None] | None = None,
     begun: Callable[[Path], None] | None = None,
@@ -135,6 +144,7 @@ def watch(
         stable_s: seconds without a change after which a folder is complete.
         poll_s: seconds between checks of the folder.
         code: kind of code that identifies each part in its first frame; None reads none.
+        reuse: reason for judging frames of another part all the same; it is kept in the records.
         history: that the inspections enter; ``none`` for none. By default that of the folder.
         note: takes a line of what a report lacks.
         begun: called with the watched folder, before the first inspection.
@@ -163,6 +173,7 @@ def watch(
         code,
         lambda lot: lot_mates(place, lot),
         used_before(place),
+        reuse,
     )
     ended = threading.Event() if stop is None else stop
     with Reports(note) as reports:

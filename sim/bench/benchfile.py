@@ -281,7 +281,8 @@ class FaultsPart(Part):
     first frame of a pose shows the pose before; every ``repeats_every``-th frame is the buffer before, bit for bit;
     every ``torn_every``-th lit frame is torn in its lower part: rows ``zero``, ``shifted`` or ``dropped``;
     ``plateau_counts`` is where it clips below full scale; ``stuck_columns`` and ``stuck_pixels`` (row, column) always
-    have ``stuck_counts``; ``mirrored`` exchanges left and right. A response that bends is ``sensor.nonlinearity``.
+    have ``stuck_counts``; ``mirrored`` exchanges left and right; with ``replays`` it says of the pictures of its last
+    start that they are new. A response that bends is ``sensor.nonlinearity``.
 
     Lens: ``barrel`` is the share by which a corner of the picture moves inwards, negative for a pincushion.
 
@@ -309,6 +310,7 @@ class FaultsPart(Part):
     stuck_pixels: tuple[tuple[int, int], ...] = ()
     stuck_counts: Annotated[int, Field(ge=0, le=65535)] = 4095
     mirrored: bool = False
+    replays: bool = False
     barrel: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
     seated_deg: float = 0.0
     upside_down: bool = False

@@ -155,6 +155,7 @@ class SimulatedCamera:
             linear=part.gamma == 1.0,
             auto_exposure=part.auto_exposure != "none",
             filters=part.filters,
+            repeats=not bench.file.faults.replays,
         )
 
     def configure(self, exposure_s: float, gain: float) -> CameraSettings:

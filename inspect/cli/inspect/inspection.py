@@ -179,13 +179,17 @@ def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = Fa
     """
     from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import resume_part
-    from anisoscope.operations.remembering import history_place, lot_mates
+    from anisoscope.operations.remembering import history_place, lot_mates, used_before
 
     place = history_place(history, folder.resolve().parent)
     with Reports() as reports:
         with progress(folder.name, quiet=json_) as advance:
             inspected = resume_part(
-                folder, advance, lot_mates=lambda lot: lot_mates(place, lot), reports=reports
+                folder,
+                advance,
+                lot_mates=lambda lot: lot_mates(place, lot),
+                used_before=used_before(place),
+                reports=reports,
             )
         return _concluded(inspected, reports, place, json_=json_)
 

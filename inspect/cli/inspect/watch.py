@@ -47,6 +47,9 @@ def watch(
         ),
     ] = False,
     code_kind: CodeKind = "any",
+    reuse: Annotated[
+        str, Parameter(help="Reason for judging frames that are known as those of another part.")
+    ] = "",
     once: Annotated[
         bool, Parameter(negative="", help="Inspect the complete folders that exist, then exit.")
     ] = False,
@@ -83,6 +86,7 @@ def watch(
             stable_s=stable_for,
             poll_s=poll,
             code=code_kind if read_code else None,
+            reuse=reuse,
             history=history,
             note=teller.note,
             begun=lambda root: teller.say(

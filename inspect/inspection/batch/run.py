@@ -282,6 +282,7 @@ class _Run:
                 advance,
                 particulars=who,
                 lot_mates=order.lot_mates(part.lot),
+                used_before=order.used_before,
                 methods=self.methods,
                 reports=self.reports,
             )
@@ -293,9 +294,16 @@ class _Run:
         """Resume an inspection; None without one, or if its folder is damaged and the part is inspected again."""
         if unfinished is None:
             return None
-        mates, methods, reports = self.order.lot_mates, self.methods, self.reports
+        order = self.order
         try:
-            return resume_part(unfinished, advance, lot_mates=mates, methods=methods, reports=reports)
+            return resume_part(
+                unfinished,
+                advance,
+                lot_mates=order.lot_mates,
+                used_before=order.used_before,
+                methods=self.methods,
+                reports=self.reports,
+            )
         except RecordError:
             return None
 

@@ -19,7 +19,7 @@ from anisoscope.inspection.batch.operator import Operator
 from anisoscope.inspection.batch.slot_folder import clear_stillborn, finished_in, inspected_in
 from anisoscope.inspection.batch.tray import Slot, Tray
 from anisoscope.inspection.job import prepare
-from anisoscope.inspection.run import Inspected
+from anisoscope.inspection.run import Inspected, UsedBefore, never_used
 from anisoscope.report.peers import LotMates, no_lot_mates
 
 TRAY_NAME = "tray.csv"
@@ -38,6 +38,7 @@ class Order:
         operator, station: for the records.
         look: how the camera reads the code of every part before it is inspected, or None.
         lot_mates: who was inspected before of a lot, for the reports; must not raise.
+        used_before: whose pictures were in earlier inspections.
     """
 
     tray: Tray
@@ -48,6 +49,7 @@ class Order:
     station: str | None = None
     look: Look | None = None
     lot_mates: LotMates = no_lot_mates
+    used_before: UsedBefore = never_used
 
     def files(self, slot: Slot) -> tuple[Path, Path]:
         """Recipe and rig file of a slot."""

@@ -31,9 +31,9 @@ from anisoscope.inspection.batch.slot_folder import clear_copies, inspected_in
 from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.frame_table import arrange
 from anisoscope.inspection.job import check_serial
-from anisoscope.inspection.replay import UsedBefore, inspect_frames, never_used
+from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.reports import WAITING, Reports
-from anisoscope.inspection.run import Inspected, Methods, missing_report
+from anisoscope.inspection.run import Inspected, Methods, UsedBefore, missing_report, never_used
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of
@@ -255,6 +255,7 @@ class Watched:
         code_kind: kind of code that every part bears, which says who it is; None where codes are not read.
         lot_mates: who was inspected before of a lot, for the reports; must not raise.
         used_before: whose frames were in earlier inspections.
+        reuse: reason for judging frames of another part all the same.
     """
 
     root: Path
@@ -267,6 +268,7 @@ class Watched:
     code_kind: Kind | None = None
     lot_mates: LotMates = no_lot_mates
     used_before: UsedBefore = never_used
+    reuse: str = ""
 
 
 @dataclass(frozen=True)
@@ -544,6 +546,7 @@ class Watch:
                 methods=self.methods,
                 reports=self.reports,
                 used_before=watched.used_before,
+                reuse=watched.reuse,
             )
         copied = _copied_key(inspected)
         if copied == frames:

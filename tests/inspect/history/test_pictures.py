@@ -1,9 +1,14 @@
 """Whose pictures they were first."""
 
+import re
+import time
+from hashlib import sha256
+
 import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
 
+from anisoscope.history import statements
 from anisoscope.history.spool import deliver, wait
 from anisoscope.history.store import open_history
 
@@ -18,6 +23,44 @@ def test_the_first_inspection_of_another_part_is_found(place, new_row):
         assert history.used_by_others([OTHER], "B") is None
         assert history.used_by_others([], "B") is None
         assert history.verify_chain() == []
+
+
+def test_pictures_are_found_by_an_index(history, new_row):
+    history.append_all([new_row(number, pixels=(picture(number, 0),)) for number in range(50)])
+    sqlite = history._database.is_sqlite
+    with history._database.reading() as connection:
+        if not sqlite:  # so few rows are read sooner than their index
+            connection.execute(text("SET LOCAL enable_seqscan = off"))
+        statement = statements.shown_by_others([1, 2], "B").compile(
+            connection, compile_kwargs={"literal_binds": True}
+        )
+        explain = "EXPLAIN QUERY PLAN" if sqlite else "EXPLAIN"
+        lines = connection.execute(text(f"{explain} {str(statement).replace(':', chr(92) + ':')}"))
+        plan = "\n".join(str(tuple(line)) for line in lines)
+    assert "pictures" in plan
+    assert not re.search(r"SCAN (pictures|inspections)|Seq Scan", plan), plan
+
+
+def picture(part, pose):
+    return sha256(f"{part}/{pose}".encode()).hexdigest()
+
+
+@pytest.mark.soak
+def test_two_hundred_thousand_inspections_hold_no_part_up(tmp_path, new_row):
+    """24 pictures that nobody has seen are looked up in 600,000; the camera takes seconds for them."""
+    parts, at_once, poses = 200_000, 2000, range(3)
+    with open_history(tmp_path / "history.sqlite") as history:
+        for first in range(0, parts, at_once):
+            rows = range(first, first + at_once)
+            history.append_all([new_row(n, pixels=tuple(picture(n, pose) for pose in poses)) for n in rows])
+        took_s = []
+        for number in range(20):
+            asked = [picture(parts + number, pose) for pose in range(24)]
+            begun = time.perf_counter()
+            assert history.used_by_others(asked, "new") is None
+            took_s.append(time.perf_counter() - begun)
+        assert history.used_by_others([picture(parts - 1, 2)], "new").serial == f"A{parts - 1}"
+    assert sorted(took_s)[10] < 0.02
 
 
 def test_a_part_may_be_inspected_again(place, new_row):

@@ -23,6 +23,7 @@ from anisoscope.imaging.pose_radiance import region_grid
 from anisoscope.imaging.registration.placement import locate, resample
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.job import check_serial
+from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import Methods
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.parameters.geometry import Pose
@@ -110,6 +111,29 @@ def test_contrasts_of_the_record_follow_from_its_poses(virtual_rig):
         squares = np.sum([np.square(row.contributions) for row in record.budget], axis=0)
         assert [c.u**2 for c in record.details.contrasts] == pytest.approx(squares)
         assert record.d2 < 20
+
+
+@pytest.mark.parametrize("replays", [True, False])
+def test_pictures_of_another_part_are_noticed_live_and_a_simulation_may_repeat_them(
+    virtual_rig, plain, replays
+):
+    rig = virtual_rig(bench={"faults": {"replays": replays}})
+    asked = []
+
+    def used_before(pixels, serial):
+        asked.append((set(pixels), serial))
+        return "serial number A-1 on 2026-11-01"
+
+    found = inspection.inspect_part(
+        rig.recipe, rig.rig, "B-1", rig.out, methods=plain, used_before=used_before
+    )
+    if not replays:
+        assert (asked, found.record.verdict) == ([], "PASS")
+        return
+    assert asked == [({one.pixels for one in found.record.frames if one.kind == "sample"}, "B-1")]
+    assert found.record.verdict == "INVALID"
+    assert found.record.reasons == (inspection.old_pictures("serial number A-1 on 2026-11-01"),)
+    assert recompute(found.folder).differences == ()
 
 
 def test_the_same_files_give_the_same_numbers(virtual_rig):

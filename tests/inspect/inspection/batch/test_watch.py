@@ -142,6 +142,19 @@ def test_every_folder_is_inspected_once_and_remembered(place, look):
     assert look(place, remembered)[0] == []
 
 
+def test_frames_of_another_part_take_a_reason(place, look):
+    write_part(place.root / "P0", 0)
+    known = replace(place, used_before=lambda *_: "serial number A on 2026-01-01")
+    ((name, reason),) = look(known)[0]
+    assert name == "P0"
+    assert "judged as serial number A on 2026-01-01" in reason
+    assert "--reuse REASON" in reason
+    assert inspections(place) == []
+    assert look(replace(known, reuse="study of the gauge"))[0] == [("P0", "INVALID")]
+    (folder,) = inspections(place)
+    assert read_record(folder).reuse == "study of the gauge"
+
+
 def test_what_is_wrong_with_one_folder_does_not_stop_the_line(place, start, look, tmp_path, monkeypatch):
     for name in ("P0", "P1", "P2"):
         write_part(place.root / name, int(name[1]))
