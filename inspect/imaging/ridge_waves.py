@@ -131,8 +131,10 @@ def measured_pitch(measured: Measured, recipe: SurfaceRecipe) -> tuple[float, fl
     The wave of the ridges is found to `PITCH_BINS` of the resolution that the number of pitches gives.
 
     Returns:
-        None where the ridges do not stand out, or are not resolved.
+        None where the ridges do not stand out, or are not resolved, or no pictures were stored.
     """
+    if not measured.aligned:
+        return None
     pitch_um, grid = recipe.surface.pitch_um, measured.grid
     found = find_ridges(measured.aligned, grid.pixel_mm * 1000.0, pitch_um)
     if found is None or not found.is_expected or found.share < FAINT_PEAK:

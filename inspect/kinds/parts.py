@@ -22,7 +22,7 @@ from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
-from anisoscope.record.schema import ConclusionRecord, Record
+from anisoscope.record.schema import ConclusionRecord, DiagnosisRecord, Record
 from anisoscope.report.conclusion import concluded
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
@@ -202,6 +202,29 @@ class Redeciding(ABC):
         Raises:
             MeasurementError: nothing can be judged: INVALID.
         """
+
+    def taken_back(
+        self,
+        recipe: OfKind,
+        expected: OfKind,
+        measured: OfKind,
+        decided: OfKind,
+        reference: Reference | None,
+        *,
+        light_watched: bool,
+    ) -> tuple[DiagnosisRecord, str] | None:
+        """Diagnosis with the verdict where a fault of the rig takes a FAIL back, and the reason; None, the default.
+
+        Args:
+            recipe: the recipe.
+            expected: its prediction.
+            measured: the measurement.
+            decided: the verdict.
+            reference: parts that are known to be good.
+            light_watched: lamp, exposure and stray light were measured in every frame, and were right.
+        """
+        del recipe, expected, measured, decided, reference, light_watched
+        return None
 
 
 class Beginning(ABC):

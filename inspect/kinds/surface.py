@@ -78,6 +78,7 @@ from anisoscope.recipe.base import LimitsPart
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, check_lamp, check_material, read_surface_recipe
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
+    DiagnosisRecord,
     DirectionRecord,
     GoldenRecord,
     MapPlaceRecord,
@@ -86,6 +87,7 @@ from anisoscope.record.schema import (
     ShapeRecord,
 )
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
+from anisoscope.record.verdict import Verdict
 from anisoscope.report.conclusion import named_regions, surface_finding
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
@@ -334,20 +336,11 @@ class SurfaceKind(
         cached: bool = False,
     ) -> Explanation:
         """Causes, both comparisons, the fit over tilts, the place on the height map, and the golden parts."""
-        golden = cast("GoldenSet | None", usable(reference)) if decided.golden else None
+        golden = self._golden(reference, decided)
         predict, monitor = self._predict(cached=cached), sitting.views.monitor
-        diagnosis, unexplained = explain(
-            recipe,
-            expected,
-            measured,
-            decided,
-            advance,
-            golden,
-            self.causes,
-            predict=(lambda other: predict(other, expected.convention.light_angle_deg))
-            if recipe.decision.rig_faults
-            else None,
-            light_watched=monitor is not None and monitor.light_watched,
+        watched = monitor is not None and monitor.light_watched
+        diagnosis, unexplained = self._explained(
+            recipe, expected, measured, decided, golden, advance, light_watched=watched, cached=cached
         )
         # against golden parts the decision has other numbers
         known = None if decided.golden else (decided.d2, decided.dof, decided.p_value)
@@ -368,6 +361,54 @@ class SurfaceKind(
             },
             tuple(note for note in (lacking, unlike, unexplained, compared.note, unfitted, unplaced) if note),
             "" if diagnosis.verdict is None else rig_reason(diagnosis),
+        )
+
+    def taken_back(
+        self,
+        recipe: RecipeT,
+        expected: Expectation,
+        measured: Measured,
+        decided: Decision,
+        reference: Reference | None,
+        *,
+        light_watched: bool,
+    ) -> tuple[DiagnosisRecord, str] | None:
+        """Diagnosis of a FAIL alone, without comparisons and fits."""
+        if decided.verdict is not Verdict.FAIL or not recipe.decision.rig_faults:
+            return None
+        golden = self._golden(reference, decided)
+        diagnosis, _ = self._explained(
+            recipe, expected, measured, decided, golden, light_watched=light_watched, cached=True
+        )
+        return None if diagnosis.verdict is None else (diagnosis, rig_reason(diagnosis))
+
+    def _golden(self, reference: Reference | None, decided: Decision) -> GoldenSet | None:
+        return cast("GoldenSet | None", usable(reference)) if decided.golden else None
+
+    def _explained(
+        self,
+        recipe: RecipeT,
+        expected: Expectation,
+        measured: Measured,
+        decided: Decision,
+        golden: GoldenSet | None,
+        advance: Advance = silent,
+        *,
+        light_watched: bool,
+        cached: bool,
+    ) -> tuple[DiagnosisRecord, str | None]:
+        """Ranked causes, faults of the rig among them, and a note where that failed."""
+        predict, light_deg = self._predict(cached=cached), expected.convention.light_angle_deg
+        return explain(
+            recipe,
+            expected,
+            measured,
+            decided,
+            advance,
+            golden,
+            self.causes,
+            predict=(lambda other: predict(other, light_deg)) if recipe.decision.rig_faults else None,
+            light_watched=light_watched,
         )
 
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:

@@ -115,6 +115,11 @@ class RigMonitorRecord(_Part):
     dirty: tuple[int, ...] = ()
     not_watched: tuple[str, ...] = ()
 
+    @property
+    def light_watched(self) -> bool:
+        """Whether lamp, exposure and stray light were measured in every pose."""
+        return bool(self.poses) and all(pose.stray is not None for pose in self.poses)
+
 
 class ContrastRecord(_Part):
     """One contrast of a pair of stage angles.

@@ -24,7 +24,7 @@ from anisoscope.imaging.views import resuming_error
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.kept_measurement import CHANGE, read_kept
 from anisoscope.inspection.manifest import reopen
-from anisoscope.inspection.pipeline import judge
+from anisoscope.inspection.pipeline import Case, judge
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation
 from anisoscope.kinds.parts import Redeciding, Reference, read_reference
 from anisoscope.kinds.registry import kind_of
@@ -281,7 +281,7 @@ def rejudged(task: Task) -> Rejudged:
         if kept is None:
             why = why or "its measurement was not kept (an earlier version, or INVALID)"
             return replace(_from_frames(start, task, plan, record), frames_because=why)
-        return _from_kept(start, kept, plan, _prediction(task, plan, record))
+        return _from_kept(start, kept, plan, _prediction(task, plan, record), record)
     except AnisoscopeError as error:
         return replace(start, reasons=(" ".join(str(error).split()),))
 
@@ -292,7 +292,9 @@ def _needs_frames(plan: _Plan, recorded: Mapping[str, Any]) -> str | None:
     return plan.kind.needs_frames(recorded, plan.recipe)
 
 
-def _from_kept(start: Rejudged, kept: Mapping[str, Any], plan: _Plan, expected: Expected) -> Rejudged:
+def _from_kept(
+    start: Rejudged, kept: Mapping[str, Any], plan: _Plan, expected: Expected, record: Record
+) -> Rejudged:
     kind, recipe = plan.kind, plan.recipe
     assert isinstance(kind, Redeciding)  # else its frames are needed
     try:
@@ -302,7 +304,36 @@ def _from_kept(start: Rejudged, kept: Mapping[str, Any], plan: _Plan, expected: 
     invalid = resuming_error(float(kept[CHANGE]), recipe.limits.drift) or kind.drift_error(measured, recipe)
     if invalid:
         return replace(start, after=Verdict.INVALID.value, reasons=(invalid,), judged_from="kept")
-    return replace(start, after=decided.verdict.value, reasons=decided.reasons, judged_from="kept")
+    monitor = record.rig_monitor
+    found = kind.taken_back(
+        recipe,
+        expected,
+        measured,
+        decided,
+        plan.reference,
+        light_watched=monitor is not None and monitor.light_watched,
+    )
+    verdict, reasons = decided.verdict, decided.reasons
+    if found is not None:
+        verdict, reasons = found[0].verdict or verdict, (found[1], *reasons)
+    return replace(start, after=verdict.value, reasons=reasons, judged_from="kept")
+
+
+def _taken_back(case: Case, advance: Advance) -> Explanation:
+    """Diagnosis of a FAIL that a fault of the rig takes back; nobody reads other causes."""
+    del advance
+    monitor = case.sitting.views.monitor
+    if not isinstance(case.kind, Redeciding):
+        return Explanation()
+    found = case.kind.taken_back(
+        case.recipe,
+        case.expected,
+        case.measured,
+        case.decided,
+        case.reference,
+        light_watched=monitor is not None and monitor.light_watched,
+    )
+    return Explanation() if found is None else Explanation(found[0], reason=found[1])
 
 
 def _from_frames(start: Rejudged, task: Task, plan: _Plan, record: Record) -> Rejudged:
@@ -311,7 +342,7 @@ def _from_frames(start: Rejudged, task: Task, plan: _Plan, record: Record) -> Re
     manifest, job = reopen(folder)
     job = replace(job, recipe=plan.recipe, reference=plan.reference)
     frames = read_frames(folder, manifest)
-    now, *_ = judge(manifest, job, _prediction(task, plan, record), frames, diagnose=lambda *_: Explanation())
+    now, *_ = judge(manifest, job, _prediction(task, plan, record), frames, diagnose=_taken_back)
     return replace(start, after=now.verdict, reasons=now.reasons, judged_from="frames")
 
 

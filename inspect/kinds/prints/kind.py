@@ -1,6 +1,7 @@
 """Prints with structural-colour inks as a kind of part."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,7 +29,13 @@ from anisoscope.kinds.prints.lighting import (
     lamp_and_sensitivities,
     print_files,
 )
-from anisoscope.kinds.prints.measurement import MeasuredPrint, check_print_dirt, measure_print, region_mean
+from anisoscope.kinds.prints.measurement import (
+    MeasuredPrint,
+    check_print_dirt,
+    check_print_follows,
+    measure_print,
+    region_mean,
+)
 from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
@@ -125,7 +132,7 @@ class Prints(
         check_views(views.poses)
         measured = measure_print(views.poses, closing, recipe, filters)
         check_print_dirt(views.poses, recipe, filters, expected.eye, measured.channels)
-        return measured, change
+        return replace(measured, unwatched=check_print_follows(views.poses, recipe, pixel_um)), change
 
     def drift_error(self, measured: MeasuredPrint, recipe: PrintRecipe) -> str | None:
         """Why the measurement is invalid, if the repeated first pose differs too much at the end."""
@@ -154,10 +161,12 @@ class Prints(
         reference: Reference | None,
     ) -> Results:
         """Results for the record."""
-        del recipe, measured
+        del recipe
         names = (lamp_and_sensitivities(sitting.rig)[1].name, sitting.frames.filters)
         lacking = reference and reference.lacking
-        return print_results(expected, decided, names, (lacking,) if lacking else ())
+        return print_results(
+            expected, decided, names, (*measured.unwatched, *((lacking,) if lacking else ()))
+        )
 
     def diagnose(
         self,

@@ -18,7 +18,9 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError, Saturated
-from anisoscope.imaging.registration.placement import Grid, View, angle_between
+from anisoscope.imaging.part_turn import check_follows
+from anisoscope.imaging.registration.placement import Grid, View, angle_between, resample
+from anisoscope.imaging.views import luminance
 from anisoscope.kinds.prints.colour import Eye
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.sources import Source, of_each, of_poses
@@ -50,6 +52,7 @@ class MeasuredPrint:
         grid: raster of the cells.
         drift: L(first pose, at the end)/L(first pose, at the start) − 1, or None.
         pictures: what the cells were taken from, for a closer look; None where there are none.
+        unwatched: notes on what the gates could not see.
     """
 
     channels: FloatArray
@@ -59,6 +62,7 @@ class MeasuredPrint:
     grid: Grid
     drift: float | None
     pictures: Mosaics | None = None
+    unwatched: tuple[str, ...] = ()
 
 
 def cell_grid(recipe: PrintRecipe) -> Grid:
@@ -126,6 +130,16 @@ def measure_print(
         drift,
         Mosaics(tuple(views), filters),
     )
+
+
+def check_print_follows(views: Sequence[View], recipe: PrintRecipe, pixel_um: float) -> tuple[str, ...]:
+    """Check by its pattern or texture that a print follows its fixture; as of `check_follows`."""
+    side = 1000.0 * min(recipe.region.size_mm) / pixel_um
+    grid = Grid(
+        recipe.region.center_mm, pixel_um / 1000.0, (int(side), int(side)), recipe.poses.facet_azimuth_deg
+    )
+    pictures = [resample(luminance(view.image.value), view.placement, grid) for view in views]
+    return check_follows(pictures, [view.stage_deg for view in views], recipe.limits.part_turn_deg)
 
 
 def region_mean(view: View, recipe: PrintRecipe, filters: str) -> float:

@@ -9,6 +9,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cause_words import CauseWords
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.imaging.area_limit import MIN_PARTS
+from anisoscope.imaging.part_turn import check_follows
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.predicted_cells import even_cells
 from anisoscope.imaging.quality_gates import check_edges
@@ -179,9 +180,10 @@ class Wafers(SurfaceKind[WaferRecipe]):
         return recipe.model_copy(update={"uncertainty": stated})
 
     def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> tuple[str, ...]:
-        """Check that the region does not leave the wafer, whose tiles are all alike."""
-        del views
-        return check_edges(without_grain(measured.cells), measured.grid, recipe)
+        """Check that the region does not leave the wafer, and that it follows its fixture; its tiles are alike."""
+        stages_deg = [view.stage_deg for view in views]
+        notes = check_edges(without_grain(measured.cells), measured.grid, recipe)
+        return notes + check_follows(measured.aligned, stages_deg, recipe.limits.part_turn_deg)
 
     def predicted_cells(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured

@@ -174,9 +174,12 @@ def test_record_and_conclusion_name_the_fault_and_what_to_do(virtual_rig, undiag
     found = DiagnosisRecord(says="turned", causes=(cause,), rig_fault="turned-180", verdict=verdict)
     methods = replace(undiagnosed, diagnose=lambda *_: Explanation(found, reason="it lies turned"))
     bench = {"sample": {"ridge_angle_deg": 7.0}}
-    decision = {"remeasure": 0}
-    record = virtual_rig(bench=bench, recipe={"decision": decision}).inspect(methods=methods).record
-    assert record.verdict == verdict.value
+    record = (
+        virtual_rig(bench=bench, recipe={"decision": {"remeasure": 1, "deviation": "fail"}})
+        .inspect(methods=methods)
+        .record
+    )
+    assert (record.verdict, record.rounds) == (verdict.value, 1)  # more pictures would not tell them apart
     assert record.reasons[0] == "it lies turned"
     assert record.conclusion.follows_from == "turned-180"
     assert "it lies turned" in record.conclusion.finding

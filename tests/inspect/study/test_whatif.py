@@ -75,6 +75,21 @@ def test_a_tolerance_is_judged_from_what_was_kept_as_from_the_frames(past, monke
     assert json.dumps(as_json(kept))
 
 
+def test_a_fault_of_the_rig_takes_a_fail_back_as_in_the_inspection(virtual_rig, plain, monkeypatch):
+    rig = virtual_rig(bench={"faults": {"seated_deg": 180.0}})
+    inspected = rig.inspect(methods=plain)
+    assert inspected.record.verdict == "INVALID"
+    assert inspected.record.diagnosis.rig_fault == "turned-180"
+    one = row(inspected.folder)
+    (kept,) = what_if(rig.recipe, [one], {}, HERE).inspections
+    assert (kept.after, kept.judged_from) == ("INVALID", "kept")
+    assert kept.reasons[0] == inspected.record.reasons[0]
+    kind = module._plan(rig.recipe.resolve(), "x").kind
+    monkeypatch.setattr(type(kind), "needs_frames", lambda *_: "a test asks")
+    (frames,) = what_if(rig.recipe, [one], {}, HERE).inspections
+    assert (frames.after, frames.judged_from, frames.reasons[0]) == ("INVALID", "frames", kept.reasons[0])
+
+
 def test_another_region_takes_the_frames_and_says_so(past):
     other, one = past
     (part,) = what_if(other(region={"size_mm": [0.8, 0.8]}), [one], {}, HERE).inspections

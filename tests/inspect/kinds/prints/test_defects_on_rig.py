@@ -82,7 +82,7 @@ def test_a_region_that_leaves_the_sheet_is_noted(print_rig):
     region = {"center_mm": [0.2, 0.0], "size_mm": [1.6, 1.6]}
     done = print_rig.inspect({}, recipe={"region": region}, bench={"sample": {"size_mm": 1.6}})
     assert done.record.verdict == "FAIL"
-    assert "the region reaches beyond the part at 2 corners: " in done.notes[0]
+    assert any("the region reaches beyond the part at 2 corners: " in note for note in done.notes)
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,18 @@ def test_a_good_wafer_passes_and_its_pictures_are_as_predicted(inspected):
     assert np.log(bright / dark) > 1.5
 
 
+def test_a_wafer_that_slips_on_its_fixture_is_invalid(wafers, plain):
+    place = wafers / "bench" / "slips"
+    shutil.copytree(wafers / "bench" / "good", place)
+    bench = tomllib.loads((place / "bench.toml").read_text())
+    bench["faults"] = {"slips_at": 2, "slip_deg": 5.0}
+    (place / "bench.toml").write_text(tomli_w.dumps(bench))
+    out = wafers / "slipped"
+    record = inspect_part(wafers / "recipe.toml", place / "rig.toml", "W-slips", out, methods=plain).record
+    assert record.verdict == "INVALID"
+    assert "between 0° and 90° the part turned by +5.0° on its fixture" in record.reasons[0]
+
+
 def test_the_record_and_the_report_say_which_optics_and_why(inspected):
     record, report = inspected("good").record, inspected("good").report.read_text()
     assert (record.model, record.optics.asked, record.optics.model) == ("wave", "auto", "wave")
