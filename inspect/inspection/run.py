@@ -449,7 +449,7 @@ def _is_last_round(manifest: Manifest, job: Job) -> bool:
 
 
 def _settled(manifest: Manifest, job: Job, judged: Judged) -> bool:
-    """Whether no further round of photographs is due: more of them tell no fault of the rig from a defect."""
+    """Whether no further round of photographs is due: more of them do not separate a fault of the rig from a defect."""
     record = judged[0]
     if record.diagnosis is not None and record.diagnosis.rig_fault is not None:
         return True

@@ -320,7 +320,7 @@ def _from_kept(
 
 
 def _taken_back(case: Case, advance: Advance) -> Explanation:
-    """Diagnosis of a FAIL that a fault of the rig takes back; nobody reads other causes."""
+    """Diagnosis of a FAIL that a fault of the rig takes back; other causes are not read."""
     del advance
     monitor = case.sitting.views.monitor
     if not isinstance(case.kind, Redeciding):
