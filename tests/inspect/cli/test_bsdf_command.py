@@ -50,8 +50,8 @@ def test_what_goes_out_comes_in(anisoscope, flat, tmp_path):
     for one in fitted.json["parameters"]:
         assert one["value"] == pytest.approx(0.1, rel=0.01), one["name"]
     right, wrong = (
-        anisoscope("bsdf", "fit", flat, "--ridge-angle", "0", "--alpha-along", alpha, "--json").json
-        for alpha in ("0.1", "0.11")
+        anisoscope("bsdf", "fit", file, "--ridge-angle", "0", "--alpha-along", alpha, "--json").json
+        for file, alpha in ((flat, "0.1"), (table, "0.11"))
     )
     assert right["rms_residual"] < 0.1 * wrong["rms_residual"]
 

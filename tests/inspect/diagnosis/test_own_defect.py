@@ -103,10 +103,13 @@ def test_a_package_brings_a_defect(sink, tmp_path):
 
 
 def test_an_action_for_it_may_stand_in_a_recipe(sink, virtual_rig):
-    part = virtual_rig(recipe={"actions": {"sink": "Set it aside"}})
+    """The arm is looked at after the actions, and signatures of all causes, which take long, after the arm."""
+    part = virtual_rig(recipe={"actions": {"sink": "Set it aside"}, "poses": {"tilts_deg": [85.0]}})
     command = ("recipe", "check", part.recipe, "--rig", part.rig)
     assert "actions.sink: no cause" in afresh(*command, path="").stderr
-    assert "actions.sink" not in afresh(*command, path=sink).stderr
+    known = afresh(*command, path=sink).stderr
+    assert "actions.sink" not in known
+    assert "a tilt of 85° was asked for" in known
 
 
 @pytest.mark.parametrize(
