@@ -1,7 +1,6 @@
 """The example of docs/own-driver.md, installed by pip as a third party's package is."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -65,55 +64,44 @@ def installed(tmp_path_factory):
 
 
 @pytest.fixture
-def anisoscope(installed, tmp_path):
+def with_example(anisoscope, installed, tmp_path):
     """Runs the command line with the example installed."""
-
-    def go(*arguments):
-        environment = os.environ | {"PYTHONPATH": str(installed)}
-        command = [sys.executable, "-m", "anisoscope", *map(str, arguments)]
-        return subprocess.run(
-            command, capture_output=True, text=True, check=False, timeout=200, cwd=tmp_path, env=environment
-        )
-
-    return go
+    return lambda *arguments: anisoscope(*arguments, cwd=tmp_path, path=[installed])
 
 
-def test_status_names_the_devices_of_the_third_party(anisoscope):
-    done = anisoscope("rig", "status", "-g", EXAMPLE / "rig.toml", "--json")
-    assert done.returncode == 0, done.stdout + done.stderr
-    found = json.loads(done.stdout)
+def test_status_names_the_devices_of_the_third_party(with_example):
+    done = with_example("rig", "status", "-g", EXAMPLE / "rig.toml", "--json")
+    assert done.code == 0, done.out + done.err
+    found = json.loads(done.out)
     assert found["stage"]["device"] == "turntable at COM3"
     assert found["stage"]["limits_deg"] == [0.0, 350.0]
     assert found["camera"]["device"] == "grating camera G-1"
 
 
-def test_its_stage_keeps_the_motion_rules(anisoscope):
+def test_its_stage_keeps_the_motion_rules(with_example):
     rig = EXAMPLE / "rig.toml"
-    done = anisoscope("rig", "move", "30", "--sample", "-g", rig, "--yes")
-    assert done.stdout == "stage turntable at COM3: was at 0.000°, is at 35.000° (part 30.000°)\n", (
-        done.stderr
-    )
-    done = anisoscope("rig", "move", "355", "-g", rig, "--yes")
-    assert (done.returncode, "355° is outside 0°…350°" in done.stderr) == (69, True)
+    done = with_example("rig", "move", "30", "--sample", "-g", rig, "--yes")
+    assert done.out == "stage turntable at COM3: was at 0.000°, is at 35.000° (part 30.000°)\n", done.err
+    done = with_example("rig", "move", "355", "-g", rig, "--yes")
+    assert (done.code, "355° is outside 0°…350°" in done.err) == (69, True)
 
 
-def test_its_camera_takes_pictures(anisoscope, tmp_path):
-    done = anisoscope(
+def test_its_camera_takes_pictures(with_example, tmp_path):
+    done = with_example(
         "rig", "snap", "-g", EXAMPLE / "rig.toml", "--exposure", 0.005, "--out", "a.tif", "--json"
     )
-    assert done.returncode == 0, done.stderr
-    frame, found = read_frame(tmp_path / "a.tif"), json.loads(done.stdout)
+    assert done.code == 0, done.err
+    frame, found = read_frame(tmp_path / "a.tif"), json.loads(done.out)
     assert frame.camera == "grating camera G-1"
     assert frame.stage_deg == -5.0
     assert found["ridge_deg"] == pytest.approx(0.0, abs=0.1)
     assert found["mean_counts"] == pytest.approx(64 + 1000, rel=0.01)
 
 
-def test_without_the_package_its_name_is_unknown(tmp_path):
-    command = [sys.executable, "-Im", "anisoscope", "rig", "status", "-g", str(EXAMPLE / "rig.toml")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=200)
-    assert done.returncode == 69
-    assert "there is no stage driver 'turntable'; installed: apt" in done.stdout
+def test_without_the_package_its_name_is_unknown(anisoscope):
+    done = anisoscope("rig", "status", "-g", EXAMPLE / "rig.toml")
+    assert done.code == 69
+    assert "there is no stage driver 'turntable'; installed: apt" in done.out
 
 
 def test_what_the_page_shows_is_in_the_files():

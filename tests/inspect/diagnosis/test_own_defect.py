@@ -1,8 +1,5 @@
 """A new defect is one object in one file: of a package (the example of docs/own-defect.md), or of a notebook."""
 
-import json
-import os
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -54,13 +51,6 @@ def sink(tmp_path_factory):
     return installed(tmp_path_factory.mktemp("sink"), "sink", " = ".join(point), text)
 
 
-def afresh(*arguments, path):
-    """A command in a new interpreter, which finds the package as a user's does."""
-    command = [sys.executable, "-m", "anisoscope", *map(str, arguments)]
-    environment = os.environ | {"PYTHONPATH": str(path)}
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, env=environment)
-
-
 def test_the_defects_are_listed_in_their_places():
     assert tuple(DEFECTS) == OURS
     assert all(one.title and one.plain for one in DEFECTS.values())
@@ -90,24 +80,24 @@ def test_the_signature_of_a_new_defect_is_computed(monkeypatch, make_recipe):
     )
 
 
-def test_a_package_brings_a_defect(sink, tmp_path):
-    listed = json.loads(afresh("profile", "spoil", "--list", "--json", path=sink).stdout)
+def test_a_package_brings_a_defect(anisoscope, sink, tmp_path):
+    listed = anisoscope("profile", "spoil", "--list", "--json", path=[sink]).json
     assert list(listed) == [*OURS, "sink"]
     part, out = tmp_path / "part.npz", tmp_path / "sunk.npz"
-    made = afresh("profile", "make", "ridges", "--size", "100,200", "--out", part, path=sink)
-    assert made.returncode == 0, made.stderr
-    done = afresh("profile", "spoil", part, "sink", "--depth-um", "4", "--out", out, path=sink)
-    assert done.returncode == 0, done.stderr
+    made = anisoscope("profile", "make", "ridges", "--size", "100,200", "--out", part)
+    assert made.code == 0, made.err
+    done = anisoscope("profile", "spoil", part, "sink", "--depth-um", "4", "--out", out, path=[sink])
+    assert done.code == 0, done.err
     change = read_height_map(out).height_um - read_height_map(part).height_um
     assert change.min() == pytest.approx(-4.0, abs=0.01)
 
 
-def test_an_action_for_it_may_stand_in_a_recipe(sink, virtual_rig):
+def test_an_action_for_it_may_stand_in_a_recipe(anisoscope, sink, virtual_rig):
     """The arm is looked at after the actions, and signatures of all causes, which take long, after the arm."""
     part = virtual_rig(recipe={"actions": {"sink": "Set it aside"}, "poses": {"tilts_deg": [85.0]}})
     command = ("recipe", "check", part.recipe, "--rig", part.rig)
-    assert "actions.sink: no cause" in afresh(*command, path="").stderr
-    known = afresh(*command, path=sink).stderr
+    assert "actions.sink: no cause" in anisoscope(*command).err
+    known = anisoscope(*command, path=[sink]).err
     assert "actions.sink" not in known
     assert "a tilt of 85° was asked for" in known
 
