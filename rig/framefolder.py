@@ -21,7 +21,7 @@ import csv
 import hashlib
 import io
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -207,6 +207,9 @@ class HeldFile:
         self._content = None
 
 
+Linearise = Callable[[npt.NDArray[np.uint16]], npt.NDArray[np.uint16]]
+
+
 @dataclass(frozen=True)
 class FrameEntry:
     """A line of ``frames.csv``.
@@ -223,6 +226,8 @@ class FrameEntry:
         again: whether it was taken after the return to the first pose.
         filters: the colour filters on the camera's pixels.
         held: the file with its content, where that is held.
+        linearise: bits of the counts in the picture, and what makes linear ones of them with `bit_depth` and
+            `black_level`; None where they are linear, or nothing is known.
     """
 
     path: Path
@@ -236,6 +241,7 @@ class FrameEntry:
     again: bool = False
     filters: str = "mono"
     held: HeldFile | None = field(default=None, repr=False, compare=False)
+    linearise: tuple[int, Linearise] | None = field(default=None, repr=False, compare=False)
 
     def load(self, content: bytes | None = None) -> Frame:
         """The frame, with the settings of the table; time and camera from the picture if it is one of ours.
@@ -248,7 +254,9 @@ class FrameEntry:
         """
         if content is None:
             content = file_content(self.path) if self.held is None else self.held.content()
-        counts = as_frame_counts(counts_of(content, self.path), self.bit_depth, self.path)
+        raw_bits, linear = self.linearise or (self.bit_depth, None)
+        counts = as_frame_counts(counts_of(content, self.path), raw_bits, self.path)
+        counts = counts if linear is None else linear(counts)
         commanded_deg, captured_at, camera = self.stage_deg, "", "unknown"
         if (ours := header_of(content)) is not None:
             captured_at, camera = ours.captured_at, ours.camera

@@ -1,10 +1,11 @@
 """Which frames of a folder belong to which pose of a recipe, and the white reference that they hold."""
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from anisoscope.base.errors import RecordError
+from anisoscope.base.errors import RecordError, RigFileError
 from anisoscope.calibration.white_reference import make_reference
 from anisoscope.decision.equipment import UNKNOWN
 from anisoscope.imaging.exposure_fusion import MIN_FRAMES
@@ -13,6 +14,7 @@ from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.geometry import Pose as LightPose
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.plan import Pose
+from anisoscope.rig.cameras.response import LINEAR_BITS, LINEAR_BLACK, ResponseCurve
 from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder
 from anisoscope.sim.light.geometry import directions
@@ -118,6 +120,28 @@ def _check_exposures(folder: FrameFolder) -> None:
                 f"{folder.folder}: there is no dark frame of {entry.exposure_s:g} s at gain {entry.gain:g}, as the "
                 f"{entry.kind} frame {entry.path.name} was exposed: take some with the light off"
             )
+
+
+def linear_entries(entries: Sequence[FrameEntry], curve: ResponseCurve) -> tuple[FrameEntry, ...]:
+    """Frames of a camera that is not linear, read through its response curve.
+
+    Raises:
+        RigFileError: the curve is that of other bits or of another camera.
+    """
+    if not entries:
+        return ()
+    camera, bits = entries[0].load().camera, {entry.bit_depth for entry in entries}
+    if bits != {curve.bit_depth} or (camera != UNKNOWN and curve.camera not in camera):
+        raise RigFileError(
+            f"camera.options.response is the curve of camera {curve.camera} with {curve.bit_depth} bits, the frames "
+            f"are of camera {camera} with {', '.join(map(str, sorted(bits)))}: take one of it with `anisoscope "
+            "calibrate response`"
+        )
+    through = (curve.bit_depth, curve.linearise)
+    return tuple(
+        replace(entry, bit_depth=LINEAR_BITS, black_level=float(LINEAR_BLACK), linearise=through)
+        for entry in entries
+    )
 
 
 def camera_of(replay: Replay) -> str | None:

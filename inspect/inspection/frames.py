@@ -6,14 +6,18 @@ from pathlib import Path
 from anisoscope.base.errors import RecordError
 from anisoscope.base.parallel import for_each
 from anisoscope.imaging.frames import AcquiredFrames, Shot
+from anisoscope.inspection.frame_table import linear_entries
 from anisoscope.inspection.manifest import Manifest, checked, checked_content
 from anisoscope.record.schema import InputFile
 from anisoscope.rig.acquisition.journal import FrameLine, Journal, read_journal
 from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.cameras.response import read_response
 from anisoscope.rig.frame import Frame, frame_of
 from anisoscope.rig.framefolder import frame_entries
 
 NOT_USED = "not used"
+RESPONSE = "camera response"
+"""Role of the curve through which frames of a camera that is not linear were read."""
 REPLAYED = "as the table of the frames says"
 
 
@@ -77,7 +81,11 @@ def _loader(folder: Path, manifest: Manifest) -> Callable[[bytes, str], Frame]:
     """Decoder of the bytes of a frame by its name; frames of a replay are described by their table."""
     if manifest.origin == "rig":
         return lambda content, name: frame_of(content, folder / name)
-    entries = {entry.path: entry for entry in frame_entries(folder / FRAMES)}
+    read = tuple(frame_entries(folder / FRAMES))
+    for copy in manifest.inputs:
+        if copy.role == RESPONSE:
+            read = linear_entries(read, read_response(checked(copy, folder)))
+    entries = {entry.path: entry for entry in read}
 
     def load(content: bytes, name: str) -> Frame:
         entry = entries.get((folder / name).resolve())

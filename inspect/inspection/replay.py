@@ -18,8 +18,8 @@ from anisoscope.decision.equipment import UNKNOWN
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import WhiteReference, check_size
 from anisoscope.inspection.folder import INPUTS, new_folder
-from anisoscope.inspection.frame_table import Replay, arrange, camera_of, white_of
-from anisoscope.inspection.frames import REPLAYED
+from anisoscope.inspection.frame_table import Replay, arrange, camera_of, linear_entries, white_of
+from anisoscope.inspection.frames import REPLAYED, RESPONSE
 from anisoscope.inspection.job import (
     Job,
     Source,
@@ -47,10 +47,11 @@ from anisoscope.kinds.parts import Reference, reference_on
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.record.schema import Particulars
+from anisoscope.record.schema import Particulars, sha256_of
 from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
 from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.cameras.response import read_response
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import header_of
 from anisoscope.rig.framefolder import TABLE, FrameFolder, HeldFile, read_frame_folder
@@ -119,7 +120,8 @@ def inspect_frames(
             reuse=reuse.strip(),
             share=True,
         )
-        acquired = _copy(given.replay, given.frames, folder, on_progress)
+        linear = given.rig.camera.options.get("linear") is not False
+        acquired = _copy(given.replay, given.frames, folder, on_progress, linear=linear)
         on_progress("measurement", 0, 1)
         judged = judged_by(manifest, job, ready, acquired, on_progress)
         inspected, report = conclude(folder, manifest, job, ready, on_progress, judged)
@@ -221,6 +223,10 @@ def read_given(
     rig = rig if rig.light.channel else rig.in_channel(None)
     fixture = fixture_of(rig, rig_path)
     read = given if isinstance(given, FrameFolder) else read_frame_folder(frames, hold=True)
+    response = rig.camera.options.get("response")
+    if response:
+        curve = read_response(Path(str(response)))
+        read = replace(read, entries=linear_entries(read.entries, curve))
     replay = arrange(read, recipe)
     white_of_frames = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if white_of_frames is not None else _white_of_rig(rig, rig_path, replay)
@@ -230,6 +236,8 @@ def read_given(
         *sources_of(recipe_path, rig_path, kind, recipe, rig),
         Source("frame table", frames / TABLE, read.table_sha256),
     )
+    if response:
+        sources += (Source(RESPONSE, Path(str(response)), sha256_of(Path(str(response)))),)
     return Given(
         serial,
         kind,
@@ -349,10 +357,12 @@ def _white_of_rig(rig: RigFile, rig_path: Path, replay: Replay) -> WhiteReferenc
     return white
 
 
-def _copy(replay: Replay, frames: Path, folder: Path, advance: Advance) -> AcquiredFrames:
+def _copy(replay: Replay, frames: Path, folder: Path, advance: Advance, *, linear: bool) -> AcquiredFrames:
     """Copy the frames as they are, and enter each in the journal; what is held of them is released."""
     now = datetime.now(UTC).isoformat(timespec="milliseconds")
-    run = RunLine(run=0, stage=REPLAYED, tilt=None, camera=camera_of(replay) or UNKNOWN, started_at=now)
+    run = RunLine(
+        run=0, stage=REPLAYED, tilt=None, camera=camera_of(replay) or UNKNOWN, started_at=now, linear=linear
+    )
     lines: list[RunLine | FrameLine] = [run]
     shots, inside = [], frames.resolve()
     with JournalFile(folder) as journal:
@@ -374,7 +384,7 @@ def _copy(replay: Replay, frames: Path, folder: Path, advance: Advance) -> Acqui
                 held.release()
         finally:
             journal.append(lines)
-    return AcquiredFrames(tuple(shots), run.camera, REPLAYED)
+    return AcquiredFrames(tuple(shots), run.camera, REPLAYED, linear)
 
 
 def _line(shot: Shot, step: int) -> FrameLine:

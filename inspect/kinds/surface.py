@@ -93,6 +93,9 @@ from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
 RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
+NO_RETURN = (
+    "not watched: a slip of the part by half a turn between two poses (the first pose was not photographed again)"
+)
 MEASURED_BY = (
     "poses",
     "region",
@@ -223,7 +226,8 @@ class SurfaceKind(
         check_views(views.poses, recipe)
         calibrated = sitting.calibrated(recipe)
         measured = measure(views.poses, closing, calibrated, expected, pixel_um)
-        return replace(measured, unwatched=self.check_part(views.poses, measured, recipe)), change
+        notes = self.check_part(views.poses, measured, recipe)
+        return replace(measured, unwatched=notes if closing is not None else (*notes, NO_RETURN)), change
 
     def decide(
         self,

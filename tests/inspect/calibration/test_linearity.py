@@ -1,5 +1,7 @@
 """A camera with a gamma curve is told to be uncalibrated until its response curve is taken; then it measures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,11 @@ from anisoscope.calibration.linearity import calibrate_response
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli import run
 from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.replay import inspect_frames
 from anisoscope.rig.cameras.response import ResponseCurve, read_response, write_response
 from anisoscope.rig.drivers import open_camera
+from anisoscope.rig.frame import read_frame
+from anisoscope.rig.framefolder import write_frame_folder
 
 GAMMA = 2.2
 WEBCAM = {"bit_depth": 8, "black_level": 2.0, "gain_e_per_dn": 110.0, "gamma": GAMMA, "auto_exposure": "off"}
@@ -68,6 +73,40 @@ def test_uncalibrated_is_written_down_until_the_curve_is_given(virtual_rig, curv
     assert not any("uncalibrated" in note for note in found.notes)
     for pair in found.details.contrasts:
         assert pair.measured == pytest.approx(pair.predicted, rel=0.03)
+
+
+def test_folders_of_frames_are_read_through_the_curve(virtual_rig, curve, undiagnosed, tmp_path):
+    _, path = curve
+    bent = lay_out(virtual_rig, "bent").inspect(methods=undiagnosed)
+    frames = [replace(read_frame(bent.folder / one.name), serial=None) for one in bent.record.frames]
+    again = [one.again for one in bent.record.frames]
+    write_frame_folder(tmp_path / "frames", frames, again)
+
+    def judged(rig, folder="frames"):
+        how = {"rig_path": rig.rig, "methods": undiagnosed}
+        return inspect_frames(tmp_path / folder, rig.recipe, "F-1", tmp_path / "out", **how)
+
+    found = judged(lay_out(virtual_rig, "good", response=str(path)))
+    assert found.record.verdict == "PASS", found.record.reasons
+    assert not any("uncalibrated" in note for note in found.record.notes)
+    for pair in found.record.details.contrasts:
+        assert pair.measured == pytest.approx(pair.predicted, rel=0.03)
+    path.rename(path.with_name("gone.json"))  # the inspection has its own copy
+    again_found = recompute(found.folder).differences
+    assert [one for one in again_found if not one.startswith(("details.", "diagnosis"))] == []
+    path.with_name("gone.json").rename(path)
+
+    stated = lay_out(virtual_rig, "stated")
+    text = stated.rig.read_text(encoding="utf-8")
+    stated.rig.write_text(
+        text.replace("[camera.options]", "[camera.options]\nlinear = false"), encoding="utf-8"
+    )
+    told = judged(stated).record
+    assert told.notes[0].startswith("uncalibrated: the camera does not count in proportion to light")
+    other = [replace(frame, camera="another 7") for frame in frames]
+    write_frame_folder(tmp_path / "other", other, again)
+    with pytest.raises(RigFileError, match="of camera another 7"):
+        judged(lay_out(virtual_rig, "foreign", response=str(path)), "other")
 
 
 def test_a_curve_of_another_camera_and_a_camera_that_is_linear(virtual_rig, tmp_path):

@@ -58,6 +58,8 @@ LIVE = {
     "part mirrored": {"upside_down": True},
     "part stays behind by 90° at the last pose": {"slips_at": 3, "slip_deg": -90.0},
     "part slips by 5° at 90°": {"slips_at": 2, "slip_deg": 5.0},
+    "part slips by 180° at 90°": {"slips_at": 2, "slip_deg": 180.0},
+    "part slips by 180° at the last pose": {"slips_at": 3, "slip_deg": 180.0},
     "one marker dirty": {"dirty_marker": 0},
     "one marker in shadow": {"shadowed_marker": 0},
 }
@@ -89,6 +91,8 @@ the [virtual rig](virtual-rig.md#faults-of-the-rig), or in *frames* of a sound i
 The rig knows the [reference of its fixture](registration.md#the-rig-is-watched).
 A fault of the rig must never pass a defective part, nor fail a good one. The last column is the reason of an INVALID
 defective part, else its finding and action, of most before the diagnosis. **Bold** verdicts are still turned round.
+A defective part that lies turned as well stays FAIL, and goes to a reviewer instead of an order to the mould. A slip by
+exactly 180° looks alike to the gate of directions; it shows in the first pose, which is photographed again at the end.
 [What a driver does when its stage fails](faults.md).
 
 | fault | by | good part | defective part | what it says |
