@@ -24,7 +24,11 @@ from anisoscope.decision.predictive import MAX_BIRGE
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.cause_words import plastic_words
-from anisoscope.diagnosis.part_diagnosis import explain, rig_reason
+from anisoscope.diagnosis.evidence import Evidence
+from anisoscope.diagnosis.likelihood import nothing
+from anisoscope.diagnosis.part_diagnosis import evidence_of, explain, rig_reason, shifted
+from anisoscope.diagnosis.ranking import TIE
+from anisoscope.diagnosis.rig_causes import rig_faults
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map
@@ -94,7 +98,8 @@ from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
 RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
 NO_RETURN = (
-    "not watched: a slip of the part by half a turn between two poses (the first pose was not photographed again)"
+    "not watched: a slip of the part by half a turn between two poses (the first pose was not photographed "
+    "again)"
 )
 MEASURED_BY = (
     "poses",
@@ -381,10 +386,43 @@ class SurfaceKind(
         if decided.verdict is not Verdict.FAIL or not recipe.decision.rig_faults:
             return None
         golden = self._golden(reference, decided)
+        if not self._rig_may_explain(
+            recipe, expected, measured, decided, golden, light_watched=light_watched
+        ):
+            return None
         diagnosis, _ = self._explained(
             recipe, expected, measured, decided, golden, light_watched=light_watched, cached=True
         )
         return None if diagnosis.verdict is None else (diagnosis, rig_reason(diagnosis))
+
+    def _rig_may_explain(
+        self,
+        recipe: RecipeT,
+        expected: Expectation,
+        measured: Measured,
+        decided: Decision,
+        golden: GoldenSet | None,
+        *,
+        light_watched: bool,
+    ) -> bool:
+        """Whether a fault of the rig fits better than no cause, without which a tenth of a second need not be spent."""
+        predict, light_deg = self._predict(cached=True), expected.convention.light_angle_deg
+        evidence = evidence_of(recipe, expected, measured, decided, golden)
+        good = nothing(evidence)
+
+        def seen_at(seat: Expectation) -> Evidence:
+            turned = evidence_of(recipe, seat, measured, decided)
+            return turned if golden is None else shifted(evidence, turned, expected, seat)
+
+        faults = rig_faults(
+            recipe,
+            expected,
+            evidence,
+            seen_at,
+            lambda other: predict(other, light_deg),
+            light_watched=light_watched or good.chi2 <= TIE,
+        )
+        return any(good.cost - one.fit.cost - one.penalty > TIE for one in faults)
 
     def _golden(self, reference: Reference | None, decided: Decision) -> GoldenSet | None:
         return cast("GoldenSet | None", usable(reference)) if decided.golden else None
