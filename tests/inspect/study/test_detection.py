@@ -187,9 +187,10 @@ def test_curves_of_a_world_pass_through_its_classes(tmp_path, monkeypatch):
 def test_a_quick_shine_is_the_exact_one():
     changed = replace(WHOLE, alpha_along=0.9 * WHOLE.alpha_along, alpha_across=1.2 * WHOLE.alpha_across)
     surface = Relief(ridges(RidgeDesign(PITCH_UM, 10.0), (2, 401), (4.0, 0.5)), PITCH_UM)
-    for material in (WHOLE, replace(changed, albedo=0.25, index=1.505)):
-        exact = [shine_in(*pair, material) for pair in zip(*SIDES, strict=True)]
-        quick = [quick_shine(*pair, material) for pair in zip(*SIDES, strict=True)]
+    pairs = list(zip(*SIDES, strict=True))
+    for material, some in ((WHOLE, pairs[::3]), (replace(changed, albedo=0.25, index=1.505), pairs)):
+        exact = [shine_in(*pair, material) for pair in some]
+        quick = [quick_shine(*pair, material) for pair in some]
         for one, other in zip(shine_maps(surface, exact), shine_maps(surface, quick), strict=True):
             assert other.mean() == pytest.approx(one.mean(), rel=2e-3)
 
