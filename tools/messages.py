@@ -60,10 +60,19 @@ CALLS = (
 ERRORS = {"MeasurementError", "CalibrationError", "RegistrationError"}
 SENTENCES = {
     "inspect/base/notation.py": ("quantity_name",),
-    "inspect/report/conclusion.py": ("_of_verdict", "surface_finding", "_contrast_finding", "_finding"),
+    "inspect/report/conclusion.py": (
+        "_of_verdict",
+        "_undecided",
+        "_passed",
+        "blind_to",
+        "surface_finding",
+        "_contrast_finding",
+        "_finding",
+    ),
     "inspect/decision/certificate.py": {"message"},
     "inspect/decision/reference_parts.py": ("lacking",),
     "inspect/decision/design_vs_map.py": ("compare",),
+    "inspect/decision/exclusion.py": ("excluded_text", "open_text"),
     "inspect/decision/decision.py": ("_combine", "_blind", "_of_tolerance", "_limit_of"),
     "inspect/diagnosis/part_diagnosis.py": ("explain", "_summary"),
     "inspect/imaging/pose_radiance.py": ERRORS,

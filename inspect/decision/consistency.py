@@ -16,7 +16,7 @@ from anisoscope.base.significance import calibrated, chi2_tail, f_tail, hotellin
 from anisoscope.decision.predictive import MAX_BIRGE, PredictiveTest, Scatter, predictive_test
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
-from anisoscope.prediction.lobe_doubt import LobeDoubt
+from anisoscope.prediction.lobe_doubt import LobeDoubt, weights_between
 from anisoscope.prediction.part_scatter import PartScatter
 from anisoscope.prediction.profile_likelihood import Combined, nearest, nearest_anywhere, nearest_states
 from anisoscope.prediction.propagation import TAIL
@@ -69,7 +69,13 @@ def distances(expected: Expectation, deviation: FloatArray, covariance: FloatArr
     return nearest(expected.response.within(basis), deviation, covariance)
 
 
-def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> FloatArray:
+def nearest_lobe(
+    lobes: LobeDoubt,
+    deviation: FloatArray,
+    covariance: FloatArray,
+    changes: FloatArray | None = None,
+    tails: FloatArray | None = None,
+) -> FloatArray:
     """(N,) squared distances of parts from the nearest tail of the lobe and state of the other inputs.
 
     min over τ and z of ((τ − τ₀)/u)² + |z|² + (d − f(τ, z))ᵀV⁻¹(d − f(τ, z)), τ within its range. Where every tail of
@@ -80,13 +86,19 @@ def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray
         lobes: ln ratios over the tail.
         deviation: (N, m) from the prediction.
         covariance: (N, m, m) of the independent errors, of full rank.
+        changes: (N, L, m) change of each part that is known beforehand, at L tails; None: of none.
+        tails: (L,) those tails.
     """
+    known = np.zeros((len(deviation), 1, deviation.shape[1])) if changes is None else changes
+    nodes = np.zeros(1) if tails is None else tails
     blocks = [slice(first, first + _TOGETHER) for first in range(0, len(deviation), _TOGETHER)]
-    found = [_nearest_lobe(lobes, deviation[one], covariance[one]) for one in blocks]
+    found = [_nearest_lobe(lobes, deviation[one], covariance[one], known[one], nodes) for one in blocks]
     return np.concatenate([np.zeros(0), *found])
 
 
-def _nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> FloatArray:
+def _nearest_lobe(
+    lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray, changes: FloatArray, nodes: FloatArray
+) -> FloatArray:
     """The same of a few parts, each with `_TAILS` tails at a time."""
     parts, k = len(deviation), len(lobes.responses[0].sources)
     low, high = (np.full(parts, float(end)) for end in (lobes.tails[0], lobes.tails[-1]))
@@ -96,7 +108,9 @@ def _nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArra
     for _ in range(_NARROWED):
         tails = np.linspace(low, high, _TAILS, axis=1)
         shifts, responses = lobes.along(tails.ravel())
-        rest, states = nearest_states(responses, off - shifts, metric, start)
+        weights = weights_between(nodes, tails.ravel()).reshape(*tails.shape, -1)
+        known = np.einsum("ntl,nlm->ntm", weights, changes).reshape(shifts.shape)
+        rest, states = nearest_states(responses, off - shifts - known, metric, start)
         found = rest.reshape(tails.shape) + lobes.penalty(tails)
         best = np.argmin(found, axis=1)
         least = np.minimum(least, found[each, best])
@@ -155,7 +169,12 @@ def _contrast_scatter(parts: PartScatter, errors: bytes) -> Scatter:
 
 
 def golden_test(
-    scatter: Scatter | None, expected: Expectation, measured: Measured, golden: FloatArray, alpha: float
+    scatter: Scatter | None,
+    expected: Expectation,
+    measured: Measured,
+    golden: FloatArray,
+    alpha: float,
+    batches: int | None = None,
 ) -> tuple[float, int, float, PredictiveTest | None]:
     """T² from the mean of golden parts, the number of contrasts, the p value, and the predictive test behind it.
 
@@ -168,6 +187,7 @@ def golden_test(
         measured: the part.
         golden: (n, P − 1) contrasts of the golden parts in the basis of `log_basis`.
         alpha: level of significance.
+        batches: number of lots or days of the golden parts; None: they are independent.
 
     Raises:
         MeasurementError: too few golden parts for the test, or nothing is stated as uncertain.
@@ -176,7 +196,7 @@ def golden_test(
         return *from_golden(expected, measured, golden), None
     basis = log_basis(len(expected.poses))
     value = basis @ np.log(measured.radiance)
-    found = predictive_test(scatter, golden, value, alpha)
+    found = predictive_test(scatter, golden, value, alpha, batches)
     if len(golden) >= 3 * len(basis) and found.birge is not None and found.birge > MAX_BIRGE:
         t2, p_value = hotelling(value, golden)
         return t2, len(basis), p_value, replace(found, decides=False)
@@ -185,8 +205,13 @@ def golden_test(
 
 def own_covariance(expected: Expectation, measured: Measured) -> FloatArray:
     """(P − 1, P − 1) covariance of the contrasts from the components not covered by the response or the lobes."""
+    return _covariance(own_components(expected, measured.components), log_basis(len(expected.poses)))
+
+
+def own_components(expected: Expectation, errors: tuple[Component, ...]) -> tuple[Component, ...]:
+    """Components of the prediction that response and lobes do not cover, and the errors of the measurement."""
     alone = tuple(one for one in expected.alone if expected.lobes is None or one.source != TAIL)
-    return _covariance(alone + measured.components, log_basis(len(expected.poses)))
+    return alone + errors
 
 
 def _covariance(components: tuple[Component, ...], basis: FloatArray) -> FloatArray:

@@ -15,6 +15,14 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import contrast_name, p_value_text, quantity_name
 from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency import from_prediction, golden_test, scatter_of
+from anisoscope.decision.exclusion import (
+    Exclusion,
+    excluded_by_parts,
+    excluded_by_prediction,
+    excluded_text,
+    open_defects,
+    open_text,
+)
 from anisoscope.decision.predictive import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
@@ -35,6 +43,8 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 
 Pairs = Sequence[tuple[int, int]]
+CONTRADICTED = 0.05
+"""p value of a part against the prediction below which golden parts alone say what is excluded."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,7 @@ class Decision:
         deviating: (cell rows, cell cols) True where a cell deviates.
         between_tilts: the contrasts between tilts, informative: the joint test already includes them.
         predictive: the test against golden parts by the stated scatter, or None.
+        exclusions: largest sizes of the named defects that the part may have; none where no response is known.
     """
 
     verdict: Verdict
@@ -75,6 +86,7 @@ class Decision:
     deviating: npt.NDArray[np.bool_] | None
     between_tilts: tuple[TiltContrastRecord, ...]
     predictive: PredictiveTest | None = None
+    exclusions: tuple[Exclusion, ...] = ()
 
 
 def contrast_gradient(poses: tuple[Pose, ...], radiance: FloatArray, kind: ContrastKind) -> FloatArray:
@@ -100,7 +112,8 @@ def decide(
         measured: measurement with its uncertainty components.
         recipe: the decision rule.
         golden: golden parts as the reference for the significance, instead of the prediction.
-        parts: how good parts scatter; without it their own scatter alone counts.
+        parts: how good parts scatter, and what defects change; without it the golden parts' own scatter alone counts,
+            and no defect is excluded.
 
     Raises:
         MeasurementError: no uncertainty is stated, so that no distance is defined; or too few golden parts.
@@ -123,7 +136,7 @@ def decide(
     else:
         scatter = None if parts is None else scatter_of(parts, measured)
         d2, dof, p_value, predictive = golden_test(
-            scatter, expected, measured, golden.contrasts(), rule.alpha
+            scatter, expected, measured, golden.contrasts(), rule.alpha, golden.batches
         )
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
     known = None if golden is None else golden.known_shares(recipe)
@@ -150,6 +163,12 @@ def decide(
         reasons = (_of_mirroring(measured.mirroring), *own)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
+    exclusions = _exclusions(expected, measured, recipe, golden, parts, predictive)
+    if verdict is Verdict.PASS and exclusions:
+        if open_defects(exclusions) and rule.unexcluded == "inconclusive":
+            verdict, reasons = Verdict.INCONCLUSIVE, (open_text(exclusions, number), *reasons)
+        elif not open_defects(exclusions):
+            reasons = (*reasons, excluded_text(exclusions))
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))
@@ -170,6 +189,33 @@ def decide(
         deviating,
         between_tilts(expected, measured, rule.contrast),
         predictive,
+        exclusions,
+    )
+
+
+def _exclusions(
+    expected: Expectation,
+    measured: Measured,
+    recipe: SurfaceRecipe,
+    golden: GoldenSet | None,
+    parts: PartScatter | None,
+    predictive: PredictiveTest | None,
+) -> tuple[Exclusion, ...]:
+    """Limits of the named defects: each by the reference that shows it best, which does not depend on the part."""
+    if parts is None:
+        return ()
+    errors = measured.components
+    by_prediction = excluded_by_prediction(expected, measured.radiance, errors, parts, recipe)
+    if golden is None or predictive is None:
+        return by_prediction
+    size, freedom = predictive.size, predictive.freedom
+    by_parts = excluded_by_parts(parts, measured, recipe, golden.contrasts(), size, freedom, golden.batches)
+    if not by_prediction or from_prediction(expected, measured)[2] < CONTRADICTED:
+        return by_parts
+    nominal = excluded_by_prediction(expected, expected.radiance, errors, parts, recipe)
+    return tuple(
+        of_parts if of_parts.limit - of_parts.best <= planned.limit else of_prediction
+        for of_parts, of_prediction, planned in zip(by_parts, by_prediction, nominal, strict=True)
     )
 
 

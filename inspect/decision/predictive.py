@@ -1,11 +1,16 @@
 """Predictive test: is a part like n golden parts of its rig, for any n from one on?
 
 A part's contrasts are y = f(θ) + b + G s + e: b is common to all parts of a rig (material, light angle, error of the
-model), s differs from part to part, e from inspection to inspection. The mean of golden parts replaces f + b. The
-scatter W of a part about it is known beforehand from the recipe ([scatter]) and the measurement, so that one golden
-part serves: W is the covariance of y for a given material, averaged over what the material may be, through the
-response to second order. Golden parts replace it gradually (inverse Wishart prior worth 30 parts; Gelman et al.,
-Bayesian Data Analysis, 3.6).
+model), s differs from part to part, e from inspection to inspection. The mean of n golden parts replaces f + b. The
+shape of the scatter about it is known beforehand from recipe ([scatter]) and measurement: W, the covariance of y for a
+given material, averaged over what the material may be, through the response to second order. Its size is that of the
+golden parts, W·s² with s² = (ν₀ + q)/(ν₀ + m(n − 1)) and q = Σ (y − ȳ)ᵀW⁻¹(y − ȳ): the stated size counts as much as
+ν₀ = `PRIOR_FREEDOM` degrees of freedom (scaled inverse χ² prior; Gelman et al., Bayesian Data Analysis, 2.6), so that
+one part serves and three replace what was stated. Drawn parts have the stated size. With a smaller one the statistics
+are smaller, so that the level holds for every size up to the stated one.
+
+Golden parts of one lot or day share what differs between lots and days: their mean is only as good as that of as many
+parts as there are batches.
 
 Two statistics share the level: T² of all contrasts, and the scores of the deviation in the directions of the named
 defects, sᵀV⁻¹d/√(sᵀV⁻¹s), each the likelihood ratio of this defect against a good part (Neyman and Pearson 1933).
@@ -26,11 +31,11 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import ROUNDING, positive_part, root
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import LEVELS, calibrated
+from anisoscope.base.significance import LEVELS, calibrated, f_tail
 from anisoscope.prediction.second_order import Response
 
-PRIOR_PARTS = 30
-"""Number of golden parts that the scatter stated by recipe and measurement is worth."""
+PRIOR_FREEDOM = 1.0
+"""Degrees of freedom that the stated size of the scatter is worth beside that of the golden parts."""
 MAX_BIRGE = 3.0
 """Ratio of the scatter among golden parts to the stated one beyond which the stated one is not theirs."""
 NAMED_SHARE = 0.7
@@ -46,6 +51,7 @@ _SCORES = np.linspace(0.0, 15.0, 301)
 _STEPS = 300  # of the estimate of variance components
 LEARNING_PARTS = 10
 """Number of golden parts that a stated scatter is worth where golden parts of another recipe correct it."""
+_MANY = 1e6  # degrees of freedom in place of infinitely many
 _DETERMINED = 0.5  # degrees of freedom below which an input is not determined
 
 
@@ -140,6 +146,8 @@ class PredictiveTest:
         p_direction: the least of the directions; None without named defects.
         directions: one a named defect.
         birge: ratio of the golden parts' scatter to the stated one; None for a single golden part.
+        size: s², variance of good parts over the stated one, as the golden parts and the stated size have it together.
+        freedom: degrees of freedom to which it is known.
         decides: whether this test decides; not where many golden parts contradict the stated scatter.
     """
 
@@ -150,6 +158,8 @@ class PredictiveTest:
     p_direction: float | None
     directions: tuple[Direction, ...]
     birge: float | None
+    size: float = 1.0
+    freedom: float = np.inf
     decides: bool = True
 
     @property
@@ -172,7 +182,45 @@ def birge_ratio(golden: FloatArray, covariance: FloatArray) -> float | None:
     return float(np.einsum("ni,ij,nj->", off, np.linalg.inv(covariance), off) / (m * (count - 1.0)))
 
 
-def predictive_test(scatter: Scatter, golden: FloatArray, value: FloatArray, alpha: float) -> PredictiveTest:
+def size_of(golden: FloatArray, stated: FloatArray) -> tuple[float, float]:
+    """Size s² of the scatter of good parts, as a multiple of the stated (m, m) covariance, and its degrees of freedom.
+
+    The stated size counts as `PRIOR_FREEDOM` degrees of freedom; of a single part it is all that is known.
+
+    Args:
+        golden: (n, m) contrasts of golden parts.
+        stated: (m, m) covariance.
+    """
+    off = golden - golden.mean(axis=0)
+    squares = float(np.einsum("ni,ij,nj->", off, np.linalg.inv(stated), off))
+    return float(_size(np.array(squares), golden.shape[1], len(golden))), _freedom(
+        golden.shape[1], len(golden)
+    )
+
+
+def size_interval(golden: FloatArray, stated: FloatArray) -> tuple[float, float] | None:
+    """95 % interval of the size that golden parts alone show, by χ²; None for one part."""
+    from scipy.special import chdtri  # noqa: PLC0415 - start-up time
+
+    ratio, free = birge_ratio(golden, stated), golden.shape[1] * (len(golden) - 1.0)
+    if ratio is None:
+        return None
+    return ratio * free / float(chdtri(free, 0.025)), ratio * free / float(chdtri(free, 0.975))
+
+
+def _size(squares: FloatArray, m: int, count: int) -> FloatArray:
+    return np.asarray((PRIOR_FREEDOM + squares) / (PRIOR_FREEDOM + m * (count - 1.0)))
+
+
+def _freedom(m: int, count: int) -> float:
+    """Degrees of freedom of χ² with the relative variance that the size has for parts of the stated one."""
+    free = m * (count - 1.0)
+    return (PRIOR_FREEDOM + free) ** 2 / free if free > 0.0 else np.inf
+
+
+def predictive_test(
+    scatter: Scatter, golden: FloatArray, value: FloatArray, alpha: float, batches: int | None = None
+) -> PredictiveTest:
     """Test a part against golden parts.
 
     Args:
@@ -180,26 +228,27 @@ def predictive_test(scatter: Scatter, golden: FloatArray, value: FloatArray, alp
         golden: (n, m) contrasts of the golden parts, n ≥ 1.
         value: (m,) of the part.
         alpha: level of significance at which powers are computed, and for which the tests share the level.
+        batches: number of lots or days of the golden parts, at most n; None: the parts are independent.
 
     Raises:
         MeasurementError: there is no golden part, or the stated scatter is zero in some direction.
     """
     stated, count = _checked(scatter, golden), len(golden)
-    null = _null_of(scatter, count)
-    mean = golden.mean(axis=0)
-    off = golden - mean
-    covariance = _predictive(stated, np.einsum("ni,nj->ij", off, off), count)
-    inverse = np.linalg.inv(covariance)
-    d = value - mean
+    several = min(batches or count, count)
+    null = _null_of(scatter, count, several)
+    size, freedom = size_of(golden, stated)
+    inverse = np.linalg.inv(stated * size * (1.0 + 1.0 / several))
+    d = value - golden.mean(axis=0)
     t2 = float(d @ inverse @ d)
     p_distance = float(calibrated(null.distance_theory(np.array([t2])), null.distances)[0])
     names = tuple(scatter.defects)
     if not names:
-        return PredictiveTest(t2, len(d), p_distance, p_distance, None, (), birge_ratio(golden, stated))
+        birge = birge_ratio(golden, stated)
+        return PredictiveTest(t2, len(d), p_distance, p_distance, None, (), birge, size, freedom)
     shifts = np.array([scatter.defects[name] for name in names])
     separation = np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts))
     scores = shifts @ inverse @ d / np.maximum(separation, 1e-12)
-    levels = _levels(scatter, count, alpha)
+    levels = _levels(scatter, count, several, alpha)
     chances = levels.adjusted(null.score_chances(scores) / levels.shares)
     p_direction = float(chances.min())
     return PredictiveTest(
@@ -210,25 +259,37 @@ def predictive_test(scatter: Scatter, golden: FloatArray, value: FloatArray, alp
         p_direction,
         _directions(names, scores, chances, separation, levels),
         birge_ratio(golden, stated),
+        size,
+        freedom,
     )
 
 
-def separations(scatter: Scatter, count: int, alpha: float) -> tuple[Direction, ...]:
+def separations(
+    scatter: Scatter, count: int, alpha: float, size: float = 1.0, batches: int | None = None
+) -> tuple[Direction, ...]:
     """Power of ``count`` golden parts for each named defect; of no part: scores are zero, p values one.
 
     Args:
         scatter: of good parts on this rig.
         count: golden parts, 1 or more.
         alpha: level of significance of the verdict.
+        size: variance of good parts over the stated one.
+        batches: number of lots or days of the golden parts; None: the parts are independent.
     """
-    levels = _levels(scatter, count, alpha)
-    none, separation = np.zeros(len(levels.limits)), _stated(scatter, count)[0]
+    several = min(batches or count, count)
+    levels = _levels(scatter, count, several, alpha)
+    free = len(scatter.errors) * (count - 1.0)
+    usual = float(_size(np.array(size * free), len(scatter.errors), count))
+    none, separation = np.zeros(len(levels.limits)), _stated(scatter, several)[0] / np.sqrt(usual)
+    levels = replace(levels, spreads=levels.spreads * np.sqrt(size / usual))
     return _directions(tuple(scatter.defects), none, none + 1.0, separation, levels)
 
 
-def detectable(scatter: Scatter, count: int, alpha: float) -> dict[str, float]:
+def detectable(
+    scatter: Scatter, count: int, alpha: float, size: float = 1.0, batches: int | None = None
+) -> dict[str, float]:
     """Multiple of each named defect's smallest size that ``count`` golden parts show in 9 of 10 parts."""
-    return {one.defect: one.detectable for one in separations(scatter, count, alpha)}
+    return {one.defect: one.detectable for one in separations(scatter, count, alpha, size, batches)}
 
 
 def separating_areas(scatter: Scatter) -> dict[str, float]:
@@ -392,19 +453,13 @@ def _checked(scatter: Scatter, golden: FloatArray) -> FloatArray:
     return stated
 
 
-def _predictive(stated: FloatArray, squares: FloatArray, count: int) -> FloatArray:
-    """(…, m, m) covariance of a part about the mean of ``count`` golden ones with (…, m, m) sums of squares."""
-    freedom = PRIOR_PARTS + count - 1.0
-    return np.asarray((PRIOR_PARTS * stated + squares) / freedom * (1.0 + 1.0 / count))
-
-
 @dataclass(frozen=True, eq=False)
 class _Null:
     """Distribution of both statistics for good parts, as p values of a simple theory, one for each drawn part.
 
     Attributes:
         m: number of contrasts.
-        freedom: degrees of freedom of the scatter.
+        freedom: degrees of freedom of the size of the scatter.
         distances: (N,) p values of T² of drawn good parts by the F distribution.
         scores: for each named defect (N,) p values of the score of drawn good parts by Student's distribution.
     """
@@ -415,17 +470,14 @@ class _Null:
     scores: tuple[FloatArray, ...]
 
     def distance_theory(self, t2: FloatArray) -> FloatArray:
-        """P values by the F distribution with m and freedom − m + 1 degrees of freedom."""
-        from scipy.special import fdtrc  # noqa: PLC0415 - start-up time
-
-        rest = self.freedom - self.m + 1.0
-        return np.maximum(fdtrc(self.m, rest, t2 * rest / (self.freedom * self.m)), _SMALLEST)
+        """P values by the F distribution with m degrees of freedom and those of the size."""
+        return np.maximum(f_tail(t2 / self.m, self.m, min(self.freedom, _MANY)), _SMALLEST)
 
     def score_theory(self, scores: FloatArray) -> FloatArray:
         """P values of scores by Student's distribution, one-sided."""
         from scipy.special import stdtr  # noqa: PLC0415 - start-up time
 
-        return np.clip(stdtr(self.freedom, -scores), _SMALLEST, 1.0)
+        return np.clip(stdtr(min(self.freedom, _MANY), -scores), _SMALLEST, 1.0)
 
     def score_chances(self, scores: FloatArray) -> FloatArray:
         """(C,) p values of the (C,) scores of a part, each by the drawn good parts' scores in its direction."""
@@ -439,14 +491,14 @@ class _Null:
         return np.stack([np.interp(-levels[..., k], -one, _SCORES) for k, one in enumerate(chances)], axis=-1)
 
 
-def _stated(scatter: Scatter, count: int) -> tuple[FloatArray, FloatArray]:
+def _stated(scatter: Scatter, batches: int) -> tuple[FloatArray, FloatArray]:
     """(C,) means and standard deviations of the scores of parts with the named defects, by the stated scatter."""
-    inverse = np.linalg.inv(scatter.covariance * (1.0 + 1.0 / count))
+    inverse = np.linalg.inv(scatter.covariance * (1.0 + 1.0 / batches))
     shifts = np.array(list(scatter.defects.values()))
     separation = np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts))
     unit = shifts @ inverse / np.maximum(separation, 1e-12)[:, None]
     of_parts = (
-        np.array([scatter.covariance_with(name) for name in scatter.defects]) + scatter.covariance / count
+        np.array([scatter.covariance_with(name) for name in scatter.defects]) + scatter.covariance / batches
     )
     return separation, np.sqrt(np.einsum("ci,cij,cj->c", unit, of_parts, unit))
 
@@ -477,10 +529,10 @@ class _Levels:
 
 
 @lru_cache(maxsize=16)
-def _levels(scatter: Scatter, count: int, alpha: float) -> _Levels:
-    null = _null_of(scatter, count)
+def _levels(scatter: Scatter, count: int, batches: int, alpha: float) -> _Levels:
+    null = _null_of(scatter, count, batches)
     rest = 1.0 - NAMED_SHARE
-    separation, spreads = _stated(scatter, count)
+    separation, spreads = _stated(scatter, batches)
     shares = NAMED_SHARE * _shares(separation, spreads, null, alpha)
     drawn = [null.distances, *null.scores]
     over_share = [calibrated(one, one) / share for one, share in zip(drawn, (rest, *shares), strict=True)]
@@ -511,25 +563,23 @@ def _shares(separation: FloatArray, spreads: FloatArray, null: _Null, alpha: flo
 
 
 @lru_cache(maxsize=16)
-def _null_of(scatter: Scatter, count: int) -> _Null:
-    """Draw golden sets and new parts from the stated scatter."""
+def _null_of(scatter: Scatter, count: int, batches: int) -> _Null:
+    """Draw golden sets and new parts from the stated scatter; the mean is that of as many parts as batches."""
     rng = np.random.default_rng(_SEED + count)
-    m, stated = len(scatter.errors), scatter.covariance
+    m, weight = len(scatter.errors), np.linalg.inv(scatter.covariance)
     drawn = scatter.drawn(scatter.shared(_SETS, rng), count + _NEW, rng)
     golden, parts = drawn[:, :count], drawn[:, count:]
-    mean = golden.mean(axis=1, keepdims=True)
-    off = golden - mean
-    inverse = np.linalg.inv(_predictive(stated, np.einsum("sni,snj->sij", off, off), count))
-    d = parts - mean
-    t2 = np.einsum("spi,sij,spj->sp", d, inverse, d).ravel()
-    freedom = PRIOR_PARTS + count - 1.0
-    bare = _Null(m, freedom, np.empty(0), ())
+    off = golden - golden.mean(axis=1, keepdims=True)
+    size = _size(np.einsum("sni,ij,snj->s", off, weight, off), m, count) * (1.0 + 1.0 / batches)
+    d = parts - golden[:, :batches].mean(axis=1, keepdims=True)
+    t2 = (np.einsum("spi,ij,spj->sp", d, weight, d) / size[:, None]).ravel()
+    bare = _Null(m, _freedom(m, count), np.empty(0), ())
     distances = bare.distance_theory(t2)
     if not scatter.defects:
-        return _Null(m, freedom, distances, ())
-    shifts = np.array([scatter.defects[name] for name in scatter.defects])
-    weighed = np.einsum("ci,sij->scj", shifts, inverse)
-    norm = np.sqrt(np.einsum("scj,cj->sc", weighed, shifts))
-    scores = np.einsum("scj,spj->csp", weighed, d) / norm.T[:, :, None]
-    drawn_scores = tuple(bare.score_theory(found.ravel()) for found in scores)
-    return _Null(m, freedom, distances, drawn_scores)
+        return replace(bare, distances=distances)
+    shifts = np.array(list(scatter.defects.values()))
+    units = shifts @ weight / np.sqrt(np.einsum("ci,ij,cj->c", shifts, weight, shifts))[:, None]
+    scores = np.einsum("cj,spj->csp", units, d) / np.sqrt(size)[:, None]
+    return replace(
+        bare, distances=distances, scores=tuple(bare.score_theory(found.ravel()) for found in scores)
+    )

@@ -388,6 +388,7 @@ class GoldenPart(ReferenceRow):
     """
 
     log_radiance: tuple[float, ...]
+    lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
     area_share: float | None
     cell_deviation: float | Literal["auto"] | None = None
     cells: int | None = None
@@ -413,6 +414,7 @@ class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
             serial=record.serial,
             inspected_at=record.created_at,
             log_radiance=tuple(float(np.log(pose.measured)) for pose in record.poses),
+            lot=record.particulars.lot,
             verdict=record.verdict,
             **cls.area_of(record, recipe),
         )
@@ -427,6 +429,11 @@ class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
         """(n, P − 1) differences of ln L from the first pose, of every part."""
         values = np.array([part.log_radiance for part in self.parts]).reshape(-1, len(self.poses))
         return np.asarray(values @ log_basis(len(self.poses)).T)
+
+    @property
+    def batches(self) -> int:
+        """Number of batches: lots, and days of inspection of parts without a lot."""
+        return len({part.lot or part.inspected_at[:10] for part in self.parts})
 
     def values(self) -> FloatArray:
         """(n, P − 1) contrasts."""

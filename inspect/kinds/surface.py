@@ -69,6 +69,7 @@ from anisoscope.prediction.expectation import (
     expectation,
 )
 from anisoscope.prediction.part_scatter import (
+    CAMERA_SHARE,
     NamedDefect,
     PartScatter,
     named_defects,
@@ -84,6 +85,7 @@ from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
     DiagnosisRecord,
     DirectionRecord,
+    ExclusionRecord,
     GoldenRecord,
     MapPlaceRecord,
     ReadingRecord,
@@ -245,7 +247,7 @@ class SurfaceKind(
         """Contrasts against their tolerances, all of them together, and the area that deviates."""
         del sitting
         golden = cast("GoldenSet | None", usable(reference))
-        parts = None if golden is None else self.part_scatter(recipe, expected.convention.light_angle_deg)
+        parts = self.part_scatter(recipe, expected.convention.light_angle_deg)
         if golden is not None and parts is None and len(golden.parts) <= golden.directions:
             golden = None
         return decide(expected, measured, recipe, golden, parts)
@@ -315,6 +317,16 @@ class SurfaceKind(
             between_tilts=decided.between_tilts,
             area=decided.area,
             regions=decided.regions,
+            exclusions=tuple(
+                ExclusionRecord(
+                    words=one.defect.words,
+                    size=one.defect.size,
+                    unit=one.defect.unit,
+                    best=one.best,
+                    limit=one.limit if np.isfinite(one.limit) else None,
+                )
+                for one in decided.exclusions
+            ),
         )
         return Results(
             measured.radiance,
@@ -657,22 +669,35 @@ def _tolerances(record: Record, recipe: SurfaceRecipe, golden: GoldenSet | None)
 
 
 MORE_PARTS = (1, 3, 10, 25)
-CAMERA_SHARE = 0.003
-"""Relative standard uncertainty of a pose by camera and lamp, where no inspection states it."""
 
 
 def with_power(
     shown: CommandOutput, known: GoldenSet, recipe: SurfaceRecipe, parts: PartScatter
 ) -> CommandOutput:
     """Output with the golden parts' scatter against the stated one, and the defects that they can show."""
-    from anisoscope.decision.predictive import birge_ratio, detectable, suggested_scatter  # noqa: PLC0415 - scipy
+    from anisoscope.decision.predictive import (  # noqa: PLC0415 - scipy
+        birge_ratio,
+        detectable,
+        size_interval,
+        size_of,
+        suggested_scatter,
+    )
 
     scatter = contrast_scatter(parts, CAMERA_SHARE)
-    golden, count = known.contrasts(), len(known.parts)
+    golden, count, batches = known.contrasts(), len(known.parts), known.batches
     birge = birge_ratio(golden, scatter.covariance)
+    size, _ = size_of(golden, scatter.covariance)
+    interval = size_interval(golden, scatter.covariance)
     numbers = sorted({count, *MORE_PARTS})
-    power = {n: detectable(scatter, n, recipe.decision.alpha) for n in numbers}
-    content: dict[str, Any] = {"birge": birge, "detectable": {str(n): power[n] for n in numbers}}
+    alpha = recipe.decision.alpha
+    power = {n: detectable(scatter, n, alpha, size, batches if n == count else None) for n in numbers}
+    content: dict[str, Any] = {
+        "birge": birge,
+        "size": size,
+        "size_interval": interval,
+        "batches": batches,
+        "detectable": {str(n): power[n] for n in numbers},
+    }
     rows = [
         [one.name, *(_size(one, power[n][one.name]) for n in numbers)]
         for one in named_defects(recipe)
@@ -700,13 +725,20 @@ def with_power(
         ]
         names = ["input", "stated", "of the golden parts", "95 % from", "to", "unit, key of [scatter]"]
         tables.append(Table("scatter between parts", names, scattered, "standard deviations"))
-    if birge is not None:
+    if birge is not None and interval is not None:
+        low, high = interval
         line = (
-            f"variance among the golden parts over the stated one: {birge:.1f} (up to {MAX_BIRGE:g} is usual)"
+            f"variance among the golden parts over the stated one: {birge:.2g} (95 %: {low:.1g} to {high:.2g}; up to "
+            f"{MAX_BIRGE:g} is usual); the test takes {size:.2g}"
         )
         if birge > MAX_BIRGE:
             line += ": state theirs in [scatter], or calibrate the material, which is not the recipe's"
         lines.append(line)
+    if count > 1 and batches == 1:
+        lines.append(
+            f"all {count} golden parts are of one lot or day: their mean counts as that of one part; add parts of "
+            "another lot, or of another day"
+        )
     return CommandOutput(shown.content | content, tuple(tables), tuple(lines))
 
 
@@ -816,6 +848,8 @@ def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> G
         measured=tuple(mine),
         test="hotelling" if found is None or not found.decides else "predictive",
         birge=None if found is None else found.birge,
+        size=None if found is None else found.size,
+        batches=golden.batches,
         p_distance=None if found is None else found.p_distance,
         p_direction=None if found is None else found.p_direction,
         directions=()

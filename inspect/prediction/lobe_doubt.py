@@ -55,14 +55,7 @@ class LobeDoubt:
 
     def along(self, tails: FloatArray) -> tuple[FloatArray, RowResponses]:
         """(N, P) change of ln L at N tails between the first and the last, and the responses there."""
-        place, nodes = tails / (1.0 + tails), self.tails / (1.0 + self.tails)
-        others = [np.delete(nodes, k) for k in range(len(nodes))]
-        weights = np.column_stack(
-            [
-                np.prod((place[:, None] - rest) / (node - rest), axis=1)
-                for node, rest in zip(nodes, others, strict=True)
-            ]
-        )
+        weights = weights_between(self.tails, tails)
         slopes, bends = (np.tensordot(weights, one, 1) for one in self._arrays)
         return np.asarray(weights @ self.shifts), RowResponses(self.responses[0].sources, slopes, bends)
 
@@ -85,6 +78,18 @@ class LobeDoubt:
         """The doubt of combinations (m, P) of ln L."""
         responses = tuple(one.within(basis) for one in self.responses)
         return replace(self, shifts=self.shifts @ basis.T, responses=responses)
+
+
+def weights_between(known: FloatArray, tails: FloatArray) -> FloatArray:
+    """(N, T) weights of values known at T tails for their values at N tails: Lagrange's polynomials in τ/(1 + τ)."""
+    place, nodes = tails / (1.0 + tails), known / (1.0 + known)
+    others = [np.delete(nodes, k) for k in range(len(nodes))]
+    return np.column_stack(
+        [
+            np.prod((place[:, None] - rest) / (node - rest), axis=1)
+            for node, rest in zip(nodes, others, strict=True)
+        ]
+    )
 
 
 def likely_tails(nominal: float, u: float | None) -> tuple[float, ...]:

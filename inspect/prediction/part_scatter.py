@@ -36,6 +36,9 @@ from anisoscope.prediction.second_order import Response, known_inputs, response_
 from anisoscope.prediction.sensitivity import DARK, State, Surface, evaluate
 from anisoscope.recipe.surface import DesignPart, SurfaceRecipe
 
+CAMERA_SHARE = 0.003
+"""Relative standard uncertainty of a pose by camera and lamp, where no inspection states it."""
+
 
 @dataclass(frozen=True, eq=False)
 class PartScatter:
@@ -46,7 +49,8 @@ class PartScatter:
         lobes: the same with every tail that the lobe may as likely have; only the first one where it is known.
         common: (K,) u in that unit.
         own: (K,) s in that unit.
-        defects: (P,) change of ln L by every named defect at its smallest interesting size, the mean over the lobes.
+        changes: (L, P) change of ln L by every named defect at its smallest interesting size, with each of L lobes.
+        tails: (L,) of the lobes.
         states: of those that are a state of one input, the input and how far it is off, in that unit.
     """
 
@@ -54,8 +58,14 @@ class PartScatter:
     lobes: tuple[Response, ...]
     common: FloatArray
     own: FloatArray
-    defects: Mapping[str, FloatArray]
+    changes: Mapping[str, FloatArray]
+    tails: FloatArray
     states: Mapping[str, tuple[str, float]]
+
+    @property
+    def defects(self) -> dict[str, FloatArray]:
+        """(P,) changes by the named defects, the mean over the lobes."""
+        return {name: np.mean(change, axis=0) for name, change in self.changes.items()}
 
 
 def part_scatter(
@@ -123,17 +133,18 @@ def _computed(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOpti
     shares = np.array([_shares(source, common, own, edges) for source in response.sources])
     lobes = known[1:]
     names = [name for name in lobes[0][1] if all(name in changes for _, changes, _ in lobes)]
-    defects = {name: np.mean([changes[name] for _, changes, _ in lobes], axis=0) for name in names}
+    changed = {name: np.array([changes[name] for _, changes, _ in lobes]) for name in names}
     return PartScatter(
         response,
         tuple(one for one, _, _ in lobes),
         shares[:, 0],
         shares[:, 1],
-        defects,
+        changed,
+        np.array(tails),
         {
             name: state
             for name, state in _states_of_defects(recipe, both).items()
-            if name in defects and state[0] in response.sources
+            if name in changed and state[0] in response.sources
         },
     )
 
@@ -343,7 +354,8 @@ def _packed(found: PartScatter | None) -> bytes:
         if found is None
         else {
             "sources": found.response.sources,
-            "defects": list(found.defects),
+            "defects": list(found.changes),
+            "tails": list(found.tails),
             "states": found.states,
         }
     )
@@ -356,7 +368,7 @@ def _packed(found: PartScatter | None) -> bytes:
             "bend": np.array([one.bend for one in (found.response, *found.lobes)]),
             "common": found.common,
             "own": found.own,
-            "changes": np.array(list(found.defects.values())),
+            "changes": np.array(list(found.changes.values())),
         }
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
@@ -372,6 +384,14 @@ def _unpacked(content: bytes) -> PartScatter | None:
             Response(tuple(header["sources"]), slope, bend)
             for slope, bend in zip(arrays["slope"], arrays["bend"], strict=True)
         )
-        defects = dict(zip(header["defects"], arrays["changes"], strict=True))
+        changes = dict(zip(header["defects"], arrays["changes"], strict=True))
         states = {name: (source, extent) for name, (source, extent) in header["states"].items()}
-        return PartScatter(response, tuple(lobes), arrays["common"], arrays["own"], defects, states)
+        return PartScatter(
+            response,
+            tuple(lobes),
+            arrays["common"],
+            arrays["own"],
+            changes,
+            np.array(header["tails"]),
+            states,
+        )

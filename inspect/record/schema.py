@@ -386,10 +386,39 @@ class DirectionRecord(_Part):
     p_value: float | None = None
 
 
+class ExclusionRecord(_Part):
+    """Largest size of a named defect that the part may have (one side, 95 %).
+
+    ``words`` and ``size`` with ``unit`` name the defect at its smallest interesting size; ``best`` and ``limit`` are
+    multiples of that: the likeliest one, and the largest one that is not excluded, null where none of those tried is.
+    """
+
+    words: str
+    size: float
+    unit: str
+    best: float
+    limit: float | None
+
+    @property
+    def excluded(self) -> bool:
+        """Whether the defect at its smallest interesting size is excluded."""
+        return self.limit is not None and self.limit <= 1.0
+
+    @property
+    def name(self) -> str:
+        """The defect at its smallest interesting size."""
+        return f"{self.words}{self.text(1.0)}"
+
+    def text(self, multiple: float | None) -> str:
+        """A multiple of that size with its unit, to two digits; "any" for None."""
+        return "any" if multiple is None else f"{float(f'{multiple * self.size:.2g}'):g}{self.unit}"
+
+
 class GoldenRecord(_Part):
     """The golden parts that decided what deviates: ln ratios to the first pose, one row a part.
 
-    ``birge`` is the variance among the golden parts over the stated one; ``p_distance`` and ``p_direction`` are the
+    ``birge`` is the variance among the golden parts over the stated one, ``size`` what the test takes it to be, null in
+    older records, and ``batches`` the number of their lots or days; ``p_distance`` and ``p_direction`` are the
     p values of the squared distance and of the scores of ``directions``; ``test`` is the one that decided,
     "predictive" by the stated scatter or "hotelling" by that of the golden parts.
     """
@@ -403,6 +432,8 @@ class GoldenRecord(_Part):
     p_direction: float | None = None
     directions: tuple[DirectionRecord, ...] = ()
     test: Literal["predictive", "hotelling"] = "hotelling"
+    size: float | None = None
+    batches: int | None = None
 
 
 class MapPlaceRecord(_Part):

@@ -1,10 +1,15 @@
 """The details of a part whose contrasts are judged: a surface that reflects, ridged or etched."""
 
+from typing import Annotated
+
+from pydantic import Field
+
 from anisoscope.record.details import Details
 from anisoscope.record.schema import (
     AreaRecord,
     ComparisonRecord,
     ContrastRecord,
+    ExclusionRecord,
     GoldenRecord,
     MapPlaceRecord,
     ReadingRecord,
@@ -30,6 +35,7 @@ class SurfaceDetails(Details):
     shape: ShapeRecord | None = None
     golden: GoldenRecord | None = None
     map_place: MapPlaceRecord | None = None
+    exclusions: Annotated[tuple[ExclusionRecord, ...], Field(exclude_if=lambda found: not found)] = ()
 
     def numbers(self) -> dict[str, float]:
         """The contrasts.

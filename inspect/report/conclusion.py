@@ -27,6 +27,7 @@ OUTCOMES: Mapping[str, str] = {
     "pass": "Accept the part",
     "warning": "Accept the part; if the next parts deviate alike, check mould, material and lamp",
     "inconclusive": "Inspect it again; if it stays undecided, have a reviewer decide (anisoscope history dispose)",
+    "open": "Do what the reason names; until then have a reviewer decide (anisoscope history dispose)",
     "invalid": "Put right what the reason names and inspect the part again; nothing is known about the part",
     "unexplained": "Seat it again once; if it fails again, set it aside for a reviewer: no known cause explains it",
     "undiagnosed": "Seat it again once; if it fails again, reject it or have a reviewer decide",
@@ -121,7 +122,7 @@ def _of_verdict(
     if record.verdict == "INVALID":
         return fault or "invalid", f"The part was not judged: {reason}"
     if record.verdict == "INCONCLUSIVE":
-        return (fault, reason) if fault else ("inconclusive", f"Too close to a limit to decide. {measured}")
+        return (fault, reason) if fault else _undecided(record, measured)
     named = _named(record, words)
     finding = _finding(named, nominal, _sign_unknown(record, named))
     rivals = _rivals(record, named)
@@ -134,7 +135,50 @@ def _of_verdict(
         return "tied" if rivals else named[0].key, finding
     if reason.startswith("warning"):
         return "warning", f"The part is within its limits, but deviates. {finding or measured}"
-    return "pass", f"The part is as it should be. {measured}"
+    return "pass", _passed(record, measured)
+
+
+def _undecided(record: Record, measured: str) -> tuple[str, str]:
+    """Key of the action, and the finding, of an INCONCLUSIVE part."""
+    if left_open(record):
+        blind = blind_to(record)
+        return "open", f"No deviation was found, but not excluded: {blind}"
+    return "inconclusive", f"Too close to a limit to decide. {measured}"
+
+
+def _passed(record: Record, measured: str) -> str:
+    if blind := blind_to(record):
+        return (
+            f"The part is as it should be, as far as these poses show it. Not excluded: {blind}. {measured}"
+        )
+    if limits := beyond(record):
+        return f"The part is as it should be. Excluded: more than {limits}. {measured}"
+    return f"The part is as it should be. {measured}"
+
+
+def left_open(record: Record) -> bool:
+    """Whether defects that are not excluded, and no limit, leave a part undecided."""
+    details = surface_of(record)
+    near = any(one.verdict == "INCONCLUSIVE" for one in details.contrasts)
+    near = near or (details.area is not None and details.area.verdict == Verdict.INCONCLUSIVE)
+    return not near and any(not one.excluded for one in details.exclusions)
+
+
+def blind_to(record: Record) -> str:
+    """The defects that are not excluded, in words; empty where all are, or none was asked for."""
+    named = [
+        one.name if one.limit is None else f"{one.name} (up to {one.text(one.limit).strip()})"
+        for one in surface_of(record).exclusions
+        if not one.excluded
+    ]
+    return ", ".join(named)
+
+
+def beyond(record: Record) -> str:
+    """The sizes beyond which defects are excluded, in words."""
+    return ", ".join(
+        f"{one.words}{one.text(one.limit)}" for one in surface_of(record).exclusions if one.excluded
+    )
 
 
 class _Named(NamedTuple):

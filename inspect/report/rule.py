@@ -39,6 +39,14 @@ def rule_of(record: Record) -> str:
     if record.verdict == "INCONCLUSIVE":
         near = _decisive(record, "INCONCLUSIVE")
         return message("no limit is broken for certain, but {criteria}", criteria=_listed(near))
+    details = surface_of(record)
+    if details.exclusions and all(one.excluded for one in details.exclusions):
+        return message(
+            "nothing deviates, and every defect of the smallest interesting size is excluded (one side, 95 %; the "
+            "state of the part after ISO 14253-1)"
+        )
+    if details.contrasts and details.contrasts[0].tolerance is None:
+        return message("nothing deviates significantly; no tolerance is set")
     return message("every quantity lies within its limit by more than its guard band (ISO 14253-1)")
 
 
@@ -51,6 +59,8 @@ def _decisive(record: Record, verdict: str) -> list[str]:
         found.append(message(CONTRASTS[outside, len(limited) == 1], count=len(limited)))
     if details.area is not None and details.area.verdict == verdict:
         found.append(message(AREA_OUTSIDE if outside else AREA_NEAR))
+    if not outside and not found and any(not one.excluded for one in details.exclusions):
+        found.append(message("defects of the smallest interesting size are not excluded"))
     if outside and deviation_decides(record) and (record.p_value or 0.0) < level:
         found.append(
             message("all contrasts together deviate significantly (p below {level})", level=f"{level:g}")

@@ -39,7 +39,7 @@ pitch_um = {pitch}  # of the ridges
 {surface}
 [material]  # of the plastic; `anisoscope fit` finds it from measured contrasts
 # The lobe of this plastic is unmeasured: without u_tail every tail of it from 0 (Beckmann) to 1 (GGX) is
-# possible, so that good parts of any plastic PASS and only large defects FAIL; golden parts make up for much of it.
+# possible, so that small defects are not excluded; golden parts make up for much of it.
 # `anisoscope calibrate material` measures the lobe: in place of this table, name its file above the first table,
 # material = "abs.toml".
 alpha_along = 0.06  # roughness of the facets along the ridges
@@ -72,7 +72,14 @@ contrast = "log_ratio"
 # tolerance = 0.25  # largest deviation of a good part, one number or one a pair; without it any significant one fails
 alpha = 0.01  # level of significance
 deviation = "warn"  # "fail": a significant deviation within the tolerance fails the part
+unexcluded = "inconclusive"  # a part that may have a defect of [defects] does not pass; "note": it passes, with a note
 remeasure = 1  # how often an INCONCLUSIVE part is photographed again
+
+[defects]  # smallest interesting sizes: `anisoscope recipe check` says which ones these poses exclude
+ridge_angle_deg = 1.0  # either way
+roughness_share = 0.5  # along the ridges, and across them
+height_loss = 0.1  # share of the height
+wear_um = 10.0  # radius of worn edges
 
 [area]
 cell_deviation = "auto"  # a cell of the contrast map deviates beyond this ln ratio; "auto": 5 × what cells scatter by

@@ -53,7 +53,13 @@ def _recipe(folder: Path, rng: np.random.Generator, advance: Advance) -> dict[st
         "poses": {"angles_deg": [0.0, 90.0, 180.0]},
         "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.0, 2.0]},
-        "decision": {"contrast": "log_ratio", "tolerance": 0.4, "alpha": 0.001, "deviation": "fail"},
+        "decision": {
+            "contrast": "log_ratio",
+            "tolerance": 0.4,
+            "alpha": 0.001,
+            "deviation": "fail",
+            "unexcluded": "inconclusive",
+        },
         "area": {"cell_deviation": 0.3, "max_share": 0.03},
         "uncertainty": {"seating_tilt_deg": 0.05},
     }

@@ -252,7 +252,7 @@ def test_a_directed_test_finds_small_turns_that_the_distance_alone_misses(tilted
 
 def test_a_defect_that_is_found_anyway_leaves_its_level_to_others(tilted):
     scatter, _ = tilted
-    levels = _levels(scatter, 3, 0.01)
+    levels = _levels(scatter, 3, 3, 0.01)
     shares = dict(zip(scatter.defects, levels.shares, strict=True))
     assert sum(shares.values()) + levels.of_distance == pytest.approx(1.0)
     assert shares["height loss 10%"] == pytest.approx(

@@ -14,8 +14,8 @@ from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, golden_pa
 from anisoscope.kinds.command_output import CommandOutput
 from anisoscope.kinds.registry import kind_of
 from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
-from anisoscope.kinds.surface import CAMERA_SHARE, scatter_texts, with_power
-from anisoscope.prediction.part_scatter import part_scatter
+from anisoscope.kinds.surface import scatter_texts, with_power
+from anisoscope.prediction.part_scatter import CAMERA_SHARE, part_scatter
 
 LIGHT_DEG = 10.0
 
