@@ -18,7 +18,13 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.lobe_doubt import LobeDoubt, weights_between
 from anisoscope.prediction.part_scatter import PartScatter
-from anisoscope.prediction.profile_likelihood import Combined, nearest, nearest_anywhere, nearest_states
+from anisoscope.prediction.profile_likelihood import (
+    SETTLED,
+    Combined,
+    nearest,
+    nearest_anywhere,
+    nearest_states,
+)
 from anisoscope.prediction.propagation import TAIL
 from anisoscope.prediction.second_order import Response
 
@@ -75,6 +81,8 @@ def nearest_lobe(
     covariance: FloatArray,
     changes: FloatArray | None = None,
     tails: FloatArray | None = None,
+    rounds: int = _NARROWED,
+    settled: float = SETTLED,
 ) -> FloatArray:
     """(N,) squared distances of parts from the nearest tail of the lobe and state of the other inputs.
 
@@ -88,16 +96,27 @@ def nearest_lobe(
         covariance: (N, m, m) of the independent errors, of full rank.
         changes: (N, L, m) change of each part that is known beforehand, at L tails; None: of none.
         tails: (L,) those tails.
+        rounds: times that the range of tails is narrowed.
+        settled: relative change of the distance below which its search ends.
     """
     known = np.zeros((len(deviation), 1, deviation.shape[1])) if changes is None else changes
     nodes = np.zeros(1) if tails is None else tails
     blocks = [slice(first, first + _TOGETHER) for first in range(0, len(deviation), _TOGETHER)]
-    found = [_nearest_lobe(lobes, deviation[one], covariance[one], known[one], nodes) for one in blocks]
+    found = [
+        _nearest_lobe(lobes, deviation[one], covariance[one], known[one], nodes, rounds, settled)
+        for one in blocks
+    ]
     return np.concatenate([np.zeros(0), *found])
 
 
 def _nearest_lobe(
-    lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray, changes: FloatArray, nodes: FloatArray
+    lobes: LobeDoubt,
+    deviation: FloatArray,
+    covariance: FloatArray,
+    changes: FloatArray,
+    nodes: FloatArray,
+    rounds: int,
+    settled: float,
 ) -> FloatArray:
     """The same of a few parts, each with `_TAILS` tails at a time."""
     parts, k = len(deviation), len(lobes.responses[0].sources)
@@ -105,12 +124,12 @@ def _nearest_lobe(
     off, metric = (np.repeat(one, _TAILS, axis=0) for one in (deviation, covariance))
     start, each = np.zeros((parts * _TAILS, k)), np.arange(parts)
     least = np.full(parts, np.inf)
-    for _ in range(_NARROWED):
+    for _ in range(rounds):
         tails = np.linspace(low, high, _TAILS, axis=1)
         shifts, responses = lobes.along(tails.ravel())
         weights = weights_between(nodes, tails.ravel()).reshape(*tails.shape, -1)
         known = np.einsum("ntl,nlm->ntm", weights, changes).reshape(shifts.shape)
-        rest, states = nearest_states(responses, off - shifts - known, metric, start)
+        rest, states = nearest_states(responses, off - shifts - known, metric, start, settled=settled)
         found = rest.reshape(tails.shape) + lobes.penalty(tails)
         best = np.argmin(found, axis=1)
         least = np.minimum(least, found[each, best])

@@ -104,6 +104,8 @@ def decide(
     recipe: SurfaceRecipe,
     golden: GoldenSet | None = None,
     parts: PartScatter | None = None,
+    *,
+    exclude: bool = True,
 ) -> Decision:
     """Decide on a part.
 
@@ -114,6 +116,7 @@ def decide(
         golden: golden parts as the reference for the significance, instead of the prediction.
         parts: how good parts scatter, and what defects change; without it the golden parts' own scatter alone counts,
             and no defect is excluded.
+        exclude: find out which defects are excluded.
 
     Raises:
         MeasurementError: no uncertainty is stated, so that no distance is defined; or too few golden parts.
@@ -163,7 +166,7 @@ def decide(
         reasons = (_of_mirroring(measured.mirroring), *own)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
-    exclusions = _exclusions(expected, measured, recipe, golden, parts, predictive)
+    exclusions = _exclusions(expected, measured, recipe, golden, parts, predictive) if exclude else ()
     if verdict is Verdict.PASS and exclusions:
         if open_defects(exclusions) and rule.unexcluded == "inconclusive":
             verdict, reasons = Verdict.INCONCLUSIVE, (open_text(exclusions, number), *reasons)

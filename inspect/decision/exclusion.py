@@ -27,8 +27,10 @@ from anisoscope.recipe.surface import SurfaceRecipe
 
 ONE_SIDED = 1.6448536269514722
 """95 % of the standard normal distribution."""
-_EXTENTS = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0])
+_EXTENTS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
 """Extents that are tried, in smallest interesting sizes; beyond the last one no limit is stated."""
+
+_ROUNDS, _CLOSE = 2, 1e-4  # a limit needs T_c to .01 only
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def excluded_by_prediction(
     tried = (_EXTENTS[:, None, None] * changes[:, None]).reshape(-1, *changes.shape[1:])
     off, metric = np.tile(y, (len(tried), 1)), np.tile(own, (len(tried), 1, 1))
     if expected.lobes is not None:
-        found = nearest_lobe(expected.lobes, off, metric, tried, parts.tails)
+        found = nearest_lobe(expected.lobes, off, metric, tried, parts.tails, rounds=_ROUNDS, settled=_CLOSE)
     else:
         found = nearest(expected.response, off - tried.mean(axis=1), metric)
     curves = found.reshape(len(changes), len(_EXTENTS))

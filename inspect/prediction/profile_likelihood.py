@@ -12,7 +12,9 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 
-_STEPS, _HALVINGS, _SETTLED = 25, 6, 1e-9
+_STEPS, _HALVINGS = 25, 6
+SETTLED = 1e-9
+"""Relative change of a squared distance below which its search ends."""
 _CONVERGENCE = 1e-4  # tolerance of a squared distance whose evaluations are costly
 _ASIDE = 1.5  # u
 
@@ -99,7 +101,7 @@ def nearest_states(
     covariance: FloatArray,
     start: FloatArray,
     *,
-    settled: float = _SETTLED,
+    settled: float = SETTLED,
     farthest: float | FloatArray = np.inf,
 ) -> tuple[FloatArray, FloatArray]:
     """The same within ``farthest`` of every input, and the (N, K) states themselves.

@@ -227,7 +227,7 @@ class Setting:
         crests: radii of the crests.
         model: components of the prediction that are drawn once a rig.
         errors: components of a measurement.
-        scatter: of good parts, or None without golden parts.
+        scatter: of good parts, or None where neither golden parts nor defects to exclude need it.
     """
 
     expected: Expectation
@@ -276,7 +276,8 @@ def _computed(lot: Lot) -> Setting:
     ideal, poses, convention = with_design(recipe), expected.poses, expected.convention
     models = models_of(ideal, poses, convention)
     nominal = State(ideal.material.material(), lot.light_angle_deg, shape=nominal_shape(ideal))
-    scatter = part_scatter(recipe, lot.light_angle_deg) if lot.golden else None
+    wanted = lot.golden or recipe.decision.unexcluded == "inconclusive"
+    scatter = part_scatter(recipe, lot.light_angle_deg) if wanted else None
     if lot.golden and scatter is None:
         raise UsageError(
             "good parts of this recipe have no known scatter, because a pose is dark in some state of them: leave the "
@@ -483,7 +484,14 @@ def judged_on_rig(task: tuple[Lot, int], rng: np.random.Generator) -> Judged:
         golden = golden_set(setting, own.measured)
     light = drawn_parts(setting, rig, lot.on_rig(number), lot.spread, lot.shift, rng)
     decided = [
-        decide(expected, measured_as(setting, one), setting.recipe, golden, setting.scatter)
+        decide(
+            expected,
+            measured_as(setting, one),
+            setting.recipe,
+            golden,
+            setting.scatter,
+            exclude=setting.recipe.decision.unexcluded == "inconclusive",
+        )
         for one in light.measured
     ]
     pairs, kind = consecutive_pairs(expected.poses), setting.recipe.decision.contrast
