@@ -68,7 +68,8 @@ class Decision:
         deviating: (cell rows, cell cols) True where a cell deviates.
         between_tilts: the contrasts between tilts, informative: the joint test already includes them.
         predictive: the test against golden parts by the stated scatter, or None.
-        exclusions: largest sizes of the named defects that the part may have; none where no response is known.
+        exclusions: largest sizes of the named defects that the part may have, one at a time; none where no response is
+            known, or the part deviates.
     """
 
     verdict: Verdict
@@ -116,7 +117,7 @@ def decide(
         golden: golden parts as the reference for the significance, instead of the prediction.
         parts: how good parts scatter, and what defects change; without it the golden parts' own scatter alone counts,
             and no defect is excluded.
-        exclude: find out which defects are excluded.
+        exclude: find out which defects are excluded of a part that does not deviate.
 
     Raises:
         MeasurementError: no uncertainty is stated, so that no distance is defined; or too few golden parts.
@@ -166,7 +167,8 @@ def decide(
         reasons = (_of_mirroring(measured.mirroring), *own)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
-    exclusions = _exclusions(expected, measured, recipe, golden, parts, predictive) if exclude else ()
+    asked = exclude and p_value >= rule.alpha
+    exclusions = _exclusions(expected, measured, recipe, golden, parts, predictive) if asked else ()
     if verdict is Verdict.PASS and exclusions:
         if open_defects(exclusions) and rule.unexcluded == "inconclusive":
             verdict, reasons = Verdict.INCONCLUSIVE, (open_text(exclusions, number), *reasons)
@@ -211,8 +213,7 @@ def _exclusions(
     by_prediction = excluded_by_prediction(expected, measured.radiance, errors, parts, recipe)
     if golden is None or predictive is None:
         return by_prediction
-    size, freedom = predictive.size, predictive.freedom
-    by_parts = excluded_by_parts(parts, measured, recipe, golden.contrasts(), size, freedom, golden.batches)
+    by_parts = excluded_by_parts(parts, measured, recipe, golden.contrasts(), predictive.size, golden.batches)
     if not by_prediction or from_prediction(expected, measured)[2] < CONTRADICTED:
         return by_parts
     nominal = excluded_by_prediction(expected, expected.radiance, errors, parts, recipe)

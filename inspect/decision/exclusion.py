@@ -19,6 +19,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency import nearest_lobe, own_components, scatter_of
+from anisoscope.decision.predictive import assumed_size
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.part_scatter import NamedDefect, PartScatter, named_defects
@@ -160,7 +161,6 @@ def excluded_by_parts(
     recipe: SurfaceRecipe,
     golden: FloatArray,
     size: float,
-    freedom: float,
     batches: int | None = None,
 ) -> tuple[Exclusion, ...]:
     """Limits of the named defects against good parts: the largest of all lobes that are as likely.
@@ -170,32 +170,29 @@ def excluded_by_parts(
         measured: the part.
         recipe: with the smallest interesting sizes.
         golden: (n, P − 1) contrasts of the good parts in the basis of `log_basis`.
-        size: variance of good parts over the stated one.
-        freedom: degrees of freedom to which that is known.
+        size: variance of good parts over the stated one, as of `predictive.size_of`.
         batches: number of lots or days of the good parts; None: they are independent.
     """
-    from scipy.special import stdtrit  # noqa: PLC0415 - start-up time
-
     scatter = scatter_of(parts, measured)
     basis = log_basis(len(measured.radiance))
     d = basis @ np.log(measured.radiance) - golden.mean(axis=0)
     count = min(batches or len(golden), len(golden))
-    quantile = ONE_SIDED if np.isinf(freedom) else float(stdtrit(freedom, 0.95))
+    taken = float(assumed_size(size, len(d), len(golden), 0.05)) * (1.0 + 1.0 / count)
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in parts.changes}
     for turn, lobe in enumerate(scatter.lobes):
         tangent = lobe.slope * scatter.own
-        weight = np.linalg.inv((tangent @ tangent.T + scatter.errors) * size * (1.0 + 1.0 / count))
+        weight = np.linalg.inv((tangent @ tangent.T + scatter.errors) * taken)
         for name, change in parts.changes.items():
             s = basis @ change[turn]
             information = float(s @ weight @ s)
             found[name].append((float(s @ weight @ d) / information, 1.0 / float(np.sqrt(information))))
     named = {one.name: one for one in named_defects(recipe)}
-    return tuple(_of_lobes(named[name], each, quantile) for name, each in found.items())
+    return tuple(_of_lobes(named[name], each) for name, each in found.items())
 
 
-def _of_lobes(defect: NamedDefect, each: list[tuple[float, float]], quantile: float) -> Exclusion:
-    best, u = max(each, key=lambda one: one[0] + quantile * one[1])
-    return Exclusion(defect, max(best, 0.0), max(best, 0.0) + quantile * u)
+def _of_lobes(defect: NamedDefect, each: list[tuple[float, float]]) -> Exclusion:
+    best, u = max(each, key=lambda one: one[0] + ONE_SIDED * one[1])
+    return Exclusion(defect, max(best, 0.0), max(best, 0.0) + ONE_SIDED * u)
 
 
 def open_defects(found: tuple[Exclusion, ...]) -> tuple[Exclusion, ...]:

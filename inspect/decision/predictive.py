@@ -5,9 +5,11 @@ model), s differs from part to part, e from inspection to inspection. The mean o
 shape of the scatter about it is known beforehand from recipe ([scatter]) and measurement: W, the covariance of y for a
 given material, averaged over what the material may be, through the response to second order. Its size is that of the
 golden parts, W·s² with s² = (ν₀ + q)/(ν₀ + m(n − 1)) and q = Σ (y − ȳ)ᵀW⁻¹(y − ȳ): the stated size counts as much as
-ν₀ = `PRIOR_FREEDOM` degrees of freedom (scaled inverse χ² prior; Gelman et al., Bayesian Data Analysis, 2.6), so that
-one part serves and three replace what was stated. Drawn parts have the stated size. With a smaller one the statistics
-are smaller, so that the level holds for every size up to the stated one.
+ν₀ = `PRIOR_FREEDOM` degrees of freedom (scaled inverse χ² prior; Gelman et al., Bayesian Data Analysis, 2.6). The
+statistics take the lesser of the stated size and s² with what few parts leave unknown of it, so that one part serves,
+three replace what was stated where parts scatter less, and little is lost where they do not. Drawn parts have the
+stated size. With a smaller one the statistics are smaller, so that the level holds for every size up to the stated one.
+Golden parts that scatter more than stated, beyond chance, are believed.
 
 Golden parts of one lot or day share what differs between lots and days: their mean is only as good as that of as many
 parts as there are batches.
@@ -31,10 +33,10 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import ROUNDING, positive_part, root
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import LEVELS, calibrated, f_tail
+from anisoscope.base.significance import LEVELS, calibrated, chi2_tail
 from anisoscope.prediction.second_order import Response
 
-PRIOR_FREEDOM = 1.0
+PRIOR_FREEDOM = 0.5
 """Degrees of freedom that the stated size of the scatter is worth beside that of the golden parts."""
 MAX_BIRGE = 3.0
 """Ratio of the scatter among golden parts to the stated one beyond which the stated one is not theirs."""
@@ -51,7 +53,7 @@ _SCORES = np.linspace(0.0, 15.0, 301)
 _STEPS = 300  # of the estimate of variance components
 LEARNING_PARTS = 10
 """Number of golden parts that a stated scatter is worth where golden parts of another recipe correct it."""
-_MANY = 1e6  # degrees of freedom in place of infinitely many
+_TAIL = 0.001  # for which the size is taken: about the share of the level that a named defect has
 _DETERMINED = 0.5  # degrees of freedom below which an input is not determined
 
 
@@ -147,7 +149,6 @@ class PredictiveTest:
         directions: one a named defect.
         birge: ratio of the golden parts' scatter to the stated one; None for a single golden part.
         size: s², variance of good parts over the stated one, as the golden parts and the stated size have it together.
-        freedom: degrees of freedom to which it is known.
         decides: whether this test decides; not where many golden parts contradict the stated scatter.
     """
 
@@ -159,7 +160,6 @@ class PredictiveTest:
     directions: tuple[Direction, ...]
     birge: float | None
     size: float = 1.0
-    freedom: float = np.inf
     decides: bool = True
 
     @property
@@ -182,10 +182,11 @@ def birge_ratio(golden: FloatArray, covariance: FloatArray) -> float | None:
     return float(np.einsum("ni,ij,nj->", off, np.linalg.inv(covariance), off) / (m * (count - 1.0)))
 
 
-def size_of(golden: FloatArray, stated: FloatArray) -> tuple[float, float]:
-    """Size s² of the scatter of good parts, as a multiple of the stated (m, m) covariance, and its degrees of freedom.
+def size_of(golden: FloatArray, stated: FloatArray) -> float:
+    """Size s² of the scatter of good parts, as a multiple of the stated (m, m) covariance.
 
-    The stated size counts as `PRIOR_FREEDOM` degrees of freedom; of a single part it is all that is known.
+    The stated size counts as `PRIOR_FREEDOM` degrees of freedom; of a single part it is all that is known. Tests and
+    limits take what `assumed_size` makes of it.
 
     Args:
         golden: (n, m) contrasts of golden parts.
@@ -193,9 +194,7 @@ def size_of(golden: FloatArray, stated: FloatArray) -> tuple[float, float]:
     """
     off = golden - golden.mean(axis=0)
     squares = float(np.einsum("ni,ij,nj->", off, np.linalg.inv(stated), off))
-    return float(_size(np.array(squares), golden.shape[1], len(golden))), _freedom(
-        golden.shape[1], len(golden)
-    )
+    return float(_size(np.array(squares), golden.shape[1], len(golden)))
 
 
 def size_interval(golden: FloatArray, stated: FloatArray) -> tuple[float, float] | None:
@@ -210,6 +209,29 @@ def size_interval(golden: FloatArray, stated: FloatArray) -> tuple[float, float]
 
 def _size(squares: FloatArray, m: int, count: int) -> FloatArray:
     return np.asarray((PRIOR_FREEDOM + squares) / (PRIOR_FREEDOM + m * (count - 1.0)))
+
+
+def assumed_size(size: FloatArray | float, m: int, count: int, tail: float) -> FloatArray:
+    """Size of the scatter for a probability ``tail``: the stated one, or that of the golden parts where it is less.
+
+    That of the golden parts is multiplied by the square of Student's quantile over the normal one, for what few parts
+    leave unknown. A size that is greater than the stated one beyond chance (95 %) stays.
+
+    Args:
+        size: (…) s² of `size_of`.
+        m: number of contrasts.
+        count: golden parts.
+        tail: one-sided probability of the quantiles.
+    """
+    from scipy.special import chdtri, ndtri, stdtrit  # noqa: PLC0415 - start-up time
+
+    free = m * (count - 1.0)
+    if free == 0.0:
+        return np.ones_like(np.asarray(size, dtype=np.float64))
+    wider = (stdtrit(_freedom(m, count), 1.0 - tail) / ndtri(1.0 - tail)) ** 2
+    squares = np.asarray(size) * (PRIOR_FREEDOM + free) - PRIOR_FREEDOM
+    contradicts = squares > float(chdtri(free, 0.025))
+    return np.where(contradicts, size, np.minimum(wider * np.asarray(size), 1.0))
 
 
 def _freedom(m: int, count: int) -> float:
@@ -236,15 +258,16 @@ def predictive_test(
     stated, count = _checked(scatter, golden), len(golden)
     several = min(batches or count, count)
     null = _null_of(scatter, count, several)
-    size, freedom = size_of(golden, stated)
-    inverse = np.linalg.inv(stated * size * (1.0 + 1.0 / several))
+    size = size_of(golden, stated)
+    taken = float(assumed_size(size, len(stated), count, _TAIL))
+    inverse = np.linalg.inv(stated * taken * (1.0 + 1.0 / several))
     d = value - golden.mean(axis=0)
     t2 = float(d @ inverse @ d)
     p_distance = float(calibrated(null.distance_theory(np.array([t2])), null.distances)[0])
     names = tuple(scatter.defects)
     if not names:
         birge = birge_ratio(golden, stated)
-        return PredictiveTest(t2, len(d), p_distance, p_distance, None, (), birge, size, freedom)
+        return PredictiveTest(t2, len(d), p_distance, p_distance, None, (), birge, size)
     shifts = np.array([scatter.defects[name] for name in names])
     separation = np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts))
     scores = shifts @ inverse @ d / np.maximum(separation, 1e-12)
@@ -260,7 +283,6 @@ def predictive_test(
         _directions(names, scores, chances, separation, levels),
         birge_ratio(golden, stated),
         size,
-        freedom,
     )
 
 
@@ -278,8 +300,8 @@ def separations(
     """
     several = min(batches or count, count)
     levels = _levels(scatter, count, several, alpha)
-    free = len(scatter.errors) * (count - 1.0)
-    usual = float(_size(np.array(size * free), len(scatter.errors), count))
+    m = len(scatter.errors)
+    usual = float(assumed_size(_size(np.array(size * m * (count - 1.0)), m, count), m, count, _TAIL))
     none, separation = np.zeros(len(levels.limits)), _stated(scatter, several)[0] / np.sqrt(usual)
     levels = replace(levels, spreads=levels.spreads * np.sqrt(size / usual))
     return _directions(tuple(scatter.defects), none, none + 1.0, separation, levels)
@@ -459,25 +481,23 @@ class _Null:
 
     Attributes:
         m: number of contrasts.
-        freedom: degrees of freedom of the size of the scatter.
-        distances: (N,) p values of T² of drawn good parts by the F distribution.
-        scores: for each named defect (N,) p values of the score of drawn good parts by Student's distribution.
+        distances: (N,) p values of T² of drawn good parts by χ².
+        scores: for each named defect (N,) p values of the score of drawn good parts by the normal distribution.
     """
 
     m: int
-    freedom: float
     distances: FloatArray
     scores: tuple[FloatArray, ...]
 
     def distance_theory(self, t2: FloatArray) -> FloatArray:
-        """P values by the F distribution with m degrees of freedom and those of the size."""
-        return np.maximum(f_tail(t2 / self.m, self.m, min(self.freedom, _MANY)), _SMALLEST)
+        """P values by χ² with m degrees of freedom."""
+        return np.maximum(chi2_tail(t2, self.m), _SMALLEST)
 
     def score_theory(self, scores: FloatArray) -> FloatArray:
-        """P values of scores by Student's distribution, one-sided."""
-        from scipy.special import stdtr  # noqa: PLC0415 - start-up time
+        """P values of scores by the normal distribution, one-sided."""
+        from scipy.special import ndtr  # noqa: PLC0415 - start-up time
 
-        return np.clip(stdtr(min(self.freedom, _MANY), -scores), _SMALLEST, 1.0)
+        return np.clip(ndtr(-scores), _SMALLEST, 1.0)
 
     def score_chances(self, scores: FloatArray) -> FloatArray:
         """(C,) p values of the (C,) scores of a part, each by the drawn good parts' scores in its direction."""
@@ -570,10 +590,11 @@ def _null_of(scatter: Scatter, count: int, batches: int) -> _Null:
     drawn = scatter.drawn(scatter.shared(_SETS, rng), count + _NEW, rng)
     golden, parts = drawn[:, :count], drawn[:, count:]
     off = golden - golden.mean(axis=1, keepdims=True)
-    size = _size(np.einsum("sni,ij,snj->s", off, weight, off), m, count) * (1.0 + 1.0 / batches)
+    size = _size(np.einsum("sni,ij,snj->s", off, weight, off), m, count)
+    size = assumed_size(size, m, count, _TAIL) * (1.0 + 1.0 / batches)
     d = parts - golden[:, :batches].mean(axis=1, keepdims=True)
     t2 = (np.einsum("spi,ij,spj->sp", d, weight, d) / size[:, None]).ravel()
-    bare = _Null(m, _freedom(m, count), np.empty(0), ())
+    bare = _Null(m, np.empty(0), ())
     distances = bare.distance_theory(t2)
     if not scatter.defects:
         return replace(bare, distances=distances)

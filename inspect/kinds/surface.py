@@ -686,7 +686,7 @@ def with_power(
     scatter = contrast_scatter(parts, CAMERA_SHARE)
     golden, count, batches = known.contrasts(), len(known.parts), known.batches
     birge = birge_ratio(golden, scatter.covariance)
-    size, _ = size_of(golden, scatter.covariance)
+    size = size_of(golden, scatter.covariance)
     interval = size_interval(golden, scatter.covariance)
     numbers = sorted({count, *MORE_PARTS})
     alpha = recipe.decision.alpha
@@ -725,6 +725,11 @@ def with_power(
         ]
         names = ["input", "stated", "of the golden parts", "95 % from", "to", "unit, key of [scatter]"]
         tables.append(Table("scatter between parts", names, scattered, "standard deviations"))
+    if count > 1 and batches == 1:
+        lines.append(
+            f"all {count} golden parts are of one lot or day: their mean counts as that of one part; add parts of "
+            "another lot, or of another day"
+        )
     if birge is not None and interval is not None:
         low, high = interval
         line = (
@@ -734,11 +739,6 @@ def with_power(
         if birge > MAX_BIRGE:
             line += ": state theirs in [scatter], or calibrate the material, which is not the recipe's"
         lines.append(line)
-    if count > 1 and batches == 1:
-        lines.append(
-            f"all {count} golden parts are of one lot or day: their mean counts as that of one part; add parts of "
-            "another lot, or of another day"
-        )
     return CommandOutput(shown.content | content, tuple(tables), tuple(lines))
 
 

@@ -36,8 +36,12 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     assert [part["serial"] for part in found["parts"]] == ["A", "B"]
     assert (found["compared_with"], len(found["mean"])) == (True, 2)
     loss = {count: sizes["height loss 10%"] for count, sizes in found["detectable"].items()}
-    assert loss["1"] > loss["2"] > loss["25"] > 0.0
+    assert min(loss["1"], loss["2"]) > loss["25"] > 0.0
     assert found["birge"] > 0.0
+    assert found["batches"] == 1  # of one day
+    low, high = found["size_interval"]
+    assert low < found["birge"] < high
+    assert found["size"] == pytest.approx((0.5 + 2.0 * found["birge"]) / 2.5)
     assert found["area_limit"] == 0.03
     assert "limit of the area: 3.00%; from 10 golden parts" in found["area_limit_says"]
     shown = anisoscope("golden", "show", *at).out

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from anisoscope.base.significance import log_basis
@@ -132,18 +133,27 @@ def test_limit_against_golden_parts_is_that_of_their_scatter(linear, count):
     golden = np.log(expected.radiance) @ basis.T + 0.01 * rng.normal(size=(count, 2))
     measured = seen(expected.radiance * np.exp(0.7 * change))
     stated = scatter_of(parts, measured).covariance
-    size, freedom = size_of(golden, stated)
-    (found,) = excluded_by_parts(parts, measured, rules, golden, size, freedom)
+    size = size_of(golden, stated)
+    (found,) = excluded_by_parts(parts, measured, rules, golden, size)
     slope = basis @ parts.response.slope
     shape = slope @ slope.T + NOISE**2 * basis @ basis.T
-    weight = np.linalg.inv(shape * size * (1.0 + 1.0 / count))
+    free = 2.0 * (count - 1.0)
+    taken = 1.0
+    if count > 1:
+        off = golden - golden.mean(axis=0)
+        squares = np.einsum("ni,ij,nj->", off, np.linalg.inv(stated), off)
+        assert size == pytest.approx((0.5 + squares) / (0.5 + free))
+        known = (0.5 + free) ** 2 / free
+        taken = min(size * (student.ppf(0.95, known) / ONE_SIDED) ** 2, 1.0)
+        assert squares < chi2.ppf(0.975, free)
+    weight = np.linalg.inv(shape * taken * (1.0 + 1.0 / count))
     shift = basis @ change
     u = 1.0 / np.sqrt(shift @ weight @ shift)
     best = shift @ weight @ (basis @ np.log(measured.radiance) - golden.mean(axis=0)) * u**2
     assert found.best == pytest.approx(max(best, 0.0))
-    assert found.limit == pytest.approx(max(best, 0.0) + student.ppf(0.95, freedom) * u)
+    assert found.limit == pytest.approx(max(best, 0.0) + ONE_SIDED * u)
     if count == 6:  # of one lot: their mean is as good as one part
-        (alike,) = excluded_by_parts(parts, measured, rules, golden, size, freedom, batches=1)
+        (alike,) = excluded_by_parts(parts, measured, rules, golden, size, batches=1)
         assert alike.limit - alike.best == pytest.approx(
             (found.limit - found.best) * np.sqrt(2.0 / (7.0 / 6.0))
         )
@@ -206,8 +216,8 @@ def test_rate_of_wrong_exclusions_against_golden_parts(tilts, count):
             for name, defect in DEFECTS.items():
                 for _ in range(2):
                     measured = made(rules, rng, lobe, rig, **defect)
-                    size, freedom = size_of(golden, scatter_of(parts, measured).covariance)
-                    found = excluded_by_parts(parts, measured, rules, golden, size, freedom)
+                    size = size_of(golden, scatter_of(parts, measured).covariance)
+                    found = excluded_by_parts(parts, measured, rules, golden, size)
                     wrong[name] += next(one for one in found if one.defect.name == name).excluded
     assert tried == 120
     assert all(one <= 14 for one in wrong.values()), wrong  # 6 are due; parts of one golden set are alike
@@ -225,7 +235,7 @@ def test_more_poses_and_golden_parts_exclude_more():
         golden = golden_of(rules, rng, LOBES["Beckmann"], (0.0, 0.0), 12)
         stated = scatter_of(parts, measured).covariance
         sizes = [
-            excluded_by_parts(parts, measured, rules, golden[:count] * 0.0 + golden.mean(axis=0), *size)
+            excluded_by_parts(parts, measured, rules, golden[:count] * 0.0 + golden.mean(axis=0), size)
             for count, size in ((2, size_of(golden[:2], stated)), (12, size_of(golden, stated)))
         ]
         assert np.median([b.limit / a.limit for a, b in zip(*sizes, strict=True)]) < 1.0
@@ -251,6 +261,14 @@ def test_an_open_defect_makes_a_part_inconclusive_where_the_recipe_asks_for_it()
     passed = decide(expected, measured, wide, parts=part_scatter(wide, LIGHT_DEG))
     assert passed.verdict is Verdict.PASS, passed.reasons
     assert passed.reasons[-1].startswith("excluded: more than ridge angle +")
+
+
+def test_a_part_that_deviates_has_no_limits():
+    rules = recipe()
+    expected, parts = expectation(rules, LIGHT_DEG), part_scatter(rules, LIGHT_DEG)
+    off = seen(expected.radiance * np.exp([0.0, 3.0, -3.0]))
+    assert decide(expected, off, rules, parts=parts).exclusions == ()
+    assert decide(expected, seen(expected.radiance), rules, parts=parts, exclude=False).exclusions == ()
 
 
 def test_a_recipe_without_defects_to_exclude_says_nothing():

@@ -259,7 +259,7 @@ def test_a_defect_that_is_found_anyway_leaves_its_level_to_others(tilted):
         0.7 * 0.2 / len(shares), abs=1e-3
     )  # what all have alike
     assert shares["roughness across the ridges +20%"] > 0.7 * 2.0 / len(shares)
-    even = _null_of(scatter, 3).score_limits(0.5 * 0.01 / len(shares) * np.ones(len(shares)))
+    even = _null_of(scatter, 3, 3).score_limits(0.5 * 0.01 / len(shares) * np.ones(len(shares)))
     found = separations(scatter, 3, 0.01)
     before = ndtr((np.array([one.separation for one in found]) - even) / levels.spreads)
     assert sum(one.power for one in found) > before.sum() + 0.2
@@ -290,8 +290,10 @@ def test_the_named_defect_is_the_least_probable_one_not_the_largest_score():
 
 def test_more_golden_parts_show_smaller_defects(tilted):
     scatter, _ = tilted
-    one, three, many = (detectable(scatter, count, 0.01) for count in (1, 3, 25))
+    one, three, many = (detectable(scatter, count, 0.01, size=0.25) for count in (1, 3, 25))
     assert all(one[name] > three[name] > many[name] for name in one)
+    stated, alike = detectable(scatter, 25, 0.01), detectable(scatter, 25, 0.01, batches=1)
+    assert all(many[name] < stated[name] < alike[name] for name in one)
     names = {"ridge angle +0.5°", "roughness across the ridges +20%", "height loss 10%", "edges worn to 5 µm"}
     assert set(one) >= names
 
