@@ -514,6 +514,7 @@ def golden_set(setting: Setting, log_radiance: FloatArray) -> GoldenSet:
         GoldenPart(
             serial=f"golden {number}",
             inspected_at="",
+            lot=str(number),
             log_radiance=tuple(one.tolist()),
             area_share=None,
             verdict="PASS",
