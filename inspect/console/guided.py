@@ -437,7 +437,7 @@ def add_golden_parts(place: Workplace, advance: Advance, *, recipe: Path, folder
     from anisoscope.kinds.registry import add_golden  # noqa: PLC0415
 
     del advance
-    known, failed = add_golden(recipe, [place.out / name for name in folders])
+    known, failed, _ = add_golden(recipe, [place.out / name for name in folders])
     notes = [
         message(
             "The verdict of {serials} was FAIL: are these parts good?",

@@ -174,6 +174,11 @@ def decide(
             verdict, reasons = Verdict.INCONCLUSIVE, (open_text(exclusions, number), *reasons)
         elif not open_defects(exclusions):
             reasons = (*reasons, excluded_text(exclusions))
+    if golden is not None and golden.unjudged:
+        reasons = (
+            *reasons,
+            f"compared with {golden.unjudged} parts that nobody judged: what they have in common is not seen",
+        )
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))

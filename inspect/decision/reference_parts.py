@@ -384,11 +384,12 @@ class GoldenPart(ReferenceRow):
     """One golden part: identity, time of inspection, and (P,) ln radiances.
 
     ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
-    do not record the threshold.
+    do not record the threshold. ``unlabelled`` marks parts of a lot that nobody judged.
     """
 
     log_radiance: tuple[float, ...]
     lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
+    unlabelled: Annotated[bool, Field(exclude_if=lambda value: not value)] = False
     area_share: float | None
     cell_deviation: float | Literal["auto"] | None = None
     cells: int | None = None
@@ -434,6 +435,11 @@ class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
     def batches(self) -> int:
         """Number of batches: lots, and days of inspection of parts without a lot."""
         return len({part.lot or part.inspected_at[:10] for part in self.parts})
+
+    @property
+    def unjudged(self) -> int:
+        """Number of parts of a lot that nobody judged."""
+        return sum(part.unlabelled for part in self.parts)
 
     def values(self) -> FloatArray:
         """(n, P − 1) contrasts."""

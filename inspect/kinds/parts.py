@@ -5,14 +5,14 @@ What a kind does not have is answered in one line (`collecting` and the like), o
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
 from anisoscope.base.cause_words import CauseWords
-from anisoscope.base.errors import UsageError
+from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.progress import Advance
 from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet, ReferenceSet, golden_path
@@ -117,6 +117,28 @@ class References(ABC):
         """
         found: Reference = self.reference_set.with_inspection(known, recipe, record)
         return found
+
+    def without_odd_parts(
+        self, known: OfKind, recipe: OfKind, added: Collection[tuple[str, str]]
+    ) -> tuple[Reference, list[str]]:
+        """A set with parts of a lot that nobody judged, without those that deviate from the others.
+
+        Args:
+            known: the set with all of them.
+            recipe: the recipe.
+            added: serial numbers and times of inspection of the parts.
+
+        Returns:
+            The set, and the serial numbers of the parts that were left out.
+
+        Raises:
+            CalibrationError: the kind states no scatter of good parts, or there are too few parts.
+        """
+        del known, recipe, added
+        raise CalibrationError(
+            "parts that nobody judged need a recipe that states how good parts scatter ([scatter]): add parts that are "
+            "known to be good, without --unlabelled"
+        )
 
     def show_reference(
         self,

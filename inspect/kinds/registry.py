@@ -102,14 +102,22 @@ def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
     return chosen[0]
 
 
-def add_golden(recipe: Path, folders: Sequence[Path]) -> tuple[Any, list[str]]:
+def add_golden(
+    recipe: Path, folders: Sequence[Path], *, unlabelled: bool = False
+) -> tuple[Any, list[str], list[str]]:
     """Add inspected parts to the golden parts of a recipe, all of them or none.
 
+    Args:
+        recipe: recipe file.
+        folders: finished inspections.
+        unlabelled: nobody judged the parts: those that deviate from the others are left out.
+
     Returns:
-        The golden parts, and the serial numbers of added parts whose verdict was FAIL.
+        The golden parts, the serial numbers of added parts whose verdict was FAIL, and those of parts left out.
 
     Raises:
-        CalibrationError: a part of another kind, or one that does not fit the others.
+        CalibrationError: a part of another kind, or one that does not fit the others; too few parts, or a kind whose
+            recipes state no scatter, for parts that nobody judged.
         RecordError: a folder holds no finished inspection.
     """
     kind, path = kind_of(recipe), golden_path(recipe)
@@ -127,8 +135,12 @@ def add_golden(recipe: Path, folders: Sequence[Path]) -> tuple[Any, list[str]]:
             )
         known = collects.add_reference(known, rules, record)
     assert known is not None
+    left_out: list[str] = []
+    if unlabelled:
+        added = {(record.serial, record.created_at) for record in map(read_record, folders)}
+        known, left_out = collects.without_odd_parts(known, rules, added)
     write_golden(path, known)
-    return known, failed
+    return known, [serial for serial in failed if serial not in left_out], left_out
 
 
 def _table(path: Path) -> dict[str, Any]:

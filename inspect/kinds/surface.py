@@ -1,6 +1,6 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
 from functools import partial
@@ -518,6 +518,36 @@ class SurfaceKind(
         parts = self.part_scatter(recipe, light_angle_deg)
         return shown if parts is None else with_power(shown, known, recipe, parts)
 
+    def without_odd_parts(
+        self,
+        known: Any,  # noqa: ANN401
+        recipe: RecipeT,
+        added: Collection[tuple[str, str]],
+    ) -> tuple[GoldenSet, list[str]]:
+        """The set without parts of a lot that deviate from the others, by the scatter that the recipe states."""
+        from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT  # noqa: PLC0415 - scipy
+        from anisoscope.decision.lot_reference import alike  # noqa: PLC0415
+
+        equipment = known.equipment
+        angle = None if equipment is None or equipment.light is None else equipment.light_angle_deg
+        parts = None if angle is None else self.part_scatter(recipe, angle)
+        if parts is None:
+            return cast("tuple[GoldenSet, list[str]]", super().without_odd_parts(known, recipe, added))
+        if len(known.parts) < LEAST_OF_LOT:
+            raise CalibrationError(
+                f"{len(known.parts)} parts that nobody judged: {LEAST_OF_LOT} of a lot or more show which "
+                "one deviates"
+            )
+        kept, _ = alike(known.contrasts(), contrast_scatter(parts, CAMERA_SHARE).covariance)
+        rows, left_out = [], []
+        for part, near in zip(known.parts, kept, strict=True):
+            new = (part.serial, part.inspected_at) in added
+            if new and not near:
+                left_out.append(part.serial)
+            else:
+                rows.append(part.model_copy(update={"unlabelled": True}) if new else part)
+        return known.model_copy(update={"parts": tuple(rows)}), left_out
+
     def tolerances(self, recipe: RecipeT) -> dict[str, float]:
         """One tolerance a contrast."""
         return recipe_tolerances(recipe)
@@ -850,6 +880,7 @@ def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> G
         birge=None if found is None else found.birge,
         size=None if found is None else found.size,
         batches=golden.batches,
+        unjudged=golden.unjudged,
         p_distance=None if found is None else found.p_distance,
         p_direction=None if found is None else found.p_direction,
         directions=()

@@ -199,6 +199,7 @@ class GoldenParts:
         lacking: why they cannot serve as a reference yet, or None.
         noun: word for one of them.
         failed: serial numbers of added parts whose verdict was FAIL.
+        left_out: serial numbers of parts that deviate from the others of their lot, and were not added.
         changed: word and number: how many were added or removed.
     """
 
@@ -207,6 +208,7 @@ class GoldenParts:
     lacking: str | None
     noun: str = field(metadata=LEFT_OUT)
     failed: tuple[str, ...] = field(default=(), metadata=LEFT_OUT)
+    left_out: tuple[str, ...] = ()
     changed: dict[str, int] = field(default_factory=dict, metadata=json_field(merged=True))
 
     @property
@@ -222,8 +224,13 @@ class GoldenParts:
         return GoldenParts(path, count, known.lacking if count else None, known.noun, **changes)
 
 
-def add_golden(recipe: Path | str, folders: Sequence[Path | str]) -> GoldenParts:
+def add_golden(recipe: Path | str, folders: Sequence[Path | str], *, unlabelled: bool = False) -> GoldenParts:
     """Add inspected parts that are known to be good to the golden parts of a recipe; all of them or none.
+
+    Args:
+        recipe: recipe file.
+        folders: finished inspections.
+        unlabelled: they are parts of a lot that nobody judged: those that deviate from the others are left out.
 
     Raises:
         UsageError: no folder.
@@ -233,8 +240,14 @@ def add_golden(recipe: Path | str, folders: Sequence[Path | str]) -> GoldenParts
     path = Path(recipe)
     if not folders:
         raise UsageError("name the folders of one or more finished inspections")
-    known, failed = added_golden(path, [Path(one) for one in folders])
-    return GoldenParts.of(golden_path(path), known, failed=tuple(failed), changed={"added": len(folders)})
+    known, failed, left_out = added_golden(path, [Path(one) for one in folders], unlabelled=unlabelled)
+    return GoldenParts.of(
+        golden_path(path),
+        known,
+        failed=tuple(failed),
+        left_out=tuple(left_out),
+        changed={"added": len(folders) - len(left_out)},
+    )
 
 
 def remove_golden(recipe: Path | str, serials: Sequence[str]) -> GoldenParts:

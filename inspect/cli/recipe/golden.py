@@ -34,17 +34,35 @@ def _as_usage() -> Iterator[None]:
 def add(
     *folders: Annotated[Path, Parameter(help="Folders of finished inspections of good parts.")],
     recipe: RecipeFile,
+    unlabelled: Annotated[
+        bool,
+        Parameter(
+            negative=(),
+            help="Parts of a lot that nobody judged: those that deviate from the others are left out.",
+        ),
+    ] = False,
     json_: Json = False,
 ) -> int:
     """Add inspected parts that are known to be good; all of them or none.
 
     Examples:
         anisoscope golden add --recipe recipe.toml inspections/GOOD-1-20260115T101500Z
+        anisoscope golden add --recipe recipe.toml --unlabelled inspections/LOT-7-*
     """
     from anisoscope.operations.teaching import add_golden
 
     with _as_usage():
-        found = add_golden(recipe, folders)
+        found = add_golden(recipe, folders, unlabelled=unlabelled)
+    if unlabelled:
+        odd = (
+            f"left out, as they deviate from the others: {', '.join(found.left_out)}; "
+            if found.left_out
+            else ""
+        )
+        print_lines(
+            f"note: {odd}what all of these parts have in common is not seen",
+            stderr=True,
+        )
     if found.failed:
         print_lines(
             f"note: the verdict of {', '.join(found.failed)} was FAIL: make sure that these parts are good, or take "
