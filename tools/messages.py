@@ -73,7 +73,7 @@ SENTENCES = {
     "inspect/decision/reference_parts.py": ("lacking",),
     "inspect/decision/design_vs_map.py": ("compare",),
     "inspect/decision/exclusion.py": ("excluded_text", "open_text"),
-    "inspect/decision/decision.py": ("_combine", "_blind", "_of_tolerance", "_limit_of"),
+    "inspect/decision/decision.py": ("_combine", "_blind", "_of_the_lot", "_of_tolerance", "_limit_of"),
     "inspect/diagnosis/part_diagnosis.py": ("explain", "_summary"),
     "inspect/imaging/pose_radiance.py": ERRORS,
     "inspect/imaging/quality_gates.py": ERRORS,

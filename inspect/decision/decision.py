@@ -175,10 +175,7 @@ def decide(
         elif not open_defects(exclusions):
             reasons = (*reasons, excluded_text(exclusions))
     if golden is not None and golden.unjudged:
-        reasons = (
-            *reasons,
-            f"compared with {golden.unjudged} parts that nobody judged: what they have in common is not seen",
-        )
+        reasons = (*reasons, _of_the_lot(golden.unjudged))
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))
@@ -226,6 +223,10 @@ def _exclusions(
         of_parts if of_parts.limit - of_parts.best <= planned.limit else of_prediction
         for of_parts, of_prediction, planned in zip(by_parts, by_prediction, nominal, strict=True)
     )
+
+
+def _of_the_lot(count: int) -> str:
+    return f"compared with {count} parts that nobody judged: what they have in common is not seen"
 
 
 def _blind(predictive: PredictiveTest | None, recipe: SurfaceRecipe, golden: int) -> str | None:

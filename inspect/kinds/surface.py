@@ -529,7 +529,7 @@ class SurfaceKind(
         from anisoscope.decision.lot_reference import alike  # noqa: PLC0415
 
         equipment = known.equipment
-        angle = None if equipment is None or equipment.light is None else equipment.light_angle_deg
+        angle = None if equipment is None else equipment.light_angle_deg
         parts = None if angle is None else self.part_scatter(recipe, angle)
         if parts is None:
             return cast("tuple[GoldenSet, list[str]]", super().without_odd_parts(known, recipe, added))

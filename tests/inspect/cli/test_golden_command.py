@@ -108,3 +108,31 @@ def test_a_new_recipe_and_what_is_refused(anisoscope, tmp_path):
     assert not (tmp_path / "c.toml").exists()
     shutil.copy(path, tmp_path / "d.toml")
     assert anisoscope("golden", "add", "--recipe", path).code == 64
+
+
+def test_parts_of_a_lot_that_nobody_judged_without_the_one_that_deviates(anisoscope, virtual_rig):
+    rig = virtual_rig()
+    at = ("--recipe", rig.recipe)
+    first = rig.inspect("LOT-1").folder
+    few = anisoscope("golden", "add", *at, "--unlabelled", first)
+    assert (few.code, few.err.count("\n")) == (64, 1)
+    assert "1 parts that nobody judged: 3 of a lot or more" in few.err
+    assert not golden_path(rig.recipe).exists()
+    folders = [first, *(rig.inspect(f"LOT-{number}").folder for number in (2, 3))]
+    bench = rig.recipe.with_name("bench.toml")
+    text = bench.read_text(encoding="utf-8")
+    off = text.replace("ridge_angle_deg = 10.0", "ridge_angle_deg = 8.0")
+    assert off != text
+    bench.write_text(off, encoding="utf-8")
+    folders.append(rig.inspect("LOT-4").folder)
+    done = anisoscope("golden", "add", *at, "--unlabelled", *folders, "--json")
+    assert (done.code, done.json["added"], done.json["left_out"]) == (0, 3, ["LOT-4"])
+    assert "left out, as they deviate from the others: LOT-4" in done.err
+    assert "in common is not seen" in done.err
+    bench.write_text(text, encoding="utf-8")
+    record = rig.inspect("LOT-5").record
+    assert record.verdict == "PASS"
+    assert (
+        record.reasons[-1] == "compared with 3 parts that nobody judged: what they have in common is not seen"
+    )
+    assert record.details.golden.unjudged == 3
