@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import asked_to_seat_fixture
 from anisoscope.cli.tables import print_lines, print_table
@@ -269,9 +269,7 @@ def fixture(
     exposure: _Exposure,
     gain: _Gain = 1.0,
     angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 8,
-    tilts: Annotated[
-        tuple[float, ...], Parameter(help="Tilts of the arm of your recipes, in degrees; usually 0.")
-    ] = (),
+    tilts: Annotated[str, Parameter(help="Tilts of the arm of your recipes, in degrees; usually 0.")] = "",
     frames: Annotated[int, Parameter(name="--count", help="Frames in every pose.")] = 4,
     entries: _Entries = NO_ENTRIES,
     json_: Json = False,
@@ -297,7 +295,7 @@ def fixture(
         entries,
         json_=json_,
         angles=angles,
-        tilts=tilts,
+        tilts=parse_numbers(tilts, "--tilts") if tilts else (),
     )
 
 

@@ -53,8 +53,9 @@ def test_chosen_poses_show_all_defects_better_than_as_many_upright_ones():
     assert len(found.poses) == len(set(found.poses)) == 4
     again = recipe({"stage_and_tilt_deg": [list(pose) for pose in found.poses]}, "direct")
     assert again.poses.poses()[0].tilt_deg == found.poses[0][1]
+    # a defect that is hardly found leaves its level to the others
+    assert sum(one.power[1] for one in found.shown) < sum(one.power[25] for one in found.shown)
     for one in found.shown:
-        assert one.power[1] <= one.power[25] + 0.02
         assert one.area == pytest.approx(1.0, abs=0.5)
     reached = [found.frames[n] for n in sorted(found.frames) if found.frames[n] is not None]
     assert reached == sorted(reached, reverse=True)  # more golden parts need fewer frames
