@@ -226,7 +226,7 @@ def _exclusions(
 
 
 def _of_the_lot(count: int) -> str:
-    return f"compared with {count} parts that nobody judged: what they have in common is not seen"
+    return f"compared with {count} parts of unknown quality: what they have in common is not seen"
 
 
 def _blind(predictive: PredictiveTest | None, recipe: SurfaceRecipe, golden: int) -> str | None:

@@ -1,4 +1,4 @@
-"""Parts of a lot as the reference that nobody judged: those that are alike, whatever the others are.
+"""Parts of a lot of unknown quality as the reference: the parts that are alike.
 
 Most parts of a lot are good, and good parts scatter in known proportions. A robust centre (the median, then the mean of
 those near it) leaves out parts that lie farther from it than good parts do, at most half of the lot. What all parts of

@@ -384,7 +384,7 @@ class GoldenPart(ReferenceRow):
     """One golden part: identity, time of inspection, and (P,) ln radiances.
 
     ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
-    do not record the threshold. ``unlabelled`` marks parts of a lot that nobody judged.
+    do not record the threshold. ``unlabelled`` marks parts of a lot of unknown quality.
     """
 
     log_radiance: tuple[float, ...]
@@ -438,7 +438,7 @@ class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
 
     @property
     def unjudged(self) -> int:
-        """Number of parts of a lot that nobody judged."""
+        """Number of parts of a lot of unknown quality."""
         return sum(part.unlabelled for part in self.parts)
 
     def values(self) -> FloatArray:

@@ -121,7 +121,7 @@ class References(ABC):
     def without_odd_parts(
         self, known: OfKind, recipe: OfKind, added: Collection[tuple[str, str]]
     ) -> tuple[Reference, list[str]]:
-        """A set with parts of a lot that nobody judged, without those that deviate from the others.
+        """A set with parts of a lot of unknown quality, without those that deviate from the others.
 
         Args:
             known: the set with all of them.
@@ -136,7 +136,7 @@ class References(ABC):
         """
         del known, recipe, added
         raise CalibrationError(
-            "parts that nobody judged need a recipe that states how good parts scatter ([scatter]): add parts that are "
+            "parts of unknown quality need a recipe that states how good parts scatter ([scatter]): add parts that are "
             "known to be good, without --unlabelled"
         )
 

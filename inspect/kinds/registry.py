@@ -110,14 +110,14 @@ def add_golden(
     Args:
         recipe: recipe file.
         folders: finished inspections.
-        unlabelled: nobody judged the parts: those that deviate from the others are left out.
+        unlabelled: parts of unknown quality: those that deviate from the others are left out.
 
     Returns:
         The golden parts, the serial numbers of added parts whose verdict was FAIL, and those of parts left out.
 
     Raises:
         CalibrationError: a part of another kind, or one that does not fit the others; too few parts, or a kind whose
-            recipes state no scatter, for parts that nobody judged.
+            recipes state no scatter, for parts of unknown quality.
         RecordError: a folder holds no finished inspection.
     """
     kind, path = kind_of(recipe), golden_path(recipe)

@@ -535,7 +535,7 @@ class SurfaceKind(
             return cast("tuple[GoldenSet, list[str]]", super().without_odd_parts(known, recipe, added))
         if len(known.parts) < LEAST_OF_LOT:
             raise CalibrationError(
-                f"{len(known.parts)} parts that nobody judged: {LEAST_OF_LOT} of a lot or more show which "
+                f"{len(known.parts)} parts of unknown quality: {LEAST_OF_LOT} of a lot or more show which "
                 "one deviates"
             )
         kept, _ = alike(known.contrasts(), contrast_scatter(parts, CAMERA_SHARE).covariance)

@@ -230,7 +230,7 @@ def add_golden(recipe: Path | str, folders: Sequence[Path | str], *, unlabelled:
     Args:
         recipe: recipe file.
         folders: finished inspections.
-        unlabelled: they are parts of a lot that nobody judged: those that deviate from the others are left out.
+        unlabelled: they are parts of a lot of unknown quality: those that deviate from the others are left out.
 
     Raises:
         UsageError: no folder.

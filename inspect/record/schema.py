@@ -418,8 +418,8 @@ class GoldenRecord(_Part):
     """The golden parts that decided what deviates: ln ratios to the first pose, one row a part.
 
     ``birge`` is the variance among the golden parts over the stated one, ``size`` what the test takes it to be, null in
-    older records, ``batches`` the number of their lots or days, ``unjudged`` the number of parts of a lot that nobody
-    judged; ``p_distance`` and ``p_direction`` are the
+    older records, ``batches`` the number of their lots or days, ``unjudged`` the number of parts of a lot of unknown
+    quality; ``p_distance`` and ``p_direction`` are the
     p values of the squared distance and of the scores of ``directions``; ``test`` is the one that decided,
     "predictive" by the stated scatter or "hotelling" by that of the golden parts.
     """

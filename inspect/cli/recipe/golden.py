@@ -38,7 +38,7 @@ def add(
         bool,
         Parameter(
             negative=(),
-            help="Parts of a lot that nobody judged: those that deviate from the others are left out.",
+            help="Parts of a lot of unknown quality: those that deviate from the others are left out.",
         ),
     ] = False,
     json_: Json = False,

@@ -110,13 +110,13 @@ def test_a_new_recipe_and_what_is_refused(anisoscope, tmp_path):
     assert anisoscope("golden", "add", "--recipe", path).code == 64
 
 
-def test_parts_of_a_lot_that_nobody_judged_without_the_one_that_deviates(anisoscope, virtual_rig):
+def test_parts_of_a_lot_of_unknown_quality_without_the_one_that_deviates(anisoscope, virtual_rig):
     rig = virtual_rig()
     at = ("--recipe", rig.recipe)
     first = rig.inspect("LOT-1").folder
     few = anisoscope("golden", "add", *at, "--unlabelled", first)
     assert (few.code, few.err.count("\n")) == (64, 1)
-    assert "1 parts that nobody judged: 3 of a lot or more" in few.err
+    assert "1 parts of unknown quality: 3 of a lot or more" in few.err
     assert not golden_path(rig.recipe).exists()
     folders = [first, *(rig.inspect(f"LOT-{number}").folder for number in (2, 3))]
     bench = rig.recipe.with_name("bench.toml")
@@ -133,6 +133,6 @@ def test_parts_of_a_lot_that_nobody_judged_without_the_one_that_deviates(anisosc
     record = rig.inspect("LOT-5").record
     assert record.verdict == "PASS"
     assert (
-        record.reasons[-1] == "compared with 3 parts that nobody judged: what they have in common is not seen"
+        record.reasons[-1] == "compared with 3 parts of unknown quality: what they have in common is not seen"
     )
     assert record.details.golden.unjudged == 3

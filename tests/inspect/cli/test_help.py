@@ -200,6 +200,7 @@ SAME_QUANTITY = {
     "--read-code": "code on every part",
     "--reach": r"largest \|h_x\| and \|h_y\|",
     "--recipe": "recipe",
+    "--reuse": "judging frames",
     "--rig": "rig file",
     "--role": "map of the part",
     "--s-filter": "s-filter",
@@ -208,6 +209,7 @@ SAME_QUANTITY = {
     "--separation": "coverages",
     "--step": "step of the",  # angle, in degrees
     "--steps": "number of",
+    "--teach": "reference|markers",
     "--tilts": "tilts",
     "--tone": "greys of the",
     "--trust": "must not refuse|keys has to have signed",  # a file in spite of a check; the keys that count

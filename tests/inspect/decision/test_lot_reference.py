@@ -1,4 +1,4 @@
-"""Parts of a lot that nobody judged: which of them are alike."""
+"""Parts of a lot of unknown quality: which of them are alike."""
 
 import numpy as np
 import pytest
