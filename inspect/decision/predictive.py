@@ -37,7 +37,7 @@ from anisoscope.base.significance import LEVELS, calibrated, chi2_tail
 from anisoscope.prediction.second_order import Response
 
 PRIOR_FREEDOM = 0.5
-"""Degrees of freedom that the stated size of the scatter is worth beside that of the golden parts."""
+"""Degrees of freedom as which the stated size of the scatter counts."""
 MAX_BIRGE = 3.0
 """Ratio of the scatter among golden parts to the stated one beyond which the stated one is not theirs."""
 NAMED_SHARE = 0.7
