@@ -11,7 +11,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 
 LEAST_PARTS = 3
-"""Parts of which a centre can be told from a part that lies off."""
+"""Smallest number of parts with a robust centre."""
 _LEVEL = 0.01
 _WIDER = 1.3  # the median of few parts is less certain than a mean
 _ROUNDS = 20

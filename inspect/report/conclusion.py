@@ -165,7 +165,7 @@ def left_open(record: Record) -> bool:
 
 
 def blind_to(record: Record) -> str:
-    """The defects that are not excluded, in words; empty where all are, or none was asked for."""
+    """The defects that are not excluded, in words; empty where there are none."""
     named = [
         one.name if one.limit is None else f"{one.name} (up to {one.text(one.limit).strip()})"
         for one in surface_of(record).exclusions
