@@ -14,8 +14,11 @@ from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.ridge_waves import measured_pitch
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.parts import usable
+from anisoscope.record.surface_details import surface_of
 from detection_study.mitsuba import ARCHIVE, CAUSES, GOOD, TILTED, UPRIGHT, Inspector, Parts
 
+WHOLE = tuple(name for name in CAUSES if name.split("-")[0] not in {"burrs", "scratches"})
+"""Parts with a defect of their whole surface; marks are for the area to find."""
 GROSS = ("angle-1", "angle+1", "rough+20", "rough+60", "height-loss", "burrs-10")
 
 
@@ -60,6 +63,24 @@ def test_verdicts_against_the_design(parts, tmp_path, undiagnosed, tilts, missed
     found = verdicts(inspector, CAUSES)
     assert passed(found) <= missed, found
     assert {found[name] for name in GROSS} == {"FAIL"}
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("golden", [False, True], ids=["design", "golden"])
+@pytest.mark.parametrize(("tilts", "good"), [(UPRIGHT, (0, 2)), (TILTED, (4, 11))], ids=["upright", "tilted"])
+def test_no_defective_part_excludes_every_defect(parts, tmp_path, undiagnosed, tilts, good, golden):
+    """Against the design and three golden parts; at least so many of twelve good parts exclude every defect."""
+    inspector = Inspector(parts, tmp_path, tilts, methods=undiagnosed)
+    if golden:
+        inspector.learn()
+
+    def excludes(name):
+        record = inspector.record(name)
+        found = surface_of(record).exclusions
+        return record.verdict == "PASS" and bool(found) and all(one.excluded for one in found)
+
+    assert [name for name in WHOLE if excludes(name)] == []
+    assert sum(map(excludes, GOOD)) >= good[golden]
 
 
 @pytest.mark.soak
