@@ -81,6 +81,7 @@ def nearest_lobe(
     covariance: FloatArray,
     changes: FloatArray | None = None,
     tails: FloatArray | None = None,
+    middle: FloatArray | None = None,
     rounds: int = _NARROWED,
     settled: float = SETTLED,
 ) -> FloatArray:
@@ -96,14 +97,16 @@ def nearest_lobe(
         covariance: (N, m, m) of the independent errors, of full rank.
         changes: (N, L, m) change of each part that is known beforehand, at L tails; None: of none.
         tails: (L,) those tails.
+        middle: (N, K) states near which the other inputs are; None: the nominal one.
         rounds: times that the range of tails is narrowed.
         settled: relative change of the distance below which its search ends.
     """
     known = np.zeros((len(deviation), 1, deviation.shape[1])) if changes is None else changes
     nodes = np.zeros(1) if tails is None else tails
+    centre = np.zeros((len(deviation), len(lobes.responses[0].sources))) if middle is None else middle
     blocks = [slice(first, first + _TOGETHER) for first in range(0, len(deviation), _TOGETHER)]
     found = [
-        _nearest_lobe(lobes, deviation[one], covariance[one], known[one], nodes, rounds, settled)
+        _nearest_lobe(lobes, deviation[one], covariance[one], known[one], nodes, centre[one], rounds, settled)
         for one in blocks
     ]
     return np.concatenate([np.zeros(0), *found])
@@ -115,6 +118,7 @@ def _nearest_lobe(
     covariance: FloatArray,
     changes: FloatArray,
     nodes: FloatArray,
+    centre: FloatArray,
     rounds: int,
     settled: float,
 ) -> FloatArray:
@@ -122,14 +126,17 @@ def _nearest_lobe(
     parts, k = len(deviation), len(lobes.responses[0].sources)
     low, high = (np.full(parts, float(end)) for end in (lobes.tails[0], lobes.tails[-1]))
     off, metric = (np.repeat(one, _TAILS, axis=0) for one in (deviation, covariance))
-    start, each = np.zeros((parts * _TAILS, k)), np.arange(parts)
+    middle, each = np.repeat(centre, _TAILS, axis=0), np.arange(parts)
+    start = middle
     least = np.full(parts, np.inf)
     for _ in range(rounds):
         tails = np.linspace(low, high, _TAILS, axis=1)
         shifts, responses = lobes.along(tails.ravel())
         weights = weights_between(nodes, tails.ravel()).reshape(*tails.shape, -1)
         known = np.einsum("ntl,nlm->ntm", weights, changes).reshape(shifts.shape)
-        rest, states = nearest_states(responses, off - shifts - known, metric, start, settled=settled)
+        rest, states = nearest_states(
+            responses, off - shifts - known, metric, start, settled=settled, middle=middle
+        )
         found = rest.reshape(tails.shape) + lobes.penalty(tails)
         best = np.argmin(found, axis=1)
         least = np.minimum(least, found[each, best])

@@ -12,6 +12,7 @@ The limit is the largest x at which T_c exceeds its minimum by no more than 1.64
 what lies beyond it is excluded. Where it is at most 1 a defect of the smallest interesting size would have shown.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +22,9 @@ from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency import nearest_lobe, own_components, scatter_of
 from anisoscope.decision.predictive import assumed_size
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
 from anisoscope.prediction.part_scatter import NamedDefect, PartScatter, named_defects
-from anisoscope.prediction.profile_likelihood import nearest
+from anisoscope.prediction.profile_likelihood import nearest_states
 from anisoscope.recipe.surface import SurfaceRecipe
 
 ONE_SIDED = 1.6448536269514722
@@ -31,6 +32,9 @@ ONE_SIDED = 1.6448536269514722
 _EXTENTS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
 """Extents that are tried, in smallest interesting sizes; beyond the last one no limit is stated."""
 
+DOUBT = 0.1
+"""Relative standard uncertainty of the change of ln L by a defect: it depends on the state of the other inputs."""
+_KNOWN = 4.0  # standard uncertainties of an input up to which the response to second order serves
 _ROUNDS, _CLOSE = 2, 1e-4  # a limit needs T_c to .01 only
 
 
@@ -81,16 +85,40 @@ def excluded_by_prediction(
     own = np.full((len(y), len(y)), recipe.uncertainty.scale_share**2)
     for one in own_components(expected, errors):
         own = own + one.covariance()
-    changes = np.array(list(parts.changes.values()))
+    sources = (expected.response if expected.lobes is None else expected.lobes.responses[0]).sources
+    states = _states(recipe, sources)
+    changes = np.array([change * (name not in states) for name, change in parts.changes.items()])
+    shifts = np.array([states.get(name, np.zeros(len(sources))) for name in parts.changes])
     tried = (_EXTENTS[:, None, None] * changes[:, None]).reshape(-1, *changes.shape[1:])
-    off, metric = np.tile(y, (len(tried), 1)), np.tile(own, (len(tried), 1, 1))
+    middle = (_EXTENTS[:, None] * shifts[:, None]).reshape(-1, len(sources))
+    off = np.tile(y, (len(tried), 1))
+    doubted = DOUBT * _EXTENTS[:, None] * np.mean(list(parts.changes.values()), axis=1)[:, None]
+    metric = own + np.einsum("np,pq->npq", doubted.reshape(-1, len(y)) ** 2, np.eye(len(y)))
     if expected.lobes is not None:
-        found = nearest_lobe(expected.lobes, off, metric, tried, parts.tails, rounds=_ROUNDS, settled=_CLOSE)
+        found = nearest_lobe(
+            expected.lobes, off, metric, tried, parts.tails, middle, rounds=_ROUNDS, settled=_CLOSE
+        )
     else:
-        found = nearest(expected.response, off - tried.mean(axis=1), metric)
+        found, _ = nearest_states(expected.response, off - tried.mean(axis=1), metric, middle, middle=middle)
     curves = found.reshape(len(changes), len(_EXTENTS))
     named = {one.name: one for one in named_defects(recipe)}
     return tuple(_of_curve(named[name], curve) for name, curve in zip(parts.changes, curves, strict=True))
+
+
+def _states(recipe: SurfaceRecipe, sources: Sequence[str]) -> dict[str, FloatArray]:
+    """(K,) state of the inputs with each defect that is the state of one within its known range, by name.
+
+    The response to second order then holds for the part with the defect as for a good one.
+    """
+    u = part_uncertainty(recipe).alpha_share
+    extent = recipe.defects.roughness_share / u if u > 0.0 else np.inf
+    named = (("roughness along the ridges", 3), ("roughness across the ridges", 4))
+    defects = named_defects(recipe)
+    return {
+        defects[place].name: extent * (np.array(sources) == source)
+        for source, place in named
+        if source in sources and extent <= _KNOWN
+    }
 
 
 @dataclass(frozen=True)

@@ -103,8 +103,11 @@ def nearest_states(
     *,
     settled: float = SETTLED,
     farthest: float | FloatArray = np.inf,
+    middle: float | FloatArray = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """The same within ``farthest`` of every input, and the (N, K) states themselves.
+
+    With ``middle``, (N, K), the inputs are near another state than the nominal one: |z − middle|² in place of |z|².
 
     Gauss-Newton steps, halved until the distance decreases; the first one is along the tangent at the start. A row
     that is settled waits for no other.
@@ -114,7 +117,7 @@ def nearest_states(
 
     def misfit(at: FloatArray) -> FloatArray:
         rest = deviation - curve.change(at)
-        return np.asarray(np.sum(at**2, axis=1) + np.einsum("ni,nij,nj->n", rest, weight, rest))
+        return np.asarray(np.sum((at - middle) ** 2, axis=1) + np.einsum("ni,nij,nj->n", rest, weight, rest))
 
     left = misfit(z)
     moving = np.ones(len(left), dtype=bool)
@@ -122,7 +125,9 @@ def nearest_states(
         tangent, rest = curve.tangent(z), deviation - curve.change(z)
         pull = np.einsum("nia,nij->naj", tangent, weight)
         curvature = np.eye(z.shape[1]) + pull @ tangent
-        down = np.linalg.solve(curvature, (np.einsum("naj,nj->na", pull, rest) - z)[..., None])[..., 0]
+        down = np.linalg.solve(curvature, (np.einsum("naj,nj->na", pull, rest) - (z - middle))[..., None])[
+            ..., 0
+        ]
         before, share = left, 1.0
         for _ in range(_HALVINGS):
             trial = np.clip(z + share * down, -farthest, farthest)
