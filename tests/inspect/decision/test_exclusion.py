@@ -1,5 +1,6 @@
 """Limits of named defects: closed forms of linear models, and parts of another model that have the defect."""
 
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from anisoscope.decision.exclusion import (
 from anisoscope.decision.predictive import size_of
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
@@ -267,6 +268,20 @@ def test_an_open_defect_makes_a_part_inconclusive_where_the_recipe_asks_for_it()
     passed = decide(expected, measured, wide, parts=part_scatter(wide, LIGHT_DEG))
     assert passed.verdict is Verdict.PASS, passed.reasons
     assert passed.reasons[-1].startswith("excluded: more than ridge angle +")
+
+
+@pytest.mark.parametrize("lobe", LOBES)
+def test_a_new_recipe_passes_no_part_with_another_ridge_angle(lobe):
+    """Ridges of 8.2° for 10°: with an unmeasured lobe three poses do not see that they deviate."""
+    text = new_recipe("plate", 100.0, ridge_angle_deg=10.0, height_map=None)
+    rules = RidgeRecipe.model_validate(tomllib.loads(text)).model_copy(update={"area": None})
+    expected, parts = expectation(rules, LIGHT_DEG), part_scatter(rules, LIGHT_DEG)
+    rng = np.random.default_rng(11)
+    flat = [made(rules, rng, LOBES[lobe], turned=-1.8) for _ in range(3)]
+    found = [decide(expected, part, rules, parts=parts) for part in flat]
+    assert all(one.verdict in {Verdict.INCONCLUSIVE, Verdict.FAIL} for one in found)
+    good = decide(expected, made(rules, rng, LOBES[lobe]), rules, parts=parts)
+    assert good.verdict in {Verdict.PASS, Verdict.INCONCLUSIVE}
 
 
 def test_a_part_that_deviates_has_no_limits():
