@@ -49,11 +49,11 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
     off = basis @ np.log(measured.radiance / expected.radiance)
     if expected.states is not None:
         own = _covariance(expected.outside_states + measured.components, basis)
-        if _regular(own):
+        if regular(own):
             d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
             return d2, len(basis), float(chi2_tail(d2, len(basis)))
     alone = own_covariance(expected, measured)
-    if (expected.lobes is not None or expected.response is not None) and _regular(alone):
+    if (expected.lobes is not None or expected.response is not None) and regular(alone):
         d2 = float(distances(expected, off[None], alone[None])[0])
         return d2, len(basis), float(chi2_tail(d2, len(basis)))
     d2, dof = mahalanobis(off, _covariance(expected.components + measured.components, basis))
@@ -159,7 +159,7 @@ def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -
     basis = log_basis(len(expected.poses))
     t2, normal = hotelling(basis @ np.log(measured.radiance), golden)
     alone = own_covariance(expected, measured)
-    if expected.response is None or not _regular(alone):
+    if expected.response is None or not regular(alone):
         return t2, len(basis), normal
     drawn = golden_chances(expected.response.within(basis), alone, len(golden))
     return t2, len(basis), float(calibrated(np.array([normal]), drawn)[0])
@@ -247,7 +247,8 @@ def _covariance(components: tuple[Component, ...], basis: FloatArray) -> FloatAr
     return np.asarray(basis @ total @ basis.T)
 
 
-def _regular(covariance: FloatArray) -> bool:
+def regular(covariance: FloatArray) -> bool:
+    """Whether no combination of the values is without uncertainty."""
     values = np.linalg.eigvalsh(covariance)
     return bool(values[0] > _SINGULAR * values[-1])
 

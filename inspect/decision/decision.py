@@ -169,11 +169,11 @@ def decide(
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
     asked = exclude and p_value >= rule.alpha
     exclusions = _exclusions(expected, measured, recipe, golden, parts, predictive) if asked else ()
-    if verdict is Verdict.PASS and exclusions:
-        if open_defects(exclusions) and rule.unexcluded == "inconclusive":
-            verdict, reasons = Verdict.INCONCLUSIVE, (open_text(exclusions, number), *reasons)
-        elif not open_defects(exclusions):
-            reasons = (*reasons, excluded_text(exclusions))
+    if verdict is Verdict.PASS and rule.unexcluded == "inconclusive" and exclude:
+        left = _left_open(exclusions, number, deviates=p_value < rule.alpha)
+        verdict, reasons = (Verdict.INCONCLUSIVE if left else verdict), (*left, *reasons)
+    if verdict is Verdict.PASS and exclusions and not open_defects(exclusions):
+        reasons = (*reasons, excluded_text(exclusions))
     if golden is not None and golden.unjudged:
         reasons = (*reasons, _of_the_lot(golden.unjudged))
     tolerances = recipe.tolerances()
@@ -222,6 +222,19 @@ def _exclusions(
     return tuple(
         of_parts if of_parts.limit - of_parts.best <= planned.limit else of_prediction
         for of_parts, of_prediction, planned in zip(by_parts, by_prediction, nominal, strict=True)
+    )
+
+
+def _left_open(exclusions: tuple[Exclusion, ...], golden: int, *, deviates: bool) -> tuple[str, ...]:
+    """Reason why a part may have a defect of interest; none where all are excluded."""
+    if open_defects(exclusions):
+        return (open_text(exclusions, golden),)
+    if exclusions:
+        return ()
+    if deviates:
+        return ("no defect is excluded, because the part deviates within its tolerance",)
+    return (
+        'no defect is excluded: this surface or recipe has no response to them; state decision.unexcluded = "note"',
     )
 
 

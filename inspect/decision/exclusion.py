@@ -19,7 +19,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.significance import log_basis
-from anisoscope.decision.consistency import nearest_lobe, own_components, scatter_of
+from anisoscope.decision.consistency import nearest_lobe, own_components, regular, scatter_of
 from anisoscope.decision.predictive import assumed_size
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
@@ -70,7 +70,7 @@ def excluded_by_prediction(
     parts: PartScatter,
     recipe: SurfaceRecipe,
 ) -> tuple[Exclusion, ...]:
-    """Limits of the named defects against the prediction; none where ln L has no response to its inputs.
+    """Limits of the named defects against the prediction; none where ln L has no response, or nothing is uncertain.
 
     Args:
         expected: the prediction.
@@ -85,6 +85,8 @@ def excluded_by_prediction(
     own = np.full((len(y), len(y)), recipe.uncertainty.scale_share**2)
     for one in own_components(expected, errors):
         own = own + one.covariance()
+    if not regular(own):
+        return ()
     sources = (expected.response if expected.lobes is None else expected.lobes.responses[0]).sources
     states = _states(recipe, sources)
     changes = np.array([change * (name not in states) for name, change in parts.changes.items()])

@@ -21,7 +21,7 @@ from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
 from anisoscope.decision.predictive import MAX_BIRGE
-from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.cause_words import plastic_words
 from anisoscope.diagnosis.evidence import Evidence
@@ -535,7 +535,7 @@ class SurfaceKind(
             return cast("tuple[GoldenSet, list[str]]", super().without_odd_parts(known, recipe, added))
         if len(known.parts) < LEAST_OF_LOT:
             raise CalibrationError(
-                f"{len(known.parts)} parts of unknown quality: {LEAST_OF_LOT} of a lot or more show which "
+                f"{counted(len(known.parts), 'part')} of unknown quality: {LEAST_OF_LOT} of a lot or more show which "
                 "one deviates"
             )
         kept, _ = alike(known.contrasts(), contrast_scatter(parts, CAMERA_SHARE).covariance)

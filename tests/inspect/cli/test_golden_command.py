@@ -116,7 +116,7 @@ def test_parts_of_a_lot_of_unknown_quality_without_the_one_that_deviates(anisosc
     first = rig.inspect("LOT-1").folder
     few = anisoscope("golden", "add", *at, "--unlabelled", first)
     assert (few.code, few.err.count("\n")) == (64, 1)
-    assert "1 parts of unknown quality: 3 of a lot or more" in few.err
+    assert "1 part of unknown quality: 3 of a lot or more" in few.err
     assert not golden_path(rig.recipe).exists()
     folders = [first, *(rig.inspect(f"LOT-{number}").folder for number in (2, 3))]
     bench = rig.recipe.with_name("bench.toml")

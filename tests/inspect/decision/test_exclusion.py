@@ -292,6 +292,28 @@ def test_a_part_that_deviates_has_no_limits():
     assert decide(expected, seen(expected.radiance), rules, parts=parts, exclude=False).exclusions == ()
 
 
+def test_a_part_whose_defects_cannot_be_excluded_does_not_pass_in_silence():
+    """No scatter is stated, nothing is uncertain, or the part deviates within its tolerance."""
+    rules = recipe()
+    expected, parts = expectation(rules, LIGHT_DEG), part_scatter(rules, LIGHT_DEG)
+    strict = rules.decision.model_copy(update={"unexcluded": "inconclusive"})
+    asked = rules.model_copy(update={"decision": strict})
+    measured = seen(expected.radiance)
+    found = decide(expected, measured, asked)
+    assert (found.verdict, found.exclusions) == (Verdict.INCONCLUSIVE, ())
+    assert found.reasons[0].startswith("no defect is excluded: this surface or recipe")
+    exact = rules.model_copy(
+        update={"uncertainty": rules.uncertainty.model_copy(update={"scale_share": 0.0})}
+    )
+    bare = replace(expected, components=())
+    assert excluded_by_prediction(bare, expected.radiance, (), parts, exact) == ()
+    wide = asked.model_copy(update={"decision": strict.model_copy(update={"tolerance": 9.0})})
+    off = seen(expected.radiance * np.exp([0.0, 1.2, -1.2]))
+    found = decide(expected, off, wide, parts=parts)
+    assert (found.verdict, found.exclusions) == (Verdict.INCONCLUSIVE, ())
+    assert found.reasons[0] == "no defect is excluded, because the part deviates within its tolerance"
+
+
 def test_a_recipe_without_defects_to_exclude_says_nothing():
     rules = recipe()
     expected = expectation(rules, LIGHT_DEG)
