@@ -73,11 +73,11 @@ SENTENCES = {
     "inspect/decision/reference_parts.py": ("lacking",),
     "inspect/decision/design_vs_map.py": ("compare",),
     "inspect/decision/exclusion.py": ("excluded_text", "open_text"),
+    "inspect/decision/surface_exclusion.py": ("lacking_text", "remedy_text"),
     "inspect/decision/decision.py": (
         "_combine",
         "_blind",
         "_of_the_lot",
-        "_left_open",
         "_of_tolerance",
         "_limit_of",
     ),
@@ -203,6 +203,10 @@ FURTHER = (
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
     *("ridge angle +{size}", "ridge angle −{size}", "height loss {size}", "edges worn to {size}"),
     *("roughness along the ridges +{size}", "roughness across the ridges +{size}"),
+    *("etched too deep by {size}", "etched too shallow by {size}"),
+    *("features too wide by {size}", "features too narrow by {size}"),
+    *("photograph more poses", "photograph further tilts", "{defect} (any size)", "{defect} (up to {size})"),
+    "{size} at row {row} column {column}",
 )
 """Names that reach the page or the console from data."""
 HEADER = (

@@ -48,15 +48,15 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
     basis = log_basis(len(expected.poses))
     off = basis @ np.log(measured.radiance / expected.radiance)
     if expected.states is not None:
-        own = _covariance(expected.outside_states + measured.components, basis)
+        own = contrast_covariance(expected.outside_states + measured.components, basis)
         if regular(own):
             d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
             return d2, len(basis), float(chi2_tail(d2, len(basis)))
-    alone = own_covariance(expected, measured)
+    alone = owncontrast_covariance(expected, measured)
     if (expected.lobes is not None or expected.response is not None) and regular(alone):
         d2 = float(distances(expected, off[None], alone[None])[0])
         return d2, len(basis), float(chi2_tail(d2, len(basis)))
-    d2, dof = mahalanobis(off, _covariance(expected.components + measured.components, basis))
+    d2, dof = mahalanobis(off, contrast_covariance(expected.components + measured.components, basis))
     return d2, dof, float(chi2_tail(d2, dof))
 
 
@@ -158,7 +158,7 @@ def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -
     """
     basis = log_basis(len(expected.poses))
     t2, normal = hotelling(basis @ np.log(measured.radiance), golden)
-    alone = own_covariance(expected, measured)
+    alone = owncontrast_covariance(expected, measured)
     if expected.response is None or not regular(alone):
         return t2, len(basis), normal
     drawn = golden_chances(expected.response.within(basis), alone, len(golden))
@@ -229,9 +229,9 @@ def golden_test(
     return found.t2, found.dof, found.p_value, found
 
 
-def own_covariance(expected: Expectation, measured: Measured) -> FloatArray:
+def owncontrast_covariance(expected: Expectation, measured: Measured) -> FloatArray:
     """(P − 1, P − 1) covariance of the contrasts from the components not covered by the response or the lobes."""
-    return _covariance(own_components(expected, measured.components), log_basis(len(expected.poses)))
+    return contrast_covariance(own_components(expected, measured.components), log_basis(len(expected.poses)))
 
 
 def own_components(expected: Expectation, errors: tuple[Component, ...]) -> tuple[Component, ...]:
@@ -240,7 +240,8 @@ def own_components(expected: Expectation, errors: tuple[Component, ...]) -> tupl
     return alone + errors
 
 
-def _covariance(components: tuple[Component, ...], basis: FloatArray) -> FloatArray:
+def contrast_covariance(components: tuple[Component, ...], basis: FloatArray) -> FloatArray:
+    """(m, m) covariance of combinations (m, P) of ln L by components."""
     total = np.zeros((basis.shape[1], basis.shape[1]))
     for component in components:
         total += component.covariance()

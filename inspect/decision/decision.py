@@ -15,16 +15,10 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import contrast_name, p_value_text, quantity_name
 from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency import from_prediction, golden_test, scatter_of
-from anisoscope.decision.exclusion import (
-    Exclusion,
-    excluded_by_parts,
-    excluded_by_prediction,
-    excluded_text,
-    open_defects,
-    open_text,
-)
+from anisoscope.decision.exclusion import Exclusion, with_exclusions
 from anisoscope.decision.predictive import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
+from anisoscope.decision.surface_exclusion import excluded_of, lacking_text, remedy_text
 from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
@@ -43,8 +37,6 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 
 Pairs = Sequence[tuple[int, int]]
-CONTRADICTED = 0.05
-"""p value of a part against the prediction below which golden parts alone say what is excluded."""
 
 
 @dataclass(frozen=True)
@@ -167,13 +159,19 @@ def decide(
         reasons = (_of_mirroring(measured.mirroring), *own)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
-    asked = exclude and p_value >= rule.alpha
-    exclusions = _exclusions(expected, measured, recipe, golden, parts, predictive) if asked else ()
-    if verdict is Verdict.PASS and rule.unexcluded == "inconclusive" and exclude:
-        left = _left_open(exclusions, number, deviates=p_value < rule.alpha)
-        verdict, reasons = (Verdict.INCONCLUSIVE if left else verdict), (*left, *reasons)
-    if verdict is Verdict.PASS and exclusions and not open_defects(exclusions):
-        reasons = (*reasons, excluded_text(exclusions))
+    exclusions: tuple[Exclusion, ...] = ()
+    if exclude:
+        deviates = p_value < rule.alpha
+        if not deviates:
+            exclusions = excluded_of(expected, measured, recipe, golden, parts, predictive)
+        verdict, reasons = with_exclusions(
+            verdict,
+            reasons,
+            exclusions,
+            rule.unexcluded,
+            remedy_text(expected, golden),
+            lacking_text(expected, golden, deviates=deviates),
+        )
     if golden is not None and golden.unjudged:
         reasons = (*reasons, _of_the_lot(golden.unjudged))
     tolerances = recipe.tolerances()
@@ -197,44 +195,6 @@ def decide(
         between_tilts(expected, measured, rule.contrast),
         predictive,
         exclusions,
-    )
-
-
-def _exclusions(
-    expected: Expectation,
-    measured: Measured,
-    recipe: SurfaceRecipe,
-    golden: GoldenSet | None,
-    parts: PartScatter | None,
-    predictive: PredictiveTest | None,
-) -> tuple[Exclusion, ...]:
-    """Limits of the named defects: each by the reference that shows it best, which does not depend on the part."""
-    if parts is None:
-        return ()
-    errors = measured.components
-    by_prediction = excluded_by_prediction(expected, measured.radiance, errors, parts, recipe)
-    if golden is None or predictive is None:
-        return by_prediction
-    by_parts = excluded_by_parts(parts, measured, recipe, golden.contrasts(), predictive.size, golden.batches)
-    if not by_prediction or from_prediction(expected, measured)[2] < CONTRADICTED:
-        return by_parts
-    nominal = excluded_by_prediction(expected, expected.radiance, errors, parts, recipe)
-    return tuple(
-        of_parts if of_parts.limit - of_parts.best <= planned.limit else of_prediction
-        for of_parts, of_prediction, planned in zip(by_parts, by_prediction, nominal, strict=True)
-    )
-
-
-def _left_open(exclusions: tuple[Exclusion, ...], golden: int, *, deviates: bool) -> tuple[str, ...]:
-    """Reason why a part may have a defect of interest; none where all are excluded."""
-    if open_defects(exclusions):
-        return (open_text(exclusions, golden),)
-    if exclusions:
-        return ()
-    if deviates:
-        return ("no defect is excluded, because the part deviates within its tolerance",)
-    return (
-        'no defect is excluded: this surface or recipe has no response to them; state decision.unexcluded = "note"',
     )
 
 

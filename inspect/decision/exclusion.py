@@ -1,41 +1,39 @@
 """Defects that a part excludes: one-sided 95 % limits of their sizes (ISO 14253-1 on the state of the part).
 
 A part that does not deviate need not be good: the poses may be blind to a defect. Each named defect c, at x times its
-smallest interesting size, is therefore tried against what was measured. Against the prediction, with the tail τ of the
-lobe and the uncertain inputs z free within what is known of them,
+smallest interesting size, is therefore tried against what was measured: T_c(x) is −2 ln of the profile likelihood, all
+else that is uncertain free within what is known of it. The limit is the largest x at which T_c exceeds its minimum by
+no more than 1.645² (a likelihood ratio, one side 5 %): what lies beyond it is excluded. Where it is at most 1 a defect
+of the smallest interesting size would have shown.
 
-    T_c(x) = min over τ, z of ((τ − τ₀)/u)² + |z|² + (y − f(τ, z) − x s_c(τ))ᵀV⁻¹(y − f(τ, z) − x s_c(τ)),
-
-y being ln L of all poses over the predicted one, with the absolute scale as one more uncertain input. Against good
-parts, y is the distance from their mean, the scatter between parts is V, and x has a normal likelihood with each lobe.
-The limit is the largest x at which T_c exceeds its minimum by no more than 1.645² (a likelihood ratio, one side 5 %):
-what lies beyond it is excluded. Where it is at most 1 a defect of the smallest interesting size would have shown.
+This is the part that all kinds share: limits of curves, sentences, and what an open defect does to a verdict.
+`surface_exclusion` has the curves of surfaces.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import log_basis
-from anisoscope.decision.consistency import nearest_lobe, own_components, regular, scatter_of
-from anisoscope.decision.predictive import assumed_size
-from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
-from anisoscope.prediction.part_scatter import NamedDefect, PartScatter, named_defects
-from anisoscope.prediction.profile_likelihood import nearest_states
-from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.prediction.profile_likelihood import BoundedCurve, DefectCurves, nearest_costly
+from anisoscope.recipe.named_defect import NamedDefect
+from anisoscope.record.exclusion import ExclusionRecord
+from anisoscope.record.verdict import Verdict
 
 ONE_SIDED = 1.6448536269514722
 """95 % of the standard normal distribution."""
-_EXTENTS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
+EXTENTS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
 """Extents that are tried, in smallest interesting sizes; beyond the last one no limit is stated."""
-
-DOUBT = 0.1
-"""Relative standard uncertainty of the change of ln L by a defect: it depends on the state of the other inputs."""
-_KNOWN = 4.0  # standard uncertainties of an input up to which the response to second order serves
-_ROUNDS, _CLOSE = 2, 1e-4  # a limit needs T_c to .01 only
+COSTLY = (0.0, 0.5, 1.0, 1.5, 2.0)
+"""The same where every state is evaluated by the model itself: up to 1, and farther while nothing is excluded."""
+_CLOSE = 3e-3  # a limit needs T_c to .01 only
+_ASIDE = 1.5  # standard uncertainties
+_HALVED = 2  # times that the interval of the limit is halved
+MORE_POSES = "photograph more poses (anisoscope recipe suggest)"
+MORE_TILTS = "photograph further tilts (anisoscope recipe check)"
 
 
 @dataclass(frozen=True)
@@ -46,11 +44,13 @@ class Exclusion:
         defect: with its smallest interesting size.
         best: likeliest size as a multiple of that, at least 0.
         limit: largest size that is not excluded, likewise; infinite where none of those tried is.
+        where: place of the part that may have the largest one; empty where the defect is of the whole part.
     """
 
     defect: NamedDefect
     best: float
     limit: float
+    where: str = ""
 
     @property
     def excluded(self) -> bool:
@@ -62,65 +62,16 @@ class Exclusion:
         """The largest size that is not excluded, with its unit."""
         return self.defect.text(self.limit).strip() if np.isfinite(self.limit) else "any size"
 
-
-def excluded_by_prediction(
-    expected: Expectation,
-    radiance: FloatArray,
-    errors: tuple[Component, ...],
-    parts: PartScatter,
-    recipe: SurfaceRecipe,
-) -> tuple[Exclusion, ...]:
-    """Limits of the named defects against the prediction; none where ln L has no response, or nothing is uncertain.
-
-    Args:
-        expected: the prediction.
-        radiance: (P,) of the part, 1/sr.
-        errors: of the measurement.
-        parts: changes of ln L by the named defects.
-        recipe: with the smallest interesting sizes and the uncertainty of the absolute radiance.
-    """
-    if expected.response is None or not parts.changes:
-        return ()
-    y = np.log(radiance / expected.radiance)
-    own = np.full((len(y), len(y)), recipe.uncertainty.scale_share**2)
-    for one in own_components(expected, errors):
-        own = own + one.covariance()
-    if not regular(own):
-        return ()
-    sources = (expected.response if expected.lobes is None else expected.lobes.responses[0]).sources
-    states = _states(recipe, sources)
-    changes = np.array([change * (name not in states) for name, change in parts.changes.items()])
-    shifts = np.array([states.get(name, np.zeros(len(sources))) for name in parts.changes])
-    tried = (_EXTENTS[:, None, None] * changes[:, None]).reshape(-1, *changes.shape[1:])
-    middle = (_EXTENTS[:, None] * shifts[:, None]).reshape(-1, len(sources))
-    off = np.tile(y, (len(tried), 1))
-    doubted = DOUBT * _EXTENTS[:, None] * np.mean(list(parts.changes.values()), axis=1)[:, None]
-    metric = own + np.einsum("np,pq->npq", doubted.reshape(-1, len(y)) ** 2, np.eye(len(y)))
-    if expected.lobes is not None:
-        found = nearest_lobe(
-            expected.lobes, off, metric, tried, parts.tails, middle, rounds=_ROUNDS, settled=_CLOSE
+    def record(self) -> ExclusionRecord:
+        """The limit as records have it."""
+        return ExclusionRecord(
+            words=self.defect.words,
+            size=self.defect.size,
+            unit=self.defect.unit,
+            best=self.best,
+            limit=self.limit if np.isfinite(self.limit) else None,
+            where=self.where,
         )
-    else:
-        found, _ = nearest_states(expected.response, off - tried.mean(axis=1), metric, middle, middle=middle)
-    curves = found.reshape(len(changes), len(_EXTENTS))
-    named = {one.name: one for one in named_defects(recipe)}
-    return tuple(_of_curve(named[name], curve) for name, curve in zip(parts.changes, curves, strict=True))
-
-
-def _states(recipe: SurfaceRecipe, sources: Sequence[str]) -> dict[str, FloatArray]:
-    """(K,) state of the inputs with each defect that is the state of one within its known range, by name.
-
-    The response to second order then holds for the part with the defect as for a good one.
-    """
-    u = part_uncertainty(recipe).alpha_share
-    extent = recipe.defects.roughness_share / u if u > 0.0 else np.inf
-    named = (("roughness along the ridges", 3), ("roughness across the ridges", 4))
-    defects = named_defects(recipe)
-    return {
-        defects[place].name: extent * (np.array(sources) == source)
-        for source, place in named
-        if source in sources and extent <= _KNOWN
-    }
 
 
 @dataclass(frozen=True)
@@ -129,9 +80,9 @@ class PlannedLimit:
 
     Attributes:
         defect: with its smallest interesting size.
-        best: the size with its unit, with the lobe that shows it best.
-        worst: with the lobe that shows it worst.
-        excluded: whether the smallest interesting size is excluded with every lobe.
+        best: the size with its unit, in the best case, such as the lobe that shows it best.
+        worst: in the worst case.
+        excluded: whether the smallest interesting size is excluded in every case.
     """
 
     defect: str
@@ -140,44 +91,57 @@ class PlannedLimit:
     excluded: bool
 
 
-def planned_limits(
-    expected: Expectation, parts: PartScatter, recipe: SurfaceRecipe, share: float
-) -> tuple[PlannedLimit, ...]:
-    """Sizes that the poses of a recipe exclude, without golden parts: of parts as designed with every likely lobe.
+def planned(cases: Sequence[tuple[Exclusion, ...]]) -> tuple[PlannedLimit, ...]:
+    """Limits of parts as designed, the best and the worst of several cases that are as likely.
 
     Args:
-        expected: the prediction.
-        parts: changes of ln L by the named defects.
-        recipe: with the smallest interesting sizes.
-        share: relative standard uncertainty of a pose by camera and lamp.
+        cases: limits of the same defects in each.
     """
-    count = len(expected.poses)
-    errors = (Component("camera and lamp", "measurement", np.full(count, share), shared=False),)
-    lobes = expected.lobes
-    tried = [expected.radiance]
-    if lobes is not None:
-        within = np.clip(parts.tails, lobes.tails[0], lobes.tails[-1])
-        tried = [expected.radiance * np.exp(lobes.at(float(tail))[0]) for tail in within]
-    found = [excluded_by_prediction(expected, radiance, errors, parts, recipe) for radiance in tried]
-    planned = []
-    for each in zip(*found, strict=True):
-        best, worst = (min(each, key=_limit), max(each, key=_limit))
-        planned.append(
+    found = []
+    for each in zip(*cases, strict=True):
+        best, worst = (chosen(each, key=_limit) for chosen in (min, max))
+        found.append(
             PlannedLimit(worst.defect.name, best.limit_text, worst.limit_text, excluded=worst.excluded)
         )
-    return tuple(planned)
+    return tuple(found)
+
+
+def planned_text(limits: tuple[PlannedLimit, ...], remedy: str) -> tuple[str, ...]:
+    """What a part as designed excludes, in a line; none where there are no limits.
+
+    Args:
+        limits: of a part as designed.
+        remedy: what makes them smaller.
+    """
+    if not limits:
+        return ()
+    closed = [one.defect for one in limits if one.excluded]
+    left = [f"{one.defect} (up to {one.worst})" for one in limits if not one.excluded]
+    said = f"a part as designed excludes {', '.join(closed)}" if closed else "no defect is excluded"
+    if not left:
+        return (f"{said}: good parts can PASS by the prediction alone",)
+    return (f"{said}; not excluded, in the worst case: {', '.join(left)}: {remedy}",)
 
 
 def _limit(one: Exclusion) -> float:
     return one.limit
 
 
-def _of_curve(defect: NamedDefect, curve: FloatArray) -> Exclusion:
-    """Limit from −2 ln of the profile likelihood at `_EXTENTS`, a cubic spline between them."""
+def of_curve(defect: NamedDefect, curve: FloatArray, extents: FloatArray = EXTENTS) -> Exclusion:
+    """Limit from −2 ln of the profile likelihood at some extents, a cubic spline between them.
+
+    Args:
+        defect: with its smallest interesting size.
+        curve: (n,) T_c.
+        extents: (n,) in smallest interesting sizes, ascending from 0.
+    """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - start-up time
 
-    fine = np.linspace(_EXTENTS[0], _EXTENTS[-1], 1001)
-    values = CubicSpline(_EXTENTS, curve)(fine)
+    fine = np.linspace(extents[0], extents[-1], 1001)
+    return _of_values(defect, fine, CubicSpline(extents, curve)(fine))
+
+
+def _of_values(defect: NamedDefect, fine: FloatArray, values: FloatArray) -> Exclusion:
     best = int(np.argmin(values))
     within = np.flatnonzero(values <= values[best] + ONE_SIDED**2)
     last = int(within[-1])
@@ -185,49 +149,132 @@ def _of_curve(defect: NamedDefect, curve: FloatArray) -> Exclusion:
     return Exclusion(defect, float(fine[best]), limit)
 
 
-def excluded_by_parts(
-    parts: PartScatter,
-    measured: Measured,
-    recipe: SurfaceRecipe,
-    golden: FloatArray,
-    size: float,
-    batches: int | None = None,
-) -> tuple[Exclusion, ...]:
-    """Limits of the named defects against good parts: the largest of all lobes that are as likely.
+def of_normal(defect: NamedDefect, best: float, u: float, where: str = "") -> Exclusion:
+    """Limit of a size whose likelihood is normal.
 
     Args:
-        parts: scatter and changes of ln L by the named defects.
-        measured: the part.
-        recipe: with the smallest interesting sizes.
-        golden: (n, P − 1) contrasts of the good parts in the basis of `log_basis`.
-        size: variance of good parts over the stated one, as of `predictive.size_of`.
-        batches: number of lots or days of the good parts; None: they are independent.
+        defect: with its smallest interesting size.
+        best: likeliest size as a multiple of that.
+        u: standard uncertainty, likewise.
+        where: place of the part.
     """
-    scatter = scatter_of(parts, measured)
-    basis = log_basis(len(measured.radiance))
-    d = basis @ np.log(measured.radiance) - golden.mean(axis=0)
-    count = min(batches or len(golden), len(golden))
-    taken = float(assumed_size(size, len(d), len(golden), 0.05)) * (1.0 + 1.0 / count)
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in parts.changes}
-    for turn, lobe in enumerate(scatter.lobes):
-        tangent = lobe.slope * scatter.own
-        weight = np.linalg.inv((tangent @ tangent.T + scatter.errors) * taken)
-        for name, change in parts.changes.items():
-            s = basis @ change[turn]
-            information = float(s @ weight @ s)
-            found[name].append((float(s @ weight @ d) / information, 1.0 / float(np.sqrt(information))))
-    named = {one.name: one for one in named_defects(recipe)}
-    return tuple(_of_lobes(named[name], each) for name, each in found.items())
+    least = max(best, 0.0)
+    return Exclusion(defect, least, least + ONE_SIDED * u, where)
 
 
-def _of_lobes(defect: NamedDefect, each: list[tuple[float, float]]) -> Exclusion:
-    best, u = max(each, key=lambda one: one[0] + ONE_SIDED * one[1])
-    return Exclusion(defect, max(best, 0.0), max(best, 0.0) + ONE_SIDED * u)
+def excluded_by_model(
+    curves: DefectCurves, deviation: FloatArray, covariance: FloatArray
+) -> tuple[Exclusion, ...]:
+    """Limits of the named defects of a model that is evaluated itself with each of them, whatever else is uncertain.
+
+    T_c(x) = min over z of |z|² + (d − f_c(x, z))ᵀV⁻¹(d − f_c(x, z)). A search begins where that of the size before
+    ended; of a size of interest that would be excluded also aside, because a model may have several minima.
+
+    Args:
+        curves: of the m values, for every defect and size.
+        deviation: (m,).
+        covariance: (m, m) of the errors that are no input of the curves, of full rank.
+    """
+    found = []
+    for defect in curves.defects:
+        profile = _Profile(partial(curves.with_defect, defect), deviation, covariance)
+        for extent in COSTLY:
+            if profile.search(extent) and extent >= 1.0:
+                break
+        for _ in range(_HALVED):
+            profile.halve()
+        found.append(profile.limit(defect))
+    return tuple(found)
+
+
+class _Profile:
+    """−2 ln of the profile likelihood of one defect, at the sizes searched so far."""
+
+    def __init__(
+        self, curve_of: Callable[[float], BoundedCurve], deviation: FloatArray, covariance: FloatArray
+    ) -> None:
+        self._curve_of, self._deviation, self._covariance = curve_of, deviation, covariance
+        self._known: dict[float, tuple[float, dict[str, float]]] = {}
+
+    def search(self, extent: float) -> bool:
+        """Search at a size; whether it is excluded."""
+        curve = self._curve_of(extent)
+        smaller = [one for one in self._known if one < extent]
+        near = self._known[max(smaller)][1] if smaller else {}
+        begin = np.array([near.get(source, 0.0) for source in curve.sources])
+        self._known[extent] = self._nearest(curve, begin)
+        if extent >= 1.0 and self._excluded(extent):
+            again = self._nearest(curve, self._aside(curve, begin))
+            self._known[extent] = min(self._known[extent], again, key=lambda one: one[0])
+        return self._excluded(extent)
+
+    def halve(self) -> None:
+        """Search in the middle of the last size that is not excluded and the next one."""
+        sizes = sorted(self._known)
+        last = max(number for number, one in enumerate(sizes) if not self._excluded(one))
+        if last + 1 < len(sizes):
+            self.search(0.5 * (sizes[last] + sizes[last + 1]))
+
+    def limit(self, defect: NamedDefect) -> Exclusion:
+        """The limit, with monotone cubics between the sizes."""
+        from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - start-up time
+
+        sizes = np.array(sorted(self._known))
+        fine = np.linspace(0.0, sizes[-1], 1001)
+        curve = PchipInterpolator(sizes, [self._known[float(one)][0] for one in sizes])
+        return _of_values(defect, fine, curve(fine))
+
+    def _excluded(self, extent: float) -> bool:
+        return self._known[extent][0] > min(one for one, _ in self._known.values()) + ONE_SIDED**2
+
+    def _aside(self, curve: BoundedCurve, state: FloatArray) -> FloatArray:
+        """The best of the nominal state and those with one input displaced; no step may lead from one to another."""
+        aside = _ASIDE * np.eye(len(state))
+        tried = np.vstack([0.0 * state, state + aside, state - aside])
+        rest = self._deviation - curve.change(tried)
+        weight = np.linalg.inv(self._covariance)
+        misfit = np.sum(tried**2, axis=1) + np.einsum("ni,ij,nj->n", rest, weight, rest)
+        return np.asarray(tried[int(np.argmin(misfit))])
+
+    def _nearest(self, curve: BoundedCurve, begin: FloatArray) -> tuple[float, dict[str, float]]:
+        """Squared distance from the nearest state of the inputs, and that state by their names."""
+        left, z = nearest_costly(
+            curve, self._deviation, self._covariance, begin, settled=_CLOSE, farthest=curve.farthest
+        )
+        return left, dict(zip(curve.sources, z.tolist(), strict=True))
 
 
 def open_defects(found: tuple[Exclusion, ...]) -> tuple[Exclusion, ...]:
     """Those that are not excluded, the least excluded first."""
     return tuple(sorted((one for one in found if not one.excluded), key=lambda one: -one.limit))
+
+
+def with_exclusions(
+    verdict: Verdict,
+    reasons: tuple[str, ...],
+    found: tuple[Exclusion, ...],
+    unexcluded: Literal["inconclusive", "note"],
+    remedy: str,
+    lacking: str = "",
+) -> tuple[Verdict, tuple[str, ...]]:
+    """Verdict and reasons of a part whose named defects have limits: a PASS that could not have failed is none.
+
+    Args:
+        verdict: by all other criteria.
+        reasons: of it.
+        found: limits of the named defects; none where they are not known.
+        unexcluded: of the recipe.
+        remedy: cheapest way to smaller limits.
+        lacking: reason why there are no limits.
+    """
+    if verdict is not Verdict.PASS:
+        return verdict, reasons
+    left = open_defects(found)
+    if unexcluded == "inconclusive" and (left or not found):
+        return Verdict.INCONCLUSIVE, (open_text(found, remedy) if left else lacking, *reasons)
+    if found and not left:
+        return verdict, (*reasons, excluded_text(found))
+    return verdict, reasons
 
 
 def excluded_text(found: tuple[Exclusion, ...]) -> str:
@@ -236,19 +283,16 @@ def excluded_text(found: tuple[Exclusion, ...]) -> str:
     return f"excluded: more than {', '.join(closed)}" if closed else ""
 
 
-def open_text(found: tuple[Exclusion, ...], golden: int) -> str:
+def open_text(found: tuple[Exclusion, ...], remedy: str) -> str:
     """The defects that are not excluded, with the largest sizes that are possible, and the cheapest remedy.
 
     Args:
         found: limits of the named defects, one of them open.
-        golden: number of good parts that the part was compared with.
+        remedy: what makes the limits smaller.
     """
     several = []
     for one in open_defects(found):
         largest = f"up to {one.limit_text}" if np.isfinite(one.limit) else one.limit_text
-        several.append(f"{one.defect.name} ({largest})")
-    remedy = "add golden parts of several lots" if golden else "add three golden parts"
-    return (
-        f"not excluded: {', '.join(several)}: {remedy} (anisoscope golden add), photograph more poses (anisoscope "
-        "recipe suggest), or state larger sizes in [defects]"
-    )
+        place = f" at {one.where}" if one.where else ""
+        several.append(f"{one.defect.name} ({largest}{place})")
+    return f"not excluded: {', '.join(several)}: {remedy}, or state larger sizes in [defects]"

@@ -5,10 +5,11 @@ causes and the output of ``anisoscope recipe check`` are the same for all.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
-from anisoscope.base.json_fields import as_json, in_json
+from anisoscope.base.json_fields import LEFT_OUT, as_json, in_json
+from anisoscope.decision.exclusion import MORE_POSES, PlannedLimit, planned_text
 from anisoscope.diagnosis.separability import Separability
 from anisoscope.kinds.command_output import CommandOutput, Table
 
@@ -33,6 +34,8 @@ class RecipeCheck:
         complaints: one line each, what should be changed.
         frames: one line each, what frames of a part show of the recipe, where it was checked with some.
         unchecked: what could not be checked without devices, in one line, or None.
+        excludes: largest sizes of the named defects that are not excluded of a part as designed, without golden parts.
+        remedy: cheapest way to smaller ones.
     """
 
     product: str
@@ -40,6 +43,8 @@ class RecipeCheck:
     complaints: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
     unchecked: str | None = None
+    excludes: tuple[PlannedLimit, ...] = ()
+    remedy: str = field(default=MORE_POSES, metadata=LEFT_OUT)
 
     def tables(self) -> tuple[Table, ...]:
         """Tables of the kind, which go before that of the causes."""
@@ -54,14 +59,39 @@ class RecipeCheck:
     def findings(self) -> tuple[Finding, ...]:
         """The notes, then the complaints."""
         unchecked = () if self.unchecked is None else (f"not checked: {self.unchecked}",)
-        notes = [Finding("note", text) for text in (*self.notes(), *self.frames, *unchecked)]
+        texts = (*planned_text(self.excludes, self.remedy), *self.notes(), *self.frames, *unchecked)
+        notes = [Finding("note", text) for text in texts]
         return (*notes, *(Finding("warning", text) for text in self.complaints))
 
     def output(self) -> CommandOutput:
         """Output of ``anisoscope recipe check``."""
         causes = (causes_table(self.causes),) if self.causes else ()
         lines = tuple(one.text for one in self.findings)
-        return CommandOutput(as_json(self), (*self.tables(), *causes), lines)
+        return CommandOutput(as_json(self), (*_excluded_table(self.excludes), *self.tables(), *causes), lines)
+
+
+def _excluded_table(excludes: tuple[PlannedLimit, ...]) -> tuple[Table, ...]:
+    """Limits of a part as designed, in the best and in the worst case where these differ."""
+    if not excludes:
+        return ()
+    one_case = all(one.best == one.worst for one in excludes)
+    columns = ["possible up to"] if one_case else ["best lobe: up to", "worst lobe: up to"]
+    rows = [
+        [
+            one.defect,
+            *([one.worst] if one_case else [one.best, one.worst]),
+            "yes" if one.excluded else "no",
+        ]
+        for one in excludes
+    ]
+    return (
+        Table(
+            "what a part as designed may still have",
+            ["defect, at its smallest interesting size", *columns, "excluded"],
+            rows,
+            "one side, 95 %, without golden parts",
+        ),
+    )
 
 
 def causes_table(causes: Iterable[Separability]) -> Table:

@@ -70,7 +70,6 @@ from anisoscope.prediction.expectation import (
 )
 from anisoscope.prediction.part_scatter import (
     CAMERA_SHARE,
-    NamedDefect,
     PartScatter,
     named_defects,
     part_scatter,
@@ -80,12 +79,12 @@ from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.base import LimitsPart
+from anisoscope.recipe.named_defect import NamedDefect
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, check_lamp, check_material, read_surface_recipe
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
     DiagnosisRecord,
     DirectionRecord,
-    ExclusionRecord,
     GoldenRecord,
     MapPlaceRecord,
     ReadingRecord,
@@ -322,16 +321,7 @@ class SurfaceKind(
             between_tilts=decided.between_tilts,
             area=decided.area,
             regions=decided.regions,
-            exclusions=tuple(
-                ExclusionRecord(
-                    words=one.defect.words,
-                    size=one.defect.size,
-                    unit=one.defect.unit,
-                    best=one.best,
-                    limit=one.limit if np.isfinite(one.limit) else None,
-                )
-                for one in decided.exclusions
-            ),
+            exclusions=tuple(one.record() for one in decided.exclusions),
         )
         return Results(
             measured.radiance,

@@ -8,7 +8,7 @@ import numpy as np
 
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.decision import contrast_gradient
-from anisoscope.decision.exclusion import PlannedLimit, planned_limits
+from anisoscope.decision.surface_exclusion import planned_limits, remedy_text
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.discriminating_poses import cached_options
 from anisoscope.diagnosis.evidence import background_of
@@ -84,7 +84,6 @@ class SurfaceCheck(RecipeCheck):
         never: pairs of causes that neither these poses separate, nor any tilt or lamp that was tried.
         roughness: of the whole plastic, by the height map and the recipe's lobe, in one line; None without a map.
         thresholds: assumed for the cells where every part sets its own, in one line; None where the recipe states one.
-        excludes: largest sizes of the named defects that are not excluded of a part as designed, without golden parts.
     """
 
     contrast: str
@@ -96,7 +95,6 @@ class SurfaceCheck(RecipeCheck):
     never: tuple[tuple[str, str], ...] = ()
     roughness: str | None = None
     thresholds: str | None = None
-    excludes: tuple[PlannedLimit, ...] = ()
 
     def tables(self) -> tuple[Table, ...]:
         """Contrasts, and their budget."""
@@ -120,20 +118,11 @@ class SurfaceCheck(RecipeCheck):
             ["source", *(f"u({name})" for name in names)],
             [[row.source, *(f"{value:.4f}" for value in row.contributions)] for row in self.budget],
         )
-        if not self.excludes:
-            return pairs, budget
-        excluded = Table(
-            "what a part as designed may still have",
-            ["defect, at its smallest interesting size", "best lobe: up to", "worst lobe: up to", "excluded"],
-            [[one.defect, one.best, one.worst, "yes" if one.excluded else "no"] for one in self.excludes],
-            "one side, 95 %, without golden parts",
-        )
-        return excluded, pairs, budget
+        return pairs, budget
 
     def notes(self) -> tuple[str, ...]:
-        """Defects that are excluded, causes left out, and what further tilts or lamps would separate."""
-        lines = self._excluded()
-        lines += [f"not examined: {cause}: {reason}" for cause, reason in self.left_out]
+        """Causes left out, and what further tilts or lamps would separate."""
+        lines = [f"not examined: {cause}: {reason}" for cause, reason in self.left_out]
         for one in self.advice:
             benefits = [f"show {', '.join(one.shows)}"] if one.shows else []
             benefits += [f"distinguish {_apart(one.tells_apart)}"] if one.tells_apart else []
@@ -143,17 +132,6 @@ class SurfaceCheck(RecipeCheck):
             lines.append(f"nothing that was tried would distinguish {_apart(self.never)}")
         lines += [line for line in (self.roughness, self.thresholds) if line is not None]
         return tuple(lines)
-
-    def _excluded(self) -> list[str]:
-        if not self.excludes:
-            return []
-        closed = [one.defect for one in self.excludes if one.excluded]
-        left = [f"{one.defect} (up to {one.worst})" for one in self.excludes if not one.excluded]
-        said = f"a part as designed excludes {', '.join(closed)}" if closed else "no defect is excluded"
-        if not left:
-            return [f"{said}: good parts can PASS by the prediction alone"]
-        remedy = "golden parts (anisoscope golden add) or more poses (anisoscope recipe suggest) exclude smaller ones"
-        return [f"{said}; not excluded, whatever the lobe: {', '.join(left)}: {remedy}"]
 
 
 def _roughness(recipe: SurfaceRecipe, expected: Expectation) -> str | None:
@@ -215,6 +193,7 @@ def check_recipe(
         )
 
     causes = causes_by(known)
+    parts = None if recipe.scatter is None else part_scatter(recipe, light_angle_deg, optics)
     single = recipe.poses.stage_and_tilt_deg is not None  # chosen as a whole: `recipe suggest` chooses others
     new = [] if single else [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance, optics, model) if new and _lacking(causes) else ()
@@ -238,9 +217,8 @@ def check_recipe(
         complaints=_complaints(recipe, pairs),
         lamps=lamps,
         never=never,
-        excludes=()
-        if recipe.scatter is None or (parts := part_scatter(recipe, light_angle_deg, optics)) is None
-        else planned_limits(expected, parts, recipe, CAMERA_SHARE),
+        excludes=planned_limits(expected, parts, recipe, CAMERA_SHARE),
+        remedy=remedy_text(expected, None),
     )
 
 

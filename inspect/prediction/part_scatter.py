@@ -34,6 +34,7 @@ from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
 from anisoscope.prediction.sensitivity import DARK, State, Surface, evaluate
+from anisoscope.recipe.named_defect import NamedDefect
 from anisoscope.recipe.surface import DesignPart, SurfaceRecipe
 
 CAMERA_SHARE = 0.003
@@ -255,34 +256,6 @@ def _shares(
     u, s = pairs.get(source, (1.0, 0.0))
     unit = float(np.hypot(u, s))
     return (u / unit, s / unit) if unit > 0.0 else (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class NamedDefect:
-    """A defect with its smallest interesting size.
-
-    Attributes:
-        words: what it is, up to its size.
-        size: in its unit.
-        unit: "°", "%" or " µm".
-    """
-
-    words: str
-    size: float
-    unit: str
-
-    @property
-    def name(self) -> str:
-        """Its name with the smallest interesting size."""
-        return self.of_size(1.0)
-
-    def of_size(self, multiple: float) -> str:
-        """The defect at a multiple of that size."""
-        return f"{self.words}{self.text(multiple)}"
-
-    def text(self, multiple: float) -> str:
-        """A multiple of that size with its unit, to two digits."""
-        return f"{float(f'{multiple * self.size:.2g}'):g}{self.unit}"
 
 
 def named_defects(recipe: SurfaceRecipe) -> tuple[NamedDefect, ...]:

@@ -11,8 +11,10 @@ from typing import Protocol
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.recipe.named_defect import NamedDefect
 
 _STEPS, _HALVINGS = 25, 6
+_COSTLY_STEPS = 100
 SETTLED = 1e-9
 """Relative change of a squared distance below which its search ends."""
 _CONVERGENCE = 1e-4  # tolerance of a squared distance whose evaluations are costly
@@ -39,13 +41,30 @@ class Curve(Protocol):
         ...
 
 
-class States(Curve, Protocol):
-    """Change of ln L of the poses with all uncertain inputs, evaluated by the model itself."""
+class BoundedCurve(Curve, Protocol):
+    """A curve whose inputs are known to a range."""
 
     @property
     def farthest(self) -> FloatArray:
         """(K,) range of the search for every input, in standard uncertainties."""
         ...
+
+
+class DefectCurves(Protocol):
+    """Curves of parts with the named defects of a recipe."""
+
+    @property
+    def defects(self) -> tuple[NamedDefect, ...]:
+        """The defects with their smallest interesting sizes."""
+        ...
+
+    def with_defect(self, defect: NamedDefect, extent: float) -> BoundedCurve:
+        """Change from a part as designed, with a multiple of that size, and all that is uncertain besides."""
+        ...
+
+
+class States(BoundedCurve, DefectCurves, Protocol):
+    """Change of ln L of the poses with all uncertain inputs, evaluated by the model itself."""
 
     def holds(self, source: str) -> bool:
         """Whether the source of this name in the budget is an input of these states."""
@@ -56,13 +75,18 @@ class States(Curve, Protocol):
 class Combined:
     """Combinations (m, P) of the values of a curve."""
 
-    curve: Curve
+    curve: BoundedCurve
     basis: FloatArray
 
     @property
     def sources(self) -> tuple[str, ...]:
         """K names of the inputs."""
         return self.curve.sources
+
+    @property
+    def farthest(self) -> FloatArray:
+        """(K,) range of the search for every input, in standard uncertainties."""
+        return self.curve.farthest
 
     def change(self, z: FloatArray) -> FloatArray:
         """(…, m) change at inputs (…, K)."""
@@ -140,6 +164,54 @@ def nearest_states(
         moving &= before - left > settled * (1.0 + before)
         if not moving.any():
             break
+    return left, z
+
+
+def nearest_costly(
+    curve: Curve,
+    deviation: FloatArray,
+    covariance: FloatArray,
+    start: FloatArray,
+    *,
+    settled: float,
+    farthest: float | FloatArray,
+) -> tuple[float, FloatArray]:
+    """The same for one part with costly states, and the (K,) state itself.
+
+    The tangent follows the steps (Broyden 1965), and is computed anew where they no longer help.
+
+    Args:
+        curve: of the m values, with K inputs.
+        deviation: (m,).
+        covariance: (m, m).
+        start: (K,) state to start from.
+        settled: relative change of the distance below which the search ends.
+        farthest: range of the search for every input.
+    """
+    weight = np.linalg.inv(covariance)
+
+    def misfit(z: FloatArray, value: FloatArray) -> float:
+        return float(z @ z + (deviation - value) @ weight @ (deviation - value))
+
+    z, value, tangent, fresh = start, curve.change(start), curve.tangent(start), True
+    left = misfit(z, value)
+    for _ in range(_COSTLY_STEPS):
+        pull = tangent.T @ weight
+        down = np.linalg.solve(np.eye(len(z)) + pull @ tangent, pull @ (deviation - value) - z)
+        before, share, was_fresh = left, 1.0, fresh
+        for _ in range(_HALVINGS if fresh else 2):
+            trial = np.clip(z + share * down, -farthest, farthest)
+            there = curve.change(trial)
+            if (found := misfit(trial, there)) < left:
+                step = trial - z
+                tangent = tangent + np.outer(there - value - tangent @ step, step) / (step @ step)
+                z, value, left, fresh = trial, there, found, False
+                break
+            share *= 0.5
+        if before - left <= settled * (1.0 + before):
+            if was_fresh:
+                break
+            tangent, fresh = curve.tangent(z), True
     return left, z
 
 

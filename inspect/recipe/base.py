@@ -56,12 +56,14 @@ class DecisionBase(Part):
 
     ``alpha`` is the level of significance; ``deviation`` says what a significant deviation within the tolerance does;
     the guard band is ``coverage`` standard uncertainties wide. INCONCLUSIVE parts are measured up to ``remeasure``
-    times more.
+    times more. ``unexcluded`` says what a defect of ``[defects]`` does that the measurement does not exclude: a part
+    that would pass is "inconclusive", or passes with the defect named ("note").
     """
 
     alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
     deviation: Literal["warn", "fail"] = "warn"
     coverage: Positive = 1.645
+    unexcluded: Literal["inconclusive", "note"] = "note"
     remeasure: Annotated[int, Field(ge=0, le=9)] = 1
 
 

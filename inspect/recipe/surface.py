@@ -268,12 +268,9 @@ class DecisionPart(DecisionBase):
     one a pair; without it a significant deviation at ``alpha`` fails the part. ``deviation`` says what a
     significant deviation within the tolerance does. INCONCLUSIVE parts are measured up to ``remeasure`` times
     more. With ``rig_faults`` a failing part is INVALID or INCONCLUSIVE where a fault of the rig explains it as well.
-    ``unexcluded`` says what a defect of ``[defects]`` does that the measurement does not exclude: a part that would
-    pass is "inconclusive", or passes with the defect named ("note").
     """
 
     rig_faults: bool = True
-    unexcluded: Literal["inconclusive", "note"] = "note"
     contrast: ContrastKind = "log_ratio"
     tolerance: Positive | tuple[Positive, ...] | None = None
 

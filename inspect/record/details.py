@@ -1,12 +1,13 @@
 """Kind-specific part of a record, with the interface that history, statistics and reports need."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, cast
+from typing import Annotated, Any, Protocol, cast
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.plugins import installed, load
+from anisoscope.record.exclusion import ExclusionRecord
 
 GROUP = "anisoscope.kinds"
 """Entry points of the kinds of parts."""
@@ -15,10 +16,13 @@ GROUP = "anisoscope.kinds"
 class Details(BaseModel):
     """Fields of a record that belong to one kind of part.
 
-    History, statistics and reports use the methods without knowing the kind.
+    History, statistics and reports use the methods without knowing the kind. ``exclusions`` are the limits of the named
+    defects; none of a part that deviates.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    exclusions: Annotated[tuple[ExclusionRecord, ...], Field(exclude_if=lambda found: not found)] = ()
 
     def numbers(self) -> dict[str, float]:
         """Measured numbers by stable labels: ``NAME``, with ``u NAME``, ``deviation NAME``, ``tolerance NAME``.
@@ -31,6 +35,11 @@ class Details(BaseModel):
     def area_share(self) -> float | None:
         """The share of the area that deviates, where the numbers do not hold it."""
         return None
+
+    @property
+    def near_limit(self) -> bool:
+        """Whether a quantity lies on one side or the other of its limit by less than its guard band."""
+        return False
 
     def compared(self) -> dict[str, float]:
         """Numbers by which a part is compared with others of its lot."""

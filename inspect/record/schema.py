@@ -13,6 +13,7 @@ from anisoscope.base.json_file import bounded_bytes, parsed_json
 from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
 from anisoscope.record.details import Details, kind_of_recipe, recorded_kind
 from anisoscope.record.display import record_frame, record_html, record_line, record_plot
+from anisoscope.record.exclusion import ExclusionRecord
 from anisoscope.record.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -386,34 +387,6 @@ class DirectionRecord(_Part):
     p_value: float | None = None
 
 
-class ExclusionRecord(_Part):
-    """Largest size of a named defect that the part may have (one side, 95 %).
-
-    ``words`` and ``size`` with ``unit`` name the defect at its smallest interesting size; ``best`` and ``limit`` are
-    multiples of that: the likeliest one, and the largest one that is not excluded, null where none of those tried is.
-    """
-
-    words: str
-    size: float
-    unit: str
-    best: float
-    limit: float | None
-
-    @property
-    def excluded(self) -> bool:
-        """Whether the defect at its smallest interesting size is excluded."""
-        return self.limit is not None and self.limit <= 1.0
-
-    @property
-    def name(self) -> str:
-        """The defect at its smallest interesting size."""
-        return f"{self.words}{self.text(1.0)}"
-
-    def text(self, multiple: float | None) -> str:
-        """A multiple of that size with its unit, to two digits; "any" for None."""
-        return "any" if multiple is None else f"{float(f'{multiple * self.size:.2g}'):g}{self.unit}"
-
-
 class GoldenRecord(_Part):
     """The golden parts that decided what deviates: ln ratios to the first pose, one row a part.
 
@@ -516,6 +489,11 @@ class Record(_Part):
             details = recorded_kind(str(record.get("kind"))).details.model_validate(record["details"])
             return {**record, "details": details}
         return record
+
+    @property
+    def exclusions(self) -> tuple[ExclusionRecord, ...]:
+        """Limits of the named defects; none of a part that deviates, or could not be judged."""
+        return () if self.details is None else self.details.exclusions
 
     def __repr__(self) -> str:
         """One line: serial number, product, verdict, the first reason."""

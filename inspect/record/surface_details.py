@@ -1,15 +1,10 @@
 """The details of a part whose contrasts are judged: a surface that reflects, ridged or etched."""
 
-from typing import Annotated
-
-from pydantic import Field
-
 from anisoscope.record.details import Details
 from anisoscope.record.schema import (
     AreaRecord,
     ComparisonRecord,
     ContrastRecord,
-    ExclusionRecord,
     GoldenRecord,
     MapPlaceRecord,
     ReadingRecord,
@@ -35,7 +30,6 @@ class SurfaceDetails(Details):
     shape: ShapeRecord | None = None
     golden: GoldenRecord | None = None
     map_place: MapPlaceRecord | None = None
-    exclusions: Annotated[tuple[ExclusionRecord, ...], Field(exclude_if=lambda found: not found)] = ()
 
     def numbers(self) -> dict[str, float]:
         """The contrasts.
@@ -58,6 +52,12 @@ class SurfaceDetails(Details):
     def area_share(self) -> float | None:
         """The share of the contrast map that deviates."""
         return None if self.area is None else self.area.share
+
+    @property
+    def near_limit(self) -> bool:
+        """Whether a contrast or the area is too close to its limit to decide."""
+        judged = (*self.contrasts, *(() if self.area is None else (self.area,)))
+        return any(one.verdict == "INCONCLUSIVE" for one in judged)
 
     def compared(self) -> dict[str, float]:
         """The contrasts."""

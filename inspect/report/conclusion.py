@@ -159,17 +159,15 @@ def _passed(record: Record, measured: str) -> str:
 
 def left_open(record: Record) -> bool:
     """Whether defects that are not excluded, and no limit, leave a part undecided."""
-    details = surface_of(record)
-    near = any(one.verdict == "INCONCLUSIVE" for one in details.contrasts)
-    near = near or (details.area is not None and details.area.verdict == Verdict.INCONCLUSIVE)
-    return not near and any(not one.excluded for one in details.exclusions)
+    near = record.details is not None and record.details.near_limit
+    return not near and any(not one.excluded for one in record.exclusions)
 
 
 def blind_to(record: Record) -> str:
     """The defects that are not excluded, in words; empty where there are none."""
     named = [
-        one.name if one.limit is None else f"{one.name} (up to {one.text(one.limit).strip()})"
-        for one in surface_of(record).exclusions
+        one.name if one.limit is None else f"{one.name} (up to {one.text(one.limit).strip()}{one.place})"
+        for one in record.exclusions
         if not one.excluded
     ]
     return ", ".join(named)
@@ -177,9 +175,7 @@ def blind_to(record: Record) -> str:
 
 def beyond(record: Record) -> str:
     """The sizes beyond which defects are excluded, in words."""
-    return ", ".join(
-        f"{one.words}{one.text(one.limit)}" for one in surface_of(record).exclusions if one.excluded
-    )
+    return ", ".join(f"{one.words}{one.text(one.limit)}" for one in record.exclusions if one.excluded)
 
 
 class _Named(NamedTuple):

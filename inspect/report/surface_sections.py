@@ -43,6 +43,7 @@ def surface_sections(record: Record, pictures: Pictures, words: Mapping[str, Cau
         "small_budget": small,
         "budget_top": max((max(row.contributions, default=0.0) for row in record.budget), default=0.0),
         "golden": _golden(record, found),
+        "excluded_by": _excluded_by(found),
         **_maps(record, found, pictures, [one for one, _ in regions]),
         **tilt_parts(record),
     }
@@ -58,6 +59,14 @@ def surface_sections(record: Record, pictures: Pictures, words: Mapping[str, Cau
         unit=unit,
         content=content,
     )
+
+
+def _excluded_by(found: SurfaceDetails) -> str:
+    """Reference of the limits of the named defects, in a sentence."""
+    if found.golden is not None and found.golden.test == "predictive":
+        size = 1.0 if found.golden.size is None else found.golden.size
+        return f"Against the golden parts: their scatter is {size:.2g} times the stated one (variance)."
+    return "Against the prediction; further poses exclude smaller sizes, and so do golden parts of ridges."
 
 
 def _maps(

@@ -172,8 +172,14 @@ class Wafers(SurfaceKind[WaferRecipe]):
         return WaferRecipe
 
     def as_recorded(self, recipe: WaferRecipe, recorded: Mapping[str, Any]) -> WaferRecipe:
-        """As of all surfaces; a record that does not state ``step_edges_nm`` was judged without waves of the edges."""
+        """As of all surfaces; a record that does not state ``step_edges_nm`` was judged without waves of the edges.
+
+        One that states no sizes of defects was judged without their limits.
+        """
         recipe = super().as_recorded(recipe, recorded)
+        if "etch_depth_nm" not in recorded.get("defects", {}):
+            unsized = recipe.defects.model_copy(update={"etch_depth_nm": None, "etch_width_nm": None})
+            recipe = recipe.model_copy(update={"defects": unsized})
         if "step_edges_nm" in recorded.get("uncertainty", {}):
             return recipe
         stated = recipe.uncertainty.model_copy(update={"step_edges_nm": 0.0})

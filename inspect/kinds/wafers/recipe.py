@@ -6,6 +6,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from anisoscope.base.toml_file import NotNegative, Positive, Share
+from anisoscope.recipe.named_defect import NamedDefect
 from anisoscope.recipe.surface import DefectsPart, MaterialPart, RigUncertainty, ScatterPart, SurfaceRecipe
 
 
@@ -39,6 +40,27 @@ class WaferUncertainty(RigUncertainty):
     step_edges_nm: NotNegative | None = None
 
 
+class WaferDefects(DefectsPart):
+    """Smallest interesting sizes of the defects of a wafer; None tests for none. Those of ridges are of no account.
+
+    ``etch_depth_nm``: all passes too deep or too shallow; ``etch_width_nm``: features too wide or too narrow.
+    """
+
+    etch_depth_nm: Positive | None = 15.0
+    etch_width_nm: Positive | None = 500.0
+
+    @property
+    def of_wafers(self) -> tuple[NamedDefect, ...]:
+        """The defects that are tested, each direction by itself."""
+        sizes = (
+            (("etched too deep by ", "etched too shallow by "), self.etch_depth_nm),
+            (("features too wide by ", "features too narrow by "), self.etch_width_nm),
+        )
+        return tuple(
+            NamedDefect(words, size, " nm") for both, size in sizes if size is not None for words in both
+        )
+
+
 class WaferRecipe(SurfaceRecipe):
     """The recipe of a wafer, as read from its TOML file.
 
@@ -47,6 +69,7 @@ class WaferRecipe(SurfaceRecipe):
 
     material: WaferMaterial
     uncertainty: WaferUncertainty = WaferUncertainty()
+    defects: WaferDefects = WaferDefects()
 
     @model_validator(mode="after")
     def _can_be_predicted(self) -> Self:
@@ -60,9 +83,10 @@ class WaferRecipe(SurfaceRecipe):
                 "surface: a wafer (material.reflectance) is compared with a height_map of the tile that repeats on it; "
                 "`anisoscope design height` makes one of a design, a layout or a mask"
             )
+        ridges = DefectsPart.model_fields
         for table, given, usual in (
             ("scatter", self.scatter, ScatterPart()),
-            ("defects", self.defects, DefectsPart()),
+            *((f"defects.{name}", getattr(self.defects, name), one.default) for name, one in ridges.items()),
             ("surface.reflections", self.surface.reflections, "all"),
             ("surface.roughness", self.surface.roughness, "lobe"),
             ("poses.stage_and_tilt_deg", self.poses.stage_and_tilt_deg, None),

@@ -5,7 +5,7 @@ Directions cost little once the orders of the tile are known, so that the neares
 the radiances themselves.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.profile_likelihood import FARTHEST
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.recipe.named_defect import NamedDefect
 from anisoscope.sim.light.wave.choice import edge_widening_um
 
 DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
@@ -26,6 +27,13 @@ EDGES = ("edges of the steps, in phase", "edges of the steps, out of phase")
 
 SCATTER = "share of scattered light"
 """Counterpart of a plastic's albedo."""
+STATE_OF: Mapping[str, tuple[str, float]] = {
+    "etched too deep by ": (DEPTH, 1.0),
+    "etched too shallow by ": (DEPTH, -1.0),
+    "features too wide by ": (WIDTH, 1.0),
+    "features too narrow by ": (WIDTH, -1.0),
+}
+"""State of each named defect, by its words, and its sign."""
 BEYOND = ", beyond the slope"
 _STEP = 0.02  # u, of a derivative
 _WIDTHS = 2.0  # u, between the widths that are drawn
@@ -73,10 +81,18 @@ class WaferStates:
     Attributes:
         recipe: with the poses that decide.
         light_angle_deg: of the rig.
+        designed: (P,) ln L of the wafer without a defect, where this one has one.
+        pinned: what has a known value here, and is none of the inputs.
+        made: the wafer with its defect.
+        near: the same at other widths.
     """
 
     recipe: WaferRecipe
     light_angle_deg: float
+    designed: FloatArray | None = None
+    pinned: str = ""
+    made: EtchedPredictor | None = None
+    near: NearWidths | None = None
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -108,16 +124,37 @@ class WaferStates:
         near = np.asarray(z)[..., None, :] + _STEP * np.eye(len(self._movers))
         return np.swapaxes((self.change(near) - self.change(z)[..., None, :]) / _STEP, -1, -2)
 
+    @property
+    def defects(self) -> tuple[NamedDefect, ...]:
+        """Passes and widths off to either side, at the sizes of the recipe."""
+        return self.recipe.defects.of_wafers
+
+    def with_defect(self, defect: NamedDefect, extent: float) -> "WaferStates":
+        """States of wafers whose depth or width is off by a multiple of its size, whatever the recipe expects of it."""
+        source, sign = STATE_OF[defect.words]
+        off_nm = sign * extent * defect.size
+        if source == DEPTH:
+            made, at_width = self._wafer.with_depths(off_nm), self._at_width
+
+            def near(wider_nm: float, edges_nm: complex = 0.0) -> EtchedPredictor:
+                return at_width(wider_nm, edges_nm).with_depths(off_nm)
+
+            return replace(self, designed=self._nominal, pinned=DEPTH, made=made, near=near)
+        made = self._wafer.with_widths(off_nm) if off_nm else self._wafer
+        return replace(self, designed=self._nominal, pinned=WIDTH, made=made)
+
     @cached_property
     def _wafer(self) -> EtchedPredictor:
-        return recipe_wafer(self.recipe, self.light_angle_deg)[0]
+        return self.made or recipe_wafer(self.recipe, self.light_angle_deg)[0]
 
     @cached_property
     def _at_width(self) -> NearWidths:
-        return self._wafer.near_widths(width_step_nm(self.recipe))
+        return self.near or self._wafer.near_widths(width_step_nm(self.recipe))
 
     @cached_property
     def _nominal(self) -> FloatArray:
+        if self.designed is not None:
+            return self.designed
         return self._ln_radiance(np.zeros(len(self._movers)))
 
     def _ln_radiance(self, z: FloatArray) -> FloatArray:
@@ -136,11 +173,11 @@ class WaferStates:
         """
         stated, material = self.recipe.uncertainty, self.recipe.material
         found: dict[str, _Mover] = {}
-        if stated.etch_width_nm > 0.0:
+        if stated.etch_width_nm > 0.0 and self.pinned != WIDTH:
             found[WIDTH] = self._widened
         if (u_nm := edges_u_nm(self.recipe, self._wafer, self.light_angle_deg)) > 0.0:
             found |= {name: self._edged(u_nm * phase) for name, phase in zip(EDGES, (1.0, 1.0j), strict=True)}
-        if stated.etch_depth_nm > 0.0:
+        if stated.etch_depth_nm > 0.0 and self.pinned != DEPTH:
             found[DEPTH] = self._deepened
         if material.u_albedo > 0.0:
             found[SCATTER] = self._scattering

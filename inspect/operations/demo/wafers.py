@@ -104,7 +104,12 @@ def recipe() -> dict[str, Any]:
             "settle_s": 0.0,
         },
         "region": {"size_mm": [3.0 * TILE_UM / 1000.0, 3.0 * TILE_UM / 1000.0]},
-        "decision": {"contrast": "log_ratio", "alpha": 0.001, "deviation": "fail"},
+        "decision": {
+            "contrast": "log_ratio",
+            "alpha": 0.001,
+            "deviation": "fail",
+            "unexcluded": "inconclusive",
+        },
         "uncertainty": {
             "seating_tilt_deg": SEATING_DEG,
             "light_angle_deg": 0.05,

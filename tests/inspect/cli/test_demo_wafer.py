@@ -69,7 +69,7 @@ def test_its_files_are_read_by_those_who_need_them(folder):
     [
         ({"area": {"max_share": 0.03}}, r"leave \[area\] out"),
         ({"scatter": {"alpha_share": 0.02}}, "scatter belongs to ridges"),
-        ({"defects": {"power": 0.9}}, "defects belongs to ridges"),
+        ({"defects": {"power": 0.9}}, "defects.power belongs to ridges"),
         (
             {"poses": {"stage_and_tilt_deg": [[0.0, 3.0], [90.0, 3.0]]}},
             "poses.stage_and_tilt_deg belongs to ridges",
