@@ -11,7 +11,7 @@ This is the part that all kinds share: limits of curves, sentences, and what an 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -220,9 +220,10 @@ class _Profile:
         from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - start-up time
 
         sizes = np.array(sorted(self._known))
+        values = np.array([self._known[float(one)][0] for one in sizes])
         fine = np.linspace(0.0, sizes[-1], 1001)
-        curve = PchipInterpolator(sizes, [self._known[float(one)][0] for one in sizes])
-        return _of_values(defect, fine, curve(fine))
+        found = _of_values(defect, fine, PchipInterpolator(sizes, values)(fine))
+        return replace(found, best=_vertex(sizes, values))
 
     def _excluded(self, extent: float) -> bool:
         return self._known[extent][0] > min(one for one, _ in self._known.values()) + ONE_SIDED**2
@@ -242,6 +243,16 @@ class _Profile:
             curve, self._deviation, self._covariance, begin, settled=_CLOSE, farthest=curve.farthest
         )
         return left, dict(zip(curve.sources, z.tolist(), strict=True))
+
+
+def _vertex(sizes: FloatArray, values: FloatArray) -> float:
+    """Size of the least value by a parabola through the least one and its neighbours; not below 0."""
+    middle = min(max(int(np.argmin(values)), 1), len(sizes) - 2)
+    near = slice(middle - 1, middle + 2)
+    square, slope, _ = np.polyfit(sizes[near], values[near], 2)
+    if square <= 0.0:
+        return float(sizes[np.argmin(values)])
+    return float(np.clip(-0.5 * slope / square, sizes[middle - 1], sizes[middle + 1]))
 
 
 def open_defects(found: tuple[Exclusion, ...]) -> tuple[Exclusion, ...]:
