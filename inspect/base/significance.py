@@ -186,7 +186,16 @@ def calibrated(p_values: FloatArray, drawn: FloatArray, levels: FloatArray = LEV
         drawn: those of drawn good parts.
         levels: ascending probabilities at which they are counted, 0.1 among them and 1 the last.
     """
-    at = np.append(np.quantile(drawn, levels[:-1]), 1.0)
+    return calibrated_at(p_values, quantiles(drawn, levels), levels)
+
+
+def quantiles(drawn: FloatArray, levels: FloatArray = LEVELS) -> FloatArray:
+    """(L,) p values by the normal theory that good parts are below with the probabilities ``levels``, the last is 1."""
+    return np.append(np.quantile(drawn, levels[:-1]), 1.0)
+
+
+def calibrated_at(p_values: FloatArray, at: FloatArray, levels: FloatArray = LEVELS) -> FloatArray:
+    """As `calibrated`, by the quantiles of the drawn p values."""
     small = np.log(np.maximum(p_values, 1e-300))
     found = np.interp(small, np.log(at), np.log(levels))
     low, high = 0, int(np.flatnonzero(levels == 0.1)[0])

@@ -12,7 +12,7 @@ stated size. With a smaller one the statistics are smaller, so that the level ho
 Golden parts that scatter more than stated, beyond chance, are believed.
 
 Golden parts of one lot or day share what differs between lots and days: their mean is only as good as that of as many
-parts as there are batches.
+parts as there are batches, and their scatter shows less than that of good parts (`assumed_size`).
 
 Two statistics share the level: T² of all contrasts, and the scores of the deviation in the directions of the named
 defects, sᵀV⁻¹d/√(sᵀV⁻¹s), each the likelihood ratio of this defect against a good part (Neyman and Pearson 1933).
@@ -33,7 +33,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import ROUNDING, positive_part, root
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import LEVELS, calibrated, chi2_tail
+from anisoscope.base.significance import LEVELS, calibrated, calibrated_at, chi2_tail, quantiles
 from anisoscope.prediction.second_order import Response
 
 PRIOR_FREEDOM = 0.5
@@ -54,6 +54,7 @@ _STEPS = 300  # of the estimate of variance components
 LEARNING_PARTS = 10
 """Number of golden parts that a stated scatter is worth where golden parts of another recipe correct it."""
 _TAIL = 0.001  # for which the size is taken: about the share of the level that a named defect has
+_BETWEEN = 0.5  # share of the variance of good parts that is between batches, where the batches are few
 _DETERMINED = 0.5  # degrees of freedom below which an input is not determined
 
 
@@ -211,17 +212,22 @@ def _size(squares: FloatArray, m: int, count: int) -> FloatArray:
     return np.asarray((PRIOR_FREEDOM + squares) / (PRIOR_FREEDOM + m * (count - 1.0)))
 
 
-def assumed_size(size: FloatArray | float, m: int, count: int, tail: float) -> FloatArray:
+def assumed_size(
+    size: FloatArray | float, m: int, count: int, tail: float, batches: int | None = None
+) -> FloatArray:
     """Size of the scatter for a probability ``tail``: the stated one, or that of the golden parts where it is less.
 
     That of the golden parts is multiplied by the square of Student's quantile over the normal one, for what few parts
-    leave unknown. A size that is greater than the stated one beyond chance (95 %) stays.
+    leave unknown. Parts of few batches show little of what differs between batches: half of the variance is taken to be
+    of that kind, and the size is divided by the share that they show on average. A size that is greater than the stated
+    one beyond chance (95 %) stays.
 
     Args:
         size: (…) s² of `size_of`.
         m: number of contrasts.
         count: golden parts.
         tail: one-sided probability of the quantiles.
+        batches: of the golden parts, alike in size; None: the parts are independent.
     """
     from scipy.special import chdtri, ndtri, stdtrit  # noqa: PLC0415 - start-up time
 
@@ -229,9 +235,11 @@ def assumed_size(size: FloatArray | float, m: int, count: int, tail: float) -> F
     if free == 0.0:
         return np.ones_like(np.asarray(size, dtype=np.float64))
     wider = (stdtrit(_freedom(m, count), 1.0 - tail) / ndtri(1.0 - tail)) ** 2
+    several = min(batches or count, count)
+    shown = 1.0 - _BETWEEN + _BETWEEN * (count - count / several) / (count - 1.0)
     squares = np.asarray(size) * (PRIOR_FREEDOM + free) - PRIOR_FREEDOM
     contradicts = squares > float(chdtri(free, 0.025))
-    return np.where(contradicts, size, np.minimum(wider * np.asarray(size), 1.0))
+    return np.where(contradicts, size, np.minimum(wider / shown * np.asarray(size), 1.0))
 
 
 def _freedom(m: int, count: int) -> float:
@@ -259,11 +267,11 @@ def predictive_test(
     several = min(batches or count, count)
     null = _null_of(scatter, count, several)
     size = size_of(golden, stated)
-    taken = float(assumed_size(size, len(stated), count, _TAIL))
+    taken = float(assumed_size(size, len(stated), count, _TAIL, several))
     inverse = np.linalg.inv(stated * taken * (1.0 + 1.0 / several))
     d = value - golden.mean(axis=0)
     t2 = float(d @ inverse @ d)
-    p_distance = float(calibrated(null.distance_theory(np.array([t2])), null.distances)[0])
+    p_distance = float(calibrated_at(null.distance_theory(np.array([t2])), null.knots[0])[0])
     names = tuple(scatter.defects)
     if not names:
         birge = birge_ratio(golden, stated)
@@ -301,7 +309,8 @@ def separations(
     several = min(batches or count, count)
     levels = _levels(scatter, count, several, alpha)
     m = len(scatter.errors)
-    usual = float(assumed_size(_size(np.array(size * m * (count - 1.0)), m, count), m, count, _TAIL))
+    learnt = _size(np.array(size * m * (count - 1.0)), m, count)
+    usual = float(assumed_size(learnt, m, count, _TAIL, several))
     none, separation = np.zeros(len(levels.limits)), _stated(scatter, several)[0] / np.sqrt(usual)
     levels = replace(levels, spreads=levels.spreads * np.sqrt(size / usual))
     return _directions(tuple(scatter.defects), none, none + 1.0, separation, levels)
@@ -489,6 +498,11 @@ class _Null:
     distances: FloatArray
     scores: tuple[FloatArray, ...]
 
+    @cached_property
+    def knots(self) -> tuple[FloatArray, ...]:
+        """Quantiles of the distances and of the scores, at `LEVELS`."""
+        return tuple(quantiles(one) for one in (self.distances, *self.scores))
+
     def distance_theory(self, t2: FloatArray) -> FloatArray:
         """P values by χ² with m degrees of freedom."""
         return np.maximum(chi2_tail(t2, self.m), _SMALLEST)
@@ -501,13 +515,13 @@ class _Null:
 
     def score_chances(self, scores: FloatArray) -> FloatArray:
         """(C,) p values of the (C,) scores of a part, each by the drawn good parts' scores in its direction."""
-        theory = self.score_theory(scores)
-        return np.array([float(calibrated(theory[[k]], drawn)[0]) for k, drawn in enumerate(self.scores)])
+        pairs = zip(self.score_theory(scores)[:, None], self.knots[1:], strict=True)
+        return np.array([float(calibrated_at(one, at)[0]) for one, at in pairs])
 
     def score_limits(self, levels: FloatArray) -> FloatArray:
         """(..., C) scores beyond which each direction is significant at (..., C) levels."""
         theory = self.score_theory(_SCORES)
-        chances = [calibrated(theory, drawn) for drawn in self.scores]
+        chances = [calibrated_at(theory, at) for at in self.knots[1:]]
         return np.stack([np.interp(-levels[..., k], -one, _SCORES) for k, one in enumerate(chances)], axis=-1)
 
 
@@ -543,9 +557,14 @@ class _Levels:
     limits: FloatArray
     spreads: FloatArray
 
+    @cached_property
+    def knots(self) -> FloatArray:
+        """Quantiles of ``least`` at `_COUNTED`."""
+        return quantiles(self.least, _COUNTED)
+
     def adjusted(self, over_share: FloatArray) -> FloatArray:
         """P values over their shares as p values of all tests together."""
-        return calibrated(np.minimum(self.scale * over_share, 1.0), self.least, _COUNTED)
+        return calibrated_at(np.minimum(self.scale * over_share, 1.0), self.knots, _COUNTED)
 
 
 @lru_cache(maxsize=16)
@@ -591,7 +610,7 @@ def _null_of(scatter: Scatter, count: int, batches: int) -> _Null:
     golden, parts = drawn[:, :count], drawn[:, count:]
     off = golden - golden.mean(axis=1, keepdims=True)
     size = _size(np.einsum("sni,ij,snj->s", off, weight, off), m, count)
-    size = assumed_size(size, m, count, _TAIL) * (1.0 + 1.0 / batches)
+    size = assumed_size(size, m, count, _TAIL, batches) * (1.0 + 1.0 / batches)
     d = parts - golden[:, :batches].mean(axis=1, keepdims=True)
     t2 = (np.einsum("spi,ij,spj->sp", d, weight, d) / size[:, None]).ravel()
     bare = _Null(m, np.empty(0), ())

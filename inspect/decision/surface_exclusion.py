@@ -240,6 +240,8 @@ def excluded_by_parts(
 ) -> tuple[Exclusion, ...]:
     """Limits of the named defects against good parts: the largest of all lobes that are as likely.
 
+    A part with a defect that is a state of one input scatters as the response bends there, not as good parts do.
+
     Args:
         parts: scatter and changes of ln L by the named defects.
         measured: the part.
@@ -252,12 +254,15 @@ def excluded_by_parts(
     basis = log_basis(len(measured.radiance))
     d = basis @ np.log(measured.radiance) - golden.mean(axis=0)
     count = min(batches or len(golden), len(golden))
-    taken = float(assumed_size(size, len(d), len(golden), 0.05)) * (1.0 + 1.0 / count)
+    taken = float(assumed_size(size, len(d), len(golden), 0.05, count))
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in parts.changes}
     for turn, lobe in enumerate(scatter.lobes):
-        tangent = lobe.slope * scatter.own
-        weight = np.linalg.inv((tangent @ tangent.T + scatter.errors) * taken)
+        good = lobe.slope * scatter.own
+        of_mean = (good @ good.T + scatter.errors) / count
         for name, change in parts.changes.items():
+            source, extent = parts.states.get(name, ("", 0.0))
+            bent = lobe.tangent(extent * (np.array(lobe.sources) == source)) * scatter.own
+            weight = np.linalg.inv((bent @ bent.T + scatter.errors + of_mean) * taken)
             s = basis @ change[turn]
             information = float(s @ weight @ s)
             found[name].append((float(s @ weight @ d) / information, 1.0 / float(np.sqrt(information))))

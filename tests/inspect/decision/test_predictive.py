@@ -7,6 +7,7 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import chi2, kstest
 
+from anisoscope.base.covariance import root
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency import contrast_scatter, from_prediction
@@ -296,6 +297,23 @@ def test_more_golden_parts_show_smaller_defects(tilted):
     assert all(many[name] < stated[name] < alike[name] for name in one)
     names = {"ridge angle +0.5°", "roughness across the ridges +20%", "height loss 10%", "edges worn to 5 µm"}
     assert set(one) >= names
+
+
+@pytest.mark.parametrize(("count", "batches"), [(3, 2), (5, 2), (25, 2), (25, 5), (10, 1)])
+def test_the_level_holds_for_golden_parts_of_few_batches(count, batches):
+    """Half of the variance is between batches, and the part is of another one; one part in a hundred is due."""
+    rng, spread = np.random.default_rng(count + batches), root(LINEAR.covariance)
+    of = np.arange(count) % batches
+    found = []
+    for _ in range(250):
+        shared, own = (np.sqrt(0.5) * rng.standard_normal((count + 12, M)) for _ in range(2))
+        golden = (shared[of] + own[:count]) @ spread
+        parts = (shared[batches:][:12] + own[-12:]) @ spread
+        found.append([predictive_test(LINEAR, golden, one, 0.01, batches).p_value for one in parts])
+    of_sets = np.mean(np.array(found) < 0.01, axis=1)
+    u = np.std(of_sets) / np.sqrt(len(of_sets))
+    assert of_sets.mean() < 0.02 + 2.0 * u
+    assert of_sets.mean() > (0.003 - 2.0 * u if batches > 1 else 0.0)
 
 
 def test_worn_edges_are_a_direction_of_their_own(tilted):

@@ -149,11 +149,28 @@ def test_limit_against_golden_parts_is_that_of_their_scatter(linear, count):
     best = shift @ weight @ (basis @ np.log(measured.radiance) - golden.mean(axis=0)) * u**2
     assert found.best == pytest.approx(max(best, 0.0))
     assert found.limit == pytest.approx(max(best, 0.0) + ONE_SIDED * u)
-    if count == 6:  # of one lot: their mean is as good as one part
+    if count == 6:  # of one lot: their mean is as good as one part, and half of the variance is between lots
         (alike,) = excluded_by_parts(parts, measured, rules, golden, size, batches=1)
-        assert alike.limit - alike.best == pytest.approx(
-            (found.limit - found.best) * np.sqrt(2.0 / (7.0 / 6.0))
-        )
+        wider = np.sqrt(2.0 / (7.0 / 6.0) * min(2.0, 1.0 / taken))
+        assert alike.limit - alike.best == pytest.approx((found.limit - found.best) * wider)
+
+
+def test_a_part_with_a_defect_scatters_as_the_response_bends_there(linear):
+    rules, expected, parts, change = linear
+    (name,) = parts.changes
+    bend = np.zeros((3, 2, 2))
+    bend[:, 1, 1] = [0.01, 0.0, -0.01]
+    bent = replace(parts.response, bend=bend)
+    at = replace(parts, response=bent, lobes=(bent,), states={name: ("b", 3.0)})
+    basis, measured = log_basis(3), seen(expected.radiance * np.exp(change))
+    golden = np.log(expected.radiance)[None] @ basis.T
+    (found,) = excluded_by_parts(at, measured, rules, golden, 1.0)
+    errors = NOISE**2 * basis @ basis.T
+    good, off = (basis @ one for one in (bent.slope, bent.slope + bend @ [0.0, 3.0]))
+    weight = np.linalg.inv(good @ good.T + off @ off.T + 2.0 * errors)
+    shift = basis @ change
+    assert found.best == pytest.approx(1.0)
+    assert found.limit - found.best == pytest.approx(ONE_SIDED / np.sqrt(shift @ weight @ shift))
 
 
 def test_a_part_with_a_defect_of_the_size_of_interest_does_not_exclude_it():
