@@ -15,10 +15,10 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import contrast_name, p_value_text, quantity_name
 from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency import from_prediction, golden_test, scatter_of
-from anisoscope.decision.exclusion import Exclusion, with_exclusions
+from anisoscope.decision.exclusion import Exclusion, open_defects, open_sizes, with_exclusions
 from anisoscope.decision.predictive import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
-from anisoscope.decision.surface_exclusion import excluded_of, lacking_text, remedy_text
+from anisoscope.decision.surface_exclusion import excluded_of, lacking_text, parts_needed, remedy_text
 from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
@@ -51,7 +51,7 @@ class Decision:
         dof: number of independent contrasts.
         p_value: probability of a larger distance for a part as predicted (or as the golden parts); where golden parts
             limit the area too, both tests share one level (Holm 1979).
-        golden: number of golden parts compared with, 0 for none.
+        reference: good parts compared with, or the parts of the lot that are alike; None for none.
         conformance_probability: that all deviations truly lie within their tolerances, or None.
         area: the result for the contrast map, or None.
         regions: groups of deviating cells, the least probable first.
@@ -70,7 +70,7 @@ class Decision:
     d2: float
     dof: int
     p_value: float
-    golden: int
+    reference: GoldenSet | None
     conformance_probability: float | None
     area: AreaRecord | None
     regions: tuple[RegionRecord, ...]
@@ -80,6 +80,11 @@ class Decision:
     between_tilts: tuple[TiltContrastRecord, ...]
     predictive: PredictiveTest | None = None
     exclusions: tuple[Exclusion, ...] = ()
+
+    @property
+    def golden(self) -> int:
+        """Number of parts compared with."""
+        return 0 if self.reference is None else len(self.reference.parts)
 
 
 def contrast_gradient(poses: tuple[Pose, ...], radiance: FloatArray, kind: ContrastKind) -> FloatArray:
@@ -99,6 +104,8 @@ def decide(
     parts: PartScatter | None = None,
     *,
     exclude: bool = True,
+    waiting: bool = False,
+    left_out: tuple[str, ...] = (),
 ) -> Decision:
     """Decide on a part.
 
@@ -110,6 +117,8 @@ def decide(
         parts: how good parts scatter, and what defects change; without it the golden parts' own scatter alone counts,
             and no defect is excluded.
         exclude: find out which defects are excluded of a part that does not deviate.
+        waiting: the part is of a lot of which too few others are known.
+        left_out: serial numbers of parts of the lot that deviate from the others.
 
     Raises:
         MeasurementError: no uncertainty is stated, so that no distance is defined; or too few golden parts.
@@ -127,15 +136,19 @@ def decide(
     covariance = np.asarray(np.sum(variances, axis=0))
     u = np.sqrt(np.diag(covariance))
     predictive: PredictiveTest | None = None
+    scatter = None if parts is None else scatter_of(parts, measured)
     if golden is None:
         d2, dof, p_value = from_prediction(expected, measured)
     else:
-        scatter = None if parts is None else scatter_of(parts, measured)
         d2, dof, p_value, predictive = golden_test(
             scatter, expected, measured, golden.contrasts(), rule.alpha, golden.batches
         )
+    of_lot = golden is not None and golden.lot is not None
+    by_lot = p_value
+    if of_lot:  # a deviation of the whole lot shows against the prediction alone
+        p_value = min(2.0 * min(p_value, from_prediction(expected, measured)[2]), 1.0)
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
-    known = None if golden is None else golden.known_shares(recipe)
+    known = None if golden is None or of_lot else golden.known_shares(recipe)
     cells = None if recipe.area is None else cell_map(measured, expected.poses, recipe.area)
     area, deviating = judge_area(
         measured,
@@ -149,31 +162,36 @@ def decide(
     )
     regions = _regions(cells, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
+    decisive = golden if not of_lot or p_value == min(2.0 * by_lot, 1.0) else None
     where = "; ".join(_where(pairs, rule.alpha)) or ", ".join(
         deviating_between_tilts(expected, measured, rule.alpha)
     )
-    like = predictive.strongest if predictive is not None and predictive.decides else None
-    verdict, reasons = _combine(pairs, p_value, area, rule, number, where, like)
+    named = predictive if decisive is not None else None
+    like = named.strongest if named is not None and named.decides else None
+    verdict, reasons = _combine(pairs, p_value, area, rule, _alike(decisive), where, like)
     if measured.mirroring is not None:
         verdict, own = Verdict.FAIL, reasons if verdict is Verdict.FAIL else ()
         reasons = (_of_mirroring(measured.mirroring), *own)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
     exclusions: tuple[Exclusion, ...] = ()
+    common = exclusions
     if exclude:
         deviates = p_value < rule.alpha
         if not deviates:
-            exclusions = excluded_of(expected, measured, recipe, golden, parts, predictive)
+            exclusions, common = excluded_of(expected, measured, recipe, golden, parts, predictive)
+        still_open = {one.defect.name for one in open_defects(exclusions)}
+        needed, compares = parts_needed(still_open, scatter, parts, recipe), rule.compare_with_lot
         verdict, reasons = with_exclusions(
             verdict,
             reasons,
             exclusions,
             rule.unexcluded,
-            remedy_text(expected, golden),
+            remedy_text(expected, golden, needed, of_lot=of_lot or waiting, compares=compares),
             lacking_text(expected, golden, deviates=deviates),
         )
     if golden is not None and golden.unjudged:
-        reasons = (*reasons, _of_the_lot(golden.unjudged))
+        reasons = (*reasons, _of_the_lot(golden, left_out, common))
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))
@@ -185,7 +203,7 @@ def decide(
         d2,
         dof,
         p_value,
-        number,
+        golden,
         conformance,
         area,
         regions,
@@ -198,8 +216,28 @@ def decide(
     )
 
 
-def _of_the_lot(count: int) -> str:
-    return f"compared with {count} parts of unknown quality: what they have in common is not seen"
+def _of_the_lot(golden: GoldenSet, left_out: tuple[str, ...], common: tuple[Exclusion, ...]) -> str:
+    count = golden.unjudged
+    if golden.lot is None:
+        return f"compared with {count} parts of unknown quality: what they have in common is not seen"
+    without = f" (without {', '.join(left_out)}, unlike the others)" if left_out else ""
+    parts = "1 other part" if count == 1 else f"{count} other parts"
+    compared = f"compared with {parts} of lot {golden.lot}{without}"
+    if not open_defects(common):
+        return f"{compared}: what all of them have in common, the prediction judges"
+    return f"{compared}: of all of them together the prediction does not exclude {open_sizes(common)}"
+
+
+def _alike(reference: GoldenSet | None) -> str:
+    """A good part, in words."""
+    if reference is None:
+        return "as predicted"
+    number = len(reference.parts)
+    if reference.lot is not None:
+        return (
+            "like the other part of the lot" if number == 1 else f"like the {number} other parts of the lot"
+        )
+    return "like the golden part" if number == 1 else f"like the {number} golden parts"
 
 
 def _blind(predictive: PredictiveTest | None, recipe: SurfaceRecipe, golden: int) -> str | None:
@@ -303,13 +341,14 @@ def _combine(
     p_value: float,
     area: AreaRecord | None,
     rule: DecisionPart,
-    golden: int,
+    alike: str,
     where: str,
     like: Direction | None,
 ) -> tuple[Verdict, tuple[str, ...]]:
     """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that contributes.
 
-    ``where`` names the individually significant contrasts, ``like`` is the named defect whose score decides.
+    ``alike`` says what a good part is, ``where`` names the individually significant contrasts, ``like`` is the named
+    defect whose score decides.
     """
     findings = [(pair.verdict, _of_tolerance(pair, rule)) for pair in pairs if pair.tolerance is not None]
     if area is not None:
@@ -320,9 +359,6 @@ def _combine(
     tests = [p_value] if area is None or area.p_value is None else [p_value, area.p_value]
     significant = bool(holm(np.array(tests))[0] < rule.alpha)
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
-    alike = "as predicted"
-    if golden:
-        alike = "like the golden part" if golden == 1 else f"like the {golden} golden parts"
     level = f"level {rule.alpha:g}, shared with the area" if len(tests) > 1 else f"level {rule.alpha:g}"
     line = f"all contrasts together: p {p_value_text(p_value)} for a part {alike} ({level})"
     if significant and like is not None:

@@ -294,16 +294,21 @@ def excluded_text(found: tuple[Exclusion, ...]) -> str:
     return f"excluded: more than {', '.join(closed)}" if closed else ""
 
 
-def open_text(found: tuple[Exclusion, ...], remedy: str) -> str:
-    """The defects that are not excluded, with the largest sizes that are possible, and the cheapest remedy.
-
-    Args:
-        found: limits of the named defects, one of them open.
-        remedy: what makes the limits smaller.
-    """
+def open_sizes(found: tuple[Exclusion, ...]) -> str:
+    """The defects that are not excluded, with the largest sizes that are possible."""
     several = []
     for one in open_defects(found):
         largest = f"up to {one.limit_text}" if np.isfinite(one.limit) else one.limit_text
         place = f" at {one.where}" if one.where else ""
         several.append(f"{one.defect.name} ({largest}{place})")
-    return f"not excluded: {', '.join(several)}: {remedy}, or state larger sizes in [defects]"
+    return ", ".join(several)
+
+
+def open_text(found: tuple[Exclusion, ...], remedy: str) -> str:
+    """The defects that are not excluded, and the cheapest remedy.
+
+    Args:
+        found: limits of the named defects, one of them open.
+        remedy: what makes the limits smaller.
+    """
+    return f"not excluded: {open_sizes(found)}: {remedy}, or state larger sizes in [defects]"

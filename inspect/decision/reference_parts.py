@@ -21,6 +21,8 @@ from anisoscope.base.errors import CalibrationError
 from anisoscope.base.json_file import bounded_bytes
 from anisoscope.base.significance import hotelling, log_basis
 from anisoscope.decision.equipment import Equipment
+from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT
+from anisoscope.decision.lot_reference import alike
 from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares
 from anisoscope.recipe.base import AcquisitionPart, RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -472,7 +474,10 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
     Attributes:
         predictive: a part is compared with one golden part or more, by the scatter that the recipe states
             (`anisoscope.decision.predictive`); otherwise with as many as their own scatter needs.
+        lot: lot of a part, where these are the other parts of it, of unknown quality.
     """
+
+    lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
 
     judges_area: ClassVar[bool] = True
     area_parts: ClassVar[int] = LEAST_PARTS
@@ -486,7 +491,46 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
     @property
     def lacking(self) -> str | None:
         """Reason why the parts do not serve as the reference yet, or None."""
+        if self.lot is not None:
+            return self._waiting
         return None if self.predictive and self.parts else super().lacking
+
+    @property
+    def _waiting(self) -> str | None:
+        """Reason why the other parts of a lot do not serve yet: with the part itself they are fewer than three."""
+        if len(self.parts) + 1 >= LEAST_OF_LOT:
+            return None
+        return (
+            f"part {len(self.parts) + 1} of lot {self.lot}: from part {LEAST_OF_LOT} on, the parts of the lot are "
+            "compared with each other"
+        )
+
+    @property
+    def batches(self) -> int:
+        """Number of batches; parts of the lot of a part differ from it as from each other."""
+        return len(self.parts) if self.lot is not None else super().batches
+
+    def alike(self, log_radiance: FloatArray, covariance: FloatArray) -> tuple[Self, tuple[str, ...]]:
+        """Parts of the lot that are like most parts of it, and the serial numbers of the others.
+
+        Args:
+            log_radiance: (P,) of the part, which is one of the lot too.
+            covariance: (P − 1, P − 1) of the contrasts of good parts about their mean.
+        """
+        mine = log_basis(len(log_radiance)) @ log_radiance
+        near, _ = alike(np.vstack([self.contrasts(), mine]), covariance)
+        marked = list(zip(self.parts, near[:-1], strict=True))
+        return (
+            self.model_copy(update={"parts": tuple(part for part, like in marked if like)}),
+            tuple(part.serial for part, like in marked if not like),
+        )
+
+    @classmethod
+    def of_lot(cls, recipe: SurfaceRecipe, lot: str, equipment: Equipment) -> Self:
+        """An empty set for the other parts of a lot, seen by the equipment of a part of it."""
+        poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
+        key = cls.key_of(recipe)
+        return cls(product=recipe.product, recipe_key=key, poses=poses, equipment=equipment, lot=lot)
 
     @classmethod
     def with_inspection(cls, known: Self | None, recipe: SurfaceRecipe, record: Record) -> Self:
@@ -586,4 +630,9 @@ def write_golden(path: Path, golden: BaseModel) -> None:
     Raises:
         RecordError: the folder cannot be written.
     """
-    write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
+    write_text(path, golden_text(golden))
+
+
+def golden_text(golden: BaseModel) -> str:
+    """Content of the file of a set of reference parts."""
+    return json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False)

@@ -9,7 +9,7 @@ parts, y is the distance from their mean, the scatter between parts is V, and x 
 Of a model that is evaluated itself the contrasts alone count: reflectances of mirrors have no stated uncertainty.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +36,8 @@ from anisoscope.decision.exclusion import (
     of_normal,
     planned,
 )
-from anisoscope.decision.predictive import PredictiveTest, assumed_size
+from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT
+from anisoscope.decision.predictive import PredictiveTest, Scatter, assumed_size
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
@@ -49,6 +50,7 @@ DOUBT = 0.1
 """Relative standard uncertainty of the change of ln L by a defect: it depends on the state of the other inputs."""
 CONTRADICTED = 0.05
 """p value of a part against the prediction below which golden parts alone say what is excluded."""
+_FOUR_OF_FIVE = 0.8416212335729143  # 80 % of the standard normal distribution
 _KNOWN = 4.0  # standard uncertainties of an input up to which the response to second order serves
 _ROUNDS, _CLOSE = 2, 1e-4  # a limit needs T_c to .01 only
 
@@ -60,8 +62,10 @@ def excluded_of(
     golden: GoldenSet | None,
     parts: PartScatter | None,
     predictive: PredictiveTest | None,
-) -> tuple[Exclusion, ...]:
-    """Limits of the named defects: each by the reference that shows it best, which does not depend on the part.
+) -> tuple[tuple[Exclusion, ...], tuple[Exclusion, ...]]:
+    """Limits of the named defects, and those by the prediction alone.
+
+    Each is by the reference that shows it best, which does not depend on the part.
 
     Args:
         expected: the prediction.
@@ -74,28 +78,51 @@ def excluded_of(
     errors = measured.components
     if expected.states is not None:
         held = golden is None or from_prediction(expected, measured)[2] >= CONTRADICTED
-        return excluded_by_states(expected, measured.radiance, errors) if held else ()
+        by_states = excluded_by_states(expected, measured.radiance, errors) if held else ()
+        return by_states, by_states
     if parts is None:
-        return ()
+        return (), ()
     by_prediction = excluded_by_prediction(expected, measured.radiance, errors, parts, recipe)
     if golden is None or predictive is None:
-        return by_prediction
+        return by_prediction, by_prediction
     by_parts = excluded_by_parts(parts, measured, recipe, golden.contrasts(), predictive.size, golden.batches)
     if not by_prediction or from_prediction(expected, measured)[2] < CONTRADICTED:
-        return by_parts
+        return by_parts, by_prediction
     nominal = excluded_by_prediction(expected, expected.radiance, errors, parts, recipe)
-    return tuple(
+    best = tuple(
         of_parts if of_parts.limit - of_parts.best <= planned.limit else of_prediction
         for of_parts, of_prediction, planned in zip(by_parts, by_prediction, nominal, strict=True)
     )
+    return best, by_prediction
 
 
-def remedy_text(expected: Expectation, golden: GoldenSet | None) -> str:
-    """The cheapest way to smaller limits: of a model that is evaluated itself golden parts are none."""
+def remedy_text(
+    expected: Expectation, reference: GoldenSet | None, needed: int | None, *, of_lot: bool, compares: bool
+) -> str:
+    """The cheapest way to smaller limits: of a model that is evaluated itself good parts are none.
+
+    Args:
+        expected: the prediction.
+        reference: parts that the part was compared with.
+        needed: number of good parts that exclude the open defects (`parts_needed`).
+        of_lot: the part is compared with its lot, or will be.
+        compares: it would be if its lot were named.
+    """
     if expected.states is not None:
         return MORE_TILTS
-    more = "add three golden parts" if golden is None else "add golden parts of several lots"
-    return f"{more} (anisoscope golden add), {MORE_POSES}"
+    present = 0 if reference is None else reference.batches
+    if needed is None or needed <= present:
+        return f"good parts do not show all of them, {MORE_POSES}"
+    more, part = needed - present, max(needed + 1, LEAST_OF_LOT)
+    parts = "1 golden part" if more == 1 else f"{more} golden parts"
+    added = f"add {parts} (anisoscope golden add), {MORE_POSES}"
+    if of_lot:
+        return f"inspect the lot up to part {part}, {added}"
+    if present:
+        return f"add {parts} of other lots (anisoscope golden add), {MORE_POSES}"
+    if compares:
+        return f"name the lot (--lot), whose parts show them from part {part} on, {added}"
+    return added
 
 
 def lacking_text(expected: Expectation, golden: GoldenSet | None, *, deviates: bool) -> str:
@@ -170,7 +197,9 @@ def excluded_by_prediction(
         return ()
     sources = (expected.response if expected.lobes is None else expected.lobes.responses[0]).sources
     states = _states(recipe, sources)
-    changes = np.array([change * (name not in states) for name, change in parts.changes.items()])
+    # a lobe without a tail stands for those with less than none as well
+    tails, first = np.unique(parts.tails, return_index=True)
+    changes = np.array([change[first] * (name not in states) for name, change in parts.changes.items()])
     shifts = np.array([states.get(name, np.zeros(len(sources))) for name in parts.changes])
     tried = (EXTENTS[:, None, None] * changes[:, None]).reshape(-1, *changes.shape[1:])
     middle = (EXTENTS[:, None] * shifts[:, None]).reshape(-1, len(sources))
@@ -179,7 +208,7 @@ def excluded_by_prediction(
     metric = own + np.einsum("np,pq->npq", doubted.reshape(-1, len(y)) ** 2, np.eye(len(y)))
     if expected.lobes is not None:
         found = nearest_lobe(
-            expected.lobes, off, metric, tried, parts.tails, middle, rounds=_ROUNDS, settled=_CLOSE
+            expected.lobes, off, metric, tried, tails, middle, rounds=_ROUNDS, settled=_CLOSE
         )
     else:
         found, _ = nearest_states(expected.response, off - tried.mean(axis=1), metric, middle, middle=middle)
@@ -250,11 +279,49 @@ def excluded_by_parts(
         size: variance of good parts over the stated one, as of `predictive.size_of`.
         batches: number of lots or days of the good parts; None: they are independent.
     """
-    scatter = scatter_of(parts, measured)
-    basis = log_basis(len(measured.radiance))
-    d = basis @ np.log(measured.radiance) - golden.mean(axis=0)
+    d = log_basis(len(measured.radiance)) @ np.log(measured.radiance) - golden.mean(axis=0)
     count = min(batches or len(golden), len(golden))
     taken = float(assumed_size(size, len(d), len(golden), 0.05, count))
+    return _by_parts(parts, scatter_of(parts, measured), recipe, d, taken, count)
+
+
+PLANNED = (1, 2, 3, 5, 10, 25)
+"""Numbers of good parts that a remedy names."""
+
+
+def parts_needed(
+    names: Collection[str], scatter: Scatter | None, parts: PartScatter | None, recipe: SurfaceRecipe
+) -> int | None:
+    """Smallest number of good parts, of `PLANNED`, that exclude the open defects in four of five parts like them.
+
+    Args:
+        names: of the open defects.
+        scatter: of good parts; None where none is stated.
+        parts: with the changes of ln L by the named defects, likewise.
+        recipe: with the smallest interesting sizes.
+
+    Returns:
+        The number; None where none of them does.
+    """
+    if parts is None or scatter is None:
+        return None
+    at_mean = np.zeros(len(scatter.errors))
+    for count in PLANNED:
+        each = _by_parts(parts, scatter, recipe, at_mean, 1.0, count)
+        limits = [one.limit for one in each if one.defect.name in names]
+        if max(limits, default=0.0) * (1.0 + _FOUR_OF_FIVE / ONE_SIDED) <= 1.0:
+            return count
+    return None
+
+
+def _by_parts(
+    parts: PartScatter, scatter: Scatter, recipe: SurfaceRecipe, d: FloatArray, size: float, count: int
+) -> tuple[Exclusion, ...]:
+    """Limits of a part whose (P − 1,) contrasts are ``d`` off the mean of ``count`` good ones.
+
+    Good parts have ``size`` times the variance that is stated.
+    """
+    basis = log_basis(len(d) + 1)
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in parts.changes}
     for turn, lobe in enumerate(scatter.lobes):
         good = lobe.slope * scatter.own
@@ -262,7 +329,7 @@ def excluded_by_parts(
         for name, change in parts.changes.items():
             source, extent = parts.states.get(name, ("", 0.0))
             bent = lobe.tangent(extent * (np.array(lobe.sources) == source)) * scatter.own
-            weight = np.linalg.inv((bent @ bent.T + scatter.errors + of_mean) * taken)
+            weight = np.linalg.inv((bent @ bent.T + scatter.errors + of_mean) * size)
             s = basis @ change[turn]
             information = float(s @ weight @ s)
             found[name].append((float(s @ weight @ d) / information, 1.0 / float(np.sqrt(information))))

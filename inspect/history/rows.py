@@ -122,15 +122,17 @@ def numbers_of(record: Record) -> dict[str, float]:
     with ``u …`` (standard uncertainty, prediction included), ``deviation …`` (measured - predicted), and
     ``tolerance …`` where the recipe gives one. Then, where they exist: ``d2``, ``p``, ``area share``,
     ``conformance probability``, ``drift``; and ``cause …`` with the weight of the best cause of a diagnosis, 0 to 1,
-    of a part that did not pass.
+    of a part that did not pass. Of frames that were judged anew, what was measured is not there twice: only ``d2``,
+    ``p`` and the cause.
     """
-    found = {} if record.details is None else record.details.numbers()
+    details = None if record.judged_anew else record.details
+    found = {} if details is None else details.numbers()
     rest = {
         "d2": record.d2,
         "p": record.p_value,
-        "area share": None if record.details is None else record.details.area_share,
+        "area share": None if details is None else details.area_share,
         "conformance probability": record.conformance_probability,
-        "drift": record.drift,
+        "drift": None if record.judged_anew else record.drift,
     }
     causes = () if record.diagnosis is None or record.verdict == "PASS" else record.diagnosis.causes[:1]
     rest |= {f"{CAUSE}{storable(one.cause)}": one.weight for one in causes if one.cause != "nothing"}

@@ -1,30 +1,42 @@
 """An inspection before the first picture: what is known and checked."""
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
-from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.base.errors import RecordError, RigFileError, UsageError
 from anisoscope.base.signature import signer_in_use
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.calibration.record import Kind, record_path
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.decision.certificate import CERTIFICATE, valid_certificate
-from anisoscope.decision.reference_parts import golden_path
+from anisoscope.decision.equipment import Equipment
+from anisoscope.decision.reference_parts import AnyReferenceSet, golden_path, write_golden
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.imaging.views import Viewing
+from anisoscope.inspection.folder import INPUTS
 from anisoscope.kinds.kind import AnyKind
-from anisoscope.kinds.parts import Reference, reference_on
+from anisoscope.kinds.parts import Reference, References, reference_on
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.logo import LOGO
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.record.schema import sha256_of
+from anisoscope.record.schema import read_record, sha256_of
+from anisoscope.record.verdict import Verdict
+from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.rigfile import CalibrationPart, RigFile, read_rig
 
 LONGEST_SERIAL = 64
+LOT = "parts of the lot"
+LOT_NAME = "lot.json"
+"""Role and name of the file with the other parts of the lot of a part."""
+MOST_OF_LOT = 12
+"""Number of parts of a lot with which a part is compared, the latest ones."""
 Role = str
 """What a file is to an inspection, such as "recipe", "height map" or "flat record"; kinds of parts have their own."""
 
@@ -79,6 +91,46 @@ class Job:
         """By what its frames become views."""
         pixel_um, guides = self.rig.camera.pixel_um, self.kind.guides
         return Viewing(self.white, self.calibrations, self.fixture, pixel_um, self.recipe, guides)
+
+    def lot_parts(self, lot: str | None, mates: Sequence[LotMate]) -> AnyReferenceSet | None:
+        """The other parts of the lot of the part; None where it is not compared with them.
+
+        Args:
+            lot: name of the lot; None where it is not known.
+            mates: inspections of the lot, the oldest first.
+        """
+        if lot is None or not isinstance(self.kind, References):
+            return None
+        serve = (mate for mate in mates if mate.folder and mate.verdict != Verdict.INVALID.value)
+        last = {mate.serial: mate for mate in serve if mate.serial != self.serial}
+        records = []
+        for mate in list(last.values())[-MOST_OF_LOT:]:
+            with contextlib.suppress(RecordError):  # an archived or damaged folder: the others serve
+                records.append(read_record(Path(mate.folder)))
+        found: AnyReferenceSet | None = self.kind.lot_reference(
+            self.recipe, lot, Equipment.of_rig(self.rig, self.white.camera), records
+        )
+        return found
+
+    def of_lot(self, lot: str | None, mates: Sequence[LotMate], folder: Path) -> Self:
+        """The job with the other parts of a lot as reference, if it has none; they are written into the folder.
+
+        Args:
+            lot: name of the lot, or None.
+            mates: inspections of the lot, the oldest first.
+            folder: the inspection folder.
+
+        Raises:
+            RecordError: the folder cannot be written.
+        """
+        found = None if self.reference is not None else self.lot_parts(lot, mates)
+        if found is None:
+            return self
+        path = folder / INPUTS / LOT_NAME
+        path.parent.mkdir(exist_ok=True)
+        write_golden(path, found)
+        source = Source(LOT, path, sha256_of(path))
+        return replace(self, reference=found, sources=(*self.sources, source))
 
     def plan(self, place_mm: tuple[float, float] | None = None) -> Plan:
         """Acquisition plan of a part, with its place (x, y) on the plate in mm from the stage's axis.

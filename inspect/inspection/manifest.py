@@ -16,7 +16,7 @@ from anisoscope.base.json_file import bounded_bytes
 from anisoscope.calibration.corrections import calibrations_of
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.inspection.folder import INPUTS, JOB
-from anisoscope.inspection.job import Job, Role, Source, fixture_of
+from anisoscope.inspection.job import LOT, Job, Role, Source, fixture_of
 from anisoscope.inspection.objects import LARGE, store
 from anisoscope.kinds.parts import References
 from anisoscope.kinds.registry import kind_of
@@ -49,6 +49,7 @@ class Manifest(BaseModel):
         inputs: copies of the files.
         refused: why the part is INVALID without being judged, such as a code that is not its own.
         reuse: reason given for judging frames that are already known as those of another part.
+        judged_anew: earlier record of the same frames, in words; empty where there is none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -65,6 +66,7 @@ class Manifest(BaseModel):
     inputs: tuple[InputCopy, ...]
     refused: str | None = None
     reuse: str = ""
+    judged_anew: str = ""
 
     @property
     def began(self) -> datetime:
@@ -118,7 +120,7 @@ def begin(
         refused=refused,
         reuse=reuse,
     )
-    _write(manifest, folder)
+    write_manifest(manifest, folder)
     return manifest
 
 
@@ -131,7 +133,7 @@ def one_round_more(folder: Path, manifest: Manifest) -> Manifest:
     assert manifest.plan is not None
     plan = replace(manifest.plan, rounds=manifest.plan.rounds + 1)
     more = manifest.model_copy(update={"plan": plan, "frames": plan.frame_count})
-    _write(more, folder)
+    write_manifest(more, folder)
     return more
 
 
@@ -142,11 +144,16 @@ def refuse(folder: Path, manifest: Manifest, reason: str) -> Manifest:
         RecordError: the folder cannot be written.
     """
     refused = manifest.model_copy(update={"refused": reason})
-    _write(refused, folder)
+    write_manifest(refused, folder)
     return refused
 
 
-def _write(manifest: Manifest, folder: Path) -> None:
+def write_manifest(manifest: Manifest, folder: Path) -> None:
+    """Write ``job.json``.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
     write_text(folder / JOB, json.dumps(manifest.model_dump(mode="json", by_alias=True), indent=2) + "\n")
 
 
@@ -218,7 +225,7 @@ def reopen(folder: Path, channel: str | None = None) -> tuple[Manifest, Job]:
     recipe = with_logo(recipe, paths.get(LOGO))
     white = read_reference(paths["white reference"])
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in manifest.inputs)
-    known = paths.get("golden parts")
+    known = paths.get("golden parts") or paths.get(LOT)
     reference = None
     if known is not None and isinstance(kind, References):
         reference = kind.read_reference(known, recipe)

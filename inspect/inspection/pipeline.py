@@ -245,6 +245,7 @@ def make_record(
         stage=frames.stage,
         origin="rig" if manifest.origin == "rig" else "imported",
         reuse=manifest.reuse,
+        judged_anew=manifest.judged_anew,
         inputs=tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in manifest.inputs),
         frames=tuple(_frame_record(shot) for shot in frames.shots),
     )

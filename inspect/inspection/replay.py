@@ -108,12 +108,13 @@ def inspect_frames(
         _check_owner(given, used_before)
     with contextlib.ExitStack() as cleanup:
         folder = cleanup.enter_context(new_folder(out, serial))
-        job = given.job(folder / INPUTS / WHITE_NAME)
+        who = particulars or Particulars()
+        job = given.job(folder / INPUTS / WHITE_NAME).of_lot(who.lot, lot_mates, folder)
         ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
         manifest = begin(
             folder,
             job,
-            particulars or Particulars(),
+            who,
             plan=None,
             frames=len(given.replay.entries),
             rig_folder=given.rig_path.resolve().parent,

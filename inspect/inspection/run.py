@@ -72,6 +72,16 @@ UsedBefore = Callable[[Sequence[str], str], str | None]
 """Function of hashes of pixels and a serial number: the other part that they were judged as, in words, or None."""
 
 
+JudgeLot = Callable[["Inspected"], Sequence["Inspected"]]
+"""Function of an inspection in the history: parts of its lot that were judged anew by it, with another verdict."""
+
+
+def lot_as_it_is(inspected: "Inspected") -> tuple["Inspected", ...]:
+    """For where no lot is known."""
+    del inspected
+    return ()
+
+
 def never_used(pixels: Sequence[str], serial: str) -> None:
     """For where no history is known."""
     del pixels, serial
@@ -109,6 +119,12 @@ class Inspected:
     folder: Path
     report: Path
     notes: tuple[str, ...] = ()
+
+    @property
+    def anew_text(self) -> str:
+        """A line on an inspection whose frames were judged anew."""
+        record = self.record
+        return f"{record.serial}: {record.verdict}, judged anew after {record.judged_anew.partition(' (')[0]}"
 
     def __repr__(self) -> str:
         """One line: serial number, product, verdict, the first reason."""
@@ -190,11 +206,12 @@ def inspect_part(
             ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
             folder = cleanup.enter_context(new_folder(out, serial))
             on_folder(folder)
-            here = rig_path.resolve().parent
+            here, who = rig_path.resolve().parent, particulars or Particulars()
+            job = job.of_lot(who.lot, lot_mates, folder)
             manifest = begin(
                 folder,
                 job,
-                particulars or Particulars(),
+                who,
                 plan=plan,
                 frames=plan.frame_count,
                 rig_folder=here,

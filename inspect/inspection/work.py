@@ -93,6 +93,7 @@ class Workplace:
         methods: as for `anisoscope.inspection.run.inspect_part`.
         reports: which parts get a report by themselves.
         used_before: whose pictures were in earlier inspections, from the place.
+        judge_lot: judges parts of the lot of an inspection anew, from the inspection and the place.
     """
 
     rig: Path
@@ -104,6 +105,7 @@ class Workplace:
     methods: Any = None
     reports: "Wanted" = "all"
     used_before: "Callable[[str | Path | None], UsedBefore]" = _never
+    judge_lot: "Callable[[Inspected, str | Path | None], Sequence[Inspected]]" = _no_mates
 
 
 class Worker(Protocol):
@@ -204,6 +206,8 @@ def _concluded(inspected: "Inspected", place: Workplace, emit: Emit) -> None:
     )
     place.remember(inspected, place.history)
     emit("entered", {"folder": inspected.folder.name})
+    for anew in place.judge_lot(inspected, place.history):
+        emit("note", {"text": anew.anew_text})
     for note in inspected.notes:
         emit("note", {"text": note})
 

@@ -118,6 +118,20 @@ class References(ABC):
         found: Reference = self.reference_set.with_inspection(known, recipe, record)
         return found
 
+    def lot_reference(
+        self, recipe: OfKind, lot: str, equipment: Equipment, records: Sequence[Record]
+    ) -> AnyReferenceSet | None:
+        """The other parts of the lot of a part, by default None: parts of this kind are not compared with them.
+
+        Args:
+            recipe: the recipe.
+            lot: name of the lot.
+            equipment: camera, lens and lamp of the part.
+            records: inspections of the other parts, the oldest first; those of another recipe or rig are left out.
+        """
+        del recipe, lot, equipment, records
+        return None
+
     def without_odd_parts(
         self, known: OfKind, recipe: OfKind, added: Collection[tuple[str, str]]
     ) -> tuple[Reference, list[str]]:
@@ -231,7 +245,6 @@ class Redeciding(ABC):
         expected: OfKind,
         measured: OfKind,
         decided: OfKind,
-        reference: Reference | None,
         *,
         light_watched: bool,
     ) -> tuple[DiagnosisRecord, str] | None:
@@ -242,10 +255,9 @@ class Redeciding(ABC):
             expected: its prediction.
             measured: the measurement.
             decided: the verdict.
-            reference: parts that are known to be good.
             light_watched: lamp, exposure and stray light were measured in every frame, and were right.
         """
-        del recipe, expected, measured, decided, reference, light_watched
+        del recipe, expected, measured, decided, light_watched
         return None
 
 

@@ -10,6 +10,7 @@ from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import CalibrationError, MeasurementError, RecipeError, RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
+from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.reference_parts import RadianceSet, ReferenceRow, ReferenceSet
 from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
@@ -70,6 +71,7 @@ __all__ = [
     "Decided",
     "Details",
     "DiagnosisRecord",
+    "Equipment",
     "Expected",
     "Explanation",
     "Grid",

@@ -1,5 +1,6 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
+import contextlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
@@ -17,9 +18,10 @@ from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
 from anisoscope.base.toml_edits import with_values
-from anisoscope.decision.consistency import contrast_scatter
+from anisoscope.decision.consistency import contrast_scatter, scatter_of
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
+from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.predictive import MAX_BIRGE
 from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
@@ -246,6 +248,7 @@ class SurfaceKind(
         """Contrasts against their tolerances, all of them together, and the area that deviates."""
         del sitting
         golden = cast("GoldenSet | None", usable(reference))
+        left_out: tuple[str, ...] = ()
         try:
             parts = self.part_scatter(recipe, expected.convention.light_angle_deg)
         except ModelError:  # a defect so near the horizon that it cannot be predicted: the part can
@@ -254,7 +257,14 @@ class SurfaceKind(
             parts = None
         if golden is not None and parts is None and len(golden.parts) <= golden.directions:
             golden = None
-        return decide(expected, measured, recipe, golden, parts)
+        if golden is not None and golden.lot is not None:
+            if parts is None:
+                golden = None
+            else:
+                covariance = scatter_of(parts, measured).covariance
+                golden, left_out = golden.alike(np.log(measured.radiance), covariance)
+        waiting = isinstance(reference, GoldenSet) and reference.lot is not None
+        return decide(expected, measured, recipe, golden, parts, waiting=waiting, left_out=left_out)
 
     def kept(self, recipe: RecipeT, measured: Measured) -> Mapping[str, Any]:
         """Radiances, cells and uncertainties; the pictures are in the frames."""
@@ -352,7 +362,7 @@ class SurfaceKind(
         cached: bool = False,
     ) -> Explanation:
         """Causes, both comparisons, the fit over tilts, the place on the height map, and the golden parts."""
-        golden = self._golden(reference, decided)
+        golden = decided.reference
         predict, monitor = self._predict(cached=cached), sitting.views.monitor
         watched = monitor is not None and monitor.light_watched
         diagnosis, unexplained = self._explained(
@@ -385,14 +395,13 @@ class SurfaceKind(
         expected: Expectation,
         measured: Measured,
         decided: Decision,
-        reference: Reference | None,
         *,
         light_watched: bool,
     ) -> tuple[DiagnosisRecord, str] | None:
         """Diagnosis of a FAIL alone, without comparisons and fits."""
         if decided.verdict is not Verdict.FAIL or not recipe.decision.rig_faults:
             return None
-        golden = self._golden(reference, decided)
+        golden = decided.reference
         if not self._rig_may_explain(
             recipe, expected, measured, decided, golden, light_watched=light_watched
         ):
@@ -430,9 +439,6 @@ class SurfaceKind(
             light_watched=light_watched or good.chi2 <= TIE,
         )
         return any(good.cost - one.fit.cost - one.penalty > TIE for one in faults)
-
-    def _golden(self, reference: Reference | None, decided: Decision) -> GoldenSet | None:
-        return cast("GoldenSet | None", usable(reference)) if decided.golden else None
 
     def _explained(
         self,
@@ -501,6 +507,21 @@ class SurfaceKind(
             row["source"] = self.optics.source_name(row["source"])
 
     reference_set: type[GoldenSet] = GoldenSet
+
+    def lot_reference(
+        self, recipe: RecipeT, lot: str, equipment: Equipment, records: Sequence[Record]
+    ) -> GoldenSet | None:
+        """The other parts of a lot, where recipe and kind have it: they state how good parts scatter."""
+        if not (recipe.decision.compare_with_lot and self.reference_set.predictive and recipe.scatter):
+            return None
+        known = self.reference_set.of_lot(recipe, lot, equipment)
+        for record in records:
+            with contextlib.suppress(
+                CalibrationError
+            ):  # of another recipe or rig, or twice the same pictures
+                known = self.reference_set.with_inspection(known, recipe, record)
+        unlabelled = tuple(part.model_copy(update={"unlabelled": True}) for part in known.parts)
+        return known.model_copy(update={"parts": unlabelled})
 
     def show_reference(
         self,
@@ -876,6 +897,7 @@ def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> G
         size=None if found is None else found.size,
         batches=golden.batches,
         unjudged=golden.unjudged,
+        lot=golden.lot,
         p_distance=None if found is None else found.p_distance,
         p_direction=None if found is None else found.p_direction,
         directions=()

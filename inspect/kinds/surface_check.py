@@ -7,8 +7,9 @@ from datetime import UTC, datetime
 import numpy as np
 
 from anisoscope.base.progress import Advance, silent
+from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.decision import contrast_gradient
-from anisoscope.decision.surface_exclusion import planned_limits, remedy_text
+from anisoscope.decision.surface_exclusion import parts_needed, planned_limits, remedy_text
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.discriminating_poses import cached_options
 from anisoscope.diagnosis.evidence import background_of
@@ -204,6 +205,10 @@ def check_recipe(
     resolved = {pair for one in advice for pair in one.tells_apart}
     resolved |= {pair for one in lamps for pair in one.tells_apart}
     never = tuple(pair for pair in unresolved if pair not in resolved) if new else ()
+    excludes = planned_limits(expected, parts, recipe, CAMERA_SHARE)
+    scatter = None if parts is None else contrast_scatter(parts, CAMERA_SHARE)
+    needed = parts_needed({one.defect for one in excludes if not one.excluded}, scatter, parts, recipe)
+    compares = recipe.decision.compare_with_lot
     return SurfaceCheck(
         product=recipe.product,
         contrast=recipe.decision.contrast,
@@ -217,8 +222,8 @@ def check_recipe(
         complaints=_complaints(recipe, pairs),
         lamps=lamps,
         never=never,
-        excludes=planned_limits(expected, parts, recipe, CAMERA_SHARE),
-        remedy=remedy_text(expected, None),
+        excludes=excludes,
+        remedy=remedy_text(expected, None, needed, of_lot=False, compares=compares),
     )
 
 

@@ -27,7 +27,14 @@ from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe
 from anisoscope.inspection.reports import Wanted, gets_report
 from anisoscope.inspection.work import LINE, Task, Worker, WorkerProcess, Workplace, held_rig
 from anisoscope.operations.findings import explained
-from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned, used_before
+from anisoscope.operations.remembering import (
+    history_place,
+    judge_lot,
+    lot_mates,
+    remember,
+    unsigned,
+    used_before,
+)
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record
 from anisoscope.report.inspection_page import REPORT_NAME
 
@@ -533,7 +540,15 @@ def jobs_at(
     with contextlib.ExitStack() as stack:
         own = stack.enter_context(held_rig(rig))
         workplace = Workplace(
-            rig, out, place, remember, lot_mates, explained, reports=reports, used_before=used_before
+            rig,
+            out,
+            place,
+            remember,
+            lot_mates,
+            explained,
+            reports=reports,
+            used_before=used_before,
+            judge_lot=judge_lot,
         )
         worker = WorkerProcess(workplace)
         stack.callback(worker.close)

@@ -12,14 +12,18 @@ from anisoscope.base.signature import signer_in_use
 from anisoscope.history.address import VARIABLE, chosen, parse_address
 from anisoscope.history.filters import Filters
 from anisoscope.history.heads import sign_head
-from anisoscope.history.rows import NewRow, row_of
+from anisoscope.history.rows import NewRow, row_of, storable
 from anisoscope.history.spool import deliver, wait
 from anisoscope.history.store import History, open_history
-from anisoscope.inspection.run import Inspected, UsedBefore
+from anisoscope.inspection.judge_anew import judge_anew
+from anisoscope.inspection.reports import Reports
+from anisoscope.inspection.run import Inspected, Methods, UsedBefore
 from anisoscope.report.peers import LotMate
 
 RETRY_S = 60.0
 MOST_MATES = 500
+LOT_SIZES = (3, 5, 9)
+"""Numbers of parts of a lot at which those whose verdict is open are judged anew."""
 _retry_at: dict[str, tuple[float, str]] = {}
 """By history: until when it is not tried again, and why; a server that is away would hold up every part."""
 
@@ -74,7 +78,50 @@ def lot_mates(place: str | Path | None, lot: str | None) -> tuple[LotMate, ...]:
             rows = history.rows(Filters(lot=lot, limit=MOST_MATES))
     except AnisoscopeError:  # the report goes without; entering the part will say what is wrong
         return ()
-    return tuple(LotMate(row.serial, row.product, row.verdict, row.numbers) for row in rows)
+    return tuple(map(LotMate.of, rows))
+
+
+def judge_lot(
+    inspected: Inspected,
+    place: str | Path | None,
+    *,
+    methods: Methods | None = None,
+    reports: Reports | None = None,
+) -> tuple[Inspected, ...]:
+    """Judge the INCONCLUSIVE parts of a lot anew, when an inspection makes it one of 3, 5 or 9 parts.
+
+    A changed verdict is an inspection of its own, which enters the history.
+
+    Args:
+        inspected: the inspection, which has entered the history.
+        place: where the history is, or None.
+        methods: what varies, for tests.
+        reports: where reports are written in the background.
+
+    Returns:
+        The changed inspections; none where the recipe does not compare parts with their lot.
+    """
+    record = inspected.record
+    lot = record.particulars.lot
+    if lot is None or not record.recipe["decision"].get("compare_with_lot") or record.verdict == "INVALID":
+        return ()
+    mates = tuple(mate for mate in lot_mates(place, lot) if mate.product == storable(record.product))
+    last = {mate.serial: mate for mate in mates if mate.verdict != "INVALID"}
+    if len(last) not in LOT_SIZES:
+        return ()
+    found = []
+    for mate in last.values():
+        if mate.verdict != "INCONCLUSIVE" or mate.serial == storable(record.serial):
+            continue
+        try:
+            anew = judge_anew(Path(mate.folder), mates, methods=methods, reports=reports)
+        except AnisoscopeError as error:
+            _say(f"{mate.serial} of lot {lot} is not judged anew: {error}")
+            continue
+        if anew is not None:
+            remember(anew, place)
+            found.append(anew)
+    return tuple(found)
 
 
 def used_before(place: str | Path | None) -> UsedBefore:

@@ -2,7 +2,8 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError, UsageError
@@ -16,7 +17,7 @@ from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.batch.watch import Listener, Watch, Watched
 from anisoscope.inspection.reports import Reports
-from anisoscope.operations.remembering import history_place, lot_mates, remember, used_before
+from anisoscope.operations.remembering import history_place, judge_lot, lot_mates, remember, used_before
 from anisoscope.record.verdict import Verdict
 
 
@@ -96,8 +97,9 @@ def batch(
         say(text)
     try:
         with Reports() as reports:
+            lots = partial(judge_lot, place=place, reports=reports)
             found = run_batch(
-                order,
+                replace(order, judge_lot=lots),
                 who or Unattended(),
                 lambda inspected: remember(inspected, place),
                 resume=resume,
@@ -177,6 +179,7 @@ def watch(
     )
     ended = threading.Event() if stop is None else stop
     with Reports(note) as reports:
+        what = replace(what, judge_lot=partial(judge_lot, place=place, reports=reports))
         watching = Watch(what, listener, lambda inspected: remember(inspected, place), reports=reports)
         with watching.open():
             if begun is not None:

@@ -268,9 +268,12 @@ class DecisionPart(DecisionBase):
     one a pair; without it a significant deviation at ``alpha`` fails the part. ``deviation`` says what a
     significant deviation within the tolerance does. INCONCLUSIVE parts are measured up to ``remeasure`` times
     more. With ``rig_faults`` a failing part is INVALID or INCONCLUSIVE where a fault of the rig explains it as well.
+    With ``compare_with_lot``, where the recipe has no golden parts, a part is compared with the other parts of its lot,
+    from the third one on.
     """
 
     rig_faults: bool = True
+    compare_with_lot: bool = False
     contrast: ContrastKind = "log_ratio"
     tolerance: Positive | tuple[Positive, ...] | None = None
 

@@ -392,9 +392,9 @@ class GoldenRecord(_Part):
 
     ``birge`` is the variance among the golden parts over the stated one, ``size`` what the test takes it to be, null in
     older records, ``batches`` the number of their lots or days, ``unjudged`` the number of parts of a lot of unknown
-    quality; ``p_distance`` and ``p_direction`` are the
-    p values of the squared distance and of the scores of ``directions``; ``test`` is the one that decided,
-    "predictive" by the stated scatter or "hotelling" by that of the golden parts.
+    quality, ``lot`` the lot where they are its other parts; ``p_distance`` and ``p_direction`` are the p values of the
+    squared distance and of the scores of ``directions``; ``test`` is the one that decided, "predictive" by the stated
+    scatter or "hotelling" by that of the golden parts.
     """
 
     parts: int
@@ -409,6 +409,12 @@ class GoldenRecord(_Part):
     size: float | None = None
     batches: int | None = None
     unjudged: int = 0
+    lot: Annotated[str | None, Field(exclude_if=lambda lot: lot is None)] = None
+
+    @property
+    def words(self) -> str:
+        """Name of the parts in a report."""
+        return "golden parts" if self.lot is None else f"other parts of lot {self.lot}"
 
 
 class MapPlaceRecord(_Part):
@@ -438,7 +444,7 @@ class Record(_Part):
     fields that came later have defaults, which stand for "not recorded" (`json_schema`).
 
     ``origin`` says whether the rig took the frames or they were imported; ``reuse`` is the reason given for judging
-    frames that are already known as those of another part.
+    frames that are already known as those of another part; ``judged_anew`` names an earlier record of the same frames.
 
     ``files`` lists everything else in the folder but the report. ``record.json`` is written after all of them, so that
     where it is, they are. The report follows, with a seal of its own (``report.sha256``); records of earlier versions
@@ -478,6 +484,7 @@ class Record(_Part):
     stage: str
     origin: Literal["", "rig", "imported"] = ""
     reuse: str = ""
+    judged_anew: Annotated[str, Field(exclude_if=lambda text: not text)] = ""
     inputs: tuple[InputFile, ...]
     frames: tuple[FrameRecord, ...]
     files: tuple[InputFile, ...] = ()

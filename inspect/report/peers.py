@@ -2,11 +2,12 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.history.rows import NewRow, storable
 from anisoscope.record.schema import Record
 from anisoscope.report.figures import BLUE, INK, MUTED, ORANGE, new_figure, svg_uri
 
@@ -36,12 +37,24 @@ class Lot:
 
 @dataclass(frozen=True)
 class LotMate:
-    """A part of the same lot as the history remembers it: ``numbers`` by the labels of `anisoscope.history`."""
+    """A part of the same lot as the history remembers it.
+
+    Attributes:
+        serial, product, verdict: of the inspection.
+        numbers: by the labels of `anisoscope.history`.
+        folder: of the inspection; empty where it has none.
+    """
 
     serial: str
     product: str
     verdict: str
     numbers: Mapping[str, float]
+    folder: str = ""
+
+    @classmethod
+    def of(cls, row: NewRow) -> "LotMate":
+        """The part of a row of the history."""
+        return cls(row.serial, row.product, row.verdict, row.numbers, row.folder)
 
 
 LotMates = Callable[[str | None], Sequence[LotMate]]
@@ -63,10 +76,12 @@ def lot_of(record: Record, mates: Sequence[LotMate]) -> Lot | None:
     """
     if record.particulars.lot is None or not mates:
         return None
-    from anisoscope.history.rows import storable
-
     labels = [] if record.details is None else list(record.details.compared())
-    last = {mate.serial: mate for mate in mates if mate.product == storable(record.product)}
+    last: dict[str, LotMate] = {}
+    for mate in mates:
+        if mate.product == storable(record.product):
+            before = last.get(mate.serial, mate).numbers
+            last[mate.serial] = replace(mate, numbers={**before, **mate.numbers})
     last.pop(storable(record.serial), None)
     return Lot(record.particulars.lot, tuple(_part(mate, labels) for mate in last.values()))
 

@@ -84,7 +84,8 @@ def _inspection(record: Record) -> tuple[tuple[str, str], ...]:
 def _origin(record: Record) -> str:
     """Origin of the frames, in words; empty for older records."""
     words = {"rig": ", taken by the rig", "imported": ", imported", "": ""}[record.origin]
-    return f"{words}, known as those of another part: {record.reuse}" if record.reuse else words
+    words += f", known as those of another part: {record.reuse}" if record.reuse else ""
+    return f"{words}, judged anew after {record.judged_anew}" if record.judged_anew else words
 
 
 def _recipe(record: Record) -> tuple[tuple[str, str], ...]:

@@ -65,7 +65,9 @@ def _excluded_by(found: SurfaceDetails) -> str:
     """Reference of the limits of the named defects, in a sentence."""
     if found.golden is not None and found.golden.test == "predictive":
         size = 1.0 if found.golden.size is None else found.golden.size
-        return f"Against the golden parts: their scatter is {size:.2g} times the stated one (variance)."
+        return (
+            f"Against the {found.golden.words}: their scatter is {size:.2g} times the stated one (variance)."
+        )
     return "Against the prediction; further poses exclude smaller sizes, and so do golden parts of ridges."
 
 
@@ -113,7 +115,7 @@ def _golden(record: Record, found: SurfaceDetails) -> Peers | None:
     first = record.poses[0].stage_deg
     labels = [true_minus(contrast_name(p.stage_deg, first, p.tilt_deg)) for p in record.poses[1:]]
     known = np.array(found.golden.contrasts)
-    return among(labels, known, found.golden.measured, "golden parts", "ln ratio [1]")
+    return among(labels, known, found.golden.measured, found.golden.words, "ln ratio [1]")
 
 
 def _lot_peers(record: Record, found: SurfaceDetails, lot: Lot | None) -> Peers | None:

@@ -29,8 +29,10 @@ from anisoscope.kinds.kind import AnyKind, Expected, Explanation
 from anisoscope.kinds.parts import Redeciding, Reference, read_reference
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import Record
 from anisoscope.record.verdict import Verdict
+from anisoscope.report.peers import LotMate
 from anisoscope.study.statistics import Rate, rate
 from anisoscope.study.sweep import SweepError, Workers, sweep
 
@@ -45,11 +47,19 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Task:
-    """One inspection to be judged by a recipe; the row of the history says which."""
+    """One inspection to be judged by a recipe; the row of the history says which.
+
+    Attributes:
+        row: of the history.
+        recipe: its file.
+        sha256: of the file.
+        mates: other parts of the lot, with which it may be compared.
+    """
 
     row: Row
     recipe: Path
     sha256: str
+    mates: tuple[LotMate, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -183,7 +193,11 @@ def what_if(
     recipe = recipe.resolve()
     sha256 = hashlib.sha256(recipe.read_bytes()).hexdigest() if recipe.is_file() else ""
     plan = _plan(recipe, sha256)  # errors of the recipe come before any process
-    tasks = [Task(row, recipe, sha256) for row in rows]
+    lots: dict[str | None, list[LotMate]] = {}
+    for row in sorted(rows, key=lambda one: one.id):
+        if row.lot is not None:
+            lots.setdefault(row.lot, []).append(LotMate.of(row))
+    tasks = [Task(row, recipe, sha256, tuple(lots.get(row.lot, ()))) for row in rows]
     found = again_after_a_kill(rejudged, tasks, workers, advance)
     judged = tuple(replace(one, disposition=dispositions.get(one.id)) for one in found)
     flips: dict[str, int] = {}
@@ -274,6 +288,7 @@ def rejudged(task: Task) -> Rejudged:
     start = Rejudged(row.id, row.serial, row.folder, row.verdict, None, ())
     try:
         plan, record = _plan(task.recipe, task.sha256), record_of(row)
+        plan = _with_lot(plan, task)
         if record.kind != plan.kind.name:
             raise RecordError(f"it is {record.kind}, the recipe is of {plan.kind.name}")
         why = _needs_frames(plan, record.recipe)
@@ -284,6 +299,16 @@ def rejudged(task: Task) -> Rejudged:
         return _from_kept(start, kept, plan, _prediction(task, plan, record), record)
     except AnisoscopeError as error:
         return replace(start, reasons=(" ".join(str(error).split()),))
+
+
+def _with_lot(plan: _Plan, task: Task) -> _Plan:
+    """With the other parts of the lot where the recipe compares parts with them: all that are known by now."""
+    recipe = plan.recipe
+    compares = isinstance(recipe, SurfaceRecipe) and recipe.decision.compare_with_lot
+    if plan.reference is not None or not compares or not task.mates:
+        return plan
+    job = replace(reopen(Path(task.row.folder))[1], kind=plan.kind, recipe=recipe)
+    return replace(plan, reference=job.lot_parts(task.row.lot, task.mates))
 
 
 def _needs_frames(plan: _Plan, recorded: Mapping[str, Any]) -> str | None:
@@ -310,7 +335,6 @@ def _from_kept(
         expected,
         measured,
         decided,
-        plan.reference,
         light_watched=monitor is not None and monitor.light_watched,
     )
     verdict, reasons = decided.verdict, decided.reasons
@@ -330,7 +354,6 @@ def _taken_back(case: Case, advance: Advance) -> Explanation:
         case.expected,
         case.measured,
         case.decided,
-        case.reference,
         light_watched=monitor is not None and monitor.light_watched,
     )
     return Explanation() if found is None else Explanation(found[0], reason=found[1])

@@ -51,7 +51,14 @@ def serve(
         anisoscope serve --rig rig.toml --recipes recipes
     """
     from anisoscope.operations.findings import explained
-    from anisoscope.operations.remembering import history_place, lot_mates, remember, unsigned, used_before
+    from anisoscope.operations.remembering import (
+        history_place,
+        judge_lot,
+        lot_mates,
+        remember,
+        unsigned,
+        used_before,
+    )
 
     with extra_packages("the console", "console"):
         from anisoscope.console.application import (
@@ -89,7 +96,9 @@ def serve(
         here = int(listener.getsockname()[1])
         own = stack.enter_context(held_rig(rig))
         eyes = None if own.camera is None else Eyes(own.camera, own.light, own.channel, RigLamps(rig))
-        work = Workplace(rig, out, place, remember, lot_mates, explained, used_before=used_before)
+        work = Workplace(
+            rig, out, place, remember, lot_mates, explained, used_before=used_before, judge_lot=judge_lot
+        )
         worker = WorkerProcess(work)
         stack.callback(worker.close)
         beacon = stack.enter_context(Beacon(place, station, unsigned))

@@ -120,14 +120,15 @@ def inspect(
 def _concluded(inspected: "Inspected", reports: "Reports", place: str | Path | None, *, json_: bool) -> int:
     """Print the verdict and enter it into the history, then wait for the report; JSON waits for all of it."""
     from anisoscope.operations.findings import content_of
-    from anisoscope.operations.remembering import remember
+    from anisoscope.operations.remembering import judge_lot, remember
 
     try:
         if not json_:
             _print(inspected)
     finally:
         remember(inspected, place)
-    notes = reports.finish()
+    anew = judge_lot(inspected, place, reports=reports)
+    notes = (*(one.anew_text for one in anew), *reports.finish())
     if json_:
         print_json(content_of(inspected, notes))
     else:

@@ -288,7 +288,16 @@ class _Run:
             )
         self._note(number, **done_with(inspected, order.out))
         self.remember(inspected)
+        for anew in order.judge_lot(inspected):
+            self._note_anew(anew)
         return part.code
+
+    def _note_anew(self, anew: Inspected) -> None:
+        """Enter the verdict of a part of the lot that was judged anew, if it is one of this batch."""
+        for number, slot in enumerate(self.batch.slots):
+            home = (self.order.out / slot.slot).resolve()
+            if slot.state == "done" and slot.serial == anew.record.serial and home in anew.folder.parents:
+                self._note(number, **done_with(anew, self.order.out))
 
     def _resumed(self, unfinished: Path | None, advance: Advance) -> Inspected | None:
         """Resume an inspection; None without one, or if its folder is damaged and the part is inspected again."""

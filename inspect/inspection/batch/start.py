@@ -19,7 +19,7 @@ from anisoscope.inspection.batch.operator import Operator
 from anisoscope.inspection.batch.slot_folder import clear_stillborn, finished_in, inspected_in
 from anisoscope.inspection.batch.tray import Slot, Tray
 from anisoscope.inspection.job import prepare
-from anisoscope.inspection.run import Inspected, UsedBefore, never_used
+from anisoscope.inspection.run import Inspected, JudgeLot, UsedBefore, lot_as_it_is, never_used
 from anisoscope.report.peers import LotMates, no_lot_mates
 
 TRAY_NAME = "tray.csv"
@@ -39,6 +39,7 @@ class Order:
         look: how the camera reads the code of every part before it is inspected, or None.
         lot_mates: who was inspected before of a lot, for the reports; must not raise.
         used_before: whose pictures were in earlier inspections.
+        judge_lot: judges parts of a lot anew when more of it are known; must not raise.
     """
 
     tray: Tray
@@ -50,6 +51,7 @@ class Order:
     look: Look | None = None
     lot_mates: LotMates = no_lot_mates
     used_before: UsedBefore = never_used
+    judge_lot: JudgeLot = lot_as_it_is
 
     def files(self, slot: Slot) -> tuple[Path, Path]:
         """Recipe and rig file of a slot."""

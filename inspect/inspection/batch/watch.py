@@ -33,7 +33,15 @@ from anisoscope.inspection.frame_table import arrange
 from anisoscope.inspection.job import check_serial
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.reports import WAITING, Reports
-from anisoscope.inspection.run import Inspected, Methods, UsedBefore, missing_report, never_used
+from anisoscope.inspection.run import (
+    Inspected,
+    JudgeLot,
+    Methods,
+    UsedBefore,
+    lot_as_it_is,
+    missing_report,
+    never_used,
+)
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of
@@ -256,6 +264,7 @@ class Watched:
         lot_mates: who was inspected before of a lot, for the reports; must not raise.
         used_before: whose frames were in earlier inspections.
         reuse: reason for judging frames of another part all the same.
+        judge_lot: judges parts of a lot anew when more of it are known; must not raise.
     """
 
     root: Path
@@ -269,6 +278,7 @@ class Watched:
     lot_mates: LotMates = no_lot_mates
     used_before: UsedBefore = never_used
     reuse: str = ""
+    judge_lot: JudgeLot = lot_as_it_is
 
 
 @dataclass(frozen=True)
@@ -555,6 +565,9 @@ class Watch:
             self._done(arrival.path, whole_key(arrival.path, copied), inspected, None)
         self._reported.pop(arrival.name, None)
         self.listener.inspected(arrival.name, inspected)
+        for anew in watched.judge_lot(inspected):
+            self.verdicts.append(anew.record.verdict)
+            self.listener.inspected(f"{anew.folder.parent.name} (judged anew)", anew)
 
     def _done(self, folder: Path, key: str, inspected: Inspected, arrival: Arrival | None) -> None:
         """Enter into the history first: a crash in between is repaired by :meth:`_recover`."""

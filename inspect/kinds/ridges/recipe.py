@@ -73,6 +73,7 @@ contrast = "log_ratio"
 alpha = 0.01  # level of significance
 deviation = "warn"  # "fail": a significant deviation within the tolerance fails the part
 unexcluded = "inconclusive"  # a part that may have a defect of [defects] does not pass; "note": it passes, with a note
+compare_with_lot = true  # without golden parts: with the other parts of its lot (inspect --lot), from the third one on
 remeasure = 1  # how often an INCONCLUSIVE part is photographed again
 
 [defects]  # smallest interesting sizes: `anisoscope recipe check` says which ones these poses exclude

@@ -258,6 +258,16 @@ def test_more_poses_and_golden_parts_exclude_more():
     assert np.median(limits[3] / limits[1]) < 0.8
 
 
+def test_a_lobe_without_a_tail_whose_tail_is_uncertain_has_limits():
+    rules = recipe(u_tail=0.5)
+    expected, parts = expectation(rules, LIGHT_DEG), part_scatter(rules, LIGHT_DEG)
+    assert list(parts.tails[:2]) == [0.0, 0.0]
+    measured = seen(expected.radiance)
+    found = excluded_by_prediction(expected, measured.radiance, measured.components, parts, rules)
+    limits = {one.defect.name: one.limit for one in found}
+    assert 0.0 < limits["height loss 10%"] < 1.0
+
+
 def test_an_open_defect_makes_a_part_inconclusive_where_the_recipe_asks_for_it():
     rules = recipe()
     expected, parts = expectation(rules, LIGHT_DEG), part_scatter(rules, LIGHT_DEG)
@@ -269,7 +279,11 @@ def test_an_open_defect_makes_a_part_inconclusive_where_the_recipe_asks_for_it()
     asked = decide(expected, measured, rules.model_copy(update={"decision": strict}), parts=parts)
     assert asked.verdict is Verdict.INCONCLUSIVE
     assert asked.reasons[0].startswith("not excluded: ")
-    assert "golden add" in asked.reasons[0]
+    assert "good parts do not show all of them, photograph more poses" in asked.reasons[0]
+    sizes = rules.defects.model_copy(update={"roughness_share": 0.8})
+    rougher = rules.model_copy(update={"decision": strict, "defects": sizes})
+    asked = decide(expected, measured, rougher, parts=part_scatter(rougher, LIGHT_DEG))
+    assert "golden parts (anisoscope golden add), photograph more poses" in asked.reasons[0]
     large = rules.defects.model_copy(
         update={"ridge_angle_deg": 4.0, "roughness_share": 1.0, "height_loss": 0.4, "wear_um": None}
     )
