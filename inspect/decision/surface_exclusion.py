@@ -43,6 +43,7 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
 from anisoscope.prediction.part_scatter import PartScatter, named_defects
 from anisoscope.prediction.profile_likelihood import Combined, DefectCurves, nearest_states
+from anisoscope.prediction.second_order import Response
 from anisoscope.recipe.named_defect import NamedDefect
 from anisoscope.recipe.surface import SurfaceRecipe
 
@@ -324,12 +325,12 @@ def _by_parts(
     basis = log_basis(len(d) + 1)
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in parts.changes}
     for turn, lobe in enumerate(scatter.lobes):
-        good = lobe.slope * scatter.own
-        of_mean = (good @ good.T + scatter.errors) / count
+        good, rest = lobe.slope * scatter.own, _bending(lobe, scatter.own) + scatter.errors
+        of_mean = (good @ good.T + rest) / count
         for name, change in parts.changes.items():
             source, extent = parts.states.get(name, ("", 0.0))
             bent = lobe.tangent(extent * (np.array(lobe.sources) == source)) * scatter.own
-            weight = np.linalg.inv((bent @ bent.T + scatter.errors + of_mean) * size)
+            weight = np.linalg.inv((bent @ bent.T + rest + of_mean) * size)
             s = basis @ change[turn]
             information = float(s @ weight @ s)
             found[name].append((float(s @ weight @ d) / information, 1.0 / float(np.sqrt(information))))
@@ -338,3 +339,9 @@ def _by_parts(
         of_normal(named[name], *max(each, key=lambda one: one[0] + ONE_SIDED * one[1]))
         for name, each in found.items()
     )
+
+
+def _bending(lobe: Response, own: FloatArray) -> FloatArray:
+    """(m, m) covariance of the contrasts by the second order of the response to normal inputs of (K,) scatter."""
+    bend = lobe.bend * own[:, None] * own
+    return np.asarray(0.5 * np.einsum("ikl,jkl->ij", bend, bend))

@@ -167,7 +167,8 @@ def test_a_part_with_a_defect_scatters_as_the_response_bends_there(linear):
     (found,) = excluded_by_parts(at, measured, rules, golden, 1.0)
     errors = NOISE**2 * basis @ basis.T
     good, off = (basis @ one for one in (bent.slope, bent.slope + bend @ [0.0, 3.0]))
-    weight = np.linalg.inv(good @ good.T + off @ off.T + 2.0 * errors)
+    curved = basis @ (0.5 * np.einsum("ikl,jkl->ij", bend, bend)) @ basis.T  # of the square of a normal input
+    weight = np.linalg.inv(good @ good.T + off @ off.T + 2.0 * (errors + curved))
     shift = basis @ change
     assert found.best == pytest.approx(1.0)
     assert found.limit - found.best == pytest.approx(ONE_SIDED / np.sqrt(shift @ weight @ shift))
