@@ -70,7 +70,7 @@ SENTENCES = {
         "_finding",
     ),
     "inspect/decision/certificate.py": {"message"},
-    "inspect/decision/reference_parts.py": ("lacking", "_waiting"),
+    "inspect/decision/reference_parts.py": ("lacking", "_waiting", "refused_text"),
     "inspect/decision/design_vs_map.py": ("compare",),
     "inspect/decision/exclusion.py": ("excluded_text", "open_text"),
     "inspect/decision/surface_exclusion.py": ("lacking_text", "remedy_text"),

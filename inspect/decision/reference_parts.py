@@ -475,9 +475,11 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         predictive: a part is compared with one golden part or more, by the scatter that the recipe states
             (`anisoscope.decision.predictive`); otherwise with as many as their own scatter needs.
         lot: lot of a part, where these are the other parts of it, of unknown quality.
+        refused: reasons why further parts of it do not serve, a line each.
     """
 
     lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
+    refused: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
 
     judges_area: ClassVar[bool] = True
     area_parts: ClassVar[int] = LEAST_PARTS
@@ -504,6 +506,14 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
             f"part {len(self.parts) + 1} of lot {self.lot}: from part {LEAST_OF_LOT} on, the parts of the lot are "
             "compared with each other"
         )
+
+    @property
+    def refused_text(self) -> str | None:
+        """Reason why parts of the lot do not serve, or None."""
+        if not self.refused:
+            return None
+        more = f" (and {len(self.refused) - 1} more)" if len(self.refused) > 1 else ""
+        return f"not compared with all parts of lot {self.lot}: {self.refused[0]}{more}"
 
     @property
     def batches(self) -> int:

@@ -1,6 +1,5 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
-import contextlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
@@ -374,6 +373,7 @@ class SurfaceKind(
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
         lacking = reference and reference.lacking
+        refused = reference.refused_text if isinstance(reference, GoldenSet) else None
         unlike = unlike_text(decided)
         return Explanation(
             diagnosis,
@@ -385,7 +385,11 @@ class SurfaceKind(
                 "map_place": placed,
                 "golden": None if golden is None else golden_record(golden, measured, decided),
             },
-            tuple(note for note in (lacking, unlike, unexplained, compared.note, unfitted, unplaced) if note),
+            tuple(
+                note
+                for note in (lacking, refused, unlike, unexplained, compared.note, unfitted, unplaced)
+                if note
+            ),
             "" if diagnosis.verdict is None else rig_reason(diagnosis),
         )
 
@@ -515,13 +519,14 @@ class SurfaceKind(
         if not (recipe.decision.compare_with_lot and self.reference_set.predictive and recipe.scatter):
             return None
         known = self.reference_set.of_lot(recipe, lot, equipment)
+        refused: list[str] = []
         for record in records:
-            with contextlib.suppress(
-                CalibrationError
-            ):  # of another recipe or rig, or twice the same pictures
+            try:
                 known = self.reference_set.with_inspection(known, recipe, record)
+            except CalibrationError as error:  # of another recipe or rig, or twice the same pictures
+                refused.append(str(error))
         unlabelled = tuple(part.model_copy(update={"unlabelled": True}) for part in known.parts)
-        return known.model_copy(update={"parts": unlabelled})
+        return known.model_copy(update={"parts": unlabelled, "refused": tuple(refused)})
 
     def show_reference(
         self,

@@ -152,6 +152,10 @@ def test_other_recipes_lots_and_rigs_are_no_part_of_a_lot(of_lot):
     rig.recipe.write_text(text.replace("exposure_s = 0.0015", "exposure_s = 0.001"), encoding="utf-8")
     longer, _ = of_lot("C")
     assert known(longer) == []
+    lot = json.loads((longer.folder / "inputs" / "lot.json").read_text(encoding="utf-8"))
+    assert lot["refused"] == [
+        "A was inspected with another recipe (poses, region or exposure differ): inspect it again"
+    ]
     assert first.record.verdict == longer.record.verdict == "INCONCLUSIVE"
 
 
