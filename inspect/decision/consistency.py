@@ -52,7 +52,7 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
         if regular(own):
             d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
             return d2, len(basis), float(chi2_tail(d2, len(basis)))
-    alone = owncontrast_covariance(expected, measured)
+    alone = own_covariance(expected, measured)
     if (expected.lobes is not None or expected.response is not None) and regular(alone):
         d2 = float(distances(expected, off[None], alone[None])[0])
         return d2, len(basis), float(chi2_tail(d2, len(basis)))
@@ -158,7 +158,7 @@ def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -
     """
     basis = log_basis(len(expected.poses))
     t2, normal = hotelling(basis @ np.log(measured.radiance), golden)
-    alone = owncontrast_covariance(expected, measured)
+    alone = own_covariance(expected, measured)
     if expected.response is None or not regular(alone):
         return t2, len(basis), normal
     drawn = golden_chances(expected.response.within(basis), alone, len(golden))
@@ -191,6 +191,7 @@ def _contrast_scatter(parts: PartScatter, errors: bytes) -> Scatter:
         {name: basis @ change for name, change in parts.defects.items()},
         tuple(one.within(basis) for one in parts.lobes),
         parts.states,
+        parts.prior_parts,
     )
 
 
@@ -229,7 +230,7 @@ def golden_test(
     return found.t2, found.dof, found.p_value, found
 
 
-def owncontrast_covariance(expected: Expectation, measured: Measured) -> FloatArray:
+def own_covariance(expected: Expectation, measured: Measured) -> FloatArray:
     """(P − 1, P − 1) covariance of the contrasts from the components not covered by the response or the lobes."""
     return contrast_covariance(own_components(expected, measured.components), log_basis(len(expected.poses)))
 

@@ -33,7 +33,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import ROUNDING, positive_part, root
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import LEVELS, calibrated, calibrated_at, chi2_tail, quantiles
+from anisoscope.base.significance import LEVELS, calibrated, calibrated_at, chi2_tail, f_tail, quantiles
 from anisoscope.prediction.second_order import Response
 
 PRIOR_FREEDOM = 0.5
@@ -72,6 +72,8 @@ class Scatter:
             any it is known, and ``response`` is that of its parts.
         states: of the defects that are a state of one input, the input and how far it is off in the response's units:
             parts with a defect scatter as the response bends there.
+        prior_parts: number of golden parts as which the stated scatter counts, shape and size (inverse Wishart prior;
+            Gelman et al., 3.6); None: golden parts show its size.
     """
 
     response: Response
@@ -81,6 +83,7 @@ class Scatter:
     defects: Mapping[str, FloatArray]
     lobes: tuple[Response, ...] = ()
     states: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    prior_parts: int | None = None
 
     def drawn(self, shared: FloatArray, parts: int, rng: np.random.Generator) -> FloatArray:
         """(N, parts, m) contrasts of good parts, for (N, K) states of what all parts share; the lobes take turns."""
@@ -264,11 +267,10 @@ def predictive_test(
         MeasurementError: there is no golden part, or the stated scatter is zero in some direction.
     """
     stated, count = _checked(scatter, golden), len(golden)
-    several = min(batches or count, count)
+    several = _several(scatter, count, batches)
     null = _null_of(scatter, count, several)
     size = size_of(golden, stated)
-    taken = float(assumed_size(size, len(stated), count, _TAIL, several))
-    inverse = np.linalg.inv(stated * taken * (1.0 + 1.0 / several))
+    inverse = _precision(scatter, golden, several)
     d = value - golden.mean(axis=0)
     t2 = float(d @ inverse @ d)
     p_distance = float(calibrated_at(null.distance_theory(np.array([t2])), null.knots[0])[0])
@@ -306,11 +308,11 @@ def separations(
         size: variance of good parts over the stated one.
         batches: number of lots or days of the golden parts; None: the parts are independent.
     """
-    several = min(batches or count, count)
+    several = _several(scatter, count, batches)
     levels = _levels(scatter, count, several, alpha)
     m = len(scatter.errors)
     learnt = _size(np.array(size * m * (count - 1.0)), m, count)
-    usual = float(assumed_size(learnt, m, count, _TAIL, several))
+    usual = float(assumed_size(learnt, m, count, _TAIL, several)) if scatter.prior_parts is None else 1.0
     none, separation = np.zeros(len(levels.limits)), _stated(scatter, several)[0] / np.sqrt(usual)
     levels = replace(levels, spreads=levels.spreads * np.sqrt(size / usual))
     return _directions(tuple(scatter.defects), none, none + 1.0, separation, levels)
@@ -484,17 +486,40 @@ def _checked(scatter: Scatter, golden: FloatArray) -> FloatArray:
     return stated
 
 
+def _several(scatter: Scatter, count: int, batches: int | None) -> int:
+    """Number of golden parts as which their mean counts."""
+    return count if scatter.prior_parts is not None else min(batches or count, count)
+
+
+def _precision(scatter: Scatter, golden: FloatArray, batches: int) -> FloatArray:
+    """(…, m, m) inverse covariance of a part about the mean of (…, n, m) golden ones."""
+    *_, count, m = golden.shape
+    off = golden - golden.mean(axis=-2, keepdims=True)
+    prior = scatter.prior_parts
+    if prior is not None:
+        squares = np.einsum("...ni,...nj->...ij", off, off)
+        covariance = (prior * scatter.covariance + squares) / (prior + count - 1.0)
+        return np.asarray(np.linalg.inv(covariance * (1.0 + 1.0 / count)))
+    weight = np.linalg.inv(scatter.covariance)
+    size = _size(np.einsum("...ni,ij,...nj->...", off, weight, off), m, count)
+    taken = assumed_size(size, m, count, _TAIL, batches) * (1.0 + 1.0 / batches)
+    return np.asarray(weight / taken[..., None, None])
+
+
 @dataclass(frozen=True, eq=False)
 class _Null:
     """Distribution of both statistics for good parts, as p values of a simple theory, one for each drawn part.
 
     Attributes:
         m: number of contrasts.
-        distances: (N,) p values of T² of drawn good parts by χ².
-        scores: for each named defect (N,) p values of the score of drawn good parts by the normal distribution.
+        freedom: degrees of freedom of the scatter; infinite where its size alone is learnt.
+        distances: (N,) p values of T² of drawn good parts by χ² or F.
+        scores: for each named defect (N,) p values of the score of drawn good parts by the normal distribution, or
+            Student's.
     """
 
     m: int
+    freedom: float
     distances: FloatArray
     scores: tuple[FloatArray, ...]
 
@@ -504,14 +529,18 @@ class _Null:
         return tuple(quantiles(one) for one in (self.distances, *self.scores))
 
     def distance_theory(self, t2: FloatArray) -> FloatArray:
-        """P values by χ² with m degrees of freedom."""
-        return np.maximum(chi2_tail(t2, self.m), _SMALLEST)
+        """P values by χ² with m degrees of freedom, or by F."""
+        if np.isinf(self.freedom):
+            return np.maximum(chi2_tail(t2, self.m), _SMALLEST)
+        rest = self.freedom - self.m + 1.0
+        return np.maximum(f_tail(t2 * rest / (self.freedom * self.m), self.m, rest), _SMALLEST)
 
     def score_theory(self, scores: FloatArray) -> FloatArray:
-        """P values of scores by the normal distribution, one-sided."""
-        from scipy.special import ndtr  # noqa: PLC0415 - start-up time
+        """P values of scores by the normal distribution or Student's, one-sided."""
+        from scipy.special import ndtr, stdtr  # noqa: PLC0415 - start-up time
 
-        return np.clip(ndtr(-scores), _SMALLEST, 1.0)
+        below = ndtr(-scores) if np.isinf(self.freedom) else stdtr(self.freedom, -scores)
+        return np.clip(below, _SMALLEST, 1.0)
 
     def score_chances(self, scores: FloatArray) -> FloatArray:
         """(C,) p values of the (C,) scores of a part, each by the drawn good parts' scores in its direction."""
@@ -605,21 +634,20 @@ def _shares(separation: FloatArray, spreads: FloatArray, null: _Null, alpha: flo
 def _null_of(scatter: Scatter, count: int, batches: int) -> _Null:
     """Draw golden sets and new parts from the stated scatter; the mean is that of as many parts as batches."""
     rng = np.random.default_rng(_SEED + count)
-    m, weight = len(scatter.errors), np.linalg.inv(scatter.covariance)
+    m, prior = len(scatter.errors), scatter.prior_parts
     drawn = scatter.drawn(scatter.shared(_SETS, rng), count + _NEW, rng)
     golden, parts = drawn[:, :count], drawn[:, count:]
-    off = golden - golden.mean(axis=1, keepdims=True)
-    size = _size(np.einsum("sni,ij,snj->s", off, weight, off), m, count)
-    size = assumed_size(size, m, count, _TAIL, batches) * (1.0 + 1.0 / batches)
+    inverse = _precision(scatter, golden, batches)
     d = parts - golden[:, :batches].mean(axis=1, keepdims=True)
-    t2 = (np.einsum("spi,ij,spj->sp", d, weight, d) / size[:, None]).ravel()
-    bare = _Null(m, np.empty(0), ())
+    t2 = np.einsum("spi,spi->sp", d @ inverse, d).ravel()
+    bare = _Null(m, np.inf if prior is None else prior + count - 1.0, np.empty(0), ())
     distances = bare.distance_theory(t2)
     if not scatter.defects:
         return replace(bare, distances=distances)
     shifts = np.array(list(scatter.defects.values()))
-    units = shifts @ weight / np.sqrt(np.einsum("ci,ij,cj->c", shifts, weight, shifts))[:, None]
-    scores = np.einsum("cj,spj->csp", units, d) / np.sqrt(size)[:, None]
+    weighed = shifts @ inverse
+    norms = np.sqrt(np.einsum("scj,cj->sc", weighed, shifts))
+    scores = np.einsum("scj,spj->csp", weighed / norms[..., None], d)
     return replace(
         bare, distances=distances, scores=tuple(bare.score_theory(found.ravel()) for found in scores)
     )

@@ -111,6 +111,8 @@ MEASURED_BY = (
     *(f"limits.{one}" for one in LimitsPart.model_fields if one != "drift"),
 )
 """Keys of a recipe that the measurement depends on; all others concern the prediction or the decision."""
+PRIOR_PARTS = 30
+"""Number of golden parts as which the stated scatter counted before they showed its size."""
 HEIGHT_MAP = "height map"
 MATERIAL = "material"
 
@@ -474,8 +476,8 @@ class SurfaceKind(
         """Direct light, sampled walls, a known lobe, no test for wear, golden parts by their own scatter: as recorded.
 
         Uncertainties of the plastic are the recorded ones: their defaults were others. Scatter of parts that a record
-        states without `in_prediction` was of golden parts only. Crests whose form a record does not name were arcs, and
-        sharp where no radius was given.
+        states without `in_prediction` was of golden parts only; against them it counted as that of 30 parts. Crests
+        whose form a record does not name were arcs, and sharp where no radius was given.
         """
         changes: dict[str, Any] = {}
         then = {"reflections": "direct", "walls": "sampled"}
@@ -493,6 +495,8 @@ class SurfaceKind(
         elif recipe.scatter is not None:
             lacking = {"in_prediction": False, "edge_radius_share": 0.0}
             missing = {key: value for key, value in lacking.items() if key not in (stated_scatter or {})}
+            if "unexcluded" not in recorded.get("decision", {}):
+                missing["prior_parts"] = PRIOR_PARTS
             changes["scatter"] = recipe.scatter.model_copy(update=missing)
         stated = {"u_tail": 0.0} | recorded.get("material", {})
         changes["material"] = recipe.material.model_copy(

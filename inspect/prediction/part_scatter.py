@@ -53,6 +53,7 @@ class PartScatter:
         changes: (L, P) change of ln L by every named defect at its smallest interesting size, with each of L lobes.
         tails: (L,) of the lobes.
         states: of those that are a state of one input, the input and how far it is off, in that unit.
+        prior_parts: number of golden parts as which the scatter counts; None: they show how large it is.
     """
 
     response: Response
@@ -62,6 +63,7 @@ class PartScatter:
     changes: Mapping[str, FloatArray]
     tails: FloatArray
     states: Mapping[str, tuple[str, float]]
+    prior_parts: int | None = None
 
     @property
     def defects(self) -> dict[str, FloatArray]:
@@ -90,14 +92,16 @@ def part_scatter(
     if optics.states(recipe, light_angle_deg) is not None:
         return None
     key = prediction_key(recipe, light_angle_deg, optics) | {
-        "scatter": recipe.stated_scatter.model_dump(mode="json"),
+        "scatter": recipe.stated_scatter.model_dump(mode="json", exclude={"prior_parts"}),
         "defects": recipe.defects.model_dump(mode="json"),
     }
-    return (
+    found = (
         Cache()
         .entry("part-scatter", key, __name__, type(optics).__module__)
         .result(lambda: _computed(recipe, light_angle_deg, optics), _packed, _unpacked)
     )
+    prior = recipe.stated_scatter.prior_parts
+    return found if found is None or prior is None else replace(found, prior_parts=prior)
 
 
 def _computed(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics) -> PartScatter | None:

@@ -323,7 +323,9 @@ class ScatterPart(Part):
     ``ridge_angle_deg`` is that of the design (``surface.design.u_ridge_angle_deg``) where it is not given, 0.1 without
     one; ``seating_tilt_deg`` that of ``[uncertainty]``. Relative: ``alpha_share`` of both roughnesses, ``albedo_share``
     of the albedo, ``edge_radius_share`` of the radius of the crests, 0.5 µm where that is unmeasured. ``in_prediction``
-    = False leaves it to golden parts, as before it counted against the prediction too.
+    = False leaves it to golden parts, as before it counted against the prediction too. ``prior_parts`` is the number of
+    golden parts as which it counts against theirs (records of earlier versions: 30); without it golden parts scatter in
+    its proportions, and by how much they show themselves.
     """
 
     ridge_angle_deg: NotNegative | None = None
@@ -332,6 +334,7 @@ class ScatterPart(Part):
     edge_radius_share: Share = SCATTER_EDGE
     seating_tilt_deg: NotNegative | None = None
     in_prediction: bool = True
+    prior_parts: Annotated[int | None, Field(ge=3, le=1000)] = None
 
 
 class DefectsPart(Part):

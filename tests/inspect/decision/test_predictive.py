@@ -354,3 +354,29 @@ def test_nothing_to_compare_with_is_one_clear_line():
     exact = replace(LINEAR, errors=np.zeros((M, M)))
     with pytest.raises(MeasurementError, match="without any uncertainty or scatter"):
         predictive_test(exact, np.zeros((1, M)), np.zeros(M), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("count", "t2", "p_value", "score", "detectable"),
+    [
+        (1, 11.953549276558588, 3.842049694876e-4, 3.4441295212842262, 0.7535573305629669),
+        (3, 25.103951199837272, 3.603699965635e-6, 4.9313408801821925, 0.6278333248109451),
+        (10, 29.586962172556298, 1.602515414180e-6, 5.3862183139992705, 0.5557746529677825),
+    ],
+)
+def test_a_stated_scatter_worth_30_parts_decides_as_the_version_that_had_it(
+    count, t2, p_value, score, detectable
+):
+    """Numbers of that version, by which records of it are computed again."""
+    golden = 0.005 * np.random.default_rng(count).normal(size=(count, M))
+    part = np.array([0.02, 0.01, -0.015])
+    found = predictive_test(replace(LINEAR, prior_parts=30), golden, part, 0.01)
+    of_defect = found.directions[0]
+    assert found.t2 == pytest.approx(t2, rel=1e-9)
+    assert found.p_value == pytest.approx(p_value, rel=1e-9)
+    assert (of_defect.score, of_defect.detectable) == pytest.approx((score, detectable), rel=1e-9)
+    covariance = (30.0 * LINEAR.covariance + (count - 1.0) * np.cov(golden.T, ddof=1)) if count > 1 else None
+    if covariance is not None:
+        off = part - golden.mean(axis=0)
+        whole = covariance / (29.0 + count) * (1.0 + 1.0 / count)
+        assert found.t2 == pytest.approx(off @ np.linalg.solve(whole, off), rel=1e-9)
