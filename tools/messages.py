@@ -24,8 +24,9 @@ from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.discriminating_poses import TILTS_DEG
 from anisoscope.diagnosis.ranking import bare_title
 from anisoscope.kinds.plates.causes import FIELD_TITLES
+from anisoscope.kinds.plates.decision import NONE_NAMED
 from anisoscope.kinds.plates.kind import RULE as PLATE_RULE
-from anisoscope.kinds.prints.decision import NOT_JUDGED
+from anisoscope.kinds.prints.decision import NONE_EXCLUDED, NOT_JUDGED
 from anisoscope.kinds.prints.missing_ink import MISSING_TITLE
 from anisoscope.kinds.registry import kind_named
 from anisoscope.kinds.wafers.causes import wafer_causes
@@ -206,8 +207,17 @@ FURTHER = (
     *("roughness along the ridges +{size}", "roughness across the ridges +{size}"),
     *("etched too deep by {size}", "etched too shallow by {size}"),
     *("features too wide by {size}", "features too narrow by {size}"),
+    *("flakes less flat by {size}", "flakes flatter by {size}", "brushed by {size}", "flakes lean by {size}"),
+    *("ink missing {size}", "film thicker by {size}", "film thinner by {size}", "{name} in the ink {size}"),
+    *(
+        "field ridge angle +{size}",
+        "field ridge angle −{size}",
+        "field height loss {size}",
+        "field worn to {size}",
+    ),
+    *("field bare on {size}", "{defect} (up to {size} at row {row} column {column})", NONE_NAMED),
+    NONE_EXCLUDED,
     *("photograph more poses", "photograph further tilts", "{defect} (any size)", "{defect} (up to {size})"),
-    "{size} at row {row} column {column}",
 )
 """Names that reach the page or the console from data."""
 HEADER = (
@@ -298,7 +308,7 @@ def _tables() -> Iterator[str]:
         yield from (words for _, words in names)
     yield from (*NUMBER_WORDS.values(), " and ".join(f"{tilt:g}°" for tilt in TILTS_DEG))
     yield from (*nelson.RULES.values(), *nelson.MEANING.values())
-    yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
+    yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR, rule.EXCLUDED_RULE, rule.OPEN_CRITERION)
     for name in ("ridges", "wafers", "prints", "plates"):
         for key, words in kind_named(name).cause_words.items():
             yield key.replace("-", " ")

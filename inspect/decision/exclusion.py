@@ -27,6 +27,8 @@ ONE_SIDED = 1.6448536269514722
 """95 % of the standard normal distribution."""
 EXTENTS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
 """Extents that are tried, in smallest interesting sizes; beyond the last one no limit is stated."""
+FINE = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 3.0, 5.0])
+"""The same where a defect of interest is large against what the poses show."""
 COSTLY = (0.0, 0.5, 1.0, 1.5, 2.0)
 """The same where every state is evaluated by the model itself: up to 1, and farther while nothing is excluded."""
 _CLOSE = 3e-3  # a limit needs T_c to .01 only
@@ -160,6 +162,50 @@ def of_normal(defect: NamedDefect, best: float, u: float, where: str = "") -> Ex
     """
     least = max(best, 0.0)
     return Exclusion(defect, least, least + ONE_SIDED * u, where)
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What a named defect changes of m values.
+
+    Attributes:
+        defect: with its smallest interesting size.
+        shown: (E, m) change at `FINE`.
+        covariance: (E, m, m) of the values of parts with it, by all that is uncertain besides.
+    """
+
+    defect: NamedDefect
+    shown: FloatArray
+    covariance: FloatArray
+
+
+def _between(extents: FloatArray, curve: FloatArray) -> float:
+    """Limit where the root of the curve above its least value is linear between the sizes: for steep curves."""
+    above = np.sqrt(np.maximum(curve - curve.min(), 0.0))
+    last = int(np.flatnonzero(above <= ONE_SIDED)[-1])
+    if last + 1 == len(extents):
+        return float("inf")
+    share = (ONE_SIDED - above[last]) / (above[last + 1] - above[last])
+    return float(extents[last] + share * (extents[last + 1] - extents[last]))
+
+
+def excluded_by_changes(changes: Sequence[Change], deviation: FloatArray) -> tuple[Exclusion, ...]:
+    """Limits of named defects whose change is known at every size, all else that is uncertain being linear.
+
+    T_c(x) = (d − s_c(x))ᵀV_c(x)⁻¹(d − s_c(x)) + ln |V_c(x)|.
+
+    Args:
+        changes: of each defect.
+        deviation: (m,) d, from a part as designed.
+    """
+    found = []
+    for one in changes:
+        rest = deviation - one.shown
+        squares = np.einsum("em,em->e", rest, np.linalg.solve(one.covariance, rest[..., None])[..., 0])
+        curve = squares + np.linalg.slogdet(one.covariance)[1]
+        smooth = of_curve(one.defect, curve, FINE)
+        found.append(replace(smooth, limit=max(smooth.limit, _between(FINE, curve))))
+    return tuple(found)
 
 
 def excluded_by_model(

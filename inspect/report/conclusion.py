@@ -143,6 +143,8 @@ def _undecided(record: Record, measured: str) -> tuple[str, str]:
     """Key of the action, and the finding, of an INCONCLUSIVE part."""
     if left_open(record):
         blind = blind_to(record)
+        if any(one.startswith("warning") for one in record.reasons):
+            return "open", f"The part is within its limits, but not excluded: {blind}"
         return "open", f"No deviation was found, but not excluded: {blind}"
     return "inconclusive", f"Too close to a limit to decide. {measured}"
 

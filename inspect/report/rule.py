@@ -8,6 +8,13 @@ NAMES = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference
 UNITS = {"log_ratio": "1", "michelson": "1", "difference": "1/sr"}
 PRECEDENCE = "INVALID goes before FAIL, FAIL before INCONCLUSIVE, INCONCLUSIVE before PASS"
 
+EXCLUDED_RULE = (
+    "nothing deviates, and every defect of the smallest interesting size is excluded (one side, 95 %; the state of the "
+    "part after ISO 14253-1)"
+)
+OPEN_CRITERION = "defects of the smallest interesting size are not excluded"
+OPEN_RULE = f"no limit is broken for certain, but {OPEN_CRITERION}"
+
 
 def deviation_decides(record: Record) -> bool:
     """Whether a significant deviation fails the part: by the recipe's rule, or for want of a tolerance."""
@@ -41,10 +48,7 @@ def rule_of(record: Record) -> str:
         return message("no limit is broken for certain, but {criteria}", criteria=_listed(near))
     details = surface_of(record)
     if details.exclusions and all(one.excluded for one in details.exclusions):
-        return message(
-            "nothing deviates, and every defect of the smallest interesting size is excluded (one side, 95 %; the "
-            "state of the part after ISO 14253-1)"
-        )
+        return message(EXCLUDED_RULE)
     if details.contrasts and details.contrasts[0].tolerance is None:
         return message("nothing deviates significantly; no tolerance is set")
     return message("every quantity lies within its limit by more than its guard band (ISO 14253-1)")
@@ -60,7 +64,7 @@ def _decisive(record: Record, verdict: str) -> list[str]:
     if details.area is not None and details.area.verdict == verdict:
         found.append(message(AREA_OUTSIDE if outside else AREA_NEAR))
     if not outside and not found and any(not one.excluded for one in details.exclusions):
-        found.append(message("defects of the smallest interesting size are not excluded"))
+        found.append(message(OPEN_CRITERION))
     if outside and deviation_decides(record) and (record.p_value or 0.0) < level:
         found.append(
             message("all contrasts together deviate significantly (p below {level})", level=f"{level:g}")

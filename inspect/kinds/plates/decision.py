@@ -7,12 +7,15 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
+from anisoscope.decision.exclusion import MORE_TILTS, with_exclusions
 from anisoscope.kinds.plates.code_grades import Cells, Grade, graded
 from anisoscope.kinds.plates.code_symbol import Symbol, find_symbol, read_fields
+from anisoscope.kinds.plates.excluded_fields import excluded_fields
 from anisoscope.kinds.plates.expectation import ExpectedPlate
 from anisoscope.kinds.plates.field_judgement import (
     TESTS,
     banded,
+    compared_fields,
     field_offsets,
     fields_text,
     judge_fields,
@@ -39,6 +42,7 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import directions
 
+NONE_NAMED = "no defect is excluded: [defects] names none"
 MOST_RECORDED = 4096
 """Fields of which the offsets are recorded."""
 
@@ -124,7 +128,8 @@ def decide_plate(
         d2, dof, p_value = golden.t_squared(middle)
         compared = GoldenPlatesRecord(parts=len(golden.parts), t2=d2, p_value=p_value)
     offsets = field_offsets(expected, ln, middle)
-    fields, powers = judge_fields(expected, measured, recipe, offsets, golden)
+    tested, scatters = compared_fields(expected, recipe, offsets, golden)
+    fields, powers = judge_fields(expected, measured, recipe, offsets, tested, scatters)
     code = _code(expected, measured, recipe)
     details = PlateDetails(
         classes=tuple(
@@ -149,6 +154,12 @@ def decide_plate(
         golden=compared,
     )
     verdict, reasons = _verdict(details, recipe, p_value)
+    if verdict is Verdict.PASS:
+        found = excluded_fields(expected, recipe, tested, scatters)
+        details = details.model_copy(update={"exclusions": tuple(one.record() for one in found)})
+        verdict, reasons = with_exclusions(
+            verdict, reasons, found, recipe.decision.unexcluded, MORE_TILTS, NONE_NAMED
+        )
     budget = tuple(
         BudgetRecord(source=one.source, kind=one.kind, contributions=tuple(_share(one, gradient).tolist()))
         for one in sorted(components, key=lambda one: -float(_share(one, gradient).max()))

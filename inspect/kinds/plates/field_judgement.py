@@ -60,12 +60,35 @@ def field_offsets(expected: ExpectedPlate, ln: FloatArray, middle: FloatArray) -
     return np.where(classes >= 0, ln - middle.T[:, np.maximum(classes, 0)], np.nan)
 
 
+def compared_fields(
+    expected: ExpectedPlate, recipe: PlateRecipe, offsets: FloatArray, golden: GoldenPlates | None
+) -> tuple[FloatArray, tuple[FieldScatter | None, ...]]:
+    """(P, rows, cols) offsets less the pattern of golden plates, and the scatter of the fields of every class.
+
+    Args:
+        expected: the prediction.
+        recipe: tolerance of a field.
+        offsets: (P, rows, cols) of `field_offsets`.
+        golden: good plates whose pattern and scatter are taken, or None.
+    """
+    classes = expected.plan.classes()
+    pattern = None if golden is None else golden.pattern(classes.shape)
+    tested = offsets if pattern is None else offsets - pattern
+    return tested, tuple(
+        class_scatter(_of_class(tested, classes, number), recipe.fields.tolerance)
+        if pattern is None
+        else _golden(golden, classes, number)
+        for number in range(len(expected.plan.letters))
+    )
+
+
 def judge_fields(
     expected: ExpectedPlate,
     measured: MeasuredPlate,
     recipe: PlateRecipe,
     offsets: FloatArray,
-    golden: GoldenPlates | None,
+    tested: FloatArray,
+    scatters: tuple[FieldScatter | None, ...],
 ) -> tuple[tuple[FieldRecord, ...], tuple[PowerRecord, ...]]:
     """Fields that do not surely pass or deviate significantly, the largest deviation first, and powers of the test.
 
@@ -74,18 +97,11 @@ def judge_fields(
         measured: the fields.
         recipe: tolerance of a field, and level.
         offsets: (P, rows, cols) of `field_offsets`.
-        golden: good plates whose pattern and scatter are taken, or None.
+        tested: the same less the pattern of golden plates, as of `compared_fields`.
+        scatters: of every class.
     """
     rule, letters, classes = recipe.decision, expected.plan.letters, expected.plan.classes()
     level = rule.alpha / TESTS
-    pattern = None if golden is None else golden.pattern(classes.shape)
-    tested = offsets if pattern is None else offsets - pattern
-    scatters = tuple(
-        class_scatter(_of_class(tested, classes, number), recipe.fields.tolerance)
-        if pattern is None
-        else _golden(golden, classes, number)
-        for number in range(len(letters))
-    )
     p_values = field_p_values(tested, classes, scatters)
     found = []
     for row, col in zip(*np.nonzero(classes >= 0), strict=True):

@@ -14,6 +14,7 @@ from anisoscope.base.errors import AnisoscopeError, RecipeError, UsageError
 from anisoscope.base.notation import number_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import two_sided_score
+from anisoscope.decision.exclusion import MORE_TILTS
 from anisoscope.imaging.pose_radiance import mean_of
 from anisoscope.imaging.registration.placement import resample
 from anisoscope.imaging.views import most_changed
@@ -32,11 +33,12 @@ from anisoscope.kinds.parts import (
 from anisoscope.kinds.plates.causes import FIELD_WORDS, explain_plate, plate_words
 from anisoscope.kinds.plates.code_grades import OVERALL
 from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate, planned_contrasts
+from anisoscope.kinds.plates.excluded_fields import planned_fields
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
 from anisoscope.kinds.plates.field_judgement import fields_text, places_text, predicted_fields
 from anisoscope.kinds.plates.measurement import MeasuredPlate, measure_plate, plate_grid
 from anisoscope.kinds.plates.plate_map import HEIGHT_MAP
-from anisoscope.kinds.plates.recipe import PlateRecipe
+from anisoscope.kinds.plates.recipe import PlateDefects, PlateRecipe
 from anisoscope.kinds.plates.record import CodeRecord, GradeRecord, PlateDetails
 from anisoscope.kinds.plates.reference_plates import GoldenPlates, reference_table
 from anisoscope.kinds.recipe_check import RecipeCheck
@@ -159,6 +161,13 @@ class Plates(
             surface = recipe.surface.model_copy(update={"height_map": copies[HEIGHT_MAP]})
             recipe = recipe.model_copy(update={"surface": surface})
         return recipe, rig
+
+    def as_recorded(self, recipe: PlateRecipe, recorded: Mapping[str, Any]) -> PlateRecipe:
+        """A record that states no sizes of defects was judged without their limits."""
+        recipe = super().as_recorded(recipe, recorded)
+        if "defects" in recorded:
+            return recipe
+        return recipe.model_copy(update={"defects": PlateDefects(**dict.fromkeys(PlateDefects.model_fields))})
 
     def predict(self, recipe: PlateRecipe, rig: RigFile, *, cached: bool) -> ExpectedPlate:
         """The radiances of the classes."""
@@ -329,7 +338,12 @@ class Plates(
         order = np.argsort(-u, kind="stable")
         contrasts = tuple((names[n], float(due[n]), float(u[n]), ratios[n]) for n in order)
         return PlateCheck(
-            product=recipe.product, complaints=tuple(complaints), contrasts=contrasts, undecided=undecided
+            product=recipe.product,
+            complaints=tuple(complaints),
+            contrasts=contrasts,
+            undecided=undecided,
+            excludes=planned_fields(expected, recipe),
+            remedy=MORE_TILTS,
         )
 
     def finding(self, record: Record) -> str:

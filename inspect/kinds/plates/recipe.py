@@ -102,6 +102,19 @@ class FieldsPart(Part):
     interior: Annotated[float, Field(gt=0.1, le=0.95)] = 0.7
 
 
+class PlateDefects(Part):
+    """Smallest interesting sizes of the defects of a single field; None tests for none.
+
+    ``ridge_angle_deg`` either way; ``height_loss`` of ridges that are not filled, ``bare_share`` of the field without
+    ridges; ``wear_um``: radius of its crests.
+    """
+
+    ridge_angle_deg: Annotated[float, Field(gt=0.0, lt=45.0)] | None = 2.0
+    height_loss: Annotated[float, Field(gt=0.0, lt=1.0)] | None = 0.2
+    bare_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = 0.2
+    wear_um: Positive | None = 15.0
+
+
 class PlateDecision(DecisionBase):
     """Decision rule; ``tolerance`` is the largest deviation from the prediction of a ln ratio of classes or poses."""
 
@@ -115,6 +128,7 @@ class PlateRecipe(RecipeBase):
     material: MaterialPart
     plan: PlanPart
     fields: FieldsPart = FieldsPart()
+    defects: PlateDefects = PlateDefects()
     code: CodePart | None = None
     decision: PlateDecision = PlateDecision()
     uncertainty: RigUncertainty = RigUncertainty()

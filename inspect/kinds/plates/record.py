@@ -185,6 +185,11 @@ class PlateDetails(Details):
             found["deviating fields"] = float(sum(one.verdict == "FAIL" for one in self.fields))
         return found
 
+    @property
+    def near_limit(self) -> bool:
+        """Whether a contrast or a field is too close to its limit to decide."""
+        return any(one.verdict == "INCONCLUSIVE" for one in (*self.contrasts, *self.fields))
+
     def compared(self) -> dict[str, float]:
         """The contrasts."""
         return {one.name: one.measured for one in self.contrasts}

@@ -22,6 +22,7 @@ from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.ranking import Diagnosis, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.kinds.prints.decision import PrintDecision
+from anisoscope.kinds.prints.excluded_defects import deviation_of
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PrintFit
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
@@ -185,7 +186,9 @@ def explain_print(
     """
     if decision.bare is not None:
         return decision.bare.diagnosis()
-    logs, covariance, sources = _deviation(expected, measured, decision)
+    logs, covariance, sources = deviation_of(
+        expected, np.log(measured.channels).ravel(), decision.sources, decision.golden
+    )
     found = None if decision.map is None else decision.map.record
     if found is None:
         known, evidence = known_causes(recipe, expected, decision.fit, 0), Evidence(logs, covariance)
@@ -197,18 +200,6 @@ def explain_print(
     known = known_causes(recipe, expected, decision.fit, 1, np.array(found.curl_deg))
     evidence = Evidence(np.append(logs, curl), whole, found.share, found.u, _BACKGROUND, U_BACKGROUND)
     return _alone(diagnose(known, evidence, together=False), known, evidence, sources)
-
-
-def _deviation(
-    expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
-) -> tuple[FloatArray, FloatArray, tuple[Source, ...]]:
-    """Ln of the channels over the golden prints, or else over the prediction, its covariance, and the sources in it."""
-    logs, golden = np.log(measured.channels).ravel(), decision.golden
-    if golden is None:
-        return logs - np.log(expected.channels).ravel(), total(decision.sources, logs.size), decision.sources
-    # how good inks and seats vary shows in the golden prints' scatter
-    own = tuple(source for source in decision.sources if source not in expected.fitted)
-    return logs - golden.logs, total(own, logs.size) + golden.covariance, own
 
 
 def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tuple[Source, ...]) -> Diagnosis:

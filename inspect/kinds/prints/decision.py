@@ -12,8 +12,10 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.significance import chi2_tail, mahalanobis
+from anisoscope.decision.exclusion import MORE_TILTS, Exclusion, with_exclusions
 from anisoscope.kinds.kind import Results
 from anisoscope.kinds.prints.colour_map import PrintMap, map_of
+from anisoscope.kinds.prints.excluded_defects import deviation_of, excluded_of
 from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources
 from anisoscope.kinds.prints.lobe_fit import NoLobe, PrintFit, fit_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint
@@ -22,7 +24,11 @@ from anisoscope.kinds.prints.pose_colours import colours_of
 from anisoscope.kinds.prints.quantities import Judge, Quantity, sentence
 from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
 from anisoscope.kinds.prints.record import ColourRecord, PrintDetails, PrintMapRecord, triple
-from anisoscope.kinds.prints.reference_comparison import GoldenComparison, compare_with_golden, linear_fit
+from anisoscope.kinds.prints.reference_comparison import (
+    GoldenComparison,
+    compare_with_golden,
+    linear_fit,
+)
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.sources import Source, total
 from anisoscope.record.schema import BudgetRecord
@@ -34,6 +40,7 @@ NOT_JUDGED = (
 )
 
 
+NONE_EXCLUDED = "no defect is excluded, because the print deviates within its limits, or [defects] names none"
 NAMED = 3
 """Deviations that a reason names, at most."""
 
@@ -56,6 +63,7 @@ class PrintDecision:
         sources: of uncertainty, of prediction and measurement.
         golden: comparison with the golden prints, where these decide what deviates.
         bare: how much of the ink is missing, where there is no lobe.
+        exclusions: largest sizes of the named defects that the print may have; none where it deviates.
     """
 
     verdict: Verdict
@@ -70,6 +78,7 @@ class PrintDecision:
     sources: tuple[Source, ...]
     golden: GoldenComparison | None = None
     bare: Bare | None = None
+    exclusions: tuple[Exclusion, ...] = ()
 
 
 def decide_print(
@@ -117,8 +126,26 @@ def decide_print(
     verdict, reasons = _combine(
         quantities, found, recipe, comparison, *_together(p_value, comparison, recipe)
     )
+    exclusions: tuple[Exclusion, ...] = ()
+    if p_value >= recipe.decision.alpha:
+        off, spread, _ = deviation_of(expected, logs, everything, comparison)
+        exclusions = excluded_of(recipe, expected, fit, off, spread, golden=comparison is not None)
+    verdict, reasons = with_exclusions(
+        verdict, reasons, exclusions, recipe.decision.unexcluded, MORE_TILTS, NONE_EXCLUDED
+    )
     return PrintDecision(
-        verdict, reasons, quantities, colours, fit, found, d2, dof, p_value, everything, comparison
+        verdict,
+        reasons,
+        quantities,
+        colours,
+        fit,
+        found,
+        d2,
+        dof,
+        p_value,
+        everything,
+        comparison,
+        exclusions=exclusions,
     )
 
 
@@ -291,6 +318,7 @@ def _details(expected: PrintExpectation, decision: PrintDecision, names: tuple[s
         quantities=decision.quantities,
         lobe=None if decision.fit is None else decision.fit.record(ink),
         map=None if decision.map is None else decision.map.record,
+        exclusions=tuple(one.record() for one in decision.exclusions),
         not_judged=(NOT_JUDGED,),
         golden=None if decision.golden is None else decision.golden.record(),
     )

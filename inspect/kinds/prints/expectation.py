@@ -19,6 +19,7 @@ from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.ink.angles import half_vector
 
 MODEL = "ink"
+ROUGHNESS = "roughness of the ink"
 _DARK = 1e-9
 MOST_SLOPES = 40.0
 """tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that no prediction is made."""
@@ -152,7 +153,7 @@ def _fitted(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tu
     level = [scene.slope(name, state) for name in ("red", "green", "blue")]
     each = np.stack(level).sum(axis=0).reshape(poses, 3)
     return (
-        shared("roughness of the ink", "prediction", part.u_alpha_share * scene.slope("alpha", state)),
+        shared(ROUGHNESS, "prediction", part.u_alpha_share * scene.slope("alpha", state)),
         shared("level of the ink", "prediction", part.u_rho_share * np.sum(level, axis=0)),
         of_channels("colour of the ink", "prediction", part.u_colour_share * each),
         shared("form of the lobe", "prediction", part.u_lobe * scene.slope("lobe", state)),

@@ -36,7 +36,7 @@ from anisoscope.kinds.prints.measurement import (
     measure_print,
     region_mean,
 )
-from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintDefects, PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.recipe_check import RecipeCheck
@@ -94,6 +94,13 @@ class Prints(
         """Check that the rig file states lamp spectrum and sensitivities."""
         super().check(recipe, rig, recipe_path, rig_path)
         check_print_rig(rig, rig_path)
+
+    def as_recorded(self, recipe: PrintRecipe, recorded: Mapping[str, Any]) -> PrintRecipe:
+        """A record that states no sizes of defects was judged without their limits."""
+        recipe = super().as_recorded(recipe, recorded)
+        if "defects" in recorded:
+            return recipe
+        return recipe.model_copy(update={"defects": PrintDefects(**dict.fromkeys(PrintDefects.model_fields))})
 
     def sources(self, recipe: PrintRecipe, rig: RigFile) -> Mapping[str, Path]:
         """Inks and spectra."""

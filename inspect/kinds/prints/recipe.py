@@ -141,6 +141,22 @@ class PrintArea(Part):
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
 
 
+class PrintDefects(Part):
+    """Smallest interesting sizes of the defects of a print; None tests for none.
+
+    ``roughness_share``: flakes less flat or flatter, relative, ``brushed_share`` between two directions, ``lean_deg``
+    toward any; ``missing_share`` of the ink, ``wrong_ink_share`` of each of ``print.wrong_inks`` in it; ``film_nm``:
+    shift of the spectra either way, by a thicker or thinner film.
+    """
+
+    roughness_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = 0.1
+    brushed_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = 0.05
+    lean_deg: Annotated[float, Field(gt=0.0, le=5.0)] | None = 1.0
+    missing_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = 0.1
+    wrong_ink_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = 0.05
+    film_nm: Positive | None = 3.0
+
+
 class PrintUncertainty(CommonUncertainty):
     """Standard uncertainties of the rig that one inspection cannot see.
 
@@ -164,6 +180,7 @@ class PrintRecipe(RecipeBase):
     tolerances: PrintTolerances = PrintTolerances()
     area: PrintArea | None = PrintArea()
     uncertainty: PrintUncertainty = PrintUncertainty()
+    defects: PrintDefects = PrintDefects()
 
     margin_at_markers: ClassVar[bool] = True
     described_in: ClassVar[str] = "is [print]"
@@ -271,6 +288,15 @@ curl_deg = 0.5  # how much it changes across the region
 alpha = 0.01  # level of significance of all channels together
 deviation = "warn"  # "fail": a significant deviation within the limits fails the print
 remeasure = 1  # how often an INCONCLUSIVE print is photographed again
+unexcluded = "inconclusive"  # a print that may have a defect of [defects] does not pass; "note": it passes, with a note
+
+[defects]  # smallest interesting sizes
+roughness_share = 0.1  # flakes less flat, or flatter
+brushed_share = 0.05  # roughness between two directions
+lean_deg = 1.0
+missing_share = 0.1  # of the ink
+wrong_ink_share = 0.05  # of each of wrong_inks
+film_nm = 3.0  # shift of the colour by a thicker or thinner film
 
 [area]
 cell_mm = 0.1

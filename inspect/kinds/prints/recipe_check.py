@@ -8,6 +8,8 @@ from anisoscope.base.covariance import root
 from anisoscope.base.errors import MeasurementError, RecipeError
 from anisoscope.base.json_fields import in_json
 from anisoscope.base.progress import Advance
+from anisoscope.decision.exclusion import MORE_TILTS
+from anisoscope.decision.exclusion import planned as planned_limits
 from anisoscope.diagnosis.separability import separability
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.prints.causes import U_BACKGROUND, known_causes
@@ -149,6 +151,8 @@ def check_print_recipe(recipe: PrintRecipe, expected: PrintExpectation) -> Print
         causes=causes,
         matrix_residual=expected.eye.residual,
         complaints=_complaints(recipe, planned, quantities),
+        excludes=planned_limits((decision.exclusions,)),
+        remedy=MORE_TILTS,
     )
 
 

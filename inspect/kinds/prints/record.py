@@ -201,6 +201,12 @@ class PrintDetails(Details):
             numbers[f"tolerance {label}"] = unit * one.limit
         return numbers if self.map is None else numbers | {"area share": self.map.share}
 
+    @property
+    def near_limit(self) -> bool:
+        """Whether a quantity or the area is too close to its limit to decide."""
+        judged = (*self.quantities, *(() if self.map is None else (self.map,)))
+        return any(one.verdict == "INCONCLUSIVE" for one in judged)
+
     @classmethod
     def of_schema_1(cls, record: dict[str, Any]) -> dict[str, Any] | None:
         """Details from the key ``print`` of a record of schema 1."""

@@ -45,6 +45,7 @@ from anisoscope.report.figures import (
 )
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.report.peers import among
+from anisoscope.report.rule import EXCLUDED_RULE, OPEN_RULE
 from anisoscope.sim.light.colour.spaces import hexadecimal
 
 UNSURE = 0.01
@@ -274,6 +275,9 @@ def _sources(record: Record, fitted: list[QuantityRecord]) -> tuple[SourceRow, .
     return tuple(row for row in rows if max(row.shares) >= UNSURE)
 
 
+WITHIN_RULE = "every quantity lies within its limit by more than its guard band (ISO 14253-1)"
+
+
 def print_rule(record: Record) -> str:
     """The rule that decided, in one sentence."""
     found = print_of(record)
@@ -290,8 +294,11 @@ def print_rule(record: Record) -> str:
             criteria.append("all channels together")
         return f"outside the limit by more than the guard band (ISO 14253-1): {', '.join(criteria)}"
     if record.verdict == "INCONCLUSIVE":
+        if not criteria:
+            return OPEN_RULE
         return f"no limit is broken for certain, but within a guard band of it (ISO 14253-1): {', '.join(criteria)}"
-    return "every quantity lies within its limit by more than its guard band (ISO 14253-1)"
+    excluded = found.exclusions and all(one.excluded for one in found.exclusions)
+    return EXCLUDED_RULE if excluded else WITHIN_RULE
 
 
 SHADES = (BLUE, ORANGE, GREEN, RED, MUTED, INK)

@@ -76,7 +76,7 @@ def recipe() -> dict[str, Any]:
         "poses": {"angles_deg": ANGLES_DEG},
         "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.4, 2.4]},
-        "decision": {"tolerance": 0.3, "alpha": 0.001},
+        "decision": {"tolerance": 0.3, "alpha": 0.001, "unexcluded": "inconclusive"},
         "uncertainty": {"seating_tilt_deg": 0.05},
     }
 

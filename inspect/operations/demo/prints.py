@@ -35,6 +35,7 @@ def recipe_of(ink: str) -> dict[str, Any]:
             "settle_s": 0.0,
         },
         "region": {"size_mm": [2.0, 2.0]},
+        "decision": {"unexcluded": "inconclusive"},
     }
 
 

@@ -149,7 +149,7 @@ def test_the_check_of_a_recipe_says_how_many_good_plates_stay_undecided(expected
             "good plates may end undecided: decision.tolerance = 0.29" in line for line in check.complaints
         )
         assert said == complained
-        assert "T/U" in check.output().tables[0].columns
+        assert "T/U" in check.output().tables[1].columns
 
 
 def test_what_looks_like_no_defect_is_not_named(expected):
@@ -180,10 +180,15 @@ def test_a_single_worn_field_is_found_by_the_scatter_of_its_class(expected, reci
     (field,) = found.details.fields
     assert (field.row, field.col, field.looks_like, field.significant) == (3, 4, "worn", True)
     assert field.p_value < 1e-4
-    assert found.verdict == "PASS"
-    assert found.reasons[0].startswith(
-        "warning: within the tolerance, but beyond the scatter: 1 field deviates"
-    )
+    assert found.verdict == "INCONCLUSIVE"
+    assert found.reasons[0].startswith("not excluded: field worn to 15 µm (")
+    assert "at row 4 column 5" in found.reasons[0]
+    beyond = "warning: within the tolerance, but beyond the scatter: 1 field deviates"
+    assert found.reasons[1].startswith(beyond)
+    noted = recipe.model_copy(update={"decision": recipe.decision.model_copy(update={"unexcluded": "note"})})
+    passed = decide_plate(expected, one, noted)
+    assert passed.verdict == "PASS"
+    assert passed.reasons[0].startswith(beyond)
     strict = recipe.model_copy(
         update={"decision": recipe.decision.model_copy(update={"deviation": "fail", "alpha": 0.01})}
     )
