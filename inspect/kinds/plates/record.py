@@ -188,7 +188,10 @@ class PlateDetails(Details):
     @property
     def near_limit(self) -> bool:
         """Whether a contrast or a field is too close to its limit to decide."""
-        return any(one.verdict == "INCONCLUSIVE" for one in (*self.contrasts, *self.fields))
+        return "INCONCLUSIVE" in (
+            *(one.verdict for one in self.contrasts),
+            *(one.verdict for one in self.fields),
+        )
 
     def compared(self) -> dict[str, float]:
         """The contrasts."""
