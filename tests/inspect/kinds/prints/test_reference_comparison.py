@@ -91,7 +91,7 @@ def test_what_is_good_in_this_house_is_not_as_predicted(decided):
     assert (by_them.dof, predicted.dof) == (9, 63)
     assert by_them.p_value > 0.05
     assert predicted.p_value < 1e-6
-    assert "like the 40 golden prints (level 0.01)" in by_them.reasons[-1]
+    assert "like the 40 golden prints (level 0.01)" in by_them.reasons[-2]
     assert "for a print as predicted" in " ".join(predicted.reasons)
 
 
