@@ -330,7 +330,8 @@ def _by_parts(
         for name, change in parts.changes.items():
             source, extent = parts.states.get(name, ("", 0.0))
             bent = lobe.tangent(extent * (np.array(lobe.sources) == source)) * scatter.own
-            weight = np.linalg.inv((bent @ bent.T + rest + of_mean) * size)
+            doubted = (basis * (DOUBT * change.mean(axis=0)) ** 2) @ basis.T
+            weight = np.linalg.inv((bent @ bent.T + rest + of_mean) * size + doubted)
             s = basis @ change[turn]
             information = float(s @ weight @ s)
             found[name].append((float(s @ weight @ d) / information, 1.0 / float(np.sqrt(information))))

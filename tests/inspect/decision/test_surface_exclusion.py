@@ -143,7 +143,8 @@ def test_limit_against_golden_parts_is_that_of_their_scatter(linear, count):
         known = (0.5 + free) ** 2 / free
         taken = min(size * (student.ppf(0.95, known) / ONE_SIDED) ** 2, 1.0)
         assert squares < chi2.ppf(0.975, free)
-    weight = np.linalg.inv(shape * taken * (1.0 + 1.0 / count))
+    doubt = basis @ np.diag((DOUBT * change) ** 2) @ basis.T
+    weight = np.linalg.inv(shape * taken * (1.0 + 1.0 / count) + doubt)
     shift = basis @ change
     u = 1.0 / np.sqrt(shift @ weight @ shift)
     best = shift @ weight @ (basis @ np.log(measured.radiance) - golden.mean(axis=0)) * u**2
@@ -151,8 +152,8 @@ def test_limit_against_golden_parts_is_that_of_their_scatter(linear, count):
     assert found.limit == pytest.approx(max(best, 0.0) + ONE_SIDED * u)
     if count == 6:  # of one lot: their mean is as good as one part, and half of the variance is between lots
         (alike,) = excluded_by_parts(parts, measured, rules, golden, size, batches=1)
-        wider = np.sqrt(2.0 / (7.0 / 6.0) * min(2.0, 1.0 / taken))
-        assert alike.limit - alike.best == pytest.approx((found.limit - found.best) * wider)
+        weight = np.linalg.inv(shape * min(2.0 * taken, 1.0) * 2.0 + doubt)
+        assert alike.limit - alike.best == pytest.approx(ONE_SIDED / np.sqrt(shift @ weight @ shift))
 
 
 def test_a_part_with_a_defect_scatters_as_the_response_bends_there(linear):
@@ -168,7 +169,8 @@ def test_a_part_with_a_defect_scatters_as_the_response_bends_there(linear):
     errors = NOISE**2 * basis @ basis.T
     good, off = (basis @ one for one in (bent.slope, bent.slope + bend @ [0.0, 3.0]))
     curved = basis @ (0.5 * np.einsum("ikl,jkl->ij", bend, bend)) @ basis.T  # of the square of a normal input
-    weight = np.linalg.inv(good @ good.T + off @ off.T + 2.0 * (errors + curved))
+    doubt = basis @ np.diag((DOUBT * change) ** 2) @ basis.T
+    weight = np.linalg.inv(good @ good.T + off @ off.T + 2.0 * (errors + curved) + doubt)
     shift = basis @ change
     assert found.best == pytest.approx(1.0)
     assert found.limit - found.best == pytest.approx(ONE_SIDED / np.sqrt(shift @ weight @ shift))
