@@ -16,19 +16,16 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.study.optimise import JobsOption, SchedulerOption
+from anisoscope.cli.tables import console
 from anisoscope.study.sweep import Workers
 from detection_study.mitsuba import ARCHIVE
-from detection_study.page import tables_of, write_detection_page
-from detection_study.product import RECIPES, RecipeName, World
+from detection_study.product import RECIPES, WORLDS, RecipeName, World
 from detection_study.run import Plan, study_results
-from detection_study.text import write_results
+from detection_study.text import block_of, causes_block, causes_of, numbers_of, write_results
 
 
-@everyday(
-    "world", "rigs", "recipe", "poses", "diagnose", "jobs", "seed", "folder", "json_", "html", "markdown"
-)
+@everyday("world", "rigs", "recipe", "poses", "diagnose", "jobs", "seed", "folder", "json_", "markdown")
 def detection_command(
     *,
     world: Annotated[
@@ -39,9 +36,9 @@ def detection_command(
         Parameter(
             help="How parts are rendered, repeatable; light reflects between facets and walls in all. By the "
             "predictor's own model (same); by a path tracer that shares nothing with it, with the predictor's lobe "
-            "(reflections), other lobes (ggx, student, two-scale), a non-linear camera or a near lamp (camera, lamp), "
-            "or GGX lobes with both (other); mitsuba judges stored frames of parts that Mitsuba 3 rendered. "
-            "All leaves out other.",
+            "(reflections), other lobes (ggx, two-scale, wide-base), a near lamp (lamp), bent parts (curved), or GGX "
+            "lobes with both and a non-linear camera (other); mitsuba judges stored frames of parts that Mitsuba 3 "
+            "rendered.",
             negative=(),
         ),
     ] = ("all",),
@@ -66,9 +63,7 @@ def detection_command(
             "`recipe suggest`, or all three.",
         ),
     ] = "all",
-    diagnose: Annotated[
-        bool, Parameter(help="Also diagnose bad parts; takes half a minute more per world.")
-    ] = False,
+    diagnose: Annotated[bool, Parameter(help="Diagnose bad parts instead of judging them.")] = False,
     archive: Annotated[
         Path | None,
         Parameter(
@@ -82,7 +77,6 @@ def detection_command(
         Path | None, Parameter(help="Folder for surfaces and parts, so that a study can continue.")
     ] = None,
     json_: Json = False,
-    html: HtmlOption = None,
     markdown: Annotated[
         Path | None,
         Parameter(
@@ -97,8 +91,7 @@ def detection_command(
     Examples:
         python tests/evidence/detection.py --world same --rigs 2
     """
-    usual = ("same", "reflections", "ggx", "student", "two-scale", "camera", "lamp", "mitsuba")
-    named = tuple(dict.fromkeys(name for one in world for name in (usual if one == "all" else (one,))))
+    named = (*WORLDS, "mitsuba") if "all" in world else tuple(dict.fromkeys(world))
     worlds = cast("tuple[World, ...]", tuple(name for name in named if name != "mitsuba"))
     recipes: tuple[RecipeName, ...] = RECIPES if recipe == "all" else (recipe,)
     folder_option: dict[str, Any] = {} if folder is None else {"folder": folder.resolve()}
@@ -106,17 +99,13 @@ def detection_command(
     rendered = (archive or ARCHIVE) if "mitsuba" in named else None
     with progress("detection", quiet=json_) as advance:
         found = study_results(plan, Workers(jobs, scheduler), advance, rendered)
-    if html is not None:
-        write_detection_page(html, found)
     if markdown is not None:
         write_results(markdown, found)
     if json_:
         print_json(found)
         return 0
-    for table in tables_of(found):
-        print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)
-    for note in found["notes"]:
-        console().print(note, markup=False, highlight=False, soft_wrap=True)
+    shown = causes_block(causes_of(found)) if diagnose else block_of(numbers_of(found))
+    console().print(shown, *found["notes"], sep="\n\n", markup=False, highlight=False, soft_wrap=True)
     return 0
 
 

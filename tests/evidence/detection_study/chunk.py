@@ -12,7 +12,7 @@ surface in that state.
 """
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -36,6 +36,7 @@ from anisoscope.sim.bench.optics import Lamp, image_of_surface, pixel_from_mm, v
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from detection_study.product import (
+    BEND_MM,
     BY_NAME,
     CHOSEN,
     EXPOSURE_S,
@@ -57,6 +58,7 @@ from detection_study.product import (
     Specimen,
     World,
     draw,
+    draw_batch,
     draw_rig,
     recipe_of,
     whole_expectation,
@@ -86,7 +88,7 @@ TILE = 0.99
 DARK = 1e-3
 """Radiance in 1/sr of a shadow."""
 _FLAT_FRAMES, _DARK_FRAMES = 16, 8
-_LIGHT = 6  # of the state of a part
+SEATS, _LIGHT = [4, 5], 6  # of the state of a part
 FRAME_NOISE, LAMP_NOISE = 0.0003, 0.0005
 """Relative noise of the mean of a pose by camera and photons, and by the flicker of the lamp, as pictures have it."""
 
@@ -389,38 +391,47 @@ def _flat(row: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def _inspected(task: ChunkTask) -> list[Row]:
-    size = task.size
+    size, roster = task.size, task.size.roster(pictured=True)
     entropy = [task.seed, list(WORLDS).index(task.world), task.number]
-    rig_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + sum(size.counts.values()))
+    rig_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + len(roster))
     rng = np.random.default_rng(rig_rng)
     rig, cameras = draw_rig(rng), new_cameras(size, task.world, rng)
+    batches = _batches(roster, rng)
     rows: list[Row] = []
     bounces = {kind: np.array(light) for kind, light in task.bounces}
-    for kind, count in size.counts.items():
-        sheet = sheet_of(task.sheet(kind))
-        bounced = None
+    sheets = {kind: sheet_of(task.sheet(kind)) for kind, _, _ in roster}
+    for (kind, batch, of_lot), child in zip(roster, parts, strict=True):
+        sheet, bounced = sheets[kind], None
         if kind in bounces:  # 1 where so few paths were traced that none of them came back
             usual = bounces[GOOD]
             bounced = np.divide(bounces[kind], usual, out=np.ones_like(usual), where=usual > 0.0)
-        for _ in range(count):
-            rng = np.random.default_rng(parts[len(rows)])
-            specimen, extent = draw(BY_NAME.get(kind), rng)
-            where = cut(sheet, kind, size, rng)
-            own = SurrogateTask(task.world, kind, extent, task.folder)
-            radiance, truth = radiance_of_part(sheet.radiance[:, *where], specimen, rig, extent, own, bounced)
-            views = photograph(radiance, specimen, rig, cameras, size, rng)
-            rows.append(
-                {
-                    "kind": kind,
-                    "rig": task.number,
-                    "extent": extent,
-                    "ridge_angle_deg": specimen.ridge_angle_deg,
-                    "across": np.log(specimen.across),
-                    "spoiled": float(sheet.spoiled[where].mean()),
-                    **judge(views, truth, size),
-                }
-            )
+        rng = np.random.default_rng(child)
+        specimen, extent = draw(BY_NAME.get(kind), rng, batches[batch], WORLDS[task.world].scatter)
+        where = cut(sheet, kind, size, rng)
+        own = SurrogateTask(task.world, kind, extent, task.folder)
+        radiance, truth = radiance_of_part(sheet.radiance[:, *where], specimen, rig, extent, own, bounced)
+        views = photograph(radiance, specimen, rig, cameras, size, rng)
+        rows.append(
+            _of_part(kind, task.number, batch, specimen, extent, of_lot=of_lot)
+            | {"spoiled": float(sheet.spoiled[where].mean()), **judge(views, truth, size)}
+        )
     return rows
+
+
+def _batches(roster: Sequence[tuple[str, int, bool]], rng: np.random.Generator) -> list[FloatArray]:
+    return [draw_batch(rng) for _ in range(1 + max(batch for _, batch, _ in roster))]
+
+
+def _of_part(kind: str, rig: int, batch: int, part: Specimen, extent: float, *, of_lot: bool) -> Row:
+    return {
+        "kind": kind,
+        "rig": rig,
+        "batch": batch,
+        "lot": of_lot,
+        "extent": extent,
+        "ridge_angle_deg": part.ridge_angle_deg,
+        "across": np.log(part.across),
+    }
 
 
 def _mean_near_led(size: Size, good: Surrogate) -> FloatArray:
@@ -440,53 +451,61 @@ def _computed(task: ChunkTask) -> list[Row]:
     """
     entropy = [task.seed, list(WORLDS).index(task.world), task.number]
     rng = np.random.default_rng(np.random.SeedSequence([13, *entropy]))
-    rig, rows = draw_rig(rng), []
+    rig, rows, roster = draw_rig(rng), [], task.size.roster(pictured=False)
+    batches = _batches(roster, rng)
     uncertainty, expected = recipe_of("tilted", task.size).uncertainty, whole_expectation(task.size)
     full_well, electrons = task.size.sensor.full_well_e, task.size.optics.electrons * EXPOSURE_S
-    for kind, count in task.size.counts.items():
-        for _ in range(0 if kind in BY_NAME and BY_NAME[kind].local else count):
-            part, extent = draw(BY_NAME.get(kind), rng)
-            base = extent if extent in bases_of(kind) else 0.0
-            own = _surrogate(SurrogateTask(task.world, kind if base else GOOD, base, task.folder))
-            state = state_of(part, rig, base, kind if base else "")
-            light = own.radiance(state) + own.reflected(state)[:, None] + rig.stray
-            if WORLDS[task.world].nonlinear:
-                light *= 1.0 - NONLINEARITY * light * electrons / full_well
-            if WORLDS[task.world].near_lamp:
-                light *= _mean_near_led(task.size, own)
-            seen = light.mean(axis=1) * part.gain * rig.linearity
-            drift = abs(part.drift) * FRAMES * len(VIEWS)
-            seen *= 1.0 + np.linspace(0.0, part.drift * FRAMES * len(VIEWS), len(VIEWS))
-            seen *= 1.0 + np.hypot(FRAME_NOISE, LAMP_NOISE) * rng.standard_normal(len(VIEWS))
-            radiance = seen[:-1]
-            even = np.ones(len(SEEN))
-            components = {
-                "noise of camera and photons": FRAME_NOISE * even,
-                "flicker of the lamp": LAMP_NOISE * even,
-                "flat field": uncertainty.flat_share * even,
-                "linearity of the camera": uncertainty.linearity_share * even,
-                "drift of the lamp": drift / np.sqrt(12.0) * even,
-                "stray light": uncertainty.stray_radiance / radiance,
-                "stage angle": uncertainty.stage_deg * expected.per_degree,
-                "registration": 0.0 * even,
+    places = _places(task.size) if WORLDS[task.world].curved else np.zeros((1, len(UNITS)))
+    for kind, batch, of_lot in roster:
+        part, extent = draw(BY_NAME.get(kind), rng, batches[batch], WORLDS[task.world].scatter)
+        base = extent if extent in bases_of(kind) else 0.0
+        own = _surrogate(SurrogateTask(task.world, kind if base else GOOD, base, task.folder))
+        state = state_of(part, rig, base, kind if base else "")
+        each = [own.radiance(one) + own.reflected(one)[:, None] for one in state + places[:, None]]
+        light = np.mean(each, axis=0) + rig.stray
+        if WORLDS[task.world].nonlinear:
+            light *= 1.0 - NONLINEARITY * light * electrons / full_well
+        if WORLDS[task.world].near_lamp:
+            light *= _mean_near_led(task.size, own)
+        seen = light.mean(axis=1) * part.gain * rig.linearity
+        drift = abs(part.drift) * FRAMES * len(VIEWS)
+        seen *= 1.0 + np.linspace(0.0, part.drift * FRAMES * len(VIEWS), len(VIEWS))
+        seen *= 1.0 + np.hypot(FRAME_NOISE, LAMP_NOISE) * rng.standard_normal(len(VIEWS))
+        radiance = seen[:-1]
+        even = np.ones(len(SEEN))
+        components = {
+            "noise of camera and photons": FRAME_NOISE * even,
+            "flicker of the lamp": LAMP_NOISE * even,
+            "flat field": uncertainty.flat_share * even,
+            "linearity of the camera": uncertainty.linearity_share * even,
+            "drift of the lamp": drift / np.sqrt(12.0) * even,
+            "stray light": uncertainty.stray_radiance / radiance,
+            "stage angle": uncertainty.stage_deg * expected.per_degree,
+            "registration": 0.0 * even,
+        }
+        rows.append(
+            _of_part(kind, task.number, batch, part, extent, of_lot=of_lot)
+            | {
+                "spoiled": 0.0,
+                "valid": True,
+                "reason": "",
+                "log_radiance": np.log(radiance),
+                "error": np.full(len(SEEN), np.nan),
+                "own": np.array([components[source] for source in MEASURED_SOURCES]),
+                "areas": {name: _no_area(name) for name in RECIPES},
             }
-            rows.append(
-                {
-                    "kind": kind,
-                    "rig": task.number,
-                    "extent": extent,
-                    "ridge_angle_deg": part.ridge_angle_deg,
-                    "across": np.log(part.across),
-                    "spoiled": 0.0,
-                    "valid": True,
-                    "reason": "",
-                    "log_radiance": np.log(radiance),
-                    "error": np.full(len(SEEN), np.nan),
-                    "own": np.array([components[source] for source in MEASURED_SOURCES]),
-                    "areas": {name: _no_area(name) for name in RECIPES},
-                }
-            )
+        )
     return rows
+
+
+def _places(size: Size) -> FloatArray:
+    """(4, K) places of a bent part as seatings, of which the mean is that of the part (Gauss)."""
+    ends = np.degrees(
+        0.5 * PITCH_UM / 1000.0 / BEND_MM * np.array([size.pitches, size.ridges]) / np.sqrt(3.0)
+    )
+    found = np.zeros((4, len(UNITS)))
+    found[:, SEATS] = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) * ends / UNITS[SEATS]
+    return found
 
 
 def judge(views: list[View], truth: FloatArray, size: Size) -> Row:

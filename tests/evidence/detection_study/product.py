@@ -1,7 +1,8 @@
 """Product of the detection study: recipes, variation of good parts and of rigs, defect classes, and the worlds.
 
 A rig (light, zero of the tilt, linearity, stray light, camera) is drawn once for every set of golden parts; all parts
-of the set, golden and judged ones, meet it. What a part has of its own is its shape, its plastic within the batch, its
+of the set, golden and judged ones, meet it. Parts of one batch share half of the variance of ridge angle, roughness and
+albedo; every judged part is of another batch, but for those of a lot. What a part has of its own is the other half, its
 seating, and the errors of one inspection.
 """
 
@@ -21,7 +22,7 @@ from anisoscope.recipe.poses import PosesPart
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.light.geometry import pose_grid
 
-World = Literal["same", "reflections", "ggx", "student", "two-scale", "camera", "lamp", "other"]
+World = Literal["same", "reflections", "ggx", "two-scale", "wide-base", "alike", "lamp", "curved", "other"]
 RecipeName = Literal["standard", "tilted", "suggested"]
 RECIPES: tuple[RecipeName, ...] = get_args(RecipeName)
 
@@ -31,27 +32,33 @@ class WorldPart:
     """What a world has that the prediction may not know. Light reflects between facet and wall in all of them.
 
     Attributes:
-        lobe: of the facets; its widths and albedo are those whose best Beckmann fit is the recipe's material.
+        lobe: of the facets, the last two outside of every fitted family; widths and albedo are those whose best
+            Beckmann fit is the recipe's material.
         traced: rendered by the path tracer, which shares nothing with the prediction.
         nonlinear: the camera is not quite linear.
         near_lamp: the lamp stands near.
+        curved: the parts are bent.
+        scatter: of the parts, as a multiple of the stated standard deviations.
     """
 
-    lobe: Literal["beckmann", "ggx", "student", "two-scale"] = "beckmann"
+    lobe: Literal["beckmann", "ggx", "two-scale", "wide-base"] = "beckmann"
     traced: bool = True
     nonlinear: bool = False
     near_lamp: bool = False
+    curved: bool = False
+    scatter: float = 1.0
 
 
 WORLDS: dict[World, WorldPart] = {
     "same": WorldPart(traced=False),
-    "other": WorldPart("ggx", nonlinear=True, near_lamp=True),
+    "other": WorldPart("ggx", nonlinear=True, near_lamp=True, curved=True),
     "ggx": WorldPart("ggx"),
-    "student": WorldPart("student"),
     "two-scale": WorldPart("two-scale"),
+    "wide-base": WorldPart("wide-base"),
     "reflections": WorldPart(),
-    "camera": WorldPart(nonlinear=True),
+    "alike": WorldPart(scatter=0.3),
     "lamp": WorldPart(near_lamp=True),
+    "curved": WorldPart(curved=True),
 }
 
 
@@ -94,11 +101,15 @@ BURRS_ON_GOOD = 0.002
 RIDGE_ANGLE_SPREAD_DEG = 0.1
 ALPHA_SPREAD, ALBEDO_SPREAD = 0.05, 0.03
 """Relative standard deviations of roughness and albedo between good parts."""
+OF_BATCH = 0.5
+"""Share of the variance of ridge angle, roughness and albedo that parts of a batch have in common."""
 UNKNOWN_ALPHA_SHARE, UNKNOWN_ALBEDO_SHARE = 0.2, 0.1
 """What is stated of a plastic that was not calibrated; its lobe is unmeasured (no `u_tail`)."""
 EXPOSURE_S, FRAMES = 0.0009, 2
 NONLINEARITY = 0.003
 LED_DISTANCE_MM = 150.0
+BEND_MM = 300.0
+"""Radius of bent parts, in both directions."""
 MARKER_ERROR_PX = 0.03
 
 
@@ -114,9 +125,13 @@ class Size:
         pitches: its length along the ridges, in pitches.
         pixel_um: of the camera on the part.
         sheets: rendered surfaces of good parts; there is one of every area defect.
-        golden: golden parts of a rig.
+        golden: golden parts of a rig, by batch.
         good: judged good parts of a rig.
         bad: judged parts of every class of a rig.
+        lot: good parts of the lot of a rig, which has `LOT_BAD` parts of every class that is uniform besides.
+        golden_pictured: golden parts of a rig whose parts are photographed; it has no lot.
+        good_pictured: judged good parts of such a rig.
+        bad_pictured: judged parts of every class of such a rig.
         causes: causes that the diagnosis looks for, all if None.
     """
 
@@ -124,9 +139,13 @@ class Size:
     pitches: int = 7
     pixel_um: float = 12.5
     sheets: int = 2
-    golden: int = 25
-    good: int = 40
-    bad: int = 5
+    golden: tuple[int, ...] = (25, 25, 5, 5, 5)
+    good: int = 14
+    bad: int = 2
+    lot: int = 10
+    golden_pictured: tuple[int, ...] = (3, 3)
+    good_pictured: int = 20
+    bad_pictured: int = 5
     causes: tuple[str, ...] | None = None
 
     @property
@@ -143,10 +162,21 @@ class Size:
         )
         return (across, along) if round(stage_deg / 90.0) % 2 else (along, across)
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """Parts of a rig by kind."""
-        return {GOLDEN: self.golden, GOOD: self.good, **{kind.name: self.bad for kind in CLASSES}}
+    def roster(self, *, pictured: bool) -> tuple[tuple[str, int, bool], ...]:
+        """Kind, batch, and whether it is of the lot, of every part of a rig; local defects need pictures."""
+        golden, good, bad, lot = (
+            (self.golden_pictured, self.good_pictured, self.bad_pictured, 0)
+            if pictured
+            else (self.golden, self.good, self.bad, self.lot)
+        )
+        found = [(GOLDEN, batch, False) for batch, count in enumerate(golden) for _ in range(count)]
+        judged = [GOOD] * good
+        judged += [kind.name for kind in CLASSES if pictured or not kind.local for _ in range(bad)]
+        found += [(kind, len(golden) + number, False) for number, kind in enumerate(judged)]
+        if lot:
+            members = [GOOD] * lot + [name for name in UNIFORM for _ in range(LOT_BAD)]
+            found += [(kind, len(golden) + len(judged), True) for kind in members]
+        return tuple(found)
 
     @property
     def optics(self) -> OpticsPart:
@@ -180,6 +210,7 @@ class DefectClass:
 # densities such that scratches spoil 1 % and grains 2 % of the area: measured on the sheets, reported in the results
 CLASSES = (
     DefectClass("ridge-angle", "ridge angle ±0.5°", "ridge-angle", 0.5, signed=True),
+    DefectClass("ridge-angle-1", "ridge angle −1°", "ridge-angle", -1.0),
     DefectClass("roughness", "roughness across the ridges +20 %", "roughness-across", 0.2),
     DefectClass("height-loss", "height loss 10 %", "incomplete-filling", 0.1),
     DefectClass("wear", "edges worn to 5 µm", "wear", 5.0),
@@ -189,6 +220,10 @@ CLASSES = (
     DefectClass("dust", "dust, 2 % of the area", "dust", 157.0, local=True),
 )
 BY_NAME = {kind.name: kind for kind in CLASSES}
+UNIFORM = tuple(kind.name for kind in CLASSES if not kind.local)
+OF_INTEREST = ("ridge-angle", "roughness", "height-loss", "wear")
+"""Classes of exactly the smallest interesting size."""
+LOT_BAD = 2
 
 
 def recipe_of(name: RecipeName, size: Size, material: MaterialFile | None = None) -> RidgeRecipe:
@@ -230,6 +265,7 @@ def recipe_of(name: RecipeName, size: Size, material: MaterialFile | None = None
         "area": {"cell_deviation": "auto"},  # as new recipes say
         "uncertainty": {"seating_tilt_deg": 0.1, "tilt_deg": TILT_ZERO_DEG},
         "scatter": {"alpha_share": ALPHA_SPREAD, "albedo_share": ALBEDO_SPREAD},
+        "decision": {"unexcluded": "inconclusive"},
     }
     return RidgeRecipe.model_validate(table)
 
@@ -307,21 +343,37 @@ def draw_rig(rng: np.random.Generator) -> RigState:
     )
 
 
-def draw(kind: DefectClass | None, rng: np.random.Generator) -> tuple[Specimen, float]:
-    """A part of a class (None: good), and the extent of its defect (0 for good)."""
+def draw_batch(rng: np.random.Generator) -> FloatArray:
+    """(4,) what parts of a batch share of ridge angle, both roughnesses and albedo, in their standard deviations."""
+    return np.asarray(np.sqrt(OF_BATCH) * rng.standard_normal(4))
+
+
+def draw(
+    kind: DefectClass | None, rng: np.random.Generator, batch: FloatArray | None = None, scatter: float = 1.0
+) -> tuple[Specimen, float]:
+    """A part and the extent of its defect (0 for good).
+
+    Args:
+        kind: its class; None: good.
+        rng: of the part.
+        batch: what its batch shares; None: it is of a batch of its own.
+        scatter: of good parts and their seating, as a multiple of the stated one.
+    """
     rig = recipe_of("tilted", Size()).uncertainty
     normal, views = rng.standard_normal, len(VIEWS)
     extent = 0.0 if kind is None else kind.extent
     if kind is not None and kind.signed:
         extent *= float(rng.choice([-1.0, 1.0]))
     state = defective(nominal(), "" if kind is None else kind.name, extent)
+    shared = draw_batch(rng) if batch is None else batch
+    angle, along, across, albedo = map(float, scatter * (shared + np.sqrt(1.0 - OF_BATCH) * normal(4)))
     found = replace(
         state,
-        ridge_angle_deg=state.ridge_angle_deg + RIDGE_ANGLE_SPREAD_DEG * float(normal()),
-        along=state.along * float(np.exp(ALPHA_SPREAD * normal())),
-        across=state.across * float(np.exp(ALPHA_SPREAD * normal())),
-        albedo=state.albedo * float(np.exp(ALBEDO_SPREAD * normal())),
-        seating_deg=rig.seating_tilt_deg * normal(2),
+        ridge_angle_deg=state.ridge_angle_deg + RIDGE_ANGLE_SPREAD_DEG * angle,
+        along=state.along * float(np.exp(ALPHA_SPREAD * along)),
+        across=state.across * float(np.exp(ALPHA_SPREAD * across)),
+        albedo=state.albedo * float(np.exp(ALBEDO_SPREAD * albedo)),
+        seating_deg=scatter * rig.seating_tilt_deg * normal(2),
         stage_deg=rig.stage_deg * normal(views),
         gain=1.0 + rig.flat_share * normal(views),
         drift=2e-4 * float(normal()),
@@ -350,7 +402,7 @@ def nominal() -> Specimen:
 
 def defective(state: Specimen, name: str, extent: float) -> Specimen:
     """A part with a defect of its shape or roughness; local ones are in the sheets."""
-    if name == "ridge-angle":
+    if name.startswith("ridge-angle"):
         return replace(state, ridge_angle_deg=state.ridge_angle_deg + extent)
     if name == "roughness":
         return replace(state, across=state.across * (1.0 + extent))

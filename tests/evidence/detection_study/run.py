@@ -1,16 +1,9 @@
 """Detection study: rates of false alarms and misses of thousands of parts on virtual rigs, in several worlds.
 
 The same world renders with the predictor's own lobe and reflections. All others are rendered by a path tracer that
-shares nothing with the prediction: with its lobe or with others, with a slightly non-linear camera or a near lamp, or
-all of these (`other`). Claims rest on them. Every rig has a set of golden parts, and all its parts meet it.
-
-Judges by what is known of the plastic and the number n of golden parts:
-
-- `plastic-0`: against the prediction; of the plastic a usual lobe is stated, with the doubt of one never measured.
-- `calibrated-0`: against the prediction with the plastic calibrated on a flat coupon of the same world; `[scatter]` is
-  left to golden parts.
-- `spread-0`: the same with `[scatter]` in the budget, as in inspections.
-- `plastic-3`, `calibrated-1`, `-3`, `-10`, `-25`: against n golden parts of the rig, by the predictive test.
+shares nothing with the prediction: with its lobe or with others, with bent parts or a near lamp, or all of these with a
+slightly non-linear camera (`other`). Claims rest on them. Every rig has a set of golden parts, and all its parts meet
+it. `detection_study.judge` has the references and verdicts.
 """
 
 import json
@@ -27,9 +20,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import chi2_tail, log_basis
-from anisoscope.decision.consistency import OF_THE_RIG, contrast_scatter, distances
-from anisoscope.decision.predictive import Scatter, predictive_test
+from anisoscope.base.significance import log_basis
 from anisoscope.diagnosis.cell_levels import SMEAR_PX
 from anisoscope.diagnosis.evidence import (
     Evidence,
@@ -39,38 +30,35 @@ from anisoscope.diagnosis.evidence import (
     covariance_of,
     inputs_of,
 )
-from anisoscope.diagnosis.ranking import NOTHING, diagnose
+from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures, signatures
-from anisoscope.fit.lobe import POSE_NOISE, Scan, coupon, coupon_poses, fit_lobe
 from anisoscope.imaging.defect_regions import MarkForm
-from anisoscope.inspection.material_calibration import residual_test
-from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.parameters.geometry import Convention
-from anisoscope.prediction.expectation import Component, Expectation, expectation
-from anisoscope.prediction.part_scatter import part_scatter
-from anisoscope.prediction.propagation import TAIL
-from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.material_file import (
-    CovariancePart,
-    LobePart,
-    MaterialFile,
-    ValidityPart,
-)
+from anisoscope.prediction.expectation import Component
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.sim.light.geometry import directions
-from anisoscope.sim.pathtracer.tracer import PathTracer
 from anisoscope.study.statistics import Rate, rate
 from anisoscope.study.sweep import Workers, sweep
 from detection_study.chunk import MEASURED_SOURCES, Bounces, ChunkTask, Columns, inspect_chunk
-from detection_study.lobes import lobes_of, plastic_of
+from detection_study.judge import (
+    LOTS,
+    RULES,
+    SHARED_SOURCES,
+    Compared,
+    Judge,
+    Rows,
+    calibration_of,
+    covariance_of_measurement,
+    golden_of,
+    judge_of,
+    own_defect,
+)
 from detection_study.mitsuba import judged
 from detection_study.product import (
     ALBEDO_SPREAD,
     ALPHA_SPREAD,
+    BEND_MM,
     BURRS_ON_GOOD,
     BY_NAME,
-    CHOSEN,
     CLASSES,
     FRAMES,
     GOLDEN,
@@ -79,10 +67,12 @@ from detection_study.product import (
     LIGHT_DEG,
     MARKER_ERROR_PX,
     NONLINEARITY,
+    OF_BATCH,
+    OF_INTEREST,
     PITCH_UM,
     RIDGE_ANGLE_DEG,
     RIDGE_ANGLE_SPREAD_DEG,
-    WHOLE,
+    UNIFORM,
     WORLDS,
     RecipeName,
     Size,
@@ -91,7 +81,7 @@ from detection_study.product import (
     rendered_as,
 )
 from detection_study.sheets import bounces_of, prepare_sheet, sheet_tasks
-from detection_study.statistics import Area, area_under_curve, ideal_scores, nearest_curves, uniformity
+from detection_study.statistics import nearest_curves
 from detection_study.surrogate import SurrogateTask, bases_of, curves_of, prepare_surrogate
 
 Results = dict[str, Any]
@@ -99,167 +89,87 @@ Curves = Mapping[str, tuple[FloatArray, FloatArray]]
 """(E, P) changes of ln L of the poses of a recipe along every cause in one world, and (E,) −2 ln of their priors."""
 
 COVERAGE = 1.959964
-LEVEL = 0.01
-RULES = (
-    "plastic-0",
-    "calibrated-0",
-    "spread-0",
-    "plastic-3",
-    "calibrated-1",
-    "calibrated-3",
-    "calibrated-10",
-    "calibrated-25",
-)
-DIAGNOSED_WITH = 3
+DIAGNOSED_WITH = RULES["golden-3x2"]
 """Golden parts of the diagnosis."""
 DIAGNOSED = 20
 """Parts of a class that are diagnosed, at most."""
-SHARED_SOURCES = ("stray light",)
-_SEED = 3
+FOUND = ("plastic", "design", "golden-1x1", "golden-3x2", "golden-10x2", "golden-25x5", "plastic-3x2")
+"""References by which bad parts are judged."""
+DECIDED = ("plastic", "design", "golden-3x2", "golden-10x2", "golden-25x5")
+"""References of which the defects are counted that parts exclude."""
+MOST = 100
+"""Parts of a kind of which they are counted, at most."""
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """A plastic calibrated on a coupon of one world, as ``calibrate material`` does.
+@dataclass(eq=False)
+class Counts:
+    """Outcomes of parts of one kind, with their rigs."""
 
-    Attributes:
-        file: values and covariance.
-        residual_over_noise: 1 where the family of lobes fits.
-    """
+    rigs: list[int] = field(default_factory=list)
+    failed: list[bool] = field(default_factory=list)
+    decided: list[int] = field(default_factory=list)
+    passed: list[bool] = field(default_factory=list)
+    excluded: list[bool] = field(default_factory=list)
 
-    file: MaterialFile
-    residual_over_noise: float
-
-
-@lru_cache(maxsize=8)
-def calibration_of(world: World, seed: int) -> Calibration:
-    """Scan a flat coupon in the poses of ``calibrate material``, each with `POSE_NOISE`, and fit its lobe."""
-    world = rendered_as(world)
-    specimen, poses, convention = coupon(), coupon_poses(), Convention(LIGHT_DEG)
-    material = lobes_of(world).smooth
-    to_light, to_camera = directions(poses, convention)
-    if WORLDS[world].traced:
-        flat = HeightMap(np.zeros((3, 3)), 10.0, 10.0, {})
-        tracer = PathTracer(flat, plastic_of(world, material), reflections=1)
-        pairs = zip(to_light, to_camera, strict=True)
-        radiance = np.array([float(tracer.direct(*pair).mean(dtype=np.float64)) for pair in pairs])
-    else:
-        radiance = specimen.direct(to_light, to_camera, specimen.design, material)
-    rng = np.random.default_rng([seed, 23])
-    noisy = radiance * np.exp(POSE_NOISE * rng.standard_normal(len(poses)))
-    found = fit_lobe(Scan(poses, convention, noisy, np.zeros(len(poses))), specimen, WHOLE)
-    file = MaterialFile(
-        id=f"material-{world}",
-        name=f"plastic of the world {world}",
-        material=LobePart(**vars(found.material)),
-        covariance=CovariancePart(
-            parameters=found.information.lobe,
-            matrix=tuple(map(tuple, found.information.material_covariance.tolist())),
-        ),
-        validity=ValidityPart(half_angle_deg=found.half_angle_deg),
-        test=residual_test(found),
-    )
-    return Calibration(file, found.residual_over_noise)
-
-
-def without_scatter(recipe: RidgeRecipe) -> RidgeRecipe:
-    """The recipe of a calibrated plastic whose prediction leaves out how parts scatter."""
-    scatter = recipe.stated_scatter.model_copy(update={"in_prediction": False})
-    return recipe.model_copy(update={"scatter": scatter})
-
-
-@dataclass(frozen=True, eq=False)
-class Judge:
-    """One recipe in one world with what it predicts, and the parts as it sees them.
-
-    Attributes:
-        recipe: with the calibrated plastic.
-        expected: prediction by what is known of the plastic: "plastic", "calibrated", "spread".
-        scatters: of good parts, by "plastic" and "calibrated".
-        columns: of all parts.
-        chosen: its poses among those that were photographed.
-    """
-
-    recipe: RidgeRecipe
-    expected: dict[str, Expectation]
-    scatters: dict[str, Scatter]
-    columns: Columns
-    chosen: tuple[int, ...]
+    def add(self, one: Compared | None, rig: int, own: str | None, *, decide: bool) -> None:
+        """Count a part: whether it fails, and if asked whether it passes and excludes the defect that it has."""
+        if one is None:
+            return
+        self.rigs.append(rig)
+        self.failed.append(one.fails)
+        if decide:
+            self.decided.append(rig)
+            self.passed.append(one.passes)
+            if own is not None:
+                self.excluded.append(one.excludes(own))
 
     @property
-    def log_radiance(self) -> FloatArray:
-        """(N, P) of all parts."""
-        return np.asarray(self.columns["log_radiance"][:, list(self.chosen)])
-
-    @property
-    def own(self) -> FloatArray:
-        """(N, S, P) relative components of the measurement of all parts."""
-        return np.asarray(self.columns["own"][:, :, list(self.chosen)])
-
-    def numbers(self, kind: str) -> npt.NDArray[np.int_]:
-        """Rows of a kind of parts."""
-        return np.flatnonzero(self.columns["kind"] == kind)
+    def rates(self) -> Results:
+        """Of FAIL, of PASS, and of parts that exclude their own defect."""
+        rigs, decided = np.array(self.rigs, dtype=int), np.array(self.decided, dtype=int)
+        return {
+            "fail": _rate(rate(np.array(self.failed, dtype=bool), rigs)),
+            "pass": _rate(rate(np.array(self.passed, dtype=bool), decided)),
+            "excluded": _rate(rate(np.array(self.excluded, dtype=bool), decided[: len(self.excluded)])),
+        }
 
 
-def judge_of(world: World, columns: Columns, name: RecipeName, size: Size, seed: int) -> Judge:
-    """The judge of a recipe in a world; parts with an INVALID measurement must be left out before."""
-    file = calibration_of(world, seed).file
-    recipe, plain = recipe_of(name, size, file), recipe_of(name, size)
-    recipes = {"plastic": plain, "calibrated": without_scatter(recipe), "spread": recipe}
-    chosen = CHOSEN[name]
-    own = columns["own"][:, :, list(chosen)]
-    single = [k for k, source in enumerate(MEASURED_SOURCES) if source not in OF_THE_RIG]
-    errors = np.sqrt(np.mean(np.sum(own[:, single] ** 2, axis=1), axis=0))
-    scatters = {}
-    for known, one in (("plastic", plain), ("calibrated", recipe)):
-        parts = part_scatter(one, LIGHT_DEG)
-        assert parts is not None
-        usual = contrast_scatter(parts, 1.0)
-        basis = log_basis(len(chosen))
-        scatters[known] = replace(usual, errors=np.asarray(basis @ np.diag(errors**2) @ basis.T))
-    expected = {known: expectation(one, LIGHT_DEG) for known, one in recipes.items()}
-    return Judge(recipe, expected, scatters, columns, chosen)
+def by_rules(judge: Judge, kind: str) -> Results:
+    """Rates of the outcomes of a kind of parts by every reference."""
+    found, rows = {}, judge.numbers(kind)
+    for name, rule in RULES.items():
+        if kind != GOOD and name not in FOUND:
+            continue
+        asked = set(rows[:: -(-len(rows) // MOST)].tolist() if name in DECIDED and len(rows) else [])
+        asked = asked if kind in (GOOD, *OF_INTEREST) else set()
+        counts = Counts()
+        for number, row in enumerate(rows):
+            own = own_defect(judge, kind, int(row)) if kind in OF_INTEREST else None
+            rig = int(judge.columns["rig"][row])
+            counts.add(judge.against(rule, int(row), number), rig, own, decide=int(row) in asked)
+        found[name] = counts.rates
+    return found
 
 
-def covariance_of_measurement(own: FloatArray) -> FloatArray:
-    """(N, P, P) covariances from the (N, S, P) components of the measurements."""
-    shared = np.array([source in SHARED_SOURCES for source in MEASURED_SOURCES])
-    alone = np.sum(own[:, ~shared] ** 2, axis=1)
-    together = np.einsum("nsi,nsj->nij", own[:, shared], own[:, shared])
-    return np.asarray(together + alone[:, :, None] * np.eye(own.shape[2]))
-
-
-def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatArray) -> FloatArray:
-    """(N,) p values of parts as `consistency.from_prediction` gives them one by one."""
-    basis = log_basis(len(expected.poses))
-    known = [c for c in expected.alone if expected.lobes is None or c.source != TAIL]
-    alone = covariance_of_measurement(own) + np.sum([c.covariance() for c in known], axis=0)
-    off = (log_radiance - np.log(expected.radiance)) @ basis.T
-    return chi2_tail(distances(expected, off, basis @ alone @ basis.T), len(basis))
-
-
-def golden_of(rig: int, part: int, count: int, of: int) -> npt.NDArray[np.int_]:
-    """Numbers of the ``count`` golden parts of ``of`` with which a part of a rig is compared: in turn, all of them."""
-    order = np.random.default_rng([_SEED, rig]).permutation(of)
-    first = part % max(of // count, 1) * count
-    return order[first : first + count]
-
-
-def p_values(rule: str, judge: Judge, kind: str) -> FloatArray:
-    """(N,) p values of the means of all parts of a kind by a rule."""
-    known, count = rule.split("-")
-    rows = judge.numbers(kind)
-    if count == "0":
-        return from_prediction(judge.expected[known], judge.log_radiance[rows], judge.own[rows])
-    basis = log_basis(len(judge.chosen))
-    values = judge.log_radiance @ basis.T
-    rigs, golden = judge.columns["rig"], judge.numbers(GOLDEN)
-    found = []
-    for number, row in enumerate(rows):
-        mates = golden[rigs[golden] == rigs[row]]
-        chosen = mates[golden_of(int(rigs[row]), number, int(count), len(mates))]
-        found.append(predictive_test(judge.scatters[known], values[chosen], values[row], LEVEL).p_value)
-    return np.array(found)
+def by_lots(judge: Judge) -> dict[str, Results]:
+    """The same of the parts of lots, by kind: good ones with bad ones of one class in turn, bad ones of all."""
+    counted = {kind: {name: Counts() for name in LOTS} for kind in (GOOD, *UNIFORM)}
+    for rig in np.unique(judge.columns["rig"][judge.numbers(GOOD, of_lot=True)]):
+        own = {
+            kind: (rows := judge.numbers(kind, of_lot=True))[judge.columns["rig"][rows] == rig]
+            for kind in counted
+        }
+        for name, (size, bad) in LOTS.items():
+            for kind in UNIFORM if bad else (GOOD,):
+                lot = np.concatenate([own[GOOD][: size - bad], own[kind][:bad] if bad else own[kind][:0]])
+                shown = kind == GOOD or kind == UNIFORM[int(rig) % len(UNIFORM)]
+                for place in range(0 if shown else size - bad, size):
+                    of = GOOD if place < size - bad else kind
+                    row = int(lot[place])
+                    defect = own_defect(judge, of, row) if of in OF_INTEREST else None
+                    one = judge.in_lot("calibrated", row, np.delete(lot, place))
+                    counted[of][name].add(one, int(rig), defect, decide=of in (GOOD, *OF_INTEREST))
+    return {kind: {name: one.rates for name, one in by.items()} for kind, by in counted.items()}
 
 
 def results_of(
@@ -280,33 +190,40 @@ def results_of(
         name: of the recipe.
         size: of the study.
         seed: of the study.
-        diagnosed: whether causes are looked for.
+        diagnosed: whether causes are looked for, and nothing else.
         folder: of the study's cache.
     """
     valid = columns["valid"].astype(bool)
     columns = {key: values[valid] for key, values in columns.items()}
     judge = judge_of(world, columns, name, size, seed)
-    kinds = (GOOD, *BY_NAME)
-    p = {rule: {kind: p_values(rule, judge, kind) for kind in kinds} for rule in RULES}
-    rigs = {kind: columns["rig"][judge.numbers(kind)] for kind in kinds}
-    known = None
     if diagnosed:
         chosen = list(judge.chosen)
         curves = {
             cause: (curve[:, chosen], cost) for cause, (curve, cost) in curves_of(world, folder).items()
         }
-        known = signatures_of(rendered_as(world), name, size, seed), curves
+        known = signatures_of(rendered_as(world), name, size, seed)
+        classes = [
+            {"name": kind.name, "title": kind.title}
+            | {"diagnosis": _diagnosis(kind.name, judge, name, known)}
+            | {"separable": _separable(kind.name, judge, curves)}
+            for kind in CLASSES
+        ]
+        return {"classes": classes}
+    lots = by_lots(judge)
+    kinds = [GOOD, *BY_NAME]
+    outcomes = {kind: by_rules(judge, kind) | lots.get(kind, {}) for kind in kinds}
+    calibration = calibration_of(world, seed)
     return {
         "invalid": int(np.count_nonzero(~valid)),
-        "calibration": {
-            "residual_over_noise": calibration_of(world, seed).residual_over_noise,
-            "family": "second lobe" if judge.recipe.material.second_lobe else "tail",
-        },
-        "false_alarms": {rule: _rate(rate(p[rule][GOOD] < LEVEL, rigs[GOOD])) for rule in RULES},
-        "uniform": {rule: uniformity(p[rule][GOOD])[0] for rule in RULES},
+        "residual": calibration.residual_over_noise,
+        "good": outcomes[GOOD],
         "area_over_limit": _over_limit(judge, name, GOOD),
-        "coverage": _coverage(judge, rigs[GOOD]),
-        "classes": [_class(kind.name, judge, name, p, rigs, known) for kind in CLASSES],
+        "coverage": _coverage(judge),
+        "classes": [
+            {"name": kind.name, "title": kind.title, "by": outcomes[kind.name]}
+            | {"area_over_limit": _over_limit(judge, name, kind.name)}
+            for kind in CLASSES
+        ],
     }
 
 
@@ -327,21 +244,22 @@ def _rate(found: Rate) -> Results:
 
 def _over_limit(judge: Judge, name: RecipeName, kind: str) -> Results:
     """Parts whose area deviates by more than the recipe's limit, of those that were photographed."""
-    assert judge.recipe.area is not None
-    rows = judge.numbers(kind)
+    limit, rows = judge.area_recipe.area, judge.numbers(kind)
+    assert limit is not None
     share = judge.columns[f"areas/{name}/share"][rows]
     seen = np.isfinite(share)
-    return _rate(rate(share[seen] > judge.recipe.area.max_share, judge.columns["rig"][rows][seen]))
+    return _rate(rate(share[seen] > limit.max_share, judge.columns["rig"][rows][seen]))
 
 
-def _coverage(judge: Judge, rigs: npt.NDArray[np.int_]) -> Results:
+def _coverage(judge: Judge) -> Results:
     """Coverage of 95 % intervals of the contrasts of good parts."""
     rows = judge.numbers(GOOD)
-    first, second = np.array(consecutive_pairs(judge.recipe.poses.poses())).T
+    rigs = judge.columns["rig"][rows]
+    first, second = np.array(consecutive_pairs(judge.area_recipe.poses.poses())).T
     own = covariance_of_measurement(judge.own[rows])
     errors = judge.columns["error"][rows][:, list(judge.chosen)]
     seen = np.isfinite(errors[:, 0])
-    found = {"measured": _held(errors[seen], own[seen], first, second, rigs[seen])}
+    found: Results = {"measured": _held(errors[seen], own[seen], first, second, rigs[seen])}
     for known, expected in judge.expected.items():
         stated = own + np.sum([one.covariance() for one in expected.components], axis=0)
         off = judge.log_radiance[rows] - np.log(expected.radiance)
@@ -363,42 +281,9 @@ def _held(
     return _rate(rate(held.ravel(), np.repeat(rigs, len(first))))
 
 
-def _class(
-    kind: str,
-    judge: Judge,
-    name: RecipeName,
-    p: dict[str, dict[str, FloatArray]],
-    rigs: dict[str, npt.NDArray[np.int_]],
-    known: tuple[Signatures, Curves] | None,
-) -> Results:
-    area = _over_limit(judge, name, kind)
-    last = RULES[-1]
-    scores = {side: -np.log10(np.maximum(p[last][side], 1e-300)) for side in (kind, GOOD)}
-    unseen = Area(float("nan"), float("nan"))
-    some = len(scores[kind]) > 0
-    ours = area_under_curve(scores[kind], scores[GOOD]) if some else unseen
-    best = area_under_curve(*_ideal(judge, kind)) if some else unseen
-    return {
-        "name": kind,
-        "title": BY_NAME[kind].title,
-        "parts": len(p[last][kind]),
-        "power": {rule: _rate(rate(p[rule][kind] < LEVEL, rigs[kind])) for rule in RULES},
-        "area_over_limit": area,
-        "auc": {"value": ours.value, "u": ours.u},
-        "ideal": {"value": best.value, "u": best.u},
-        "diagnosis": None
-        if known is None
-        else {
-            **_diagnosis(kind, judge, name, known[0], rigs[kind]),
-            "separable": _separable(kind, judge, known[1], rigs[kind]),
-        },
-    }
-
-
 def _off_good_parts(judge: Judge) -> FloatArray:
     """(N, m) contrasts of all parts from the mean of the good parts of their rig."""
-    basis = log_basis(len(judge.chosen))
-    values, rigs = judge.log_radiance @ basis.T, judge.columns["rig"]
+    values, rigs = judge.contrasts, judge.columns["rig"]
     usual = np.isin(judge.columns["kind"], (GOOD, GOLDEN))
     off = np.array(values)
     for rig in np.unique(rigs):
@@ -406,7 +291,7 @@ def _off_good_parts(judge: Judge) -> FloatArray:
     return off
 
 
-def _separable(kind: str, judge: Judge, curves: Curves, rigs: npt.NDArray[np.int_]) -> Results:
+def _separable(kind: str, judge: Judge, curves: Curves) -> Results:
     """Parts of which the ideal observer names the right cause: no diagnosis by these poses can be right more often.
 
     It knows the mean and the scatter of good parts of the rig, and how every cause changes the poses in this world.
@@ -422,26 +307,20 @@ def _separable(kind: str, judge: Judge, curves: Curves, rigs: npt.NDArray[np.int
         [curve @ basis.T for curve, _ in curves.values()],
         [cost for _, cost in curves.values()],
     )
-    return _rate(rate(near == names.index(BY_NAME[kind].cause), rigs))
+    right = near == names.index(BY_NAME[kind].cause)
+    return _rate(rate(right, judge.columns["rig"][judge.numbers(kind)]))
 
 
-def _ideal(judge: Judge, kind: str) -> tuple[FloatArray, FloatArray]:
-    """Scores of the ideal observer of the means: he knows what good parts of every rig show on average."""
-    off, bad = _off_good_parts(judge), judge.numbers(kind)
-    signs = np.sign(judge.columns["extent"][bad]).astype(int)
-    return ideal_scores(off[bad], off[judge.numbers(GOOD)], signs)
-
-
-def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | None) -> Evidence:
+def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int]) -> Evidence:
     """Evidence for the diagnosis of one part with the calibrated plastic, as in ``inspect``.
 
     Args:
         judge: recipe and parts.
         name: of the recipe.
         row: of the part.
-        golden: rows of the golden parts, whose mean is the reference; None: the prediction is.
+        golden: rows of the golden parts, whose mean is the reference.
     """
-    recipe, expected = judge.recipe, judge.expected["spread"]
+    recipe, expected = judge.area_recipe, judge.expected["calibrated"]
     components = tuple(
         Component(source, "measurement", relative, source in SHARED_SOURCES)
         for source, relative in zip(MEASURED_SOURCES, judge.own[row], strict=True)
@@ -458,8 +337,6 @@ def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | N
         found = replace(found, share=share, u_share=u_share, background=mean, u_background=u)
         marks = {key.name: judge.columns[f"areas/{name}/{key.name}"][row].item() for key in fields(MarkForm)}
         found = replace(found, form=MarkForm(**marks) if marks["groups"] else None)
-    if golden is None:
-        return found
     shares = judge.columns[f"areas/{name}/share"][list(golden)]
     if np.isfinite(share) and np.isfinite(shares).any():
         mean, u = background_of_parts(shares[np.isfinite(shares)].tolist())
@@ -467,9 +344,9 @@ def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | N
     return against(found, off[list(golden)], scale)
 
 
-def true_extents(kind: str, columns: Columns, rows: npt.NDArray[np.int_], size: Size) -> FloatArray:
+def true_extents(kind: str, columns: Columns, rows: Rows, size: Size) -> FloatArray:
     """Extents as they truly are: the scatter of good parts adds to some; ridges may be missing in part."""
-    if kind == "ridge-angle":
+    if kind.startswith("ridge-angle"):
         return np.asarray(columns["ridge_angle_deg"][rows] - RIDGE_ANGLE_DEG)
     if kind == "roughness":
         return np.asarray(np.exp(columns["across"][rows]) - 1.0)
@@ -478,28 +355,25 @@ def true_extents(kind: str, columns: Columns, rows: npt.NDArray[np.int_], size: 
     return np.asarray(columns["extent"][rows], dtype=np.float64)
 
 
-def _diagnosis(
-    kind: str, judge: Judge, name: RecipeName, known: Signatures, rigs: npt.NDArray[np.int_]
-) -> Results:
+def _diagnosis(kind: str, judge: Judge, name: RecipeName, known: Signatures) -> Results:
     """Causes of parts compared with three golden ones, and the interval of the true one."""
-    cause, rows = BY_NAME[kind].cause, judge.numbers(kind)[:DIAGNOSED]
-    golden, all_rigs = judge.numbers(GOLDEN), judge.columns["rig"]
+    cause, rows, all_rigs = BY_NAME[kind].cause, judge.numbers(kind)[:DIAGNOSED], judge.columns["rig"]
     truth = true_extents(kind, judge.columns, rows, Size())
     smear = SMEAR_PX * Size().pixel_um / PITCH_UM
-    first, tied, wrong, held = [], [], [], []
-    names: list[str] = []
+    first, tied, held = [], [], []
+    rig: list[int] = []
     for number, row in enumerate(rows):
-        mates = golden[all_rigs[golden] == all_rigs[row]]
-        chosen = mates[golden_of(int(all_rigs[row]), number, DIAGNOSED_WITH, len(mates))]
+        mates = judge.golden.get(int(all_rigs[row]), np.zeros(0, dtype=int))
+        drawn = golden_of(judge.columns["batch"][mates], DIAGNOSED_WITH, int(all_rigs[row]), number)
+        if drawn is None:  # too many golden parts of this rig were INVALID
+            continue
+        rig.append(int(all_rigs[row]))
         thresholds = judge.columns[f"areas/{name}/thresholds"][row]
         cells = int(judge.columns[f"areas/{name}/cells"][row])
         own = known.by_thresholds(None if np.isnan(thresholds).any() else thresholds.tolist(), smear, cells)
-        found = diagnose(own, evidence(judge, name, int(row), [int(one) for one in chosen]))
-        ties = {one.cause for one in found.ties}
-        names.append(found.causes[0].cause)
-        first.append(names[-1] == cause)
-        tied.append(cause in ties)
-        wrong.append(not ties & {cause, NOTHING} and found.unexplained_p >= LEVEL)
+        found = diagnose(own, evidence(judge, name, int(row), mates[drawn].tolist()))
+        first.append(found.causes[0].cause == cause)
+        tied.append(cause in {one.cause for one in found.ties})
         right = next((one for one in found.causes if one.cause == cause), None)
         if right is not None and right.interval is not None:
             low, high = right.interval
@@ -507,14 +381,11 @@ def _diagnosis(
                 not (low is not None and truth[number] < low)
                 and not (high is not None and truth[number] > high)
             )
-    most, counts = np.unique(names, return_counts=True)
-    rig = rigs[: len(rows)]
+    of = np.array(rig, dtype=int)
     return {
-        "first": _rate(rate(np.array(first), rig)),
-        "tied": _rate(rate(np.array(tied), rig)),
-        "wrong": _rate(rate(np.array(wrong), rig)),
+        "first": _rate(rate(np.array(first, dtype=bool), of)),
+        "tied": _rate(rate(np.array(tied, dtype=bool), of)),
         "interval": _rate(rate(np.array(held, dtype=bool))),
-        "named": [[str(most[k]), int(counts[k])] for k in np.argsort(-counts)[:3]],
     }
 
 
@@ -533,7 +404,7 @@ class Plan:
         rigs: number of rigs, each with its golden and judged parts.
         pictured: number of them whose parts are photographed; of the others the means of the poses are computed.
         seed: of everything random.
-        diagnosed: whether the causes of bad parts are looked for; signatures take half a minute a world.
+        diagnosed: whether the causes of bad parts are looked for, and nothing else.
         size: of parts and frames.
         folder: of cached sheets and rigs, without a limit of size; None is the user's cache.
     """
@@ -680,18 +551,17 @@ def notes_of(plan: Plan) -> list[str]:
     return [
         (
             f"Parts of {size.ridges} ridges, pitch {PITCH_UM:g} µm, {size.pitches * PITCH_UM / 1000.0:g} mm long; "
-            f"frames of {sensor.cols} × {sensor.rows} pixels of {size.pixel_um:g} µm, {FRAMES} a pose, of which the "
-            "window that holds the part is read out. A rig (light, zero of the tilt, stray light, linearity, camera "
-            f"with flat and dark frames) is drawn for every set of {size.golden} golden parts; all parts of the set "
-            f"meet it. Placement: as the markers would give it, with an error of {MARKER_ERROR_PX:g} px."
+            f"frames of {sensor.cols} × {sensor.rows} pixels of {size.pixel_um:g} µm, {FRAMES} a pose. "
+            f"Placement: as the markers would give it, with an error of {MARKER_ERROR_PX:g} px."
         ),
         (
             f"Good parts scatter (1 σ): ridge angle {RIDGE_ANGLE_SPREAD_DEG:g}°, both roughnesses {ALPHA_SPREAD:.0%}, "
-            f"albedo {ALBEDO_SPREAD:.0%}, seating 0.1° about both axes; burrs on up to {BURRS_ON_GOOD:.1%} of the area."
+            f"albedo {ALBEDO_SPREAD:.0%}, {OF_BATCH:.0%} of the variance between batches; seating 0.1° about both "
+            f"axes; burrs on up to {BURRS_ON_GOOD:.1%} of the area."
         ),
         (
-            f"The camera of the worlds camera and other is {NONLINEARITY:.1%} non-linear at full well; the lamp of the "
-            f"worlds lamp and other stands {LED_DISTANCE_MM:g} mm away."
+            f"The lamp of the worlds lamp and other is {LED_DISTANCE_MM:g} mm away, parts of curved and other have a "
+            f"radius of {BEND_MM:g} mm, the camera of other is {NONLINEARITY:.1%} non-linear at full well."
         ),
     ]
 

@@ -1,11 +1,14 @@
 """The results of a detection study as Markdown, put between two marks of a page, and the numbers that they rest on."""
 
 import json
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
+from detection_study.product import OF_INTEREST
 
 Results = dict[str, Any]
 
@@ -14,23 +17,45 @@ CAUSES_BEGIN, CAUSES_END = "<!-- causes: begin -->", "<!-- causes: end -->"
 SEPARABLE = 80.0
 """Per cent of the parts for which the ideal observer names the right cause, from which on a defect is separable."""
 DIAGNOSED = ("first", "tied", "interval", "separable")
-RULES = {
-    "plastic-0": "prediction, plastic never measured",
-    "calibrated-0": "prediction, plastic calibrated, without `[scatter]`",
-    "spread-0": "… with `[scatter]`, as inspections",
-    "plastic-3": "3 golden parts, plastic never measured",
-    "calibrated-1": "1 golden part, plastic calibrated",
-    "calibrated-3": "3 golden parts",
-    "calibrated-10": "10 golden parts",
-    "calibrated-25": "25 golden parts",
+BY_REFERENCE = {
+    "plastic": "prediction, plastic never measured",
+    "design": "prediction, plastic calibrated",
+    "golden-1x1": "1 golden part",
+    "golden-3x1": "3 golden parts of one batch",
+    "golden-5x1": "5 of one batch",
+    "golden-10x1": "10 of one batch",
+    "golden-25x1": "25 of one batch",
+    "golden-3x2": "3 golden parts of two batches",
+    "golden-5x2": "5 of two batches",
+    "golden-10x2": "10 of two batches",
+    "golden-25x2": "25 of two batches",
+    "golden-25x5": "25 of five batches",
+    "plastic-3x2": "3 of two batches, plastic never measured",
+    "lot-5-0": "lot of 5, all good",
+    "lot-5-1": "lot of 5, one bad",
+    "lot-10-0": "lot of 10, all good",
+    "lot-10-1": "lot of 10, one bad",
+    "lot-10-2": "lot of 10, two bad",
 }
-POWERED = ("spread-0", "calibrated-1", "calibrated-3", "calibrated-25")
+_PASS = ("plastic", "design", "golden-3x2", "golden-10x2", "golden-25x5", "lot-5-1", "lot-10-1")
+SHOWN = {"fail": (*_PASS[:2], "golden-1x1", *_PASS[2:]), "pass": _PASS}
+"""References in the tables of found parts, and in those of parts that pass."""
 COVERED = {
     "measured": "measured contrasts hold the true ones",
     "plastic": "predicted contrasts, plastic never measured",
-    "calibrated": "predicted contrasts, plastic calibrated, without `[scatter]`",
-    "spread": "… with `[scatter]`, as inspections",
+    "calibrated": "predicted contrasts, plastic calibrated",
 }
+_ALARMS = ("golden-3x2", "golden-5x2", "golden-10x2", "golden-25x2", "golden-25x5", "lot-5-1", "lot-10-1")
+_FOUND = {
+    "height-loss": {"standard": 98.0, "tilted": 98.0},
+    "wear": {"standard": 98.0, "tilted": 98.0},
+    "ridge-angle-1": {"standard": 95.0, "tilted": 99.0},
+    "ridge-angle": {"standard": 55.0, "tilted": 80.0},
+    "roughness": {"standard": 80.0, "tilted": 98.0},
+}
+"""Goals of what three golden parts of two batches find, per cent, by class and poses."""
+_LEVEL, _WRONG = (0.3, 2.0), 5.0
+"""Goals of false alarms, and of wrong PASS at exactly the smallest interesting size, per cent."""
 
 
 def numbers_of(found: Results) -> Results:
@@ -42,18 +67,25 @@ def numbers_of(found: Results) -> Results:
                 {
                     "world": world,
                     "recipe": recipe,
-                    "residual": round(results["calibration"]["residual_over_noise"], 1),
-                    "alarms": {key: _rate(results["false_alarms"][key]) for key in RULES},
-                    "uniform": {key: round(results["uniform"][key], 3) for key in RULES},
+                    "residual": round(results["residual"], 1),
+                    "good": _outcomes(results["good"]),
+                    "area": _rate(results["area_over_limit"]),
                     "coverage": {key: _rate(results["coverage"][key]) for key in COVERED},
-                    "classes": [_class(one) for one in results["classes"]],
+                    "classes": [
+                        {key: one[key] for key in ("name", "title")}
+                        | {"area": _rate(one["area_over_limit"]), "by": _outcomes(one["by"])}
+                        for one in results["classes"]
+                    ],
                 }
             )
-    size = found["plan"]["size"]
-    plan = {key: found["plan"][key] for key in ("rigs", "pictured", "seed")}
-    plan["worlds"] = found["plan"]["photographed"]
-    plan |= {key: size[key] for key in ("golden", "good", "bad")}
+    plan = {key: found["plan"][key] for key in ("rigs", "pictured", "seed", "photographed", "size")}
     return {"plan": plan, "cases": cases, "rendered": found["rendered"]}
+
+
+def _outcomes(by: Results) -> Results:
+    return {
+        name: {key: _rate(value) for key, value in rates.items() if value["of"]} for name, rates in by.items()
+    }
 
 
 def causes_of(found: Results) -> Results:
@@ -66,7 +98,7 @@ def causes_of(found: Results) -> Results:
             for one in by[recipe]["classes"]:
                 rates = counted[recipe].setdefault(one["title"], {key: [] for key in DIAGNOSED})
                 for key in DIAGNOSED:
-                    told = one["diagnosis"][key]
+                    told = one["separable"] if key == "separable" else one["diagnosis"][key]
                     rates[key].append(round(100.0 * told["rate"], 1) if told["of"] else None)
     parts = max(
         one["diagnosis"]["first"]["of"]
@@ -147,67 +179,121 @@ def _rate(results: Results) -> list[float]:
     return [round(100.0 * value, 1) for value in (results["rate"] or 0.0, low, high)]
 
 
-def _class(one: Results) -> Results:
-    about = one["diagnosis"]
-    keys = ("first", "tied", "wrong", "interval")
-    told = {} if about is None else {key: _rate(about[key]) for key in keys}
-    return {
-        "name": one["name"],
-        "title": one["title"],
-        "power": {key: _rate(one["power"][key]) for key in RULES},
-        "area": _rate(one["area_over_limit"]),
-        "auc": _round(one["auc"]["value"]),
-        "ideal": _round(one["ideal"]["value"]),
-        "diagnosis": told,
-    }
-
-
-def _round(value: float | None) -> float | None:
-    return None if value is None else round(value, 3)
-
-
 def block_of(numbers: Results) -> str:
     """Markdown of the results, from the stored numbers."""
     plan, cases = numbers["plan"], numbers["cases"]
-    rigs = plan["rigs"]
+    rigs, pictured, size = plan["rigs"], plan["pictured"], plan["size"]
+    computed = rigs - pictured
     parts = [
         (
-            f"{rigs} rigs in each world, each with {plan['golden']} golden parts, {plan['good']} good ones that are "
-            f"judged and {plan['bad']} of every class: {rigs * plan['good']} good parts and {rigs * plan['bad']} of a "
-            f"class, seed {plan['seed']}. Parts of {plan['pictured']} of them are photographed in the worlds "
-            f"{', '.join(plan['worlds'])}: area and local defects are those of {plan['pictured'] * plan['good']} and "
-            f"{plan['pictured'] * plan['bad']} parts. Per cent, with 95 % intervals in which parts of one rig count "
+            f"{rigs} rigs in each world, seed {plan['seed']}. Of {computed} the means of the poses are computed: "
+            f"{computed * size['good']} good parts, {computed * size['bad']} of a class, and {computed} lots. Of "
+            f"{pictured} in the worlds {', '.join(plan['photographed'])} the parts are photographed: "
+            f"{pictured * size['good_pictured']} good ones and {pictured * size['bad_pictured']} of a class, all that "
+            "there is of the area and of local defects. Per cent, with 95 % intervals in which parts of one rig count "
             "together."
         )
     ]
-    for recipe in dict.fromkeys(case["recipe"] for case in cases):
+    recipes = list(dict.fromkeys(case["recipe"] for case in cases))
+    parts += ["### Goals", _goals(cases, recipes)] if cases else []
+    for recipe in recipes:
         own = [case for case in cases if case["recipe"] == recipe]
         worlds = [case["world"] for case in own]
+
+        def of_good(shown: Any, names: Sequence[str], own: list[Results] = own) -> list[list[str]]:
+            return [
+                [BY_REFERENCE[name], *(shown(case["good"].get(name, {})) for case in own)] for name in names
+            ]
+
+        def by_class(shown: Any, own: list[Results] = own) -> list[list[str]]:
+            return [
+                [one["title"], *(shown(case["classes"][number]) for case in own)]
+                for number, one in enumerate(own[0]["classes"])
+            ]
+
+        def several(key: str, one: Results) -> str:
+            return " / ".join(_first(one["by"].get(name, {}).get(key, [])) for name in SHOWN[key])
+
         parts.append(f"### Poses: {recipe}")
-        rows = [[title, *(_interval(case["alarms"][key]) for case in own)] for key, title in RULES.items()]
-        parts.append(_table("good parts flagged at nominal 1 %", worlds, rows))
+        flagged = of_good(lambda one: _interval(one.get("fail", [])), list(BY_REFERENCE))
+        flagged.append(["area over its limit", *(_interval(case["area"]) for case in own)])
+        parts.append(_table("good parts that fail at nominal 1 %", worlds, flagged))
+        parts.append(
+            _table(
+                "good parts that pass",
+                worlds,
+                of_good(lambda one: _interval(one.get("pass", [])), SHOWN["pass"]),
+            )
+        )
+        names = " / ".join(_short(name) for name in SHOWN["fail"])
+        parts.append(_table(f"FAIL with {names}", worlds, by_class(partial(several, "fail"))))
+        wrong = [
+            [
+                f"{one['title']}, {BY_REFERENCE[name]}",
+                *(_wrong(case["classes"][number]["by"].get(name, {})) for case in own),
+            ]
+            for number, one in enumerate(own[0]["classes"])
+            for name in SHOWN["pass"]
+            if one["by"].get(name, {}).get("pass")
+        ]
+        parts.append(_table("wrong PASS (the defect itself excluded)", worlds, wrong))
         rows = [
             [title, *(_interval(case["coverage"][key]) for case in own)] for key, title in COVERED.items()
         ]
         rows.append(["calibration: residual over noise", *(f"{case['residual']:g}" for case in own)])
         parts.append(_table("95 % intervals of contrasts that hold", worlds, rows))
-        parts.append(
-            _table(
-                "found by the means with " + " / ".join(_short(key) for key in POWERED), worlds, _power(own)
-            )
-        )
-        rows = _by_class(own, _areas)
-        parts.append(_table("AUC of the means, 25 golden parts / ideal observer", worlds, rows))
-        parts.append(
-            _table("area over its limit", worlds, _by_class(own, lambda one: _interval(one["area"])))
-        )
-        told = [case for case in own if any(one["diagnosis"] for one in case["classes"])]
-        if told:
-            title = "3 golden parts: right cause first / among the ties / confidently wrong / interval holds severity"
-            parts.append(_table(title, [case["world"] for case in told], _by_class(told, _diagnosed)))
+        parts.append(_table("area over its limit", worlds, by_class(lambda one: _interval(one["area"]))))
     if numbers["rendered"]:
         parts.append(rendered_table(numbers["rendered"]))
     return "\n\n".join(parts)
+
+
+def _wrong(rates: Results) -> str:
+    return f"{_interval(rates.get('pass', []))}, ({_first(rates.get('excluded', []))})"
+
+
+def _goals(cases: list[Results], recipes: list[str]) -> str:
+    """Table of the goals: least and greatest of the worlds, and in how many of them the goal is met."""
+
+    def cell(values: list[float], low: float, high: float) -> str:
+        met = sum(low <= value <= high for value in values)
+        return f"{min(values):g}–{max(values):g}, {met} of {len(values)}" if values else "–"
+
+    def good(recipe: str, name: str) -> list[float]:
+        own = [case["good"].get(name, {}) for case in cases if case["recipe"] == recipe]
+        return [one["fail"][0] for one in own if "fail" in one]
+
+    def bad(recipe: str, name: str, key: str, kind: str) -> list[float]:
+        own = [one for case in cases if case["recipe"] == recipe for one in case["classes"]]
+        rates = [one["by"].get(name, {}).get(key, []) for one in own if one["name"] == kind]
+        return [rate[0] for rate in rates if rate]
+
+    rows = [
+        [
+            f"good parts that fail, {BY_REFERENCE[name]}: {_LEVEL[0]:g} to {_LEVEL[1]:g}",
+            *(cell(good(recipe, name), *_LEVEL) for recipe in recipes),
+        ]
+        for name in _ALARMS
+    ]
+    for name in SHOWN["pass"]:
+        row = [f"wrong PASS, {BY_REFERENCE[name]}: at most {_WRONG:g}"]
+        for recipe in recipes:
+            each = zip(*(bad(recipe, name, "pass", kind) for kind in OF_INTEREST), strict=True)
+            row.append(cell([max(of) for of in each], 0.0, _WRONG))
+        rows.append(row)
+    for kind, goals in _FOUND.items():
+        title = next(one["title"] for one in cases[0]["classes"] if one["name"] == kind)
+        stated = ", ".join(f"{goal:g} {recipe}" for recipe, goal in goals.items())
+        row = [f"{title} found with 3 golden parts of two batches: at least {stated}"]
+        for recipe in recipes:
+            goal = goals.get(recipe, goals["tilted"])
+            row.append(cell(bad(recipe, "golden-3x2", "fail", kind), goal, 100.0))
+        rows.append(row)
+    note = (
+        "Least and greatest of the worlds, and in how many of them the goal is met; of wrong PASS the class with most. "
+        "The goals of tilted poses are those of suggested ones too."
+    )
+    return f"{note}\n\n{_table('goal', recipes, rows)}"
 
 
 def rendered_table(rows: list[Results]) -> str:
@@ -249,9 +335,11 @@ _BAD = (
 )  # fmt: skip
 
 
-def _short(rule: str) -> str:
-    count = rule.rpartition("-")[2]
-    return "the prediction" if count == "0" else f"{count} golden"
+def _short(name: str) -> str:
+    kind, _, rest = name.partition("-")
+    if kind == "lot":
+        return f"lot of {rest.partition('-')[0]}"
+    return f"{rest.partition('x')[0]} golden" if kind == "golden" else name
 
 
 def _interval(values: list[float]) -> str:
@@ -263,28 +351,8 @@ def _table(first: str, columns: list[str], rows: list[list[str]]) -> str:
     return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def _by_class(cases: list[Results], shown: Any) -> list[list[str]]:
-    return [
-        [one["title"], *(shown(case["classes"][number]) for case in cases)]
-        for number, one in enumerate(cases[0]["classes"])
-    ]
-
-
-def _power(cases: list[Results]) -> list[list[str]]:
-    return _by_class(cases, lambda one: " / ".join(_first(one["power"][key]) for key in POWERED))
-
-
 def _first(values: list[float]) -> str:
     return f"{values[0]:g}" if values else "–"
-
-
-def _diagnosed(one: Results) -> str:
-    told = one["diagnosis"]
-    return " / ".join(_first(told.get(key, [])) for key in ("first", "tied", "wrong", "interval"))
-
-
-def _areas(one: Results) -> str:
-    return "–" if one["auc"] is None else f"{one['auc']:.3f} / {one['ideal']:.3f}"
 
 
 def with_results(page: str, numbers: Results) -> str:
@@ -293,8 +361,9 @@ def with_results(page: str, numbers: Results) -> str:
     Raises:
         UsageError: the page has no such marks.
     """
-    page = _between(page, BEGIN, END, block_of(numbers))
-    if "causes" in numbers and CAUSES_BEGIN in page:
+    if "cases" in numbers:
+        page = _between(page, BEGIN, END, block_of(numbers))
+    if "causes" in numbers:
         page = _between(page, CAUSES_BEGIN, CAUSES_END, causes_block(numbers["causes"]))
     return page
 
@@ -309,7 +378,7 @@ def _between(page: str, begin: str, end: str, block: str) -> str:
 def write_results(path: Path, found: Results) -> None:
     """Write the results of a study into a Markdown page, and its numbers next to it (``.json``).
 
-    A study with a diagnosis writes only its causes where the page has marks for them: it may be a smaller one.
+    A study with a diagnosis writes its causes only: it may be a smaller one.
 
     Raises:
         UsageError: the page is missing or has no marks.
@@ -321,7 +390,7 @@ def write_results(path: Path, found: Results) -> None:
         raise UsageError(f"{path} cannot be read: {problem.strerror}") from problem
     stored = path.with_suffix(".json")
     before = json.loads(stored.read_text(encoding="utf-8")) if stored.is_file() else {}
-    if before and found["plan"]["diagnosed"] and found["worlds"] and CAUSES_BEGIN in page:
+    if found["plan"]["diagnosed"]:
         numbers = before | {"causes": causes_of(found)}
     else:
         numbers = numbers_of(found) | ({"causes": before["causes"]} if "causes" in before else {})
