@@ -103,7 +103,8 @@ def judge_lot(
     """
     record = inspected.record
     lot = record.particulars.lot
-    if lot is None or not record.recipe["decision"].get("compare_with_lot") or record.verdict == "INVALID":
+    rule = record.recipe.get("decision", {})
+    if lot is None or not rule.get("compare_with_lot") or record.verdict == "INVALID":
         return ()
     mates = tuple(mate for mate in lot_mates(place, lot) if mate.product == storable(record.product))
     last = {mate.serial: mate for mate in mates if mate.verdict != "INVALID"}
@@ -115,8 +116,10 @@ def judge_lot(
             continue
         try:
             anew = judge_anew(Path(mate.folder), mates, methods=methods, reports=reports)
-        except AnisoscopeError as error:
-            _say(f"{mate.serial} of lot {lot} is not judged anew: {error}")
+        except Exception as error:  # noqa: BLE001 - the verdict of the part stands, whatever goes wrong with another one
+            _say(
+                f"{mate.serial} of lot {lot} is not judged anew: {' '.join(str(error).split()) or type(error).__name__}"
+            )
             continue
         if anew is not None:
             remember(anew, place)

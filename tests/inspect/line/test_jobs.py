@@ -11,8 +11,9 @@ from anisoscope.history.store import open_history
 from anisoscope.inspection import work
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.run import write_report_again
-from anisoscope.inspection.work import WorkerHere
+from anisoscope.inspection.work import Task, WorkerHere, perform
 from anisoscope.line.jobs import Jobs, Order, Refused, order_of, result_of
+from anisoscope.record.schema import Particulars
 from anisoscope.sim.bench.camera import SimulatedCamera
 
 
@@ -302,3 +303,13 @@ def test_a_journal_that_was_changed_is_refused(place_of):
         journal.write_text(text)
         with pytest.raises(RecordError, match=words), Jobs(*place, WorkerHere(place[0]), dict):
             pass
+
+
+def test_parts_of_a_lot_that_were_judged_anew_are_noted(place):
+    heard = []
+    anew = replace(place[0], judge_lot=lambda inspected, _: (inspected,))
+    task = Task("inspect", place[1] / "plate.toml", "S-1", Particulars(lot="L1"))
+    perform(task, anew, lambda kind, content: heard.append((kind, content)), threading.Event())
+    kinds = [kind for kind, _ in heard if kind != "progress"]
+    assert kinds.index("entered") < kinds.index("note")
+    assert any("judged anew after" in content["text"] for kind, content in heard if kind == "note")

@@ -159,6 +159,16 @@ def test_other_recipes_lots_and_rigs_are_no_part_of_a_lot(of_lot):
     assert first.record.verdict == longer.record.verdict == "INCONCLUSIVE"
 
 
+def test_a_part_that_cannot_be_judged_anew_leaves_the_verdict_of_the_next_one(of_lot, capsys):
+    first, _ = of_lot("A")
+    of_lot("B")
+    (first.folder / first.record.frames[0].name).write_bytes(b"damaged")
+    third, anew = of_lot("C")
+    assert third.record.verdict == "PASS"
+    assert [one.record.serial for one in anew] == ["B"]
+    assert f"A of lot {LOT} is not judged anew: " in capsys.readouterr().err
+
+
 def test_a_batch_shows_the_verdicts_of_the_whole_lot(virtual_rig, undiagnosed, tmp_path):
     rig, place = virtual_rig(recipe=UNMEASURED), tmp_path / "history.sqlite"
     path = tmp_path / "tray.csv"

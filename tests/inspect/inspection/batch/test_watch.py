@@ -457,6 +457,22 @@ def test_every_part_is_shown_beside_those_of_its_lot(place, undiagnosed, tmp_pat
     assert lots == [("P0", None), ("P1", None), ("P2", ["P0"])]
 
 
+def test_parts_of_a_lot_that_were_judged_anew_are_heard_of(place, undiagnosed, start):
+    for number in range(2):
+        write_part(place.root / f"P{number}", number)
+    judged, heard = [], Heard()
+
+    def judge_lot(inspected):
+        anew, judged[:] = tuple(judged), [*judged, inspected]
+        return anew
+
+    watch = start(replace(place, judge_lot=judge_lot), heard, lambda _: None, methods=undiagnosed)
+    with watch.open():
+        watch.run_once(threading.Event())
+    assert [name for name, _ in heard.events] == ["P0", "P1", "P0 (judged anew)"]
+    assert len(watch.verdicts) == 3
+
+
 def test_a_watch_that_starts_again_writes_the_last_reports(place, look):
     for number in range(2):
         write_part(place.root / f"P{number}", number)
