@@ -27,8 +27,8 @@ OUTCOMES: Mapping[str, str] = {
     "pass": "Accept the part",
     "warning": "Accept the part; if the next parts deviate alike, check mould, material and lamp",
     "inconclusive": "Inspect it again; if it stays undecided, have a reviewer decide (anisoscope history dispose)",
-    "open": "Compare it with golden parts or with more parts of its lot, or photograph more poses; until then have a reviewer decide (anisoscope "
-    "history dispose)",
+    "open": "Compare it with golden parts or with more parts of its lot, or photograph more poses; until then have "
+    "a reviewer decide (anisoscope history dispose)",
     "invalid": "Put right what the reason names and inspect the part again; nothing is known about the part",
     "unexplained": "Seat it again once; if it fails again, set it aside for a reviewer: no known cause explains it",
     "undiagnosed": "Seat it again once; if it fails again, reject it or have a reviewer decide",
