@@ -239,7 +239,7 @@ def test_rate_of_wrong_exclusions_against_golden_parts(tilts, count):
                     found = excluded_by_parts(parts, measured, rules, golden, size)
                     wrong[name] += next(one for one in found if one.defect.name == name).excluded
     assert tried == 120
-    # 6 are due; parts of one golden set are alike. 15 of 120 are 20 % rougher along the ridges, three golden parts, upright
+    # 6 are due; parts of one golden set are alike. 15 of 120: rougher along the ridges, three golden parts, upright
     assert all(one <= 15 for one in wrong.values()), wrong
 
 
