@@ -1,7 +1,7 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -15,14 +15,13 @@ from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import CalibrationError, HeightMapError, ModelError, UsageError
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import log_basis
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.consistency import contrast_scatter, scatter_of
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
 from anisoscope.decision.equipment import Equipment
-from anisoscope.decision.predictive import MAX_BIRGE
-from anisoscope.decision.reference_parts import GoldenSet, counted
+from anisoscope.decision.predictive import learnt_scatter, suggested_scatter
+from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.cause_words import plastic_words
 from anisoscope.diagnosis.evidence import Evidence
@@ -60,8 +59,16 @@ from anisoscope.kinds.parts import (
     usable,
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.kinds.surface_reference import (
+    golden_record,
+    other_parts,
+    scatter_texts,
+    taught_tolerances,
+    unlike_text,
+    with_power,
+    without_odd_parts,
+)
 from anisoscope.prediction.cache import cached_expectation
-from anisoscope.prediction.crests import EDGE_RADIUS
 from anisoscope.prediction.expectation import (
     PLASTIC,
     Component,
@@ -72,21 +79,16 @@ from anisoscope.prediction.expectation import (
 from anisoscope.prediction.part_scatter import (
     CAMERA_SHARE,
     PartScatter,
-    named_defects,
     part_scatter,
     with_design,
 )
-from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.base import LimitsPart
-from anisoscope.recipe.named_defect import NamedDefect
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, check_lamp, check_material, read_surface_recipe
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
     DiagnosisRecord,
-    DirectionRecord,
-    GoldenRecord,
     MapPlaceRecord,
     ReadingRecord,
     Record,
@@ -522,15 +524,7 @@ class SurfaceKind(
         """The other parts of a lot, where recipe and kind have it: they state how good parts scatter."""
         if not (recipe.decision.compare_with_lot and self.reference_set.predictive and recipe.scatter):
             return None
-        known = self.reference_set.of_lot(recipe, lot, equipment)
-        refused: list[str] = []
-        for record in records:
-            try:
-                known = self.reference_set.with_inspection(known, recipe, record)
-            except CalibrationError as error:  # of another recipe or rig, or twice the same pictures
-                refused.append(str(error))
-        unlabelled = tuple(part.model_copy(update={"unlabelled": True}) for part in known.parts)
-        return known.model_copy(update={"parts": unlabelled, "refused": tuple(refused)})
+        return other_parts(self.reference_set, recipe, lot, equipment, records)
 
     def show_reference(
         self,
@@ -550,28 +544,12 @@ class SurfaceKind(
         added: Collection[tuple[str, str]],
     ) -> tuple[GoldenSet, list[str]]:
         """The set without parts of a lot that deviate from the others, by the scatter that the recipe states."""
-        from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT  # noqa: PLC0415 - scipy
-        from anisoscope.decision.lot_reference import alike  # noqa: PLC0415
-
         equipment = known.equipment
         angle = None if equipment is None else equipment.light_angle_deg
         parts = None if angle is None else self.part_scatter(recipe, angle)
         if parts is None:
             return cast("tuple[GoldenSet, list[str]]", super().without_odd_parts(known, recipe, added))
-        if len(known.parts) < LEAST_OF_LOT:
-            raise CalibrationError(
-                f"{counted(len(known.parts), 'part')} of unknown quality: {LEAST_OF_LOT} of a lot or more show which "
-                "one deviates"
-            )
-        kept, _ = alike(known.contrasts(), contrast_scatter(parts, CAMERA_SHARE).covariance)
-        rows, left_out = [], []
-        for part, near in zip(known.parts, kept, strict=True):
-            new = (part.serial, part.inspected_at) in added
-            if new and not near:
-                left_out.append(part.serial)
-            else:
-                rows.append(part.model_copy(update={"unlabelled": True}) if new else part)
-        return known.model_copy(update={"parts": tuple(rows)}), left_out
+        return without_odd_parts(known, parts, added)
 
     def tolerances(self, recipe: RecipeT) -> dict[str, float]:
         """One tolerance a contrast."""
@@ -582,7 +560,9 @@ class SurfaceKind(
     ) -> dict[tuple[str, ...], tuple[Any, str]]:
         """One tolerance a pair."""
         del rig
-        return {("decision", "tolerance"): _tolerances(record, recipe, cast("GoldenSet | None", reference))}
+        return {
+            ("decision", "tolerance"): taught_tolerances(record, recipe, cast("GoldenSet | None", reference))
+        }
 
     def teach_by_reference(
         self, recipe_path: Path, rig_path: Path, share: float, source: Path | None = None
@@ -701,120 +681,6 @@ def _chance_text(reading: ReadingRecord) -> str:
 
 MAX_REGIONS = 5
 
-TARGET_RATIO = 4.0  # T/U
-GOLDEN_SIGMAS = 3.0
-
-
-def _tolerances(record: Record, recipe: SurfaceRecipe, golden: GoldenSet | None) -> tuple[list[float], str]:
-    """One tolerance a pair: 4 U, or what the golden parts vary where that is more."""
-    judged = surface_of(record).contrasts
-    by_u = np.array([TARGET_RATIO * 2.0 * contrast.u for contrast in judged])
-    why = f"{TARGET_RATIO:g} times the expanded uncertainty"
-    spread = np.zeros_like(by_u)
-    if golden is not None and len(golden.parts) >= 3 and recipe.decision.contrast == "log_ratio":
-        logs = np.array([part.log_radiance for part in golden.parts])
-        index = {(pose.stage_deg, pose.tilt_deg): k for k, pose in enumerate(record.poses)}
-        for k, pair in enumerate(judged):
-            a, b = index[pair.from_deg, pair.tilt_deg], index[pair.to_deg, pair.tilt_deg]
-            log_ratios = logs[:, a] - logs[:, b]
-            off = abs(float(log_ratios.mean()) - pair.predicted)
-            spread[k] = off + GOLDEN_SIGMAS * float(log_ratios.std(ddof=1))
-        why += f", or what {len(golden.parts)} golden parts vary"
-    return [float(f"{value:.2g}") for value in np.maximum(by_u, spread)], why
-
-
-MORE_PARTS = (1, 3, 10, 25)
-
-
-def with_power(
-    shown: CommandOutput, known: GoldenSet, recipe: SurfaceRecipe, parts: PartScatter
-) -> CommandOutput:
-    """Output with the golden parts' scatter against the stated one, and the defects that they can show."""
-    from anisoscope.decision.predictive import (  # noqa: PLC0415 - scipy
-        birge_ratio,
-        detectable,
-        size_interval,
-        size_of,
-        suggested_scatter,
-    )
-
-    scatter = contrast_scatter(parts, CAMERA_SHARE)
-    golden, count, batches = known.contrasts(), len(known.parts), known.batches
-    birge = birge_ratio(golden, scatter.covariance)
-    size = size_of(golden, scatter.covariance)
-    interval = size_interval(golden, scatter.covariance)
-    numbers = sorted({count, *MORE_PARTS})
-    alpha = recipe.decision.alpha
-    power = {n: detectable(scatter, n, alpha, size, batches if n == count else None) for n in numbers}
-    content: dict[str, Any] = {
-        "birge": birge,
-        "size": size,
-        "size_interval": interval,
-        "batches": batches,
-        "detectable": {str(n): power[n] for n in numbers},
-    }
-    rows = [
-        [one.name, *(_size(one, power[n][one.name]) for n in numbers)]
-        for one in named_defects(recipe)
-        if one.name in scatter.defects
-    ]
-    columns = [
-        "defect, at its smallest interesting size",
-        *(f"{n} golden parts" if n > 1 else "1 golden part" for n in numbers),
-    ]
-    legend = "size that is found in 9 of 10 parts, now and with other numbers of golden parts"
-    tables = [*shown.tables, Table("what golden parts can show", columns, rows, legend)]
-    lines = list(shown.lines)
-    if count >= LEAST_PARTS:
-        found = suggested_scatter(scatter, golden)
-        stated = scatter_texts(recipe)
-        content["scatter_of_inputs"] = [asdict(one) for one in found]
-        scattered = [
-            [
-                one.source,
-                *(f"{stated[one.source][0] * value:.3g}" for value in (1.0, one.ratio, one.low)),
-                "not determined" if np.isinf(one.high) else f"{stated[one.source][0] * one.high:.3g}",
-                stated[one.source][1],
-            ]
-            for one in found
-        ]
-        names = ["input", "stated", "of the golden parts", "95 % from", "to", "unit, key of [scatter]"]
-        tables.append(Table("scatter between parts", names, scattered, "standard deviations"))
-    if count > 1 and batches == 1:
-        lines.append(
-            f"all {count} golden parts are of one lot or day: their mean counts as that of one part; add parts of "
-            "another lot, or of another day"
-        )
-    if birge is not None and interval is not None:
-        low, high = interval
-        line = (
-            f"variance among the golden parts over the stated one: {birge:.2g} (95 %: {low:.1g} to {high:.2g}; up to "
-            f"{MAX_BIRGE:g} is usual); the test takes {size:.2g}"
-        )
-        if birge > MAX_BIRGE:
-            line += ": state theirs in [scatter], or calibrate the material, which is not the recipe's"
-        lines.append(line)
-    return CommandOutput(shown.content | content, tuple(tables), tuple(lines))
-
-
-def _size(defect: NamedDefect, multiple: float) -> str:
-    return defect.text(multiple) if np.isfinite(multiple) else "–"
-
-
-def scatter_texts(recipe: SurfaceRecipe) -> dict[str, tuple[float, str]]:
-    """Stated standard deviation of each input between parts, with its unit and its key in the recipe."""
-    part, seat = recipe.stated_scatter, (recipe.scattered_seating_deg, "°, seating_tilt_deg")
-    return {
-        "roughness along the ridges": (100.0 * part.alpha_share, "%, alpha_share"),
-        "roughness across the ridges": (100.0 * part.alpha_share, "%, alpha_share"),
-        "albedo of the plastic": (100.0 * part.albedo_share, "%, albedo_share"),
-        EDGE_RADIUS: (100.0 * part.edge_radius_share, "%, edge_radius_share"),
-        "seating tilt about x": seat,
-        "seating tilt about y": seat,
-        RIDGE_ANGLE: (recipe.scattered_ridge_angle_deg, "°, ridge_angle_deg"),
-    }
-
-
 LEAST_CHANGE = 0.05
 """Relative change of a scatter for which a recipe gets a new version."""
 
@@ -836,8 +702,6 @@ def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, sou
         CalibrationError: the golden parts are not those of recipe and rig.
         RecipeError, RigFileError, RecordError: a file.
     """
-    from anisoscope.decision.predictive import learnt_scatter, suggested_scatter  # noqa: PLC0415 - scipy
-
     recipe, source = kind.read_recipe(recipe_path), kind.read_recipe(source_path)
     rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
     if recipe.material.material() != source.material.material():
@@ -878,51 +742,6 @@ def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, sou
     write_text(previous, text)
     write_text(recipe_path, new_text)
     return Taught(recipe.version + 1, previous, None, tuple(changes), ())
-
-
-def unlike_text(decided: Decision) -> str | None:
-    """Note where golden parts contradict the scatter that the recipe states, or None."""
-    found = decided.predictive
-    if found is None or found.birge is None or found.birge <= MAX_BIRGE:
-        return None
-    return (
-        f"the golden parts scatter {found.birge:.1f} times as much as [scatter] and the measurement state (variance, "
-        f"usually up to {MAX_BIRGE:g}): state theirs (anisoscope golden show), or the plastic is not the recipe's"
-    )
-
-
-def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> GoldenRecord:
-    """The golden parts behind the verdict, and this part among them."""
-    found = decided.predictive
-    contrasts = golden.contrasts()
-    mine = log_basis(len(measured.radiance)) @ np.log(measured.radiance)
-    return GoldenRecord(
-        parts=len(golden.parts),
-        mean=tuple(contrasts.mean(axis=0)),
-        contrasts=tuple(tuple(row) for row in contrasts),
-        measured=tuple(mine),
-        test="hotelling" if found is None or not found.decides else "predictive",
-        birge=None if found is None else found.birge,
-        size=None if found is None else found.size,
-        batches=golden.batches,
-        unjudged=golden.unjudged,
-        lot=golden.lot,
-        p_distance=None if found is None else found.p_distance,
-        p_direction=None if found is None else found.p_direction,
-        directions=()
-        if found is None
-        else tuple(
-            DirectionRecord(
-                defect=one.defect,
-                score=one.score,
-                p_value=one.p_value,
-                separation=one.separation,
-                power=one.power,
-                detectable=one.detectable if np.isfinite(one.detectable) else None,
-            )
-            for one in found.directions
-        ),
-    )
 
 
 def _contrast_table(record: Record, found: SurfaceDetails) -> Table:

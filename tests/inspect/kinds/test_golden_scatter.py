@@ -14,7 +14,7 @@ from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, golden_pa
 from anisoscope.kinds.command_output import CommandOutput
 from anisoscope.kinds.registry import kind_of
 from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
-from anisoscope.kinds.surface import scatter_texts, with_power
+from anisoscope.kinds.surface_reference import scatter_texts, with_power
 from anisoscope.prediction.part_scatter import CAMERA_SHARE, part_scatter
 
 LIGHT_DEG = 10.0
