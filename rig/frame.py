@@ -24,6 +24,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from anisoscope.base.atomic_write import appearing
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.rig.bayer import Filters, grey_of
 from anisoscope.rig.camera import Compression
 
@@ -209,7 +210,7 @@ def file_content(path: Path) -> bytes:
         RecordError: there is no such file, or it cannot be read.
     """
     try:
-        return path.read_bytes()
+        return bounded_bytes(path, MOST_PICTURE_BYTES)
     except FileNotFoundError:
         raise RecordError(f"{path}: there is no such file") from None
     except OSError as problem:

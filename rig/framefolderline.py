@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.rig.bayer import FILTERS
 
 COLUMNS = ("file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_depth", "black_level")
@@ -59,7 +60,7 @@ def read_lines(table: Path) -> tuple[list[Line], tuple[str, ...]]:
         RecordError: the table is missing, is no CSV in UTF-8, or a line of it makes no sense.
     """
     try:
-        text = table.read_bytes().decode("utf-8-sig")
+        text = bounded_bytes(table).decode("utf-8-sig")
     except FileNotFoundError:
         what = f"there is no {table.name} in it" if table.parent.is_dir() else "there is no such folder"
         raise RecordError(f"{table.parent}: {what}; it lists the frames of a folder") from None

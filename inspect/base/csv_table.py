@@ -9,6 +9,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.csv_style import CsvReader
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import bounded_bytes
 
 Columns = tuple[str, ...]
 
@@ -88,7 +89,7 @@ def read_text(path: Path) -> str:
         UsageError: it cannot be read, or is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return bounded_bytes(path).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise UsageError(f"cannot read {path}: {reason}") from error

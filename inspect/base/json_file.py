@@ -1,6 +1,5 @@
 """Content of JSON files, with limits of size and depth: a hostile or damaged file is one line, never a crash."""
 
-import errno
 import json
 import os
 from collections.abc import Iterable
@@ -11,25 +10,11 @@ from pydantic import BaseModel, ValidationError
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
+from anisoscope.base.regular_file import bounded_bytes
 
 Line = TypeVar("Line", bound=BaseModel)
-MOST_BYTES = 64 << 20
-"""Size in bytes; the largest records of inspections take one million."""
 MOST_LEVELS = 64
 """Lists and objects within each other; records have nine."""
-
-
-def bounded_bytes(path: Path) -> bytes:
-    """The bytes of a file of ours, at most 64 MiB.
-
-    Raises:
-        OSError: it cannot be read, or is larger.
-    """
-    with path.open("rb") as file:
-        content = file.read(MOST_BYTES + 1)
-    if len(content) > MOST_BYTES:
-        raise OSError(errno.EFBIG, f"more than {MOST_BYTES >> 20} MiB: this is no file of anisoscope's")
-    return content
 
 
 def parsed_json(text: str | bytes) -> Any:  # noqa: ANN401 - JSON holds anything

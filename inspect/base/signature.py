@@ -21,6 +21,7 @@ from pydantic import Field
 from anisoscope.base.errors import ConfigError, UsageError
 from anisoscope.base.json_file import parsed_json
 from anisoscope.base.plugins import load
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.toml_file import Part, read_toml_model
 
 VARIABLE = "ANISOSCOPE_SIGNING_KEY"
@@ -58,7 +59,7 @@ class KeyFile:
         try:
             if os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & 0o077:
                 raise ConfigError(f"{path}: others may read this private key: chmod 600 {path}")
-            key = load_pem_private_key(path.read_bytes(), None)
+            key = load_pem_private_key(bounded_bytes(path), None)
         except OSError as error:
             raise ConfigError(
                 f"the signing key {path} cannot be read: {error.strerror}: `anisoscope key new {path}` makes one"

@@ -6,6 +6,7 @@ from typing import Any
 
 from anisoscope.base.errors import ConfigError
 from anisoscope.base.json_file import is_deeper
+from anisoscope.base.regular_file import regular_file
 
 MOST_BYTES = 4 << 20
 """Size in bytes; the largest recipes of inspections take some thousand."""
@@ -24,7 +25,7 @@ def read_toml(path: Path, error: type[ConfigError] = ConfigError) -> dict[str, A
         ConfigError: as ``error``; the file is missing, too large, not UTF-8, no TOML, or nested too deeply.
     """
     try:
-        with path.open("rb") as file:
+        with regular_file(path) as file:
             content = file.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
             raise error(f"{path}: more than {MOST_BYTES >> 20} MiB: this is not a file of settings")

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 
 SIDE = "Reflection Back"
 
@@ -78,7 +79,7 @@ class WindowElement:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            root = ET.fromstring(path.read_bytes())  # noqa: S314 - expat refuses entities that grow
+            root = ET.fromstring(bounded_bytes(path, MOST_PICTURE_BYTES))  # noqa: S314 - expat refuses entities that grow
         except OSError as problem:
             raise UsageError(f"cannot read {path}: {problem.strerror or problem}") from problem
         except ET.ParseError as problem:

@@ -13,6 +13,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.bsdf.file_format import BsdfFile
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, must_be_isotropic
 
@@ -54,7 +55,7 @@ def read_merl(path: Path) -> Reflectance:
         UsageError: it cannot be read, or has another size.
     """
     try:
-        data = path.read_bytes()
+        data = bounded_bytes(path, MOST_PICTURE_BYTES)
     except OSError as problem:
         raise UsageError(f"cannot read {path}: {problem.strerror or problem}") from problem
     if not is_merl(data):

@@ -29,6 +29,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.bsdf.file_format import BsdfFile
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon, refuse_huge
 
@@ -484,7 +485,7 @@ def read_tensors(path: Path) -> dict[str, npt.NDArray[Any]]:
         UsageError: it cannot be read, is none, or is damaged.
     """
     try:
-        data = path.read_bytes()
+        data = bounded_bytes(path, MOST_PICTURE_BYTES)
     except OSError as problem:
         raise UsageError(f"cannot read {path}: {problem.strerror or problem}") from problem
     if not data.startswith(MAGIC):

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError, RecordError, UsageError
-from anisoscope.base.json_file import bounded_bytes, parsed_json
+from anisoscope.base.json_file import parsed_json
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.record.schema import UNSEALED, InputFile, sha256_of
 
 Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "focus", "check", "fixture"]

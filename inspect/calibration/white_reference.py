@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import CalibrationError, RecordError, RigFileError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.imaging.linearisation import Stack, WhiteReference, hot_pixels
 from anisoscope.rig.bayer import channel_of_pixels
 
@@ -129,7 +130,7 @@ def _reference_of(path: Path, _state: tuple[int, ...]) -> WhiteReference:
     import tifffile  # noqa: PLC0415 - start-up time
 
     try:
-        content = path.read_bytes()
+        content = bounded_bytes(path, MOST_PICTURE_BYTES)
         with tifffile.TiffFile(io.BytesIO(content)) as file:
             page = file.pages.first
             signal, meta = page.asarray(), json.loads(page.description)

@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
-from anisoscope.base.json_file import bounded_bytes, parsed_json
+from anisoscope.base.json_file import parsed_json
+from anisoscope.base.regular_file import bounded_bytes
 
 KIND = "anisoscope commissioning"
 _UNSEALED = "0" * 64

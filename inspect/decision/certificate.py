@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.json_fields import in_json
-from anisoscope.base.json_file import bounded_bytes
 from anisoscope.base.language import message
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.significance import proportion_interval
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.record.schema import sha256_of

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
-from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.significance import hotelling, log_basis
 from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT

@@ -22,6 +22,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import bounded_bytes
 
 CHARACTERISTIC, FIELD = "\x0f", "\x14"
 MISSING, INVALID_VALUE = 256, 255
@@ -152,7 +153,7 @@ def _like(path: Path, suffix: str) -> str:
 
 def _decoded(path: Path) -> str:
     try:
-        data = path.read_bytes()
+        data = bounded_bytes(path)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):

@@ -18,6 +18,7 @@ from sqlalchemy import Connection, func, insert, select
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.signature import Signed, Signer, Trust, read_signed, signed
 from anisoscope.history import schema
 from anisoscope.history.chain import INSPECTION_FIELDS, START, text_of
@@ -305,7 +306,7 @@ def _stamps(
 
     client, moment, problems = _client(), None, list[str]()
     try:
-        roots = load_pem_x509_certificates(authorities.read_bytes())
+        roots = load_pem_x509_certificates(bounded_bytes(authorities))
     except (OSError, ValueError) as error:
         raise UsageError(
             f"{authorities}: holds no certificates in PEM: {str(error).splitlines()[0]}"

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.json_fields import LEFT_OUT, json_field
-from anisoscope.base.json_file import bounded_bytes, parsed_json
+from anisoscope.base.json_file import parsed_json
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.record.schema import RECORD_NAME, Record, sha256_of
 
 RECIPE_DIGITS = 12

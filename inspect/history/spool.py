@@ -14,7 +14,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
-from anisoscope.base.json_file import bounded_bytes, parsed_json
+from anisoscope.base.json_file import parsed_json
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.history.address import Address
 from anisoscope.history.rows import NewRow, Row
 from anisoscope.history.store import History

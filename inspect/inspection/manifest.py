@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
-from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.calibration.corrections import calibrations_of
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.inspection.folder import INPUTS, JOB
@@ -254,7 +254,7 @@ def checked_content(file: InputFile, folder: Path) -> bytes:
     """The bytes of a file of an inspection folder, read once; errors as of `checked`."""
     path = folder / file.name
     try:
-        content = path.read_bytes()
+        content = bounded_bytes(path, MOST_PICTURE_BYTES)
     except OSError as error:
         raise _unreadable(path, error) from error
     if hashlib.sha256(content).hexdigest() != file.sha256:

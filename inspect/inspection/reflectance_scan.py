@@ -28,8 +28,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.errors import AnisoscopeError, CalibrationError, RecordError, UsageError
-from anisoscope.base.json_file import bounded_bytes
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.bsdf.directions_table import COLUMNS, DirectionsTable, polar_degrees
 from anisoscope.fit.lobe import Scan, fit_lobe
 from anisoscope.fit.table import read_readings

@@ -17,7 +17,7 @@ from typing import Literal
 
 from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import RecordError
-from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
 from anisoscope.record.schema import RECORD_NAME, InputFile, recorded_files, sha256_of
 from anisoscope.report.inspection_page import REPORT_NAME
@@ -125,7 +125,7 @@ def report_state(folder: Path, listed: Collection[InputFile] | None = None) -> R
 def _sealed(folder: Path) -> dict[str, str] | None:
     """Hashes by the names in the seal; None without one, and empty where it is damaged."""
     try:
-        text = (folder / SEAL_NAME).read_bytes().decode()
+        text = bounded_bytes(folder / SEAL_NAME).decode()
     except FileNotFoundError:
         return None
     except (OSError, ValueError):

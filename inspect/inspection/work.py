@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 from anisoscope.base.crash import crash_line
 from anisoscope.base.errors import AnisoscopeError, RecordError, RigError, UsageError
 from anisoscope.base.json_fields import as_json
-from anisoscope.base.json_file import bounded_bytes, parsed_json
+from anisoscope.base.json_file import parsed_json
 from anisoscope.base.language import language, use
 from anisoscope.base.progress import Advance
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.inspection.folder import JOB, file_name_of, working_in
 from anisoscope.record.schema import RECORD_NAME, Particulars, read_record
 from anisoscope.rig.acquisition.opening import hold_devices, open_devices

@@ -32,6 +32,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.regular_file import bounded_bytes
 
 ENCRYPTING = (
     ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
@@ -62,7 +63,7 @@ LogIn = Callable[[str, str, str], bool]
 
 def _certificate_of(path: Path) -> x509.Certificate:
     """The certificate in a file, PEM or DER; a ValueError if it is none."""
-    data = path.read_bytes()
+    data = bounded_bytes(path)
     return x509.load_pem_x509_certificate(data) if _PEM in data else x509.load_der_x509_certificate(data)
 
 
@@ -111,7 +112,7 @@ def read_identity(certificate: Path, key: Path, say: Say) -> Identity:
         why = problem.strerror if isinstance(problem, OSError) else "it is no certificate (PEM or DER)"
         raise UsageError(f"--certificate {certificate}: {why}") from None
     try:
-        data = key.read_bytes()
+        data = bounded_bytes(key)
         secret = (load_pem_private_key if _PEM in data else load_der_private_key)(data, None)
     except (OSError, ValueError, TypeError) as problem:
         why = (

@@ -597,7 +597,7 @@ def verified(folder: Path, trust: "Trust | None") -> tuple[str, bool]:
     Raises:
         RecordError: there is no signature, or it cannot be read.
     """
-    from anisoscope.base.json_file import bounded_bytes
+    from anisoscope.base.regular_file import bounded_bytes
     from anisoscope.base.signature import read_signed
     from anisoscope.record.schema import sha256_of
 

@@ -12,6 +12,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Lens, Microscope
@@ -520,7 +521,7 @@ def read_pattern(path: Path) -> npt.NDArray[np.bool_]:
     import cv2
 
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        data = np.frombuffer(bounded_bytes(path, MOST_PICTURE_BYTES), dtype=np.uint8)
     except OSError as error:
         raise UsageError(f"--pattern {path}: cannot be read ({error.strerror}); check the path") from None
     try:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from anisoscope.base.errors import RecipeError
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.recipe.base import RecipeBase
 
 LOGO = "logo"
@@ -27,7 +28,7 @@ def logo_uri(recipe: RecipeBase) -> str | None:
         return None
     try:
         size = path.stat().st_size
-        data = path.read_bytes() if size <= 1000 * LARGEST_KB else b""
+        data = bounded_bytes(path) if size <= 1000 * LARGEST_KB else b""
     except OSError as error:
         raise RecipeError(f"report.logo: {path}: cannot be read: {error.strerror}") from error
     if not data and size:

@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validat
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
-from anisoscope.base.json_file import bounded_bytes, parsed_json
+from anisoscope.base.json_file import parsed_json
+from anisoscope.base.regular_file import bounded_bytes, regular_file
 from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
 from anisoscope.record.details import Details, kind_of_recipe, recorded_kind
 from anisoscope.record.display import record_frame, record_html, record_line, record_plot
@@ -532,7 +533,7 @@ class Record(_Part):
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, hexadecimal."""
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

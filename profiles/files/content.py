@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.profiles.files.checks import check_claim, refuse
 
 MAX_BYTES = 2**33
@@ -62,7 +63,7 @@ def load_content(path: Path) -> Content:
         size = path.stat().st_size
         if size > MAX_BYTES:
             refuse(path.name, "size", f"{size} bytes", f"at most {MAX_BYTES} are read; crop the map")
-        return Content(path.name, path.read_bytes())
+        return Content(path.name, bounded_bytes(path, MAX_BYTES))
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be read ({error.strerror}); check the path") from None
 

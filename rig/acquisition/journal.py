@@ -15,7 +15,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from anisoscope.base.errors import RecordError
-from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import FrameKind
 

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
-from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.rig.frame import Frame
 
 Mask = npt.NDArray[np.bool_]

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from anisoscope.base.errors import MeasurementError, RecordError
 from anisoscope.base.json_fields import json_field
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.inspection.batch.scan import Scan, read_scan
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.frame import filters_in_header
@@ -97,7 +98,7 @@ def read_picture(path: Path) -> Counts:
         RecordError: there is no such file, or it is no picture.
     """
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        data = np.frombuffer(bounded_bytes(path, MOST_PICTURE_BYTES), dtype=np.uint8)
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}") from error
     try:

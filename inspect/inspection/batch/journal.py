@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.base.json_file import bounded_bytes
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.inspection.batch.tray import Slot, Tray
 from anisoscope.record.schema import sha256_of
 from anisoscope.record.verdict import Verdict

@@ -147,7 +147,7 @@ def arrivals(root: Path, leave_out: Path) -> Iterator[Arrival]:
     """
     try:
         with os.scandir(root) as entries:
-            found = sorted((entry.name, entry.path) for entry in entries if entry.is_dir())
+            found = sorted((entry.name, entry.path) for entry in entries if _is_folder(entry))
     except OSError as error:
         raise RecordError(f"{root}: cannot be watched: {error.strerror}") from error
     away = str(leave_out)
@@ -157,6 +157,13 @@ def arrivals(root: Path, leave_out: Path) -> Iterator[Arrival]:
         mark = _mark(f"{folder}{os.sep}{TABLE}")
         if mark is not None:
             yield Arrival(folder, name, mark)
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # a link to itself, or one that another program takes away
+        return False
 
 
 def signature_of(folder: Path) -> Signature:
@@ -420,12 +427,18 @@ class Watch:
     def run(self, stop: threading.Event) -> None:
         """Watch and inspect until stopped; a running inspection is finished first.
 
-        Raises:
-            RecordError: the watched folder or the journal cannot be used any more.
+        A folder that cannot be read is heard of once, and tried again.
         """
+        said = ""
         while not stop.is_set():
             begun = time.monotonic()
-            self.look(stop)
+            try:
+                self.look(stop)
+                said = ""
+            except RecordError as error:  # a share that is away for a while
+                if str(error) != said:
+                    self.listener.bad(self.watched.root.name, f"{error}; it is tried again")
+                said = str(error)
             stop.wait(max(self.watched.poll_s, LEISURE * (time.monotonic() - begun)))
 
     def run_once(self, stop: threading.Event) -> None:

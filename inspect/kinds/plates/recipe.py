@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from anisoscope.base.errors import HeightMapError, RecipeError
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive
 from anisoscope.profiles.plates import Plan, read_rows
 from anisoscope.recipe.base import DecisionBase, RecipeBase
@@ -76,7 +77,7 @@ def _rows_of(path: Path, letters: tuple[str, ...]) -> tuple[str, ...]:
         dark = np.asarray(found) < IMAGE_LEVELS
         return tuple("".join(letters[1] if one else letters[0] for one in row) for row in dark)
     try:
-        return tuple(path.read_text(encoding="utf-8-sig").splitlines())
+        return tuple(bounded_bytes(path).decode("utf-8-sig").splitlines())
     except (OSError, UnicodeDecodeError) as problem:
         raise ValueError(f"{path}: cannot be read: {problem}") from None
 

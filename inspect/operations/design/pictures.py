@@ -14,6 +14,7 @@ from anisoscope.base.csv_table import read_table
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.operations.design.pages import draw_panels
 from anisoscope.parameters.fabrication import Fabrication
 from anisoscope.sim.design.appearance import (
@@ -53,7 +54,7 @@ def read_image(path: Path, *, colour: bool = False, others: str = "") -> npt.NDA
         UsageError: the file cannot be read, or is none.
     """
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        data = np.frombuffer(bounded_bytes(path, MOST_PICTURE_BYTES), dtype=np.uint8)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from None
     found = cv2.imdecode(data, cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE) if data.size else None

@@ -14,6 +14,7 @@ import tomli_w
 import zxingcpp
 
 from anisoscope.base.errors import ConfigError, RecordError, UsageError
+from anisoscope.base.regular_file import NO_FILE
 from anisoscope.inspection.batch import watch as watching
 from anisoscope.inspection.batch.watch import (
     WATCH_NAME,
@@ -471,6 +472,46 @@ def test_parts_of_a_lot_that_were_judged_anew_are_heard_of(place, undiagnosed, s
         watch.run_once(threading.Event())
     assert [name for name, _ in heard.events] == ["P0", "P1", "P0 (judged anew)"]
     assert len(watch.verdicts) == 3
+
+
+def test_links_to_themselves_and_pipes_do_not_stop_the_line(place, start):
+    (place.root / "loop").symlink_to("loop")
+    pipe = place.root / "pipe"
+    pipe.mkdir()
+    os.mkfifo(pipe / "frames.csv")
+    write_part(place.root / "P1", 1)
+    heard = Heard()
+    watch = start(place, heard, lambda _: None)
+    with watch.open():
+        watch.run_once(threading.Event())
+    assert ("P1", "INVALID") in heard.events
+    assert [(name, text) for name, text in heard.events if name == "pipe" and NO_FILE in text]
+
+
+def test_a_folder_that_is_away_for_a_while_ends_no_watch(place, start):
+    heard, stop = Heard(), threading.Event()
+    watch = start(replace(place, poll_s=0.01), heard, lambda _: None)
+    away = place.root.with_name("away")
+    with watch.open():
+        line = threading.Thread(target=watch.run, args=(stop,))
+        line.start()
+        place.root.rename(away)
+        until(lambda: any("it is tried again" in text for _, text in heard.events))
+        write_part(away / "P1", 1)
+        away.rename(place.root)
+        until(lambda: any(name == "P1" for name, _ in heard.events))
+        stop.set()
+        line.join(20.0)
+    assert not line.is_alive()
+    assert sum("it is tried again" in text for _, text in heard.events) == 1
+
+
+def until(happened, seconds=30.0):
+    """Wait until something has happened."""
+    end = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_a_watch_that_starts_again_writes_the_last_reports(place, look):
