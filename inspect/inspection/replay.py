@@ -1,6 +1,7 @@
-"""Inspect a folder of frames that exist already, or check a recipe with it, without any device."""
+"""Inspect frames that exist already, check a recipe with them, or judge those of an inspection anew: no device."""
 
 import contextlib
+import hashlib
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import CalibrationError, CameraError, MeasurementError, RecordError, UsageError
 from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
@@ -15,12 +17,15 @@ from anisoscope.calibration.corrections import Calibrations, calibrations_of
 from anisoscope.calibration.record import record_path
 from anisoscope.calibration.white_reference import read_reference, write_reference
 from anisoscope.decision.equipment import UNKNOWN
+from anisoscope.decision.reference_parts import golden_text
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import WhiteReference, check_size
-from anisoscope.inspection.folder import INPUTS, new_folder
+from anisoscope.inspection.folder import INPUTS, JOB, new_folder, working_in
 from anisoscope.inspection.frame_table import Replay, arrange, camera_of, linear_entries, white_of
-from anisoscope.inspection.frames import REPLAYED, RESPONSE
+from anisoscope.inspection.frames import REPLAYED, RESPONSE, read_frames
 from anisoscope.inspection.job import (
+    LOT,
+    LOT_NAME,
     Job,
     Source,
     check_serial,
@@ -29,8 +34,11 @@ from anisoscope.inspection.job import (
     sources_of,
     sources_of_calibrations,
 )
-from anisoscope.inspection.manifest import begin
+from anisoscope.inspection.kept_measurement import KEPT_NAME
+from anisoscope.inspection.manifest import InputCopy, begin, checked_content, reopen, write_manifest
+from anisoscope.inspection.objects import LARGE, share, store
 from anisoscope.inspection.pipeline import measure_frames
+from anisoscope.inspection.report_seal import OWN
 from anisoscope.inspection.reports import Reports
 from anisoscope.inspection.run import (
     Inspected,
@@ -47,7 +55,7 @@ from anisoscope.kinds.parts import Reference, reference_on
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.record.schema import Particulars, sha256_of
+from anisoscope.record.schema import RECORD_NAME, InputFile, Particulars, read_record, sha256_of
 from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
 from anisoscope.rig.acquisition.writer import FRAMES
@@ -405,3 +413,77 @@ def _line(shot: Shot, step: int) -> FrameLine:
         gain=frame.gain,
         captured_at="",
     )
+
+
+_MADE_ANEW = OWN | {JOB, KEPT_NAME, f"{INPUTS}/{LOT_NAME}"}
+
+
+def judge_anew(
+    folder: Path,
+    mates: Sequence[LotMate],
+    on_progress: Advance = silent,
+    *,
+    methods: Methods | None = None,
+    reports: Reports | None = None,
+) -> Inspected | None:
+    """Judge a part by the frames of its finished inspection, compared with the other parts of its lot.
+
+    A changed verdict is an inspection of its own, in a new folder next to that of the finished one, with the same
+    frames; the finished one stays as it is.
+
+    Args:
+        folder: of the finished inspection.
+        mates: inspections of the lot, the oldest first.
+        on_progress: called with what is being done, steps done and steps in all.
+        methods: what varies, for tests.
+        reports: as for `anisoscope.inspection.run.inspect_part`.
+
+    Returns:
+        The inspection; None where the verdict stays, or the part is not compared with its lot.
+
+    Raises:
+        RecordError: a file of the folder is missing or was changed, or another process works in it.
+        RecipeError, RigFileError, CalibrationError: a copy that this version cannot use.
+    """
+    folder = folder.resolve()
+    with contextlib.ExitStack() as cleanup:
+        cleanup.enter_context(working_in(folder))
+        recorded = read_record(folder)
+        manifest, job = reopen(folder)
+        if job.reference is not None and manifest.input(LOT) is None:
+            return None
+        found = job.lot_parts(manifest.particulars.lot, mates)
+        if found is None:
+            return None
+        parts = golden_text(found).encode()
+        sha256 = hashlib.sha256(parts).hexdigest()
+        copy = InputCopy(role=LOT, name=f"{INPUTS}/{LOT_NAME}", sha256=sha256, original="")
+        before = f"{recorded.verdict} in {folder.name} ({RECORD_NAME} {sha256_of(folder / RECORD_NAME)})"
+        inputs = (*(one for one in manifest.inputs if one.role != LOT), copy)
+        manifest = manifest.model_copy(update={"inputs": inputs, "judged_anew": before})
+        job = replace(job, reference=found)
+        with expecting(job, on_progress, mates, methods) as ready:
+            on_progress("measurement", 0, 1)
+            judged = judged_by(manifest, job, ready, read_frames(folder, manifest), on_progress)
+            if judged[0].verdict == recorded.verdict:
+                ready.discard()
+                return None
+            new = cleanup.enter_context(new_folder(folder.parent, manifest.serial))
+            for file in recorded.files:
+                if file.name not in _MADE_ANEW:
+                    _copy_file(file, folder, new)
+            write_bytes(new / copy.name, parts)
+            write_manifest(manifest, new)
+            concluded = conclude(new, manifest, job, ready, on_progress, judged)
+    return reported(*concluded, reports, on_progress)
+
+
+def _copy_file(file: InputFile, folder: Path, new: Path) -> None:
+    """Copy a file of a folder into another one; large ones are on the disk once."""
+    content, path = checked_content(file, folder), new / file.name
+    path.parent.mkdir(exist_ok=True)
+    if len(content) < LARGE:
+        write_bytes(path, content)
+        return
+    share(file, folder)
+    store(content, file, new)

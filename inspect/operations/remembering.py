@@ -15,7 +15,7 @@ from anisoscope.history.heads import sign_head
 from anisoscope.history.rows import NewRow, row_of, storable
 from anisoscope.history.spool import deliver, wait
 from anisoscope.history.store import History, open_history
-from anisoscope.inspection.judge_anew import judge_anew
+from anisoscope.inspection.replay import judge_anew
 from anisoscope.inspection.reports import Reports
 from anisoscope.inspection.run import Inspected, Methods, UsedBefore
 from anisoscope.report.peers import LotMate
