@@ -89,7 +89,7 @@ def test_burrs_are_named_with_the_thresholds_of_the_part(recipe, few):
     told = []
     for cells, mean in zip((good, burred), means, strict=True):
         seen = measured(cells, expected.radiance * mean / means[0])
-        decided = decide(expected, seen, recipe)
+        decided = decide(expected, seen, recipe, exclude=False)
         found, note = explain(recipe, expected, seen, decided, causes=few)
         assert note is None
         told.append((decided.verdict, found))
