@@ -102,6 +102,11 @@ class Reports:
         for note in report.write():
             self._tell(f"{report.folder.name}: {note}")
 
+    def wait(self) -> None:
+        """Wait for all reports that were handed over: nobody else can work in their folders before."""
+        for _, future in tuple(self._handed):
+            future.result()
+
     def finish(self) -> tuple[str, ...]:
         """Wait for all reports that were handed over; notes for the user since, each after the name of its folder."""
         while self._handed:

@@ -111,6 +111,8 @@ def judge_lot(
     if len(last) not in LOT_SIZES:
         return ()
     found = []
+    if reports is not None:
+        reports.wait()  # a report of an earlier part of the lot may be at work
     for mate in last.values():
         if mate.verdict != "INCONCLUSIVE" or mate.serial == storable(record.serial):
             continue

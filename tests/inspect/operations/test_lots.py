@@ -1,6 +1,7 @@
 """Parts of a lot are compared with each other from the third one on; open ones are judged anew then."""
 
 import json
+import time
 from functools import partial
 
 import pytest
@@ -14,6 +15,7 @@ from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.reports import PendingReport, Reports
 from anisoscope.inspection.run import inspect_part
 from anisoscope.operations.past import whatif
 from anisoscope.operations.remembering import judge_lot, lot_mates, remember
@@ -46,7 +48,7 @@ def lot_on(rig, methods, tmp_path):
     bench = rig.recipe.with_name("bench.toml")
     good = bench.read_text(encoding="utf-8")
 
-    def inspect(serial, changes=None, lot=LOT):
+    def inspect(serial, changes=None, lot=LOT, judged=True):
         text = good.replace("seed = 11", f"seed = {ord(serial)}")
         for before, after in (changes or {}).items():
             assert before in text
@@ -62,7 +64,7 @@ def lot_on(rig, methods, tmp_path):
             methods=methods,
         )
         remember(found, place)
-        return found, judge_lot(found, place, methods=methods)
+        return found, judged and judge_lot(found, place, methods=methods)
 
     inspect.rig, inspect.place = rig, place
     return inspect
@@ -188,6 +190,24 @@ def test_a_batch_shows_the_verdicts_of_the_whole_lot(virtual_rig, undiagnosed, t
         assert (order.out / slot.folder / "record.json").is_file()
     again = run_batch(order, Unattended(), lambda one: remember(one, place), methods=undiagnosed, resume=True)
     assert [slot.folder for slot in again.slots] == [slot.folder for slot in found.slots]
+
+
+def test_reports_that_are_still_written_keep_no_part_from_being_judged_anew(of_lot, undiagnosed):
+    """A report holds the folder of its part."""
+    notes = []
+
+    def slow(record, *_):
+        time.sleep(1.0)
+        return record.verdict
+
+    with Reports(notes.append) as reports:
+        for serial in "ABC":
+            found, _ = of_lot(serial, judged=False)
+            late = PendingReport(found.folder, lambda found=found: (slow(found.record), ()))
+            reports.add(late)
+        anew = judge_lot(found, of_lot.place, methods=undiagnosed, reports=reports)
+    assert [one.record.serial for one in anew] == ["A", "B"]
+    assert notes == []
 
 
 def test_another_recipe_is_tried_on_a_lot_that_is_known_as_a_whole(virtual_rig, undiagnosed, tmp_path):
