@@ -32,7 +32,7 @@ from anisoscope.rig.light import Light
 from anisoscope.rig.rigfile import read_rig
 
 if TYPE_CHECKING:
-    from anisoscope.inspection.reports import Wanted
+    from anisoscope.inspection.reports import Reports, Wanted
     from anisoscope.inspection.run import Inspected, UsedBefore
 
 Emit = Callable[[str, dict[str, Any]], None]
@@ -47,6 +47,11 @@ def _nothing(*_: object) -> None:
 
 
 def _no_mates(*_: object) -> tuple[Any, ...]:
+    return ()
+
+
+def _none_anew(*_: object, reports: object) -> tuple[Any, ...]:
+    del reports
     return ()
 
 
@@ -94,7 +99,7 @@ class Workplace:
         methods: as for `anisoscope.inspection.run.inspect_part`.
         reports: which parts get a report by themselves.
         used_before: whose pictures were in earlier inspections, from the place.
-        judge_lot: judges parts of the lot of an inspection anew, from the inspection and the place.
+        judge_lot: judges parts of the lot of an inspection anew, from the inspection, the place and ``reports``.
     """
 
     rig: Path
@@ -106,7 +111,7 @@ class Workplace:
     methods: Any = None
     reports: "Wanted" = "all"
     used_before: "Callable[[str | Path | None], UsedBefore]" = _never
-    judge_lot: "Callable[[Inspected, str | Path | None], Sequence[Inspected]]" = _no_mates
+    judge_lot: "Callable[..., Sequence[Inspected]]" = _none_anew
 
 
 class Worker(Protocol):
@@ -185,10 +190,10 @@ def _inspect(task: Task, place: Workplace, emit: Emit, cancel: threading.Event) 
                 reports=reports,
                 on_folder=begun,
             )
-        _concluded(inspected, place, emit)
+        _concluded(inspected, place, emit, reports)
 
 
-def _concluded(inspected: "Inspected", place: Workplace, emit: Emit) -> None:
+def _concluded(inspected: "Inspected", place: Workplace, emit: Emit, reports: "Reports") -> None:
     """Say the verdict and enter it into the history."""
     record = inspected.record
     said = record.conclusion
@@ -207,7 +212,7 @@ def _concluded(inspected: "Inspected", place: Workplace, emit: Emit) -> None:
     )
     place.remember(inspected, place.history)
     emit("entered", {"folder": inspected.folder.name})
-    for anew in place.judge_lot(inspected, place.history):
+    for anew in place.judge_lot(inspected, place.history, reports=reports):
         emit("note", {"text": anew.anew_text})
     for note in inspected.notes:
         emit("note", {"text": note})
@@ -238,7 +243,7 @@ def _finish(folder: Path, place: Workplace, emit: Emit) -> None:
     with Reports(lambda text: emit("note", {"text": text}), place.reports) as reports:
         emit("folder", {"folder": folder.name})
         record = read_record(folder)
-        _concluded(Inspected(record, folder, folder / REPORT_NAME), place, emit)
+        _concluded(Inspected(record, folder, folder / REPORT_NAME), place, emit, reports)
         report = missing_report(folder) if gets_report(place.reports, record.verdict) else None
         if report is not None:
             reports.add(report)

@@ -307,7 +307,7 @@ def test_a_journal_that_was_changed_is_refused(place_of):
 
 def test_parts_of_a_lot_that_were_judged_anew_are_noted(place):
     heard = []
-    anew = replace(place[0], judge_lot=lambda inspected, _: (inspected,))
+    anew = replace(place[0], judge_lot=lambda inspected, _, reports: (inspected,))
     task = Task("inspect", place[1] / "plate.toml", "S-1", Particulars(lot="L1"))
     perform(task, anew, lambda kind, content: heard.append((kind, content)), threading.Event())
     kinds = [kind for kind, _ in heard if kind != "progress"]
