@@ -103,7 +103,7 @@ class Reports:
             self._tell(f"{report.folder.name}: {note}")
 
     def wait(self) -> None:
-        """Wait for all reports that were handed over: nobody else can work in their folders before."""
+        """Wait for all reports that were handed over; until then their folders are locked."""
         for _, future in tuple(self._handed):
             future.result()
 
