@@ -144,9 +144,11 @@ def decide(
             scatter, expected, measured, golden.contrasts(), rule.alpha, golden.batches
         )
     of_lot = golden is not None and golden.lot is not None
-    by_lot = p_value
+    decisive = golden
     if of_lot:  # a deviation of the whole lot shows against the prediction alone
-        p_value = min(2.0 * min(p_value, from_prediction(expected, measured)[2]), 1.0)
+        alone = from_prediction(expected, measured)[2]
+        decisive = golden if p_value <= alone else None
+        p_value = min(2.0 * min(p_value, alone), 1.0)
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
     known = None if golden is None or of_lot else golden.known_shares(recipe)
     cells = None if recipe.area is None else cell_map(measured, expected.poses, recipe.area)
@@ -162,7 +164,6 @@ def decide(
     )
     regions = _regions(cells, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
-    decisive = golden if not of_lot or p_value == min(2.0 * by_lot, 1.0) else None
     where = "; ".join(_where(pairs, rule.alpha)) or ", ".join(
         deviating_between_tilts(expected, measured, rule.alpha)
     )

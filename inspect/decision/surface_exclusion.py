@@ -302,15 +302,15 @@ def parts_needed(
         recipe: with the smallest interesting sizes.
 
     Returns:
-        The number; None where none of them does.
+        The number; None where none of them does, or nothing is open.
     """
-    if parts is None or scatter is None:
+    if parts is None or scatter is None or not names:
         return None
     at_mean = np.zeros(len(scatter.errors))
     for count in PLANNED:
         each = _by_parts(parts, scatter, recipe, at_mean, 1.0, count)
         limits = [one.limit for one in each if one.defect.name in names]
-        if max(limits, default=0.0) * (1.0 + _FOUR_OF_FIVE / ONE_SIDED) <= 1.0:
+        if max(limits) * (1.0 + _FOUR_OF_FIVE / ONE_SIDED) <= 1.0:
             return count
     return None
 

@@ -1,7 +1,7 @@
 """An inspection before the first picture: what is known and checked."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
@@ -24,7 +24,7 @@ from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.logo import LOGO
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.record.schema import read_record, sha256_of
+from anisoscope.record.schema import Record, read_record, sha256_of
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.plan import Plan, Pose
@@ -103,12 +103,9 @@ class Job:
             return None
         serve = (mate for mate in mates if mate.folder and mate.verdict != Verdict.INVALID.value)
         last = {mate.serial: mate for mate in serve if mate.serial != self.serial}
-        records = []
-        for mate in list(last.values())[-MOST_OF_LOT:]:
-            with contextlib.suppress(RecordError):  # an archived or damaged folder: the others serve
-                records.append(read_record(Path(mate.folder)))
+        folders = [Path(mate.folder) for mate in list(last.values())[-MOST_OF_LOT:]]
         found: AnyReferenceSet | None = self.kind.lot_reference(
-            self.recipe, lot, Equipment.of_rig(self.rig, self.white.camera), records
+            self.recipe, lot, Equipment.of_rig(self.rig, self.white.camera), _records(folders)
         )
         return found
 
@@ -149,6 +146,13 @@ class Job:
             brackets=acquisition.brackets,
             seat=self.calibrations.seat(place_mm),
         )
+
+
+def _records(folders: Sequence[Path]) -> Iterator[Record]:
+    """Records of inspections, each read at its turn."""
+    for folder in folders:
+        with contextlib.suppress(RecordError):  # an archived or damaged folder: the others serve
+            yield read_record(folder)
 
 
 def check_serial(serial: str) -> str:

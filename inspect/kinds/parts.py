@@ -5,7 +5,7 @@ What a kind does not have is answered in one line (`collecting` and the like), o
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
@@ -119,7 +119,7 @@ class References(ABC):
         return found
 
     def lot_reference(
-        self, recipe: OfKind, lot: str, equipment: Equipment, records: Sequence[Record]
+        self, recipe: OfKind, lot: str, equipment: Equipment, records: Iterable[Record]
     ) -> AnyReferenceSet | None:
         """The other parts of the lot of a part, by default None: parts of this kind are not compared with them.
 

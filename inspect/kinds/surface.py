@@ -1,6 +1,6 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -519,7 +519,7 @@ class SurfaceKind(
     reference_set: type[GoldenSet] = GoldenSet
 
     def lot_reference(
-        self, recipe: RecipeT, lot: str, equipment: Equipment, records: Sequence[Record]
+        self, recipe: RecipeT, lot: str, equipment: Equipment, records: Iterable[Record]
     ) -> GoldenSet | None:
         """The other parts of a lot, where recipe and kind have it: they state how good parts scatter."""
         if not (recipe.decision.compare_with_lot and self.reference_set.predictive and recipe.scatter):

@@ -1,6 +1,6 @@
 """Good parts of a surface as a reference: what they show, what they teach, and the other parts of a lot."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import asdict
 from typing import Any
 
@@ -146,7 +146,7 @@ def other_parts(
     recipe: SurfaceRecipe,
     lot: str,
     equipment: Equipment,
-    records: Sequence[Record],
+    records: Iterable[Record],
 ) -> GoldenSet:
     """The other parts of the lot of a part, of unknown quality.
 
