@@ -11,6 +11,7 @@ import numpy as np
 
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import CameraError, RecordError, UsageError
+from anisoscope.base.printable import check_printable
 from anisoscope.base.progress import Advance
 from anisoscope.calibration.record import CameraRecord
 from anisoscope.imaging.linearisation import Image, Stack, stack
@@ -50,6 +51,7 @@ class Taking:
             )
         if not (self.exposure_s > 0.0 and self.gain > 0.0):
             raise UsageError("exposure and gain must be more than 0")
+        check_printable({"operator": self.operator})
 
 
 @dataclass(frozen=True, eq=False)

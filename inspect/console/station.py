@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
+from anisoscope.base.printable import Printable
 from anisoscope.console.access import SINGLE_USER, Session
 from anisoscope.console.guided import Begin, Guided, Outcome, guides
 from anisoscope.console.live import EventLog, Eyes, Live
@@ -38,8 +39,8 @@ class Start(BaseModel):
 
     recipe: str = Field(max_length=200)
     serial: str = Field(min_length=1, max_length=200)
-    lot: str | None = Field(None, max_length=200)
-    cavity: str | None = Field(None, max_length=200)
+    lot: Printable | None = None
+    cavity: Printable | None = None
     x_mm: FiniteFloat | None = None
     y_mm: FiniteFloat | None = None
 

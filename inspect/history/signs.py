@@ -16,6 +16,7 @@ from typing import Literal, Self, cast
 from sqlalchemy import Connection, insert, select, text, update
 
 from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.printable import check_printable
 from anisoscope.history import schema
 from anisoscope.history.columns import us_to_datetime
 from anisoscope.history.rows import storable
@@ -125,6 +126,9 @@ class Beacon:
         station: name of the station; None gives no signs.
         complain: called with a line when signs begin to fail.
         beat_s: time between two signs, in seconds.
+
+    Raises:
+        UsageError: a name that cannot be used.
     """
 
     def __init__(
@@ -134,6 +138,7 @@ class Beacon:
         complain: Callable[[str], None] = lambda _: None,
         beat_s: float = BEAT_S,
     ) -> None:
+        check_printable({"station": station})
         self._place, self._station, self._complain, self._beat_s = place, station, complain, beat_s
         self._now: tuple[Doing, str] = ("idle", "")
         self._woken, self._over, self._failed = threading.Event(), threading.Event(), False

@@ -9,6 +9,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.printable import check_printable
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
 from anisoscope.calibration.record import (
@@ -196,6 +197,7 @@ def _measure(
     def report_progress(now: Progress) -> None:
         advance(now.text, now.done, now.total)
 
+    check_printable({"operator": operator})
     job = prepare(recipe_path, rig_path, serial, without="check")
     plan = job.plan()
     assert job.surface_recipe

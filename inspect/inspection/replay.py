@@ -111,12 +111,12 @@ def inspect_frames(
         RigFileError: there is no flat.
         CalibrationError: a flat of another camera.
     """
+    who = (particulars or Particulars()).checked()
     given = read_given(frames, recipe_path, serial, rig_path, reflectance)
     if not reuse.strip():
         _check_owner(given, used_before)
     with contextlib.ExitStack() as cleanup:
         folder = cleanup.enter_context(new_folder(out, serial))
-        who = particulars or Particulars()
         job = given.job(folder / INPUTS / WHITE_NAME).of_lot(who.lot, lot_mates, folder)
         ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
         manifest = begin(

@@ -190,15 +190,16 @@ def inspect_part(
             goes on. Without any frame the folder goes too.
         RecordError: the folder cannot be written.
     """
+    who = (particulars or Particulars()).checked()
     job = prepare(recipe_path, rig_path, serial)
     try:
         now = (methods or USUAL).now()
         job.calibrations.check_valid(now)
         job.kind.check_valid(job.recipe, now)
     except CalibrationError:
-        refused = _refused(job, rig_path, out, particulars or Particulars(), on_progress, methods)
+        refused = _refused(job, rig_path, out, who, on_progress, methods)
         return reported(*refused, reports, on_progress)
-    plan = job.plan(None if particulars is None else particulars.place_mm)
+    plan = job.plan(who.place_mm)
     with contextlib.ExitStack() as cleanup:
         # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
         with open_rig(job.rig) as rig:
@@ -206,7 +207,7 @@ def inspect_part(
             ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
             folder = cleanup.enter_context(new_folder(out, serial))
             on_folder(folder)
-            here, who = rig_path.resolve().parent, particulars or Particulars()
+            here = rig_path.resolve().parent
             job = job.of_lot(who.lot, lot_mates, folder)
             manifest = begin(
                 folder,

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.json_file import JsonLines
+from anisoscope.base.printable import Printable
 from anisoscope.history.rows import numbers_of
 from anisoscope.history.signs import Beacon, Doing
 from anisoscope.inspection.folder import working_in
@@ -70,12 +71,12 @@ class Order(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    job: str = Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
+    job: Printable = Field(min_length=1)
     recipe: str = Field(max_length=200)
     serial: str = Field(max_length=200)
-    lot: str | None = Field(None, max_length=200)
-    cavity: str | None = Field(None, max_length=200)
-    operator: str | None = Field(None, max_length=200)
+    lot: Printable | None = None
+    cavity: Printable | None = None
+    operator: Printable | None = None
 
 
 def order_of(content: object) -> Order:

@@ -11,6 +11,7 @@ from typing import Literal
 from pydantic import Field
 
 from anisoscope.base.errors import ConfigError
+from anisoscope.base.printable import Printable
 from anisoscope.base.toml_file import LocalPath, Part, read_toml_model
 from anisoscope.operations.project_place import project_files
 
@@ -23,8 +24,8 @@ class ProjectFile(Part):
     out: LocalPath | None = None
     history: str | None = Field(default=None, min_length=1)
     store: str | None = Field(default=None, min_length=1)
-    operator: str | None = Field(default=None, min_length=1)
-    station: str | None = Field(default=None, min_length=1)
+    operator: Printable | None = Field(default=None, min_length=1)
+    station: Printable | None = Field(default=None, min_length=1)
     lang: Literal["en", "de", "da"] | None = None
     csv_style: Literal["comma", "semicolon"] | None = None
     signing_key: str | None = Field(default=None, min_length=1)

@@ -3,13 +3,14 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validator
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
 from anisoscope.base.json_file import parsed_json
+from anisoscope.base.printable import check_printable
 from anisoscope.base.regular_file import bounded_bytes, regular_file
 from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
 from anisoscope.record.details import Details, kind_of_recipe, recorded_kind
@@ -49,6 +50,15 @@ class Particulars(_Part):
     station: str | None = None
     job: str | None = None
     place_mm: tuple[float, float] | None = None
+
+    def checked(self) -> Self:
+        """The same, before it enters a new record.
+
+        Raises:
+            UsageError: a name holds a sign that cannot be seen, or is too long.
+        """
+        check_printable(self.model_dump(exclude={"place_mm"}))
+        return self
 
 
 class FrameRecord(InputFile):

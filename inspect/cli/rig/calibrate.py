@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.printable import check_printable
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
@@ -455,6 +456,7 @@ def material(
     )
     from anisoscope.inspection.reflectance_scan import read_scan
 
+    check_printable({"--operator": operator})
     if coupon == part:
         raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
     if out is None and not dry_run:

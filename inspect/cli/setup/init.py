@@ -7,6 +7,7 @@ import tomli_w
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.printable import check_printable
 from anisoscope.cli.options import PITCH
 from anisoscope.cli.tables import print_lines
 from anisoscope.operations import project_place
@@ -73,6 +74,7 @@ def init(
     from anisoscope.kinds.registry import kind_of_new
     from anisoscope.recipe.new_recipe import NewRecipe
 
+    check_printable({"--operator": operator, "--station": station})
     recipe, rig, project = (folder / name for name in ("recipe.toml", "rig.toml", PROJECT_NAME))
     for path in (recipe, rig, project):
         if path.exists():

@@ -8,6 +8,7 @@ import tomli_w
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.printable import check_printable
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.tables import print_lines
@@ -82,6 +83,7 @@ def trust(
 
     from anisoscope.base.signature import Trust, TrustedKey, key_id
 
+    check_printable({"--station": station})
     text = public or base64.b64encode(_signer(None).public).decode()
     now = datetime.now(UTC).replace(microsecond=0)
     known = _read(file) if file.exists() else Trust()

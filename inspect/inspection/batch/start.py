@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.printable import check_printable
 from anisoscope.inspection.batch.first_pose import Look
 from anisoscope.inspection.batch.journal import (
     BATCH_NAME,
@@ -62,9 +63,10 @@ def check_order(order: Order, operator: Operator) -> None:
     """Check that the batch can be done. Nothing moves and nothing is written.
 
     Raises:
-        UsageError: a serial number is missing and cannot be entered.
+        UsageError: a serial number is missing and cannot be entered, or the name of operator or station cannot be used.
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file.
     """
+    check_printable({"operator": order.operator, "station": order.station})
     for slot in order.tray.slots:
         if slot.serial is None and order.look is None and not operator.interactive:
             raise UsageError(

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
+from anisoscope.base.printable import check_printable
 from anisoscope.history.aqdef import SUFFIXES, read_aqdef
 from anisoscope.inspection.job import check_serial
 
 COLUMNS = ("slot", "serial", "lot", "cavity", "recipe", "rig", "x_mm", "y_mm")
 NEEDED = ("slot", "serial")
 SLOT = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")
-MAX_TEXT = 64
 _SEPARATORS = ",;\t"
 
 
@@ -118,6 +118,7 @@ def _from_aqdef(path: Path) -> Tray:
         lot, cavity = (
             texts[name][number - 1] or None if name in texts else None for name in ("lot", "cavity")
         )
+        check_printable({f"{path}, part {number}, lot": lot, f"{path}, part {number}, cavity": cavity})
         slots.append(Slot(str(number), serial, lot, cavity, line=number))
     _refuse_doubles(tuple(slots), path, "part")
     return Tray(path, hashlib.sha256(repr(slots).encode()).hexdigest(), tuple(slots))
@@ -199,18 +200,9 @@ def _place(texts: Mapping[str, str], place: str) -> tuple[float, float] | None:
 
 
 def _clean(text: str, place: str) -> str:
-    """Text without blanks around it, all of which can be printed.
-
-    Raises:
-        UsageError: it is too long, or holds what cannot be seen.
-    """
-    found = text.strip()
-    if not found.isprintable():
-        bad = next(sign for sign in found if not sign.isprintable())
-        raise UsageError(f"{place}: {found[:MAX_TEXT]!r} holds a sign that cannot be seen (U+{ord(bad):04X})")
-    if len(found) > MAX_TEXT and not place.endswith(("recipe", "rig")):
-        raise UsageError(f"{place}: longer than {MAX_TEXT} signs: {found[:24]!r}…")
-    return found
+    """Text without blanks around it; errors as for `check_printable`."""
+    check_printable({place: text.strip()})
+    return text.strip()
 
 
 def _file(texts: Mapping[str, str], column: str, path: Path, place: str) -> Path | None:

@@ -22,6 +22,7 @@ from anisoscope.base.crash import crash_line
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import AnisoscopeError, ConfigError, RecordError, UsageError
 from anisoscope.base.json_file import JsonLines
+from anisoscope.base.printable import Printable
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import Part, read_toml_model
 from anisoscope.inspection.batch.codes import Kind
@@ -58,11 +59,11 @@ COLUMNS = ("serial", "lot", "cavity", "operator", "station")
 class PartFile(Part):
     """``part.toml``: known particulars of the part; every entry is optional."""
 
-    serial: str | None = None
-    lot: str | None = None
-    cavity: str | None = None
-    operator: str | None = None
-    station: str | None = None
+    serial: Printable | None = None
+    lot: Printable | None = None
+    cavity: Printable | None = None
+    operator: Printable | None = None
+    station: Printable | None = None
 
 
 def whose(folder: Path, scan: Scan | None = None) -> tuple[str, Particulars]:
@@ -93,7 +94,7 @@ def whose(folder: Path, scan: Scan | None = None) -> tuple[str, Particulars]:
         serial = scan.serial
         known |= {} if scan.lot is None else {"lot": scan.lot}
     try:
-        return check_serial(serial or folder.name), Particulars(**known)
+        return check_serial(serial or folder.name), Particulars(**known).checked()
     except UsageError as error:
         where = "" if serial else f"its name stands in for one; write it into {PART_NAME}: "
         raise UsageError(f"{folder}: {where}{error}") from None

@@ -66,7 +66,7 @@ def test_files_of_a_slot_count_from_the_list(tmp_path):
             "line 2, column lot: 'x\\x1b[31m' holds a sign that cannot be seen",
         ),
         ("slot,serial,lot\n1,A,a\u202eb\n", r"cannot be seen \(U\+202E\)"),
-        ("slot,serial,lot\n1,A," + 65 * "x" + "\n", "line 2, column lot: longer than 64 signs"),
+        ("slot,serial,lot\n1,A," + 201 * "x" + "\n", "line 2, column lot: longer than 200 signs"),
         ("slot,serial,recipe\n1,A,none.toml\n", "line 2, column recipe: there is no file"),
         ('slot,serial\n1,"A"x\n', "line 2: "),
     ],
