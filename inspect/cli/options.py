@@ -10,6 +10,7 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.quantity import read_number
+from anisoscope.cli.log import report
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import InputUncertainty, default_uncertainty
 from anisoscope.parameters.material import Material
@@ -104,7 +105,21 @@ PeersFolder = Annotated[
         help="Folder of the certificates that are trusted; its folder rejected receives those that are not.",
     ),
 ]
+LightAngleOption = Annotated[
+    float | None,
+    Parameter(name="--light-angle", help="Without --rig: angle of the light, degrees; else 10 is assumed."),
+]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+
+
+@contextmanager
+def light_angle_of(rig: Path | None, stated_deg: float | None) -> Iterator[float]:
+    """Angle of the light that is stated, or the usual one; a line on stderr says afterwards that this was assumed."""
+    yield Convention.light_angle_deg if stated_deg is None else stated_deg
+    if rig is None and stated_deg is None:
+        report(
+            f"no rig file: light at {Convention.light_angle_deg:g}° is assumed; name --rig, or --light-angle"
+        )
 
 
 @contextmanager

@@ -337,7 +337,7 @@ def with_exclusions(
 def excluded_text(found: tuple[Exclusion, ...]) -> str:
     """The sizes beyond which defects are excluded, in a line; empty where none is."""
     closed = [one.defect.of_size(one.limit) for one in found if one.excluded]
-    return f"excluded: more than {', '.join(closed)}" if closed else ""
+    return f"excluded with 95% confidence: {', '.join(closed)}" if closed else ""
 
 
 def open_sizes(found: tuple[Exclusion, ...]) -> str:

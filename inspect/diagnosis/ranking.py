@@ -275,7 +275,7 @@ def _record(
 
 
 _PLASTIC_TITLE = "the plastic or the lamp differs from the recipe"
-_PLASTIC_OF_PARTS = "the plastic or the lamp differs from that of the golden parts"
+_PLASTIC_OF_PARTS = "the plastic or the lamp differs from that of the parts compared with"
 
 
 def bare_title(title: str) -> str:

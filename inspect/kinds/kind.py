@@ -122,6 +122,9 @@ class Judgement:
     reasons: tuple[str, ...]
 
 
+WITHOUT_RIG = (
+    f"the light of the rig; {Convention.light_angle_deg:g}° is assumed: name --rig, or --light-angle"
+)
 WITHOUT_DEVICES = (
     "the rig file describes no devices: whether stage and camera arm reach the poses, and whether the flat is that of "
     "the camera"
@@ -391,7 +394,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         self,
         path: Path,
         rig_path: Path | None,
-        light_angle_deg: float,
+        light_angle_deg: float | None = None,
         tries: Sequence[float] = (),
         advance: Advance = silent,
     ) -> RecipeCheck:
@@ -400,7 +403,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         Args:
             path: the recipe.
             rig_path: rig file, for its geometry; without one the light is at the given angle.
-            light_angle_deg: between light and camera, where there is no rig file.
+            light_angle_deg: between light and camera, where there is no rig file; None is a usual one, and says so.
             tries: tilts that might be added, degrees.
             advance: progress.
 
@@ -411,8 +414,10 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         if rig_path is None:
             self.check_actions(recipe, path)
             check_logo(recipe, path)
-            check_poses(recipe.poses, light_angle_deg, path)
-            return self._capability(recipe, None, light_angle_deg, tries, advance)
+            angle = Convention.light_angle_deg if light_angle_deg is None else light_angle_deg
+            check_poses(recipe.poses, angle, path)
+            found = self._capability(recipe, None, angle, tries, advance)
+            return replace(found, unchecked=WITHOUT_RIG) if light_angle_deg is None else found
         rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
         self.check(recipe, rig, path, rig_path)
         check_region(recipe, rig.fixture, path)

@@ -29,6 +29,8 @@ from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.unresolved import resolve
 
 TARGET_RATIO = 4.0
+FREE_LEVEL = 0.3
+"""`uncertainty.scale_share` from which the radiance of a white tile counts as unknown."""
 
 
 @dataclass(frozen=True)
@@ -346,6 +348,11 @@ def _complaints(recipe: SurfaceRecipe, pairs: tuple[PlannedPair, ...]) -> tuple[
     expired = None if file is None else file.expired(datetime.now(UTC))
     if expired is not None:
         found.append(expired)
+    if recipe.uncertainty.scale_share >= FREE_LEVEL:
+        found.append(
+            f"uncertainty.scale_share is {recipe.uncertainty.scale_share:.0%}: the reflectance of the white tile is "
+            "unknown, so that only ratios between poses count against the prediction; limits are larger"
+        )
     if recipe.material.u_tail is None:
         found.append(
             "the lobe of the plastic is unmeasured: without golden parts only large defects fail a part; measure it "

@@ -39,7 +39,7 @@ def check_recipe(
     *,
     frames: Path | str | None = None,
     reflectance: float = 0.99,
-    light_angle_deg: float = 10.0,
+    light_angle_deg: float | None = None,
     try_tilts_deg: Sequence[float] = (10.0, 20.0),
     on_progress: Advance = silent,
 ) -> RecipeCheck:
@@ -50,7 +50,7 @@ def check_recipe(
         rig: rig file, for its geometry; its devices may be missing.
         frames: folder of frames; whether a part can be measured by them is checked as well.
         reflectance: of the white tile in the flat frames of that folder.
-        light_angle_deg: angle of the light, without a rig file.
+        light_angle_deg: angle of the light, without a rig file; None is a usual one, and the check says so.
         try_tilts_deg: tilts to try as additions.
         on_progress: called with the work being done, steps done and steps in all.
 

@@ -155,7 +155,7 @@ def _passed(record: Record, measured: str) -> str:
             f"The part is as it should be, as far as these poses show it. Not excluded: {blind}. {measured}"
         )
     if limits := beyond(record):
-        return f"The part is as it should be. Excluded: more than {limits}. {measured}"
+        return f"The part is as it should be. Excluded with 95% confidence: {limits}. {measured}"
     return f"The part is as it should be. {measured}"
 
 

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, LightAngleOption, light_angle_of
 from anisoscope.cli.tables import answer, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def show(
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
     ] = None,
-    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    light_angle: LightAngleOption = None,
     json_: Json = False,
 ) -> int:
     """List the golden parts, their scatter, and the defects that can be found with them.
@@ -115,8 +115,9 @@ def show(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
             )
     channel = rules.acquisition.light_channel
-    angle = light_angle if rig is None else read_rig(rig, channel=channel).light.angle_deg
-    output = collecting(kind, rules).show_reference(known, rules, angle)
+    with light_angle_of(rig, light_angle) as usual:
+        angle = usual if rig is None else read_rig(rig, channel=channel).light.angle_deg
+        output = collecting(kind, rules).show_reference(known, rules, angle)
     measured_with = getattr(known, "equipment", None)
     content = fields_of(GoldenParts.of(path, known)) | {"equipment": measured_with} | output.content
     line = f"measured with: {measured_with or 'not recorded by the version that collected them'}"

@@ -8,7 +8,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import PITCH, Json, parse_numbers, parse_range
+from anisoscope.cli.options import PITCH, Json, LightAngleOption, light_angle_of, parse_numbers, parse_range
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import JobsOption, SchedulerOption, named_numbers
 from anisoscope.cli.tables import print_lines, print_output, print_table
@@ -94,7 +94,7 @@ def check(
     ] = None,
     frames: FramesOption = None,
     reflectance: ReflectanceOption = 0.99,
-    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    light_angle: LightAngleOption = None,
     try_tilts: Annotated[str, Parameter(help="Tilts to try as additions, degrees; none: ''.")] = "10,20",
     json_: Json = False,
 ) -> int:
@@ -156,7 +156,7 @@ def suggest(
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
     ] = None,
-    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    light_angle: LightAngleOption = None,
     json_: Json = False,
 ) -> int:
     """Choose poses that show defects best among good parts that differ ([scatter]).
@@ -170,7 +170,7 @@ def suggest(
     """
     from anisoscope.operations.teaching import suggest_poses
 
-    with progress(file.name, quiet=json_) as advance:
+    with light_angle_of(rig, light_angle) as angle, progress(file.name, quiet=json_) as advance:
         suggested = suggest_poses(
             file,
             defects=defect,
@@ -181,7 +181,7 @@ def suggest(
             u_pose=u_pose,
             power=power,
             rig=rig,
-            light_angle_deg=light_angle,
+            light_angle_deg=angle,
             on_progress=advance,
         )
     if json_:
@@ -363,7 +363,7 @@ def yield_command(
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
     ] = None,
-    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    light_angle: LightAngleOption = None,
     seed: Annotated[int, Parameter(help="Seed of parts, rigs and errors.")] = 1,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
@@ -382,11 +382,11 @@ def yield_command(
     from anisoscope.study.part_yield import part_yield
     from anisoscope.study.sweep import Workers
 
-    angle = light_angle if rig is None else read_rig(rig).light.angle_deg
     spread = None if scatter is None else Spread(**named_numbers(scatter, "--scatter", "NAME=SD,…", Spread))
     off = Shift() if shift is None else Shift(**named_numbers(shift, "--shift", "NAME=VALUE,…", Shift))
-    lot = lot_of(file, angle, spread, off, parts, rigs, golden_parts, u_pose)
-    with progress(file.name, quiet=json_) as advance:
+    with light_angle_of(rig, light_angle) as usual, progress(file.name, quiet=json_) as advance:
+        angle = usual if rig is None else read_rig(rig).light.angle_deg
+        lot = lot_of(file, angle, spread, off, parts, rigs, golden_parts, u_pose)
         found = part_yield(lot, Workers(jobs, scheduler), seed, advance)
     if json_:
         print_json(

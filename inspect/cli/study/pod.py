@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, LightAngleOption, light_angle_of
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
 from anisoscope.cli.tables import hand_out
@@ -44,7 +44,7 @@ def pod_command(
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
     ] = None,
-    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    light_angle: LightAngleOption = None,
     threshold: Annotated[
         float | None, Parameter(help="Of signals: a defect counts as found from this signal on.")
     ] = None,
@@ -92,7 +92,7 @@ def pod_command(
         )
     else:
         assert recipe is not None
-        with progress(defect, quiet=json_) as advance:
+        with light_angle_of(rig, light_angle) as angle, progress(defect, quiet=json_) as advance:
             found = detection_of_parts(
                 recipe,
                 defect,
@@ -100,7 +100,7 @@ def pod_command(
                 largest=largest,
                 golden_parts=golden_parts,
                 rig=rig,
-                light_angle_deg=light_angle,
+                light_angle_deg=angle,
                 size_scale=size_scale,
                 link=link,
                 confidence=confidence,

@@ -24,6 +24,7 @@ def test_a_recipe_of_a_print_is_begun_and_checked(anisoscope, recipe):
     done = anisoscope("recipe", "check", recipe, "--json")
     assert done.code == 0, done.err
     assert len(done.json["poses"]) == 9
+    assert done.json["unchecked"].startswith("the light of the rig; 10° is assumed")
     names = [one["name"] for one in done.json["quantities"]]
     assert names == ["alpha x", "alpha y", "ratio", "skew", "gain", "chromaticity", "tilt", "delta_e"]
     causes = {one["cause"]: one for one in done.json["causes"]}

@@ -18,13 +18,14 @@ def recipe(anisoscope, tmp_path_factory):
 def test_verdicts_risks_and_contrasts_are_printed(anisoscope, recipe):
     done = anisoscope("recipe", "yield", recipe, *FEW, "--scatter", "ridge_angle=0.3")
     assert done.code == 0, done.err
+    assert "no rig file: light at 10° is assumed" in done.err
     for words in ("PASS", "consumer's risk", "0°/90° @ 0°", "±1.5", "reference: the prediction"):
         assert words in done.out
 
 
 def test_json_holds_the_lot_and_its_yield(anisoscope, recipe):
-    done = anisoscope("recipe", "yield", recipe, *FEW, "--shift", "alpha=0.1", "--json")
-    assert done.code == 0, done.err
+    done = anisoscope("recipe", "yield", recipe, *FEW, "--shift", "alpha=0.1", "--json", "--light-angle", 12)
+    assert (done.code, done.err) == (0, "")
     assert done.json["shift"]["alpha"] == 0.1
     assert done.json["scatter"]["alpha"] == 0.05
     assert sum(one["count"] for one in done.json["yield"]["verdicts"].values()) == 4

@@ -128,7 +128,7 @@ def test_an_open_defect_undoes_a_pass_only_where_the_recipe_says_so():
     )
     assert with_exclusions(Verdict.PASS, why, (closed, left), "note", "") == (Verdict.PASS, why)
     passed = with_exclusions(Verdict.PASS, why, (closed,), "inconclusive", "")
-    assert passed == (Verdict.PASS, (*why, "excluded: more than height loss 4.3%"))
+    assert passed == (Verdict.PASS, (*why, "excluded with 95% confidence: height loss 4.3%"))
     assert with_exclusions(Verdict.FAIL, why, (left,), "inconclusive", "") == (Verdict.FAIL, why)
     unknown = with_exclusions(Verdict.PASS, why, (), "inconclusive", "", "no defect is excluded")
     assert unknown == (Verdict.INCONCLUSIVE, ("no defect is excluded", *why))
@@ -137,7 +137,7 @@ def test_an_open_defect_undoes_a_pass_only_where_the_recipe_says_so():
 
 def test_sentences_name_sizes_in_the_unit_of_the_defect():
     found = (Exclusion(ANGLE, 0.1, 0.86), Exclusion(LOSS, 0.0, np.inf))
-    assert excluded_text(found) == "excluded: more than ridge angle +0.43°"
+    assert excluded_text(found) == "excluded with 95% confidence: ridge angle +0.43°"
     assert open_text(found, "add parts").startswith("not excluded: height loss 10% (any size): add parts, or")
     assert "height loss 10% (up to 18%)" in open_text((Exclusion(LOSS, 0.2, 1.8),), "")
     at = Exclusion(LOSS, 0.2, 1.8, "row 3 column 1")

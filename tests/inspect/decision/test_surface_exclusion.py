@@ -294,7 +294,7 @@ def test_an_open_defect_makes_a_part_inconclusive_where_the_recipe_asks_for_it()
     wide = rules.model_copy(update={"decision": strict, "defects": large})
     passed = decide(expected, measured, wide, parts=part_scatter(wide, LIGHT_DEG))
     assert passed.verdict is Verdict.PASS, passed.reasons
-    assert passed.reasons[-1].startswith("excluded: more than ridge angle +")
+    assert passed.reasons[-1].startswith("excluded with 95% confidence: ridge angle +")
 
 
 @pytest.mark.parametrize("lobe", LOBES)

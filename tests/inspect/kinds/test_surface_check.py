@@ -68,6 +68,8 @@ def test_a_narrow_tolerance_and_none_are_said(make_recipe):
     assert "lobe of the plastic is unmeasured" in line
     (line,) = check_recipe(make_recipe(decision={"tolerance": None}), 10.0, model=FEW).complaints
     assert line.startswith("no tolerance")
+    line, *_ = check_recipe(make_recipe(uncertainty={"scale_share": 1.0}), 10.0, model=FEW).complaints
+    assert line.startswith("uncertainty.scale_share is 100%: the reflectance of the white tile is unknown")
 
 
 def test_tilts_that_help_are_named(make_recipe):

@@ -102,7 +102,7 @@ def test_a_good_print_excludes_every_defect(strict):
         assert all(one.excluded for one in found.values()), found
     decided = decide_print(expected, seen(recipe, expected, np.log(expected.channels).ravel()), recipe)
     assert decided.verdict is Verdict.PASS
-    assert decided.reasons[-1].startswith("excluded: more than flakes less flat by ")
+    assert decided.reasons[-1].startswith("excluded with 95% confidence: flakes less flat by ")
 
 
 def test_a_print_with_exactly_the_size_of_interest_seldom_excludes_it(strict):

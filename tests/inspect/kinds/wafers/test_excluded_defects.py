@@ -113,7 +113,7 @@ def test_rate_of_wrong_exclusions(expected, place):
 def test_limits_of_a_good_wafer_are_below_the_sizes_of_interest_and_those_are_found(recipe, expected):
     good = decide(expected, seen(expected.radiance), recipe)
     assert good.verdict is Verdict.PASS, good.reasons
-    assert good.reasons[-1].startswith("excluded: more than etched too deep by ")
+    assert good.reasons[-1].startswith("excluded with 95% confidence: etched too deep by ")
     assert len(good.exclusions) == 4
     planned = planned_limits(expected, None, recipe, NOISE)
     assert [one.worst for one in planned] == [one.limit_text for one in good.exclusions]
