@@ -20,13 +20,14 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.inspection.replay import inspect_frames
-from anisoscope.inspection.run import USUAL, Methods
+from anisoscope.inspection.run import USUAL, Inspected, Methods
 from anisoscope.kinds.parts import collecting
 from anisoscope.kinds.registry import kind_of
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record.schema import Record
+from anisoscope.record.schema import Particulars, Record
 from anisoscope.report.inspection_page import Sections
+from anisoscope.report.peers import LotMate
 from anisoscope.rig.framefolder import read_counts
 from anisoscope.study.statistics import rate
 
@@ -119,6 +120,7 @@ class Inspector:
         out: folder of the inspections.
         tilts_deg: of the poses.
         own_map: every part is compared with its own height map instead of the design.
+        lots: parts are compared with their lot, and one that may have a defect is INCONCLUSIVE, as in new recipes.
         methods: what varies, for tests.
     """
 
@@ -129,10 +131,12 @@ class Inspector:
         tilts_deg: Sequence[float],
         *,
         own_map: bool = False,
+        lots: bool = False,
         methods: Methods = USUAL,
     ) -> None:
         self.parts, self.out, self.tilts_deg = parts, out, tilts_deg
-        self.own_map, self.methods = own_map, methods
+        self.own_map, self.lots, self.methods = own_map, lots, methods
+        self._mates: dict[str, LotMate] = {}
         out.mkdir(parents=True, exist_ok=True)
         self._recipe = out / "recipe.toml"
         if not own_map:
@@ -162,17 +166,43 @@ class Inspector:
             "area": {"cell_deviation": 0.8},
             "uncertainty": {"seating_tilt_deg": 0.1},
         }
+        if self.lots:
+            table["decision"] = {"compare_with_lot": True, "unexcluded": "inconclusive"}
         write_text(path, tomli_w.dumps(table))
+
+    def lot(self, names: Sequence[str]) -> dict[str, Record]:
+        """Records of the parts of a lot, each compared with all others of it."""
+        for name in names:
+            if name not in self._mates:
+                alone = self._inspected(name)
+                found = LotMate(name, alone.record.product, alone.record.verdict, {}, str(alone.folder))
+                self._mates[name] = found
+        return {
+            name: self._inspected(name, "lot", [self._mates[one] for one in names if one != name]).record
+            for name in names
+        }
 
     def record(self, name: str) -> Record:
         """Record of the inspection of a part."""
+        return self._inspected(name).record
+
+    def _inspected(self, name: str, lot: str | None = None, mates: Sequence[LotMate] = ()) -> Inspected:
         recipe, serial = self._recipe, name.replace("+", "-plus-")
         if self.own_map:
             recipe = self.out / f"{serial}.toml"
             self._write(recipe, {"height_map": str(self.parts.map_of(name, self.out / f"{serial}.npz"))})
         rig = self.parts.folder / "rig.toml"
         folder = self.parts.folder / name
-        return inspect_frames(folder, recipe, serial, self.out, rig_path=rig, methods=self.methods).record
+        return inspect_frames(
+            folder,
+            recipe,
+            serial,
+            self.out,
+            rig_path=rig,
+            particulars=Particulars(lot=lot),
+            lot_mates=mates,
+            methods=self.methods,
+        )
 
     def learn(self, names: Sequence[str] = GOLDEN) -> "Inspector":
         """Collect golden parts as ``anisoscope golden add`` does."""

@@ -4,6 +4,7 @@ The renderer shares nothing with the prediction. Scatter between pixels is that 
 so that cells of the contrast map count as deviating from a ln ratio of 0.8 on; the means are good to 0.3 %.
 """
 
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -125,3 +126,21 @@ def test_causes_and_severities(parts, tmp_path, undiagnosed, tilts, golden, firs
     assert named >= first
     assert tied == len(CAUSES)
     assert within >= held
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(
+    ("tilts", "good", "found"), [(UPRIGHT, 18, 5), (TILTED, 34, 9)], ids=["upright", "tilted"]
+)
+def test_lots_of_four_good_parts_and_a_bad_one(parts, tmp_path, undiagnosed, tilts, good, found):
+    """Nine lots: no good part fails, no bad one passes; at least so many of 36 good ones pass, of nine bad ones fail."""
+    inspector = Inspector(parts, tmp_path, tilts, lots=True, methods=undiagnosed)
+    verdicts = Counter()
+    for number, bad in enumerate(WHOLE):
+        others = [GOOD[(number + 5 * step) % len(GOOD)] for step in range(4)]
+        for name, record in inspector.lot([*others, bad]).items():
+            verdicts[name == bad, record.verdict] += 1
+    assert verdicts[False, "FAIL"] == 0
+    assert verdicts[True, "PASS"] == 0
+    assert verdicts[False, "PASS"] >= good, verdicts
+    assert verdicts[True, "FAIL"] >= found, verdicts
