@@ -133,7 +133,7 @@ def test_causes_and_severities(parts, tmp_path, undiagnosed, tilts, golden, firs
     ("tilts", "good", "found"), [(UPRIGHT, 18, 5), (TILTED, 34, 9)], ids=["upright", "tilted"]
 )
 def test_lots_of_four_good_parts_and_a_bad_one(parts, tmp_path, undiagnosed, tilts, good, found):
-    """Nine lots: no good part fails, no bad one passes; at least so many of 36 good ones pass, of nine bad ones fail."""
+    """No good part fails and no bad one passes; at least so many of 36 good ones pass, and of nine bad ones fail."""
     inspector = Inspector(parts, tmp_path, tilts, lots=True, methods=undiagnosed)
     verdicts = Counter()
     for number, bad in enumerate(WHOLE):
