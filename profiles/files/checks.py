@@ -20,6 +20,8 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 
 PIXEL_LIMITS_UM = (0.01, 1000.0)
+PROBE_PIXEL_UM = 1e-4
+"""Least pixel of a scanning probe microscope."""
 MAX_FIELD_UM = 0.5e6
 MAX_HEIGHT_UM = 10_000.0
 MIN_RANGE_UM = 1e-4
@@ -110,13 +112,15 @@ def check_claim(name: str, rows: int, cols: int, bytes_per_point: float, availab
         )
 
 
-def check_pixel(name: str, pixel_um: Sequence[float], shape: tuple[int, int]) -> None:
+def check_pixel(
+    name: str, pixel_um: Sequence[float], shape: tuple[int, int], least_um: float = PIXEL_LIMITS_UM[0]
+) -> None:
     """Check the pixel size (y, x) in µm and the field that it spans.
 
     Raises:
-        HeightMapError: a pixel outside 0.01–1000 µm, or a field beyond 0.5 m.
+        HeightMapError: a pixel below the least one or above 1000 µm, or a field beyond 0.5 m.
     """
-    low, high = PIXEL_LIMITS_UM
+    low, high = least_um, PIXEL_LIMITS_UM[1]
     for axis, pixel, count in zip("yx", pixel_um, shape, strict=True):
         found = f"pixel size along {axis} {pixel:.6g} µm, beyond {low:g} to {high:g} µm"
         if not low <= pixel <= high and not (0.0 < pixel < np.inf and passes("pixel-size", found)):
@@ -228,6 +232,7 @@ def checked_map(
     stage_height: bool = False,
     beyond_um: float = np.inf,
     layers: Mapping[str, npt.NDArray[Any]] | None = None,
+    probe: bool = False,
 ) -> HeightMap:
     """A map of heights whose pixel, field and heights have been checked.
 
@@ -243,13 +248,14 @@ def checked_map(
         stage_height: the format states its units and may count z from a stage's zero.
         beyond_um: heights as far from zero as this mark points that were not measured.
         layers: of the map, (rows, cols) or (rows, cols, 3).
+        probe: the format is one of scanning probe microscopes, whose pixels are smaller than those of light.
 
     Raises:
         HeightMapError: a check failed, or a layer does not fit the heights.
     """
     rows, cols = height_um.shape
     check_claim(name, rows, cols, 0, 0)
-    check_pixel(name, pixel_um, (rows, cols))
+    check_pixel(name, pixel_um, (rows, cols), PROBE_PIXEL_UM if probe else PIXEL_LIMITS_UM[0])
     lowest, highest = _range(height_um)
     if max(-lowest, highest) >= beyond_um:
         if np.isinf(max(-lowest, highest)):

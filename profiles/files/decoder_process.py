@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, refuse
 
 START_SECONDS = 120.0
@@ -30,6 +31,7 @@ PATIENCE = 10.0
 """Times so long may reading take on a machine that does other things as well."""
 BYTES_PER_SECOND = 2**20
 ADVICE = "the file is damaged, or of a kind that this reader does not know; export x3p"
+HEALTHY = "this reader does not know files of this kind; export x3p"
 COMMAND = [sys.executable, "-P", "-m", "anisoscope.profiles.files.decoder_worker"]
 ONE_THREAD = {
     "OPENBLAS_NUM_THREADS": "1",
@@ -132,7 +134,7 @@ def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], np
     Memory is limited to 512 MiB and 40 times the size of the file, processor time to 4 s and 1 s for each MiB.
 
     Args:
-        kind: "library" (SurfaceTopography), "tiff", "png", "exr", "datx-intensity", or "colours" (of any
+        kind: "library" (SurfaceTopography), "tiff", "png", "exr", "mesh", "datx-intensity", or "colours" (of any
             picture, as numbers 0xRRGGBBAA).
         path: the file.
         **request: what the decoder of that kind needs besides.
@@ -155,9 +157,18 @@ def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], np
         answer = process.ask(order, PATIENCE * seconds) if reader else None
         if answer is None:
             _keeper.drop()
+            if not reader:
+                refuse(
+                    path.name,
+                    "reading",
+                    f"the decoder did not start within {START_SECONDS:.0f} s",
+                    "try again",
+                )
             refuse(path.name, "reading", f"the decoder stopped, or took longer than {seconds:.0f} s", ADVICE)
+        if "refused" in answer:
+            raise HeightMapError(f"{path.name}{answer['refused']}")
         if "error" in answer:
-            refuse(path.name, "content", answer["error"], ADVICE)
+            refuse(path.name, "content", answer["error"], HEALTHY if answer.get("healthy") else ADVICE)
         raw: npt.NDArray[Any] = np.load(out, allow_pickle=False)
         out.unlink()
     if raw.ndim != 2 or raw.dtype.kind not in "iuf":

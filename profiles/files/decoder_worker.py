@@ -15,7 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.files.units import chosen_channel
+
 MAX_POINTS = 250_000_000
+PARK_TAG = 50432
+"""Of pictures of Park Systems, whose heights are in another tag."""
+OF_ANOTHER_KIND = ("FileFormatMismatch", "UnsupportedFormatFeature", "CannotDetectFileFormat")
+"""Errors of the library at files that may well be whole."""
 
 
 class Unsuitable(Exception):
@@ -41,6 +48,10 @@ def _prepare(kind: str) -> str:
         import h5py  # noqa: PLC0415 - only what the format needs
 
         return f"h5py {h5py.__version__}"
+    if kind == "mesh":
+        import pyvista  # noqa: PLC0415 - only what the format needs
+
+        return f"VTK {'.'.join(map(str, pyvista.vtk_version_info))}"
     import cv2  # noqa: PLC0415 - only what the format needs
 
     return f"OpenCV {cv2.__version__}"
@@ -78,6 +89,8 @@ def _metadata(info: dict[str, Any]) -> dict[str, Any]:
 def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
     with _open_library(request["path"], request.get("format")) as reader:
         channel = reader.default_channel
+        if (wanted := request.get("channel")) is not None:
+            channel = reader.channels[chosen_channel("", wanted, [str(one.name) for one in reader.channels])]
         if channel.dim != 2:
             raise Unsuitable("a line scan, no height map")
         cols, rows = (int(count) for count in channel.nb_grid_pts)
@@ -85,7 +98,7 @@ def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, A
             raise Unsuitable(f"claims {rows} × {cols} points")
         sizes = channel.physical_sizes
         unscaled = {} if sizes is not None else {"physical_sizes": (float(cols), float(rows))}
-        surface = reader.topography(**unscaled)
+        surface = reader.topography(channel_index=channel.index, **unscaled)
         if not surface.is_uniform:
             raise Unsuitable("not on a regular grid")
         heights = np.ma.filled(np.ma.asarray(surface.heights(), dtype=np.float64), np.nan)
@@ -93,10 +106,10 @@ def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, A
                                              float(surface.physical_sizes[0]) / cols]  # fmt: skip
         answer = {
             "format": str(reader.format()),
-            "unit": None if surface.unit is None else str(surface.unit),
+            "unit": surface.unit if isinstance(surface.unit, str) else None,
             "pixel": stated,
             "channel": str(channel.name),
-            "other_channels": [str(other.name) for other in reader.channels if other.name != channel.name],
+            "other_channels": [str(other.name) for other in reader.channels if other.index != channel.index],
             **_metadata(dict(surface.info)),
         }
     return answer, heights.T
@@ -156,7 +169,9 @@ def _tiff(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]
     with tifffile.TiffFile(request["path"]) as file:
         if len(file.pages) != 1:
             raise Unsuitable(f"{len(file.pages)} pages; save the heights as a file of their own")
-        page = file.pages[0]
+        page: Any = file.pages[0]
+        if PARK_TAG in page.tags:
+            return {"park": True}, np.zeros((1, 1))
         _check_page(page, size)
         description = str(getattr(page, "description", ""))
         return {"description": description}, page.asarray()
@@ -198,7 +213,21 @@ def _colours(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, A
     return {}, red << 24 | green << 16 | blue << 8 | opaque
 
 
+def _mesh(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    """Corners (n, 3) of a mesh, each once."""
+    import pyvista  # noqa: PLC0415 - only what the format needs
+
+    with Path(request["path"]).open("rb") as stream:
+        is_ply = stream.read(3) == b"ply"
+    mesh = (pyvista.PLYReader if is_ply else pyvista.STLReader)(request["path"]).read()
+    points = np.asarray(getattr(mesh, "points", np.zeros((0, 3))), dtype=np.float64)
+    if len(points) < 4:
+        raise Unsuitable(f"{len(points)} corners, no mesh of a surface")
+    return {"corners": len(points), "faces": int(mesh.n_cells)}, np.unique(points, axis=0)
+
+
 DECODERS = {
+    "mesh": _mesh,
     "datx-intensity": _datx_intensity,
     "exr": _exr,
     "colours": _colours,
@@ -244,12 +273,14 @@ def _serve(request: dict[str, Any]) -> dict[str, Any]:
         answer, raw = DECODERS[request["kind"]](request)
         np.save(request["out"], raw, allow_pickle=False)
     except Unsuitable as error:
-        return {"error": str(error)}
+        return {"error": str(error), "healthy": True}
+    except HeightMapError as error:
+        return {"refused": str(error)}
     except MemoryError:
         return {"error": "takes more memory than a file of its size should"}
     except BaseException as error:  # noqa: BLE001 - a decoder may raise anything on a damaged file
-        text = " ".join(str(error).split())[:160]
-        return {"error": f"{type(error).__name__}: {text}" if text else type(error).__name__}
+        text, kind = " ".join(str(error).split())[:160], type(error).__name__
+        return {"error": f"{kind}: {text}" if text else kind, "healthy": kind in OF_ANOTHER_KIND}
     else:
         return answer
     finally:

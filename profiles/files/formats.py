@@ -22,6 +22,8 @@ _OF_LIBRARY = tuple(
         entry.name,
         entry.suffixes,
         partial(read_library, key=entry.key),
+        entry.signatures,
+        channels=True,
         zip_member="index.xml" if entry.key == "plux" else "",
     )
     for entry in LIBRARY_FORMATS
@@ -77,12 +79,16 @@ def find_format(path: Path, head: bytes) -> Format:
     found = next((entry for entry in all_formats() if entry.begins(head)), None)
     is_zip = head.startswith(b"PK")
     if promised is None:
-        return found or (_in_zip(path) if is_zip else None) or Format("unknown", "unknown", (), _unknown)
+        return (
+            found
+            or (_in_zip(path) if is_zip else None)
+            or Format("unknown", "unknown", (), _unknown, channels=True)
+        )
     if promised in _OF_LIBRARY or found is promised:
         return promised
     if is_zip and (promised.zip_member or promised.name == _NUMPY):
         return _in_zip(path) or promised
-    if found is not None and found.name == _NUMPY and promised.units_from_user == "scales":
+    if found is not None and promised.units_from_user == "scales" and (found.name == _NUMPY or found.header):
         return found
     if found is None and not promised.signatures and not promised.zip_member:
         return promised
@@ -91,5 +97,5 @@ def find_format(path: Path, head: bytes) -> Format:
         "content",
         f"does not look like {path.suffix.lower()} ({promised.title})"
         + (f" but like {found.title}" if found else ""),
-        "the file is damaged or misnamed",
+        "the file is misnamed, damaged, or of a version that is not read",
     )

@@ -19,7 +19,7 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, Given
+from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, Given, chosen_channel
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap, Layer
 
 MAGIC = b"GWYP"
@@ -148,7 +148,7 @@ def _grid(name: str, field: _Thing) -> FloatArray:
 
 
 def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
-    """Read the first channel of a gwy file that holds heights in lengths.
+    """Read the channel of a gwy file that is given, else the first one that holds heights in lengths.
 
     Returns:
         (rows, cols) heights in µm in the order of the file, first row at the top of the picture
@@ -168,7 +168,14 @@ def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
     items = _Reader(content).thing(len(content)).items
     channels = sorted((int(found[1]), key) for key in items if (found := CHANNEL.fullmatch(key)))
     reasons = {number: _why_not(items[key]) for number, key in channels}
-    number = next((number for number, reason in reasons.items() if reason is None), None)
+    titles = {n: str(items.get(f"/{n}/data/title", f"channel {n}"))[:100] for n, _ in channels}
+    number: int | None
+    if given and given.channel is not None:
+        number = list(titles)[chosen_channel(name, given.channel, list(titles.values()))]
+        if reasons[number] is not None:
+            refuse(name, f"channel {titles[number]!r}", reasons[number], "choose a channel of heights")
+    else:
+        number = next((number for number, reason in reasons.items() if reason is None), None)
     if number is None:
         told = "; ".join(f"channel {n} {reason}" for n, reason in list(reasons.items())[:3]) or "no channel"
         refuse(name, "content", told, "save it with a height channel in metres")
@@ -178,7 +185,6 @@ def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
     lateral = STATED_MICROMETRES_PER[_unit(field, "si_unit_xy") or ""]
     factor = STATED_MICROMETRES_PER[_unit(field, "si_unit_z") or ""]
     pixel = _length(name, field, "yreal") / rows * lateral, _length(name, field, "xreal") / cols * lateral
-    titles = {n: str(items.get(f"/{n}/data/title", f"channel {n}"))[:100] for n, _ in channels}
     origin: dict[str, Any] = {"format": "gwy", "first_row": "top", "channel": titles.pop(number)}
     read = (INTENSITY, *COLOURS)
     if others := [title for title in titles.values() if title.casefold() not in read]:
@@ -289,4 +295,4 @@ def write_gwy(surface: HeightMap, path: Path | str) -> None:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
 
 
-GWY = Format("gwy", "Gwyddion gwy", (".gwy",), read_gwy, ((0, MAGIC),), place=4)
+GWY = Format("gwy", "Gwyddion gwy", (".gwy",), read_gwy, ((0, MAGIC),), channels=True, place=4)

@@ -1,4 +1,4 @@
-"""Height maps for programs that know no heights: pictures (TIFF, PNG), and meshes that are written only (STL, PLY).
+"""Height maps for programs that know no heights: pictures (TIFF, PNG), and the writing of meshes (STL, PLY).
 
 A picture knows no heights: the pixel size, and the height of one count of an integer picture, are asked for.
 Resolution tags are made for printers and are never used. TIFF and PNG files that we wrote note pixel and heights in
@@ -28,6 +28,7 @@ from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.format import Format
+from anisoscope.profiles.files.library import read_library
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
 from anisoscope.profiles.heightmap import COLOUR, HeightMap
 
@@ -137,6 +138,8 @@ def read_image(path: Path | str, given: Given | None = None) -> HeightMap:
     png_note = check_png(content) if content.data.startswith(PNG_MAGIC) else None
     kind = "tiff" if png_note is None else "png"
     answer, raw = decode(kind, path)
+    if answer.get("park"):
+        return read_library(path, given, "ps")
     if png_note and given == Given() and (scales := PNG_NOTE.fullmatch(png_note)):
         return _counted(path.name, raw, [_real(path.name, text) for text in scales.groups()])
     noted = _noted_pixel(str(answer.get("description", "")))

@@ -18,6 +18,8 @@ from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.units import Given, stated_micrometres_per, stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
+PROBES = ("di", "jpk", "ps", "wsxm", "ezd", "ibw", "mdt", "mi")
+"""Formats of scanning probe microscopes."""
 KEYENCE_MAGICS = (b"VK3_", b"VK4_")
 KEYENCE_MEMBER = "Vk4File"
 KEYENCE_LIGHT = 24
@@ -32,6 +34,7 @@ class LibraryFormat:
     key: str
     name: str
     suffixes: tuple[str, ...]
+    signatures: tuple[tuple[int, bytes], ...] = ()
 
 
 LIBRARY_FORMATS = (
@@ -49,7 +52,11 @@ LIBRARY_FORMATS = (
     LibraryFormat("poir", "Olympus poir", (".poir",)),
     LibraryFormat("os3d", "OmniSurf3D os3d", (".os3d",)),
     LibraryFormat("bcr", "BCR-STM bcr/bcrf", (".bcr", ".bcrf")),
-    LibraryFormat("di", "Nanoscope spm", (".spm",)),
+    LibraryFormat("di", "Nanoscope spm, di, 000 to 999", (".spm", ".di"), ((0, b"\\*File list"),)),
+    LibraryFormat("jpk", "JPK", (".jpk",)),
+    LibraryFormat("ps", "Park Systems TIFF", ()),
+    LibraryFormat("wsxm", "WSxM", (".stp", ".top", ".cur")),
+    LibraryFormat("qep", "Mahr MarWin qep", (".qep",)),
     LibraryFormat("ezd", "Nanosurf ezd/nid", (".ezd", ".nid")),
     LibraryFormat("ibw", "Igor ibw", (".ibw",)),
     LibraryFormat("mdt", "NT-MDT mdt", (".mdt",)),
@@ -62,19 +69,19 @@ def read_library(path: Path | str, given: Given | None = None, key: str | None =
 
     Args:
         path: the file.
-        given: the pixel size, only for a file that states none.
+        given: the pixel size, only for a file that states none, and the channel.
         key: the library's name of the format; None lets it look at the first bytes.
 
     Returns:
-        (rows, cols) heights in µm of the channel that the library takes first; the other channels are named in
-        ``origin["other_channels"]``. The library, as Gwyddion, turns every format so that the first row is
+        (rows, cols) heights in µm of the channel that was chosen, or that the library takes first; the other channels
+        are named in ``origin["other_channels"]``. The library, as Gwyddion, turns every format so that the first row is
         the top of the picture (``origin["first_row"]``).
 
     Raises:
         HeightMapError: not readable, no height map, not scaled in lengths, or implausible.
     """
     path = Path(path)
-    answer, raw = decode("library", path, format=key)
+    answer, raw = decode("library", path, format=key, channel=given.channel if given else None)
     name = path.name
     factor = stated_micrometres_per(name, f"channel {answer['channel']!r}", answer["unit"])
     stated = answer["pixel"]
@@ -96,7 +103,15 @@ def read_library(path: Path | str, given: Given | None = None, key: str | None =
     if layers and layers[INTENSITY].shape != raw.shape:
         rows, cols = layers.pop(INTENSITY).shape
         origin["not_read"] = [f"intensity of {rows} × {cols} points"]
-    return checked_map(name, scaled(raw, factor), pixel, origin, stage_height=True, layers=layers)
+    return checked_map(
+        name,
+        scaled(raw, factor),
+        pixel,
+        origin,
+        stage_height=True,
+        layers=layers,
+        probe=origin["format"] in PROBES,
+    )
 
 
 def _intensity(path: Path, kind: str) -> npt.NDArray[Any] | None:

@@ -25,7 +25,7 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.provenance import provenance_of, with_comment
 
 Rows = Literal["auto", "up", "down"]
-HEAD_BYTES = 64
+HEAD_BYTES = 4096
 WRITERS = {
     ".x3p": write_x3p,
     ".gsf": write_gsf,
@@ -40,6 +40,7 @@ WRITERS = {
     ".exr": write_exr,
     ".png": write_png,
 }
+SCATTERED = ("text", "xyz", "stl", "ply")
 LAYER_SUFFIXES = (".npz", ".gwy", ".exr")
 MESH_WRITERS = {".stl": write_stl, ".ply": write_ply}
 
@@ -79,6 +80,10 @@ def _check_given(name: str, found: Format, given: Given) -> None:
         refuse(name, "height per count", "is for pictures", f"leave it out for {found.title}")
     if given.missing and found.name not in {"text", "xyz"}:
         refuse(name, "missing points", "numbers that mark them are for text files", "leave --missing out")
+    if given.channel is not None and not found.channels:
+        refuse(name, "channel", f"files of format {found.title} have one map", "leave --channel out")
+    if given.grid_um is not None and found.name not in SCATTERED:
+        refuse(name, "grid", "scattered points are those of text files and meshes", "leave --grid out")
     if given.regions and ".x3p" not in found.suffixes:
         refuse(name, "mask", "only x3p files hold a mask.png", "leave --mask-from-x3p out")
 
@@ -96,6 +101,8 @@ def read_height_map(
     trust: Sequence[Trust] = (),
     mask_regions: Sequence[str] = (),
     missing: Sequence[float] = (),
+    channel: str | None = None,
+    grid_um: float | None = None,
 ) -> HeightMap:
     """Read a height map, by content and extension, and check that it is plausible.
 
@@ -118,6 +125,10 @@ def read_height_map(
         mask_regions: regions of the ``mask.png`` of an x3p file that become missing points, by name or colour, or
             "all"; without them every point is read.
         missing: numbers that stand for missing points in a text file, such as -9999, in the unit of the file.
+        channel: name or number (from 1) of the heights in a file with several channels; the first that is a length
+            where it is not given. The others are ``other_channels`` in the origin.
+        grid_um: step of the grid onto which scattered points of a text file or a mesh are interpolated; without it they
+            must lie on a grid.
 
     Returns:
         The map; its origin holds ``file``, ``sha256``, ``format``, ``reader``, ``pixel_um`` [y, x],
@@ -132,7 +143,8 @@ def read_height_map(
         raise HeightMapError(f"unknown role {role!r}; a height map is of a part or of a tool")
     micrometres_per(z_unit or "um")
     micrometres_per(xy_unit or "um")
-    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout, tuple(missing), tuple(mask_regions))
+    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout, tuple(missing), tuple(mask_regions), channel,
+                  grid_um)  # fmt: skip
     sha256, head = _fingerprint(path)
     found = find_format(path, head)
     _check_given(path.name, found, given)
@@ -178,9 +190,9 @@ def write_height_map(surface: HeightMap, path: Path | str) -> None:
     """Write a map in the format of the extension: x3p, sur, gwy, gsf, npz, npy, csv or txt, tif, exr, png, stl, ply.
 
     x3p, npz and csv (a matrix) keep every float64 height, npy too but no pixel size; gwy keeps metres, sur 31 bits of
-    the largest height, gsf, tif and exr 24 bits, png 16 bits of the range. stl and ply are meshes for other programs,
-    and not read again. x3p, npz, gsf and exr keep the provenance: ``made``, ``defects`` and ``history`` of the origin.
-    npz, gwy and exr keep the layers.
+    the largest height, gsf, tif and exr 24 bits, png 16 bits of the range. stl and ply are meshes
+    of 24 bits. x3p, npz, gsf and exr keep the provenance: ``made``, ``defects`` and ``history`` of the origin. npz, gwy
+    and exr keep the layers.
 
     Raises:
         HeightMapError: unknown extension, the file cannot be written, or the provenance is too long.

@@ -1,4 +1,4 @@
-"""Read opd files of Wyko (Veeco, Bruker) interferometers.
+"""Read opd files, and texts, of Wyko (Veeco, Bruker) interferometers.
 
 Two bytes, then a directory of 24-byte entries (name, type, length, attribute), the first of which is the
 directory itself; the blocks follow in its order. Heights are an array block of (columns, rows): each column
@@ -7,19 +7,24 @@ y. An array "Image" of bytes is the intensity. Structure as in Gwyddion's ``opdf
 ``IO/OPD.py`` (MIT licence). Types other than arrays and plain numbers are passed over by their length.
 """
 
+import re
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from anisoscope.profiles.files.cells import grid_of, number_of, numbers_of, text_of
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
+WYKO_TEXT = re.compile(r"\A\W*Wyko ASCII Data File Format\s+\d+\s+(?P<nanometres>\d+)")
+HEADER_LINES = 60
 ENTRY = "<16shlH"
 ENTRY_BYTES = 24
 ARRAY = 3
@@ -123,4 +128,51 @@ def read_opd(path: Path | str, given: Given | None = None) -> HeightMap:
     return checked_map(name, scaled(raw, factor, missing), pixel, origin, layers=layers)
 
 
+def read_wyko_text(path: Path, given: Given) -> HeightMap:
+    """Read a "Wyko ASCII Data File".
+
+    Blocks by name as in an opd file, then one line for each x, from the bottom of the picture up, in wavelengths over
+    ``Mult`` or in nm, as the second number of the first line says.
+
+    Args:
+        path: the file.
+        given: the pixel size, only for a file that states none.
+
+    Raises:
+        HeightMapError: header and data do not fit each other, or the heights are implausible.
+    """
+    name, lines = path.name, text_of(path).splitlines()
+    blocks: dict[str, str] = {}
+    begin = None
+    for k, line in enumerate(islice(lines, HEADER_LINES)):
+        cells = [cell.strip() for cell in line.split("\t")]
+        if cells[0] in ("RAW_DATA", "RAW DATA", "OPD"):
+            begin = k + 1
+            break
+        if len(cells) > 1:
+            blocks[cells[0]] = cells[-1]
+    if begin is None:
+        refuse(name, "header", "no RAW_DATA", "export the heights of the map")
+
+    def number(key: str, default: float | None = None) -> float:
+        if key not in blocks and default is None:
+            refuse(name, "header", f"no {key}", DAMAGED)
+        value = number_of(name, 1, blocks[key]) if key in blocks else float(default or 0.0)
+        if not (np.isfinite(value) and value > 0.0):
+            refuse(name, key, f"{value:g}", "a positive number is expected")
+        return value
+
+    cols, rows = int(number("X Size")), int(number("Y Size"))
+    across = numbers_of(name, begin + 1, lines[begin : begin + cols])
+    found = WYKO_TEXT.match(lines[0])
+    in_nm = found is not None and found["nanometres"] == "1"
+    factor = 1e-3 * (1.0 if in_nm else number("Wavelength") / number("Mult", 1.0))
+    pixel_um = number("Pixel_size") * 1e3 if "Pixel_size" in blocks else None
+    stated = None if pixel_um is None else (pixel_um * number("Aspect", 1.0), pixel_um)
+    pixel = stated_or_given_pixel(name, stated, given.pixel_um)
+    origin = {"format": "Wyko text", "instrument": {"manufacturer": "Wyko"}}
+    return checked_map(name, scaled(grid_of(name, across, cols, rows).T, factor), pixel, origin)
+
+
 OPD = Format("opd", "Wyko opd", (".opd",), read_opd, ((2, b"Directory\0"),), place=8)
+TEXT = Format("wyko-text", "Wyko text", (), read_wyko_text, header=WYKO_TEXT, place=16)

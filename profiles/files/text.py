@@ -13,9 +13,11 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.files.cells import number_of, text_of
 from anisoscope.profiles.files.checks import AXIS_TOLERANCE, check_claim, checked_map, passes, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.format import Format
+from anisoscope.profiles.files.gridding import gridded
 from anisoscope.profiles.files.units import (
     STATED_MICROMETRES_PER,
     Given,
@@ -68,7 +70,12 @@ def points_to_map(name: str, points_um: FloatArray, origin: dict[str, Any]) -> H
     column, row = (x - x0) / step_x, (y - y0) / step_y
     off = max(float(np.abs(column - np.rint(column)).max()), float(np.abs(row - np.rint(row)).max()))
     if off > AXIS_TOLERANCE:
-        refuse(name, "grid", f"a point is {off:.2f} steps off", "resample the points to a regular grid")
+        refuse(
+            name,
+            "grid",
+            f"a point is {off:.2f} steps off",
+            "interpolate the points onto a regular grid with --grid STEP",
+        )
     check_claim(name, rows, cols, MIN_FILLED, len(points_um))
     flat = np.rint(row).astype(np.int64) * cols + np.rint(column).astype(np.int64)
     if np.unique(flat).size != flat.size:
@@ -80,7 +87,6 @@ def points_to_map(name: str, points_um: FloatArray, origin: dict[str, Any]) -> H
     return checked_map(name, height.reshape(rows, cols), (step_y, step_x), origin)
 
 
-MISSING = {"", "-", "--", "***", "nan", "na", "n/a", "null", "bad"}
 HEADER = re.compile(r"\W*x", re.IGNORECASE)
 _COLUMN = r"{0}[a-z]*(?![a-z0-9])(?P<{0}>[^;,\t]*?)"
 NAMED = re.compile(r"\W*" + r"\W+".join(map(_COLUMN.format, "xyz")), re.IGNORECASE)
@@ -89,7 +95,6 @@ CODE_REPEATS = 3
 COMMENT = ("#", "%", "//")
 PIXEL_NOTE = re.compile(r"pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
 SIZE_NOTE = re.compile(r"(\d{1,9}) x (\d{1,9}) heights in um")
-MAX_TEXT_BYTES = 2**31
 
 
 @dataclass(frozen=True)
@@ -112,19 +117,8 @@ class Table:
         return {"corrected": [f"{self.endless} infinite heights are missing points"]} if self.endless else {}
 
 
-def _content_lines(name: str, path: Path) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
+def _content_lines(name: str, text: str) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
     """Numbered lines with data, and the comments."""
-    if path.stat().st_size > MAX_TEXT_BYTES:
-        refuse(
-            name, "size", f"{path.stat().st_size} bytes", "text files up to 2 GiB are read; use x3p or npy"
-        )
-    content = path.read_bytes()
-    if b"\0" in content[:4096]:
-        refuse(name, "text", "holds binary data", "this is no text file; give it its own extension")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
     lines, comments = [], []
     for number, line in enumerate(text.split("\n"), start=1):
         bare = line.strip()
@@ -188,20 +182,8 @@ def _cells(line: str, separator: str) -> list[str]:
     return cells
 
 
-def _row(name: str, number: int, cells: list[str], decimal: str) -> list[float]:
-    row = []
-    for cell in cells:
-        try:
-            row.append(float(cell if decimal == "." else cell.replace(",", ".")))
-        except ValueError:
-            if cell.lower().strip('"') not in MISSING:
-                refuse(name, f"line {number}", f"{cell[:40]!r} is no number", "this is no height map as text")
-            row.append(np.nan)
-    return row
-
-
-def read_table(path: Path) -> Table:
-    """Read the numbers of a text file.
+def read_table(name: str, text: str) -> Table:
+    """The numbers of a text file.
 
     Returns:
         (rows, cols) numbers, NaN where a cell is empty, ``nan``, ``***``, ``-`` and the like.
@@ -209,8 +191,7 @@ def read_table(path: Path) -> Table:
     Raises:
         HeightMapError: a cell is no number, or the lines differ in length; with line number and text.
     """
-    name = path.name
-    lines, comments = _content_lines(name, path)
+    lines, comments = _content_lines(name, text)
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     separator, decimal = _dialect(name, (lines[1:] or lines) if HEADER.match(lines[0][1]) else lines)
@@ -220,7 +201,7 @@ def read_table(path: Path) -> Table:
         units = tuple(_unit_behind(name, axis, header[axis]) for axis in names)
     rows: list[list[float]] = []
     for number, line in lines:
-        row = _row(name, number, _cells(line, separator), decimal)
+        row = [number_of(name, number, cell, decimal) for cell in _cells(line, separator)]
         if rows and len(row) != len(rows[0]):
             refuse(
                 name, f"line {number}", f"{len(row)} numbers instead of {len(rows[0])} ({line[:40]!r})",
@@ -440,63 +421,64 @@ def _gwyddion_map(
     return checked_map(name, scaled(table.numbers, stated.factor), pixel, origin)
 
 
-def read_text(
-    path: Path | str,
-    *,
-    pixel_um: tuple[float, float] | None = None,
-    z_unit: str | None = None,
-    xy_unit: str | None = None,
-    layout: Layout = "auto",
-    missing: tuple[float, ...] = (),
-) -> HeightMap:
+def read_text(path: Path | str, given: Given | None = None) -> HeightMap:
     """Read a matrix of heights (rows along y, as in the file), or a list of points x y z.
 
     A header ``X (mm), Y (mm), Z (um)`` gives the units of a list. A matrix whose corner is empty and whose first row
     and column are equidistant has axes.
 
     The header that Gwyddion writes (width, height, unit of the values) is read; the first row then is the top of the
-    picture.
+    picture. Texts of Zygo, Wyko, Keyence and ESRI are formats of their own.
 
     Args:
         path: text file; numbers separated by white space, semicolons or commas.
-        pixel_um: (y, x) pixel size in µm; needed for a matrix.
-        z_unit: unit of the heights: um, nm, mm or m; µm where it is not given.
-        xy_unit: unit of x and y of a list of points, or of axes; the unit of the heights where it is not given.
-        layout: "matrix", "xyz", or "auto", which refuses a file that could be either.
-        missing: numbers that stand for missing points, in the unit of the file.
+        given: pixel size (needed for a matrix), units, layout, numbers that stand for missing points, and the step of
+            a grid for points that lie on none.
 
     Raises:
         HeightMapError: no numbers, an ambiguous file, a missing pixel size, or implausible values.
     """
-    path = Path(path)
-    name = path.name
-    table = read_table(path)
+    path, given = Path(path), given or Given()
+    name, text = path.name, text_of(path)
+    table = read_table(name, text)
     stated = _gwyddion_header(name, table)
     if stated is not None:
-        return _gwyddion_map(name, table, stated, pixel_um, z_unit)
-    if layout == "auto" and path.suffix.lower() == ".xyz":
-        layout = "xyz"
-    if _is_point_list(name, table, layout, pixel_um):
-        if pixel_um is not None:
-            refuse(name, "pixel size", pixel_um, "a list of points brings its own; leave the pixel size out")
-        z_unit = _unit(name, table.units[2:], z_unit, "--z-unit") or "um"
-        xy_unit = _unit(name, table.units[:2], xy_unit, "--xy-unit") or z_unit
-        lateral, factor = STATED_MICROMETRES_PER[xy_unit], STATED_MICROMETRES_PER[z_unit]
-        origin = {"format": "text points", "z_unit": z_unit, "xy_unit": xy_unit, **table.corrected()}
-        points = table.numbers.copy()
-        points[:, 2] = _without_codes(name, points[:, 2], missing)
-        return points_to_map(name, points * [lateral, lateral, factor], origin)
+        return _gwyddion_map(name, table, stated, given.pixel_um, given.z_unit)
+    layout: Layout = "xyz" if given.layout == "auto" and path.suffix.lower() == ".xyz" else given.layout
+    if _is_point_list(name, table, layout, given.pixel_um):
+        return _points(name, table, given)
+    if given.grid_um is not None:
+        refuse(name, "grid", "a matrix of heights has one", "leave --grid out")
     check_claim(name, table.numbers.shape[0], table.numbers.shape[1], 0, 0)
     _check_noted_size(name, table)
-    origin = {"format": "text matrix", "z_unit": z_unit or "um", **table.corrected()}
-    heights = table.numbers
+    z_unit = given.z_unit or "um"
+    origin = {"format": "text matrix", "z_unit": z_unit, **table.corrected()}
+    heights, pixel_um = table.numbers, given.pixel_um
     if layout == "auto":
-        heights, pixel_um, done = _without_axes(name, table, pixel_um, xy_unit)
+        heights, pixel_um, done = _without_axes(name, table, pixel_um, given.xy_unit)
         if done:
             origin["corrected"] = [*origin.get("corrected", []), *done]
     pixel = require_pixel(name, pixel_um or _noted_pixel(table))
-    heights = _without_codes(name, heights, missing)
-    return checked_map(name, scaled(heights, micrometres_per(z_unit or "um")), pixel, origin)
+    heights = _without_codes(name, heights, given.missing)
+    return checked_map(name, scaled(heights, micrometres_per(z_unit)), pixel, origin)
+
+
+def _points(name: str, table: Table, given: Given) -> HeightMap:
+    """The map of a list of points."""
+    if given.pixel_um is not None:
+        refuse(
+            name, "pixel size", given.pixel_um, "a list of points brings its own; leave the pixel size out"
+        )
+    z_unit = _unit(name, table.units[2:], given.z_unit, "--z-unit") or "um"
+    xy_unit = _unit(name, table.units[:2], given.xy_unit, "--xy-unit") or z_unit
+    lateral, factor = STATED_MICROMETRES_PER[xy_unit], STATED_MICROMETRES_PER[z_unit]
+    origin = {"format": "text points", "z_unit": z_unit, "xy_unit": xy_unit, **table.corrected()}
+    points = table.numbers.copy()
+    points[:, 2] = _without_codes(name, points[:, 2], given.missing)
+    points *= [lateral, lateral, factor]
+    if given.grid_um is not None:
+        return gridded(name, points, given.grid_um, origin)
+    return points_to_map(name, points, origin)
 
 
 def write_text(surface: HeightMap, path: Path | str) -> None:
@@ -516,18 +498,7 @@ def write_text(surface: HeightMap, path: Path | str) -> None:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
 
 
-def _read(path: Path, given: Given) -> HeightMap:
-    return read_text(
-        path,
-        pixel_um=given.pixel_um,
-        z_unit=given.z_unit,
-        xy_unit=given.xy_unit,
-        layout=given.layout,
-        missing=given.missing,
-    )
-
-
 TABLE = Format(
-    "text", "matrix or points", (".csv", ".txt", ".asc"), _read, units_from_user="scales", place=13
+    "text", "matrix or points", (".csv", ".txt", ".asc"), read_text, units_from_user="scales", place=13
 )
-POINTS = Format("xyz", "points", (".xyz",), _read, units_from_user="scales", place=14)
+POINTS = Format("xyz", "points", (".xyz",), read_text, units_from_user="scales", place=14)

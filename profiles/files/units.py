@@ -1,5 +1,6 @@
 """Units that a file does not state and a user must; and units that a file states."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,7 @@ STATED_MICROMETRES_PER = {
     "\u212b": 1e-4,  # the sign of the unit
 }
 Layout = Literal["auto", "matrix", "xyz"]
+MOST_NAMED = 20
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,8 @@ class Given:
         layout: what a text file with three columns holds.
         missing: numbers that stand for missing points in a text file, in its own unit.
         regions: regions of the ``mask.png`` of an x3p file that become missing points.
+        channel: name of a channel of heights, or its number from 1, in a file with several.
+        grid_um: step of the grid onto which scattered points are interpolated.
     """
 
     pixel_um: tuple[float, float] | None = None
@@ -38,6 +42,26 @@ class Given:
     layout: Layout = "auto"
     missing: tuple[float, ...] = ()
     regions: tuple[str, ...] = ()
+    channel: str | None = None
+    grid_um: float | None = None
+
+
+def chosen_channel(name: str, wanted: str, names: Sequence[str]) -> int:
+    """Place of a channel that the user names, by its name whatever its case, or by its number from 1.
+
+    Raises:
+        HeightMapError: none, or several of that name; says which there are.
+    """
+    found = [k for k, one in enumerate(names) if one.strip().casefold() == wanted.strip().casefold()]
+    if not found and wanted.strip().isdecimal():
+        found = [int(wanted) - 1] if 0 < int(wanted) <= len(names) else []
+    if len(found) != 1:
+        listed = ", ".join(f"{k} {one[:40]}" for k, one in enumerate(names[:MOST_NAMED], 1))
+        raise HeightMapError(
+            f"{name}: channel: {'several are' if found else 'none is'} called {wanted[:40]!r}; take one of {listed} "
+            "with --channel, by name or number"
+        )
+    return found[0]
 
 
 def micrometres_per(unit: str) -> float:

@@ -288,6 +288,25 @@ def library(suffix, write, header, **more):
     return Made(suffix, write, header, first_row="top", library=True, **more)
 
 
+def sxm(path, height):
+    head = (
+        f":NANONIS_VERSION:\n2\n:SCAN_PIXELS:\n{COLS} {ROWS}\n:SCAN_RANGE:\n{COLS * 0.25e-6} {ROWS * 0.5e-6}\n"
+        ":SCAN_DIR:\ndown\n:DATA_INFO:\n\tChannel\tName\tUnit\tDirection\n\t14\tZ\tm\tfwd\n:SCANIT_END:\n\n"
+    )
+    path.write_bytes(head.encode() + b"\x1a\x04" + (height * 1e-6).astype(">f4").tobytes())
+
+
+def zygo_text(path, height):
+    head = ["Zygo XYZ Data File - Format 1", "0 9 2 0", "0 0 0 0 0 0", f"0 0 {COLS} {ROWS}", *['""'] * 3]
+    head += ["0 0.5 6.328e-07 0.5 1 0 5e-07 1", *["0"] * 5, "#"]
+    lines = [
+        f"{j} {i} {'No Data' if np.isnan(z) else repr(z)}"
+        for i, row in enumerate(height.tolist())
+        for j, z in enumerate(row)
+    ]
+    path.write_text("\n".join([*head, *lines, "#", ""]), encoding="utf-8")
+
+
 MADE = {
     "x3p": own(".x3p", by_suffix, 2000),
     "x3p-text": own(".x3p", lambda path, height: write_x3p(surface_of(height), path, text=True), 2000),
@@ -317,6 +336,8 @@ MADE = {
     "tmd-gelsight": own(".tmd", gelsight, 57, missing=False, first_row="top"),
     "gwyddion-text": own(".txt", gwyddion_text, 90, missing=False, first_row="top"),
     **({"exr": own(".exr", by_suffix, 340)} if importlib.util.find_spec("OpenEXR") else {}),
+    "sxm": own(".sxm", sxm, 200, first_row="top"),
+    "zygo-text": own(".txt", zygo_text, 150, pixel=SQUARE, first_row="top"),
     "al3d": library(".al3d", al3d, 450),
     "os3d": library(".os3d", os3d, 80),
     "bcr": library(".bcrf", bcr, 200),

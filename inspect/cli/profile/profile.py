@@ -107,6 +107,18 @@ class Scales:
             allow_leading_hyphen=True,
         ),
     ] = ()
+    channel: Annotated[
+        str | None,
+        Parameter(
+            help="Channel of heights in a file with several, by name or number; else the first length."
+        ),
+    ] = None
+    grid: Annotated[
+        float | None,
+        Parameter(
+            help="Step in µm of a grid onto which scattered points of a text or a mesh are interpolated."
+        ),
+    ] = None
     rows: Annotated[
         Rows,
         Parameter(help="Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md."),
@@ -143,6 +155,8 @@ class Scales:
             xy_unit=self.xy_unit,
             layout=self.layout,
             missing=self.missing,
+            channel=self.channel,
+            grid_um=self.grid,
             height_per_count=self.height_per_count,
             rows=self.rows,
             trust=self.trust,

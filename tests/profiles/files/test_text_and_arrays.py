@@ -197,7 +197,7 @@ def test_a_tool_is_the_negative_of_the_part(tmp_path):
 
 def test_files_that_cannot_be_dispatched(tmp_path):
     for name, data, message in (
-        ("a.stl", b"solid", r"unknown extension '.stl'; read are .x3p"),
+        ("a.obj", b"solid", r"unknown extension '.obj'; read are .x3p"),
         ("a.x3p", b"hello", "does not look like"),
         ("a.npy", b"1 2 3", "does not look like"),
         ("a.txt", b"", "is empty"),
