@@ -105,6 +105,7 @@ if TYPE_CHECKING:
     from anisoscope.profiles.lines import line_parameters
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
     from anisoscope.profiles.metrology.ridges import measure_ridges
+    from anisoscope.profiles.metrology.stepheight import step_height
     from anisoscope.profiles.textures.texture import texture
     from anisoscope.quality.attribute import attribute_study as msa_attribute
     from anisoscope.quality.attribute import read_decisions
@@ -262,6 +263,7 @@ _HOME = {
     "line_parameters": "anisoscope.profiles.lines",
     "RidgeMeasurement": "anisoscope.profiles.metrology.ridgemeasurement",
     "measure_ridges": "anisoscope.profiles.metrology.ridges",
+    "step_height": "anisoscope.profiles.metrology.stepheight",
     "texture": "anisoscope.profiles.textures.texture",
     "Specification": "anisoscope.quality.capability",
     "ControlStudy": "anisoscope.quality.control",
@@ -499,6 +501,7 @@ __all__ = [
     "sphere",
     "spoil",
     "srgb",
+    "step_height",
     "suggest_poses",
     "teach",
     "teach_check",

@@ -6,10 +6,12 @@ median of their height differences is the tilt alone, whatever the shape.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, sampled
 from anisoscope.profiles.period import Period, find_period
@@ -23,6 +25,8 @@ FORM_REWEIGHED = (4, 9)
 FORM_CLIP = 4.0
 FORM_GAIN = 0.995
 TILES = 12
+RELIEF = 0.5
+"""Share of the variance of a map from which on heights of lines are its relief, such as ridges along the lines."""
 
 
 @dataclass(frozen=True)
@@ -305,3 +309,36 @@ def level(surface: HeightMap, period: Period | None = None) -> Levelled:
     height = height - np.nanmean(height)
     note = {"method": method, "tilt_x": tilt[0], "tilt_y": tilt[1]}
     return Levelled(surface.with_height(height, levelling=note), tilt[0], tilt[1], period)
+
+
+def line_offsets(height_um: FloatArray, scan: Literal["x", "y"]) -> FloatArray:
+    """(lines,) height of every line against the others, without their mean and their slope.
+
+    The height of a line is the median of its differences from the median line, which single features do not move. The
+    slope of the map across the lines stays.
+
+    Args:
+        height_um: (rows, cols), NaN where missing.
+        scan: axis along which the instrument scanned.
+
+    Raises:
+        HeightMapError: fewer than three lines with points, or the lines lie along the relief.
+    """
+    lines = height_um if scan == "x" else height_um.T
+    measured = np.flatnonzero(np.isfinite(lines).any(axis=1))
+    if len(measured) < 3:
+        raise HeightMapError("align-lines: fewer than three lines have points")
+    common = lines[:, np.isfinite(lines).any(axis=0)]
+    off = common[measured] - np.nanmedian(common, axis=0)
+    place = np.arange(len(lines), dtype=float)
+    offsets = np.interp(place, measured, np.nanmedian(off, axis=1))
+    slope = np.polyval(np.polyfit(place, offsets, 1), place)
+    offsets = offsets - slope
+    share = float(np.mean(offsets**2) / max(float(np.nanvar(lines - slope[:, None])), np.finfo(float).tiny))
+    if share > RELIEF:
+        other = "y" if scan == "x" else "x"
+        raise HeightMapError(
+            f"align-lines: the lines along {scan} hold {share:.0%} of the relief: ridges along them would be "
+            f"lost; take scan {other} if the instrument scanned along {other}"
+        )
+    return np.asarray(offsets)

@@ -190,6 +190,39 @@ def outlier_mask(surface: HeightMap, limit: float, window: int) -> Mask:
     return found
 
 
+def scar_mask(height_um: FloatArray, scan: Literal["x", "y"], limit: float, length: int) -> Mask:
+    """(rows, cols) points of scars: stretches of a line that stand above, or below, both neighbouring lines.
+
+    Args:
+        height_um: (rows, cols), NaN where missing.
+        scan: axis along which the instrument scanned.
+        limit: least difference from both neighbours, in robust standard deviations of differences between lines.
+        length: least number of points of a scar.
+
+    Raises:
+        HeightMapError: a limit or length out of range, or fewer than three lines.
+    """
+    from scipy import ndimage  # noqa: PLC0415 - slow to import
+
+    if not limit > 0.0:
+        raise HeightMapError(f"scars: the limit is above 0 standard deviations, not {limit:g}")
+    if length < 2:
+        raise HeightMapError(f"scars: a scar has 2 points or more, not {length}")
+    lines = height_um if scan == "x" else height_um.T
+    if len(lines) < 3:
+        raise HeightMapError("scars: fewer than three lines")
+    below, above = lines[1:-1] - lines[:-2], lines[1:-1] - lines[2:]
+    known = np.isfinite(below)
+    spread = MAD * float(np.median(np.abs(below[known] - np.median(below[known])))) if known.any() else 0.0
+    found = np.zeros(lines.shape, dtype=bool)
+    for sign in (1.0, -1.0):
+        stands = np.zeros(lines.shape, dtype=bool)
+        stands[1:-1] = (sign * below > limit * spread) & (sign * above > limit * spread)
+        labels, _ = ndimage.label(stands, structure=[[0, 0, 0], [1, 1, 1], [0, 0, 0]])
+        found |= (np.bincount(labels.ravel()) >= length)[labels] & stands
+    return found if scan == "x" else found.T
+
+
 def _sorted_median(values: FloatArray) -> FloatArray:
     """Median along the last axis of sorted values, NaN last; NaN where there is none."""
     count = np.count_nonzero(np.isfinite(values), axis=-1)

@@ -15,12 +15,20 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
-from anisoscope.profiles.editing.gaps import FillMethod, fill_gaps, outlier_mask, picture_mask, polygon_mask
+from anisoscope.profiles.editing.gaps import (
+    FillMethod,
+    fill_gaps,
+    outlier_mask,
+    picture_mask,
+    polygon_mask,
+    scar_mask,
+)
 from anisoscope.profiles.editing.interpolation import Interpolated, averaged, carried
 from anisoscope.profiles.editing.registration import Placed, register, registered
 from anisoscope.profiles.files.checks import MAX_POINTS, PIXEL_LIMITS_UM, check_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.level import level as level_map
+from anisoscope.profiles.level import line_offsets
 from anisoscope.profiles.textures import filters
 from anisoscope.profiles.textures.forms import fit_form
 
@@ -285,6 +293,19 @@ def _outliers(surface: HeightMap, values: Values, _read: Read) -> Result:
     return surface.with_height(height), {"points_taken_out": int(np.count_nonzero(out))}
 
 
+def _align_lines(surface: HeightMap, values: Values, _read: Read) -> Result:
+    offsets = line_offsets(surface.height_um, values["scan"])
+    across = offsets[:, None] if values["scan"] == "x" else offsets[None, :]
+    height = surface.height_um - across
+    return surface.with_height(height), {"rms_of_lines_um": float(np.sqrt(np.mean(offsets**2)))}
+
+
+def _scars(surface: HeightMap, values: Values, _read: Read) -> Result:
+    out = scar_mask(surface.height_um, values["scan"], values["limit"], values["length"])
+    height = np.where(out, np.nan, surface.height_um)
+    return surface.with_height(height), {"points_taken_out": int(np.count_nonzero(out))}
+
+
 def _resample(surface: HeightMap, values: Values, _read: Read) -> Result:
     new = values["pixel"] if values["pixel_y"] is None else values["pixel_y"], values["pixel"]
     low, high = PIXEL_LIMITS_UM
@@ -421,6 +442,7 @@ _INTERPOLATION = Parameter(
     choices=("linear", "cubic"),
 )
 
+_SCANNED = Parameter("scan", "text", "", "axis along which the instrument scanned", "x", choices=("x", "y"))
 OPERATIONS: dict[str, Operation] = {
     one.name: one
     for one in (
@@ -511,6 +533,23 @@ OPERATIONS: dict[str, Operation] = {
                 Parameter("window", "count", "points", "side of the surroundings, odd, 3 to 31", 5),
             ),
             _outliers,
+        ),
+        Operation(
+            "align-lines",
+            "Bring the lines of a scan to one height, by the median of their differences from the median line.",
+            (_SCANNED,),
+            _align_lines,
+        ),
+        Operation(
+            "scars",
+            "Remove scars, stretches of a line above or below both neighbours: they become missing points.",
+            (
+                Parameter("limit", "number", "σ", "least difference from both lines in robust standard deviations of "
+                          "the differences between lines", 4.0),
+                Parameter("length", "count", "points", "least length of a scar", 16),
+                _SCANNED,
+            ),
+            _scars,
         ),
         Operation(
             "resample",

@@ -140,12 +140,13 @@ class _Segments:
         return float(area.mean()), float(volume.mean())
 
 
-def features(surface: HeightMap, pruning: float = PRUNING) -> Features:
+def features(surface: HeightMap, pruning: float = PRUNING, *, border: bool = True) -> Features:
     """Feature parameters of a map.
 
     Args:
         surface: the scale-limited map, (rows, cols) in µm.
         pruning: least rise of a peak above its saddle, as a share of Sz, above 0 and below 1.
+        border: peaks and pits of open hills and dales count too, whose summits may be cut off by the border.
 
     Raises:
         HeightMapError: nothing was measured, the surface is flat, or a pruning outside its range.
@@ -159,7 +160,7 @@ def features(surface: HeightMap, pruning: float = PRUNING) -> Features:
     if sz <= 1e-12 * max(float(np.nanmax(np.abs(surface.height_um))), 1e-12):
         raise HeightMapError("a flat surface has no hills and dales")
     kinds = [_Segments(sign * height, hills(sign * height, pruning * sz)) for sign in (1.0, -1.0)]
-    tops = [kind.tops() for kind in kinds]
+    tops = [kind.tops() if border else kind.tops()[kind.closed()[1:]] for kind in kinds]
     pixel_area = surface.pixel_x_um * surface.pixel_y_um
     heights = [np.sort(kind.height.ravel()[top])[::-1] for kind, top in zip(kinds, tops, strict=True)]
     s5p, s5v = (float(np.mean(one[:HIGHEST])) if one.size >= HIGHEST else float("nan") for one in heights)

@@ -315,6 +315,7 @@ def texture(
     s_filter: Smoothing = "gaussian",
     l_filter: Smoothing = "gaussian",
     pruning: float | None = None,
+    border_features: bool = True,
     ratios_percent: Sequence[float] = (),
     at_heights_um: Sequence[float] = (),
 ) -> Texture:
@@ -328,6 +329,7 @@ def texture(
         s_filter: kind of the S-filter: "gaussian" (ISO 16610-61), "robust" (-71, order 2) or "spline" (-22).
         l_filter: kind of the L-filter.
         pruning: Wolf pruning of hills and dales, as a share of Sz, such as 0.05; None for no feature parameters.
+        border_features: peaks and pits of hills and dales at the border or a gap count too.
         ratios_percent: material ratios, at which also Smc, Vm and Vv are taken, and Sxp of the first two.
         at_heights_um: heights from the mean, at which also Smr is taken.
 
@@ -358,7 +360,7 @@ def texture(
         smc_80_um=curve.smc(0.8),
         sxp_um=curve.smc(0.025) - curve.smc(0.5),
         ssw_um=dominant_wavelength(limited.map),
-        features=None if pruning is None else features(limited.map, pruning),
+        features=None if pruning is None else features(limited.map, pruning, border=border_features),
         free=tuple(_free_rows(curve, ratios_percent, at_heights_um)),
     )
 

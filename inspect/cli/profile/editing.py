@@ -178,6 +178,8 @@ EXAMPLES = {
     "mask": "part.x3p mask.png --out masked.x3p",
     "fill": "part.x3p --out filled.x3p",
     "outliers": "part.x3p --out clean.x3p",
+    "align-lines": "scan.x3p --out even.x3p",
+    "scars": "scan.x3p --out clean.x3p",
     "resample": "part.x3p 2 --out coarse.x3p",
     "subtract": "part.x3p reference.x3p --align --out difference.x3p",
     "stitch": "left.x3p right.x3p --x 450 --align --out wide.x3p",
@@ -260,3 +262,4 @@ def command(name: str) -> Callable[..., int]:
 level, form, filter_, crop, rotate = (command(name) for name in ("level", "form", "filter", "crop", "rotate"))
 mask, fill, outliers, resample = (command(name) for name in ("mask", "fill", "outliers", "resample"))
 subtract, stitch = command("subtract"), command("stitch")
+align_lines, scars = command("align-lines"), command("scars")

@@ -36,6 +36,7 @@ app = App(
 app.command("anisoscope.cli.profile.ridges:ridges")
 app.command("anisoscope.cli.profile.texture:texture")
 app.command("anisoscope.cli.profile.lines:lines")
+app.command("anisoscope.cli.profile.step:step")
 app.command("anisoscope.cli.profile.surfaces:make")
 app.command("anisoscope.cli.profile.surfaces:spoil")
 app.command("anisoscope.cli.profile.editing:edit")
@@ -49,11 +50,15 @@ for _step in (
     "mask",
     "fill",
     "outliers",
+    "align-lines",
+    "scars",
     "resample",
     "subtract",
     "stitch",
 ):
-    app.command(f"anisoscope.cli.profile.editing:{_step.replace('filter', 'filter_')}", name=_step)
+    app.command(
+        f"anisoscope.cli.profile.editing:{_step.replace('filter', 'filter_').replace('-', '_')}", name=_step
+    )
 
 Unit = Literal["um", "nm", "mm", "m"]
 Layout = Literal["auto", "matrix", "xyz"]

@@ -119,6 +119,12 @@ def texture(
         Parameter(negative="", help="Also hills and dales: Spd, Spc, S5p, S5v, S10z, Sha, Sda, Shv, Sdv."),
     ] = False,
     pruning: Annotated[float, Parameter(help="Wolf pruning of hills and dales in % of Sz.")] = 5.0,
+    border_features: Annotated[
+        bool,
+        Parameter(
+            help="Count peaks and pits of hills and dales at the border or a gap; others leave them out."
+        ),
+    ] = True,
     ratios: Annotated[
         str | None,
         Parameter(help="Material ratios in %, such as 2,50: Smc, Vm and Vv there, and Sxp of the first two."),
@@ -158,6 +164,7 @@ def texture(
             s_filter=s_filter_type,
             l_filter=l_filter_type,
             pruning=0.01 * pruning if features else None,
+            border_features=border_features,
             ratios_percent=shares,
             at_heights_um=at_heights,
         )

@@ -23,6 +23,8 @@ SINGLE = {
     "mask": ("--polygon", "0 0; 30 0; 30 30; 0 30", "--keep", "outside"),
     "fill": ("nearest", "--border"),
     "outliers": (4, "--window", 7),
+    "align-lines": (),
+    "scars": (3.0, "--length", 4),
     "resample": (3.5, "--interpolation", "cubic"),
     "subtract": (),
     "stitch": ("--x", 4, "--no-align"),

@@ -35,6 +35,16 @@ def test_egg_box(pixel):
     assert found.sdv_um3 == pytest.approx(found.shv_um3, rel=1e-6)
 
 
+def test_summits_at_the_border_may_be_left_out():
+    surface = egg_box()  # 5 × 6 hills of one period, whose saddles are at its border
+    inner = features(surface, border=False)
+    assert inner.peaks == 3 * 4
+    assert inner.spd_per_um2 == pytest.approx(features(surface).spd_per_um2 * 12 / 30)
+    assert (inner.sha_um2, inner.shv_um3) == (features(surface).sha_um2, features(surface).shv_um3)
+    found = texture(surface, form="none", pruning=0.05, border_features=False)
+    assert (found.features.peaks, found.features.pits) == (inner.peaks, inner.pits)
+
+
 def test_hills_are_the_dales_of_the_negative():
     surface = HeightMap(np.random.default_rng(1).standard_normal((60, 70)).cumsum(axis=0), 1.0, 1.0)
     one, two = features(surface), features(surface.with_height(-surface.height_um))
