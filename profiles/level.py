@@ -25,8 +25,8 @@ FORM_REWEIGHED = (4, 9)
 FORM_CLIP = 4.0
 FORM_GAIN = 0.995
 TILES = 12
-RELIEF = 0.5
-"""Share of the variance of a map from which on heights of lines are its relief, such as ridges along the lines."""
+ALONG = 0.7
+"""Sine of the angle between the lines of a scan and the direction across ridges, from which on they run along."""
 
 
 @dataclass(frozen=True)
@@ -311,34 +311,31 @@ def level(surface: HeightMap, period: Period | None = None) -> Levelled:
     return Levelled(surface.with_height(height, levelling=note), tilt[0], tilt[1], period)
 
 
-def line_offsets(height_um: FloatArray, scan: Literal["x", "y"]) -> FloatArray:
-    """(lines,) height of every line against the others, without their mean and their slope.
+def line_offsets(surface: HeightMap, scan: Literal["x", "y"]) -> FloatArray:
+    """(lines,) height of every line against the others in µm, without their mean and their slope.
 
     The height of a line is the median of its differences from the median line, which single features do not move. The
     slope of the map across the lines stays.
 
     Args:
-        height_um: (rows, cols), NaN where missing.
+        surface: the map.
         scan: axis along which the instrument scanned.
 
     Raises:
-        HeightMapError: fewer than three lines with points, or the lines lie along the relief.
+        HeightMapError: fewer than three lines with points, or ridges lie along the lines.
     """
-    lines = height_um if scan == "x" else height_um.T
+    lines = surface.height_um if scan == "x" else surface.height_um.T
     measured = np.flatnonzero(np.isfinite(lines).any(axis=1))
     if len(measured) < 3:
         raise HeightMapError("align-lines: fewer than three lines have points")
+    period = find_period(surface)
+    if period.is_periodic and abs(period.across()[1 if scan == "x" else 0]) > ALONG:
+        raise HeightMapError(
+            f"align-lines: ridges lie along the lines of {scan}, which would be taken for their heights; take scan "
+            f"{'y' if scan == 'x' else 'x'} if the instrument scanned across the ridges"
+        )
     common = lines[:, np.isfinite(lines).any(axis=0)]
     off = common[measured] - np.nanmedian(common, axis=0)
     place = np.arange(len(lines), dtype=float)
     offsets = np.interp(place, measured, np.nanmedian(off, axis=1))
-    slope = np.polyval(np.polyfit(place, offsets, 1), place)
-    offsets = offsets - slope
-    share = float(np.mean(offsets**2) / max(float(np.nanvar(lines - slope[:, None])), np.finfo(float).tiny))
-    if share > RELIEF:
-        other = "y" if scan == "x" else "x"
-        raise HeightMapError(
-            f"align-lines: the lines along {scan} hold {share:.0%} of the relief: ridges along them would be "
-            f"lost; take scan {other} if the instrument scanned along {other}"
-        )
-    return np.asarray(offsets)
+    return np.asarray(offsets - np.polyval(np.polyfit(place, offsets, 1), place))

