@@ -5,15 +5,17 @@ begins without a role, and gets one by name and password.
 """
 
 import hmac
+import ipaddress
 import math
 import secrets
 import threading
-from collections import OrderedDict, deque
+import unicodedata
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from fastapi import HTTPException, Request
 
@@ -42,8 +44,14 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 SESSION_S = 12 * 3600.0
 """A shift, and what comes before and after it."""
 MOST_SESSIONS = 2000
-TRIES, TRIES_S = 5, 300.0
+IDLE_S = 30 * 60.0
+"""After so long without a request of a person a session may only look and stop."""
+TRIES, TRIES_OF_ALL = 5, 20
+"""Wrong passwords without a wait: of a name at an address, and of a name or an address among all others."""
+LONGEST_WAIT_S, FORGOTTEN_S = 60.0, 3600.0
 SINGLE_USER = "this computer"
+_LIKE = str.maketrans("аеорсухіјѕԁһӏοανικρτυχγ", "aeopcyxijsdhloavikptuxy")
+"""Letters of Greek and Cyrillic that look like Latin ones."""
 
 
 @dataclass
@@ -56,6 +64,7 @@ class Session:
     roles: frozenset[Role] = frozenset()
     seen_s: float = 0.0
     ends_s: float = math.inf
+    acted_s: float = 0.0
     account: Account | None = None
     begun: Begun | None = None
 
@@ -78,6 +87,7 @@ class Access:
         clock: a monotonic clock in seconds.
         secure: whether cookies travel by TLS only.
         openid: logs people in by an OpenID provider, besides the accounts.
+        idle_s: after so long without a request of a person a session may only look and stop.
     """
 
     def __init__(
@@ -88,12 +98,15 @@ class Access:
         *,
         secure: bool = False,
         openid: OpenId | None = None,
+        idle_s: float = IDLE_S,
     ) -> None:
         self.accounts, self.trail, self.secure, self.openid = accounts, trail, secure, openid
         self._clock = clock
         self._lock = threading.Lock()
         self._sessions: OrderedDict[str, Session] = OrderedDict()
-        self._failures: dict[str, deque[float]] = {}
+        self._people: dict[str, dict[str, str]] = {}
+        self._idle_s = idle_s
+        self._tries = _Tries(clock)
         self._checking = threading.Semaphore(2)  # a check takes 64 MiB
 
     def find(self, cookie: str | None) -> Session | None:
@@ -117,6 +130,14 @@ class Access:
         )
         return changed or self._clock() > session.ends_s
 
+    def is_idle(self, session: Session) -> bool:
+        """Whether nobody has worked with it for so long that it may only look and stop."""
+        return self.accounts is not None and self._clock() - session.acted_s > self._idle_s
+
+    def act(self, session: Session) -> None:
+        """A person works with a session."""
+        session.acted_s = self._clock()
+
     def holds(self, session: Session) -> bool:
         """Whether a session is still one, for what it began and has not ended."""
         with self._lock:
@@ -124,7 +145,8 @@ class Access:
 
     def begin(self) -> Session:
         """A new session; the one unused for longest makes room for it."""
-        session = Session(secrets.token_urlsafe(32), secrets.token_urlsafe(32), seen_s=self._clock())
+        session = Session(secrets.token_urlsafe(32), secrets.token_urlsafe(32))
+        session.seen_s = session.acted_s = self._clock()
         if self.accounts is None:
             session.name, session.roles = SINGLE_USER, frozenset(ROLES)
         with self._lock:
@@ -144,22 +166,16 @@ class Access:
         """A new session with the role of an account; None if name or password is wrong.
 
         Raises:
-            HTTPException: 429 after five wrong passwords in five minutes, for this name or from this address.
+            HTTPException: 429 after too many wrong passwords, with the seconds to wait (`_Tries`).
         """
         assert self.accounts is not None
-        keys = (f"name {name[:80]}", f"address {address}")
-        if any(len(self._recent(key)) >= TRIES for key in keys):
-            raise HTTPException(429, "too many wrong passwords: try again in five minutes")
+        taken = self._tries.take(name[:80], address)
         with self._checking:
             account = self.accounts.check(name, password)
         if account is None:
-            with self._lock:
-                for key in keys:
-                    self._failures.setdefault(key, deque(maxlen=TRIES)).append(self._clock())
-                while len(self._failures) > MOST_SESSIONS:
-                    self._failures.pop(next(iter(self._failures)))
             self.trail.add(name[:80], "login refused", address=address)
             return None
+        self._tries.give_back(taken)
         self.trail.add(account.name, "login", address=address)
         session = self.begin()
         session.name, session.roles, session.account = account.name, frozenset({account.role}), account
@@ -169,23 +185,119 @@ class Access:
         """A new session of a person whom the OpenID provider knows.
 
         Raises:
-            HTTPException: 403, an account has this name, and the audit trail could not tell them apart.
+            HTTPException: 403, the name is, or looks like, that of an account or of somebody else whom the provider
+                knows: records could not tell them apart.
         """
         assert self.accounts is not None
         assert self.openid is not None
-        if person.name in self.accounts.read():
-            text = message("There is an account {name} here: log in with its password.", name=person.name)
+        like = _looks(person.name)
+        found = next((name for name in (*self.accounts.read(), SINGLE_USER) if _looks(name) == like), None)
+        if found is not None:
+            text = message("There is an account {name} here: log in with its password.", name=found)
             raise HTTPException(403, text)
         issuer = self.openid.provider.issuer
-        self.trail.add(person.name, "login", address=address, issuer=issuer, subject=person.subject)
+        identity = {"issuer": issuer, "subject": person.subject}
+        with self._lock:
+            first = self._people.setdefault(like, identity)
+        if first != identity:
+            text = message(
+                "Another person of {host} is {name} here.", host=self.openid.host, name=person.name
+            )
+            raise HTTPException(403, text)
+        self.trail.identities[person.name] = identity
+        self.trail.add(person.name, "login", address=address)
         session = self.begin()
         session.name, session.roles = person.name, person.roles
         session.ends_s = self._clock() + SESSION_S  # then the provider says again who may
         return session
 
-    def _recent(self, key: str) -> list[float]:
+
+def _looks(name: str) -> str:
+    """A name as people read it: without case, spare blanks, and letters of other scripts that look like Latin ones."""
+    return " ".join(unicodedata.normalize("NFKC", name).casefold().translate(_LIKE).split())
+
+
+@dataclass
+class _Count:
+    """Wrong passwords in a row: their number, when the last one was, and when the next one is checked."""
+
+    number: int = 0
+    last_s: float = -math.inf
+    next_s: float = -math.inf
+
+
+@dataclass(eq=False)
+class _Tries:
+    """Tries to log in: a try counts as wrong before it is checked, so that many at once are no more than one by one.
+
+    A name at an address has five; then it waits 1 s, 2 s, 4 s … up to a minute from try to try, whatever others do. All
+    tries of a name, and all from an address, have twenty together, and wait likewise; who has logged in from an address
+    before is not held up there by what others try.
+    """
+
+    clock: Clock
+    _counts: OrderedDict[str, _Count] = field(default_factory=OrderedDict)
+    _known: OrderedDict[str, None] = field(default_factory=OrderedDict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def take(self, name: str, address: str) -> tuple[str, ...]:
+        """Take a try; returns by what it is given back.
+
+        Raises:
+            HTTPException: 429, none is left for now.
+        """
+        place = _network(address)
+        own, now = f"{name} at {place}", self.clock()
         with self._lock:
-            return [at for at in self._failures.get(key, ()) if self._clock() - at < TRIES_S]
+            shared = () if own in self._known else (f"name {name}", f"address {place}")
+            counts = {key: self._counts.get(key, _Count()) for key in (own, *shared)}
+            for count in counts.values():
+                if now - count.last_s > FORGOTTEN_S:
+                    count.number = 0
+            wait_s = max(count.next_s for count in counts.values()) - now
+            if wait_s > 0.0:
+                seconds = math.ceil(wait_s)
+                text = message("Too many wrong passwords: try again in {seconds} s.", seconds=seconds)
+                raise HTTPException(429, text, {"retry-after": str(seconds)})
+            for key, count in counts.items():
+                over = count.number + 1 - (TRIES if key == own else TRIES_OF_ALL)
+                count.number, count.last_s = count.number + 1, now
+                count.next_s = -math.inf if over < 0 else now + min(2.0 ** min(over, 9), LONGEST_WAIT_S)
+                self._counts[key] = count
+                self._counts.move_to_end(key)
+            _shorten(self._counts)
+        return tuple(counts)
+
+    def give_back(self, taken: tuple[str, ...]) -> None:
+        """The password was right."""
+        with self._lock:
+            self._counts.pop(taken[0], None)
+            for key in taken[1:]:
+                if key in self._counts:
+                    self._counts[key].number -= 1
+                    if self._counts[key].number < TRIES_OF_ALL:
+                        self._counts[key].next_s = -math.inf
+            self._known[taken[0]] = None
+            self._known.move_to_end(taken[0])
+            _shorten(self._known)
+
+
+def _shorten(found: "OrderedDict[str, Any]") -> None:
+    while len(found) > MOST_SESSIONS:
+        found.popitem(last=False)
+
+
+def _network(address: str) -> str:
+    """An address, or the network of one of IPv6, of which a computer has any number."""
+    try:
+        found = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    return (
+        str(found)
+        if found.version == 4
+        else str(ipaddress.ip_network((address.partition("%")[0], 64), strict=False))
+    )
 
 
 def cookie_name(request: Request) -> str:
@@ -220,6 +332,10 @@ class Needs:
             raise HTTPException(
                 403, f"this needs the permission '{self.permission}', which your role has not"
             )
+        if access.is_idle(session) and self.permission not in {None, "look", "stop"}:
+            raise HTTPException(401, message("Nobody has worked here for a while: log in again."))
+        if request.method not in SAFE_METHODS or "text/html" in request.headers.get("accept", ""):
+            access.act(session)
         if request.method not in SAFE_METHODS:
             token = request.headers.get(TOKEN_HEADER, "")
             if not hmac.compare_digest(token.encode(), session.token.encode()):

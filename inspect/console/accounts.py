@@ -88,9 +88,7 @@ class Accounts:
         if role not in ROLES:
             raise UsageError(f"there is no role '{role}'; choose one of {', '.join(ROLES)}")
         account = Account(name=name, role=role, password=_hash_of(password))
-        self.read()
-        record()
-        self._change(name, account)
+        self._change(name, lambda _: account, record)
 
     def change(
         self,
@@ -114,17 +112,13 @@ class Accounts:
             UsageError: there is none of this name, or a short password.
             RecordError: the file cannot be written.
         """
-        found = self.read().get(name)
-        if found is None:
-            raise UsageError(f"{self.path} has no account '{name}'")
         values = {
             "role": role,
             "password": None if password is None else _hash_of(password),
             "locked": locked,
         }
-        changed = found.model_copy(update={key: value for key, value in values.items() if value is not None})
-        record()
-        self._change(name, changed)
+        update = {key: value for key, value in values.items() if value is not None}
+        self._change(name, lambda found: self._there(name, found).model_copy(update=update), record)
 
     def remove(self, name: str, record: Callable[[], None] = lambda: None) -> None:
         """Remove an account.
@@ -137,16 +131,26 @@ class Accounts:
             UsageError: there is none of this name.
             RecordError: the file cannot be written.
         """
-        if name not in self.read():
-            raise UsageError(f"{self.path} has no account '{name}'")
-        record()
-        self._change(name, None)
 
-    def _change(self, name: str, account: Account | None) -> None:
+        def gone(found: Account | None) -> None:
+            self._there(name, found)
+
+        self._change(name, gone, record)
+
+    def _there(self, name: str, account: Account | None) -> Account:
+        if account is None:
+            raise UsageError(f"{self.path} has no account '{name}'")
+        return account
+
+    def _change(
+        self, name: str, change: Callable[[Account | None], Account | None], record: Callable[[], None]
+    ) -> None:
+        """Change an account as the file has it now, which others may change at the same time."""
         try:
             with locked(self.path.resolve().parent, waits=True):  # the file itself is replaced
                 found = self.read()
-                found.pop(name, None)
+                account = change(found.pop(name, None))
+                record()
                 users = (*found.values(), *(() if account is None else (account,)))
                 self.path.touch(mode=0o600)
                 write_text(self.path, _File(users=users).model_dump_json(indent=2))

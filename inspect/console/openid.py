@@ -6,6 +6,8 @@ answer). What is sent and how a token is verified is Authlib's and joserfc's.
 
 import hmac
 import secrets
+import time
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,7 @@ from anisoscope.console.accounts import Role
 ALGORITHMS = [f"{kind}{bits}" for kind in ("RS", "PS", "ES") for bits in (256, 384, 512)]
 """Signatures by a key that the provider alone has."""
 BEGUN_S, ANSWER_S, LEEWAY_S = 600.0, 10.0, 60
+MOST_ANSWER = 1 << 20
 
 
 def _is_private(address: str) -> bool:
@@ -39,8 +42,9 @@ class Provider(Part):
         issuer: its address, as its tokens name it.
         client: name under which it knows the console.
         secret: of the client; None for one without (PKCE protects the code in any case).
-        name: claim with the name of a person.
-        claim: claim with what a person belongs to, a text or a list; dots lead into tables.
+        name: claim with the name of a person; an ``email`` that the provider calls not verified is none.
+        claim: claim with what a person belongs to, a text or a list; dots lead into tables. What the token lacks of
+            both is asked for at the provider (userinfo).
         scopes: what is requested.
         authority: certificate of the authority (PEM) that the provider's certificate is of; None takes the known ones.
         roles: role by value of the claim.
@@ -105,10 +109,11 @@ class OpenId:
     def __init__(self, provider: Provider, clock: Clock = SYSTEM) -> None:
         from authlib.integrations import requests_client  # noqa: PLC0415 - of the extra
         from joserfc.errors import JoseError  # noqa: PLC0415
+        from urllib3.exceptions import HTTPError  # noqa: PLC0415
 
         self.provider, self._clock = provider, clock
         self.host = urlsplit(provider.issuer).netloc
-        self._requests = requests_client
+        self._requests, self._broken = requests_client, HTTPError
         self._forged: tuple[type[Exception], ...] = (JoseError, ValueError, TypeError, KeyError)
 
     def begin(self, back: str) -> tuple[str, Begun]:
@@ -157,7 +162,28 @@ class OpenId:
             metadata = self._metadata(session)
             token = self._token(session, metadata["token_endpoint"], answer["code"], begun.verifier)
             keys = self._fetched(session, metadata["jwks_uri"])
-        return self._person(self._claims(token, keys, begun.nonce))
+            claims = self._claims(token, keys, begun.nonce)
+            if _claim(claims, self.provider.name) is None or _claim(claims, self.provider.claim) is None:
+                claims = self._completed(claims, session, metadata)
+        return self._person(claims)
+
+    def _completed(
+        self,
+        claims: Mapping[str, Any],
+        session: Any,  # noqa: ANN401 - of the extra
+        metadata: Mapping[str, Any],
+    ) -> Mapping[str, Any]:
+        """The claims of a token, and what the provider says of the same person (OpenID Connect Core 1.0, 5.3)."""
+        address = metadata.get("userinfo_endpoint")
+        if address is None:
+            return claims
+        if not _is_private(str(address)):
+            raise self._no_answer(ValueError("an address without https"))
+        more = self._fetched(session, str(address), withhold_token=False)
+        if more.get("sub") != claims["sub"]:
+            text = message("The answer of {host} is of another person than its token.", host=self.host)
+            raise HTTPException(401, text)
+        return {**more, **claims}
 
     def _session(self, back: str) -> Any:  # noqa: ANN401 - of the extra
         session = self._requests.OAuth2Session(
@@ -169,14 +195,16 @@ class OpenId:
         )
         if self.provider.authority is not None:
             session.verify = str(self.provider.authority)
+        for scheme in ("https://", "http://"):
+            session.mount(scheme, _bounded())
         return session
 
-    def _fetched(self, session: Any, address: str) -> dict[str, Any]:  # noqa: ANN401
+    def _fetched(self, session: Any, address: str, *, withhold_token: bool = True) -> dict[str, Any]:  # noqa: ANN401
         try:
-            answer = session.request("GET", address, withhold_token=True, timeout=ANSWER_S)
+            answer = session.request("GET", address, withhold_token=withhold_token, timeout=ANSWER_S)
             answer.raise_for_status()
             return dict(answer.json())
-        except (OSError, ValueError, TypeError) as problem:  # those of requests are OSError
+        except (OSError, ValueError, TypeError, self._broken) as problem:  # those of requests are OSError
             raise self._no_answer(problem) from problem
 
     def _no_answer(self, problem: Exception) -> HTTPException:
@@ -214,7 +242,7 @@ class OpenId:
                 ) from problem
             text = message("{host} refused the login: {why}", host=self.host, why=str(problem.error))
             raise HTTPException(401, text) from problem
-        except (OSError, ValueError, TypeError) as problem:  # those of requests are OSError
+        except (OSError, ValueError, TypeError, self._broken) as problem:
             raise self._no_answer(problem) from problem
 
     def _claims(self, token: Mapping[str, Any], keys: Mapping[str, Any], nonce: str) -> Mapping[str, Any]:
@@ -251,8 +279,11 @@ class OpenId:
         return dict(claims)
 
     def _person(self, claims: Mapping[str, Any]) -> Person:
-        provider, name = self.provider, claims.get(self.provider.name)
-        if not isinstance(name, str) or not name.strip() or len(name) > 80 or not name.isprintable():
+        provider, name, subject = self.provider, claims.get(self.provider.name), str(claims["sub"])
+        verified = provider.name != "email" or str(claims.get("email_verified", True)).lower() == "true"
+        plain = unicodedata.normalize("NFKC", name) if isinstance(name, str) else ""
+        name = " ".join(word for word in plain.split(" ") if word)
+        if not verified or not 0 < len(name) <= 80 or not name.isprintable():
             text = message(
                 "{host} gives no name: its token has no claim {claim} that is one.",
                 host=self.host,
@@ -272,7 +303,29 @@ class OpenId:
                 values=", ".join(values)[:200] or "–",
             )
             raise HTTPException(403, text)
-        return Person(name, roles, str(claims["sub"]))
+        return Person(name, roles, subject)
+
+
+def _bounded() -> Any:  # noqa: ANN401 - of the extra
+    """Sends requests as usual, and takes answers of a limited size within a time for the whole."""
+    from requests import RequestException  # noqa: PLC0415
+    from requests.adapters import HTTPAdapter  # noqa: PLC0415
+
+    class Bounded(HTTPAdapter):
+        def send(self, *args: Any, **options: Any) -> Any:  # noqa: ANN401 - as requests has it
+            answer = super().send(*args, **options | {"stream": True})
+            found, ends_s = b"", time.monotonic() + ANSWER_S
+            try:
+                while piece := answer.raw.read1(MOST_ANSWER // 16, decode_content=True):
+                    found += piece
+                    if len(found) > MOST_ANSWER or time.monotonic() > ends_s:
+                        raise RequestException("the answer is too large, or comes too slowly")
+            finally:
+                answer.close()
+            answer._content = found  # noqa: SLF001 - where requests keeps it
+            return answer
+
+    return Bounded()
 
 
 def _claim(claims: Mapping[str, Any], name: str) -> Any:  # noqa: ANN401 - whatever the provider says

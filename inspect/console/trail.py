@@ -26,10 +26,12 @@ class Trail:
     Attributes:
         path: the file, which grows only; None keeps no trail.
         now: the time.
+        identities: of people whom an OpenID provider knows, by their names: what their lines say of them.
     """
 
     path: Path | None
     now: Callable[[], datetime] = lambda: datetime.now(UTC)
+    identities: dict[str, Mapping[str, str]] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def add(self, who: str, what: str, why: str = "", **more: object) -> None:
@@ -41,7 +43,7 @@ class Trail:
         if self.path is None:
             return
         entry: dict[str, Any] = {"at": self.now().isoformat(timespec="milliseconds"), "who": who}
-        entry |= {"what": what, "why": why, "more": more}
+        entry |= {"what": what, "why": why, "more": {**self.identities.get(who, {}), **more}}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self._lock, self.path.open("ab+") as file, locked(self.path, waits=True):

@@ -44,6 +44,12 @@ def serve(
     ] = (),
     certificate: Annotated[Path | None, Parameter(help="TLS certificate (PEM).")] = None,
     key: Annotated[Path | None, Parameter(help="Its key (PEM).")] = None,
+    idle: Annotated[
+        float,
+        Parameter(
+            help="With --users: minutes without a person's request until a session may only look and stop."
+        ),
+    ] = 30.0,
 ) -> int:
     """Serve the console: a page at the station and a page over all stations, until Ctrl-C.
 
@@ -82,6 +88,8 @@ def serve(
 
     if (certificate is None) != (key is None):
         raise UsageError("--certificate and --key go together")
+    if not idle > 0.0:
+        raise UsageError(f"--idle takes minutes, more than 0, not {idle:g}")
     tls = None if certificate is None or key is None else (certificate, key)
     check_exposure(host, users=users is not None, tls=tls is not None)
     if not recipes.is_dir():
@@ -104,7 +112,7 @@ def serve(
         beacon = stack.enter_context(Beacon(place, station, unsigned))
         at = Station(work, recipes.resolve(), worker, own.stop, eyes, trail, station, beacon.show)
         app = create_app(
-            Access(accounts, trail, secure=tls is not None, openid=provider),
+            Access(accounts, trail, secure=tls is not None, openid=provider, idle_s=60.0 * idle),
             [station_router(at), fleet_router(place)],
             hosts_of(host, here, name),
             pages=[Page("/station", "Station"), Page("/fleet", "Fleet")],

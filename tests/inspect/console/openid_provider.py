@@ -19,6 +19,9 @@ PEOPLE = {
     "otto": ["auditors", "inspectors"],
     "eve": ["sales"],
     "the operator": ["inspectors"],
+    "The Operator": ["inspectors"],
+    "the оperаtоr": ["inspectors"],
+    "this computer": ["inspectors"],
 }
 LOGIN = (
     "<form method='post'>{% csrf_token %}{{ form }}<input type='hidden' name='next' value='{{ next }}'>"

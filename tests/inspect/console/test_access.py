@@ -3,16 +3,20 @@
 import contextlib
 import io
 import json
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
+from fastapi import HTTPException
 
 from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import ConfigError, UsageError
 from anisoscope.cli import run
 from anisoscope.console import access as module
 from anisoscope.console import accounts as module_of_accounts
-from anisoscope.console.access import TRIES, TRIES_S, Access
+from anisoscope.console.access import IDLE_S, LONGEST_WAIT_S, TRIES, TRIES_OF_ALL, Access
 from anisoscope.console.accounts import Accounts
 from anisoscope.console.application import create_app, permissions_of
 from anisoscope.console.openid import OpenId, Provider
@@ -155,14 +159,120 @@ def test_wrong_passwords_and_unknown_names_are_one_answer_and_soon_wait(address,
             for answer in [client.post("/login", json={"name": name, "password": "wrong"})]
         }
         assert len(answers) == 1
-        for _ in range(TRIES - 2):
+        for _ in range(TRIES - 1):
             assert (
                 client.post("/login", json={"name": "the operator", "password": "wrong"}).status_code == 401
             )
         right = {"name": "the operator", "password": PASSWORD}
-        assert client.post("/login", json=right).status_code == 429
-        clock.sleep(TRIES_S)
+        refused = client.post("/login", json=right)
+        assert (refused.status_code, refused.headers["retry-after"]) == (429, "1")
+        clock.sleep(1.1)
         assert client.post("/login", json=right).status_code == 200
+
+
+def wait_of(access, name, address, password="wrong"):
+    """Seconds that a try has to wait; 0 where it was checked."""
+    try:
+        access.log_in(name, password, address)
+    except HTTPException as refused:
+        return int(refused.headers["retry-after"])
+    return 0
+
+
+def test_sixty_wrong_passwords_at_once_are_five(accounts, access, monkeypatch):
+    checked, together = [], threading.Barrier(60)
+
+    def slowly(name, _):
+        time.sleep(0.05)
+        checked.append(name)
+
+    monkeypatch.setattr(accounts, "check", slowly)
+
+    def guess(number):
+        together.wait()
+        return wait_of(access, "the operator", "10.0.0.9", f"wrong-{number}") > 0
+
+    with ThreadPoolExecutor(60) as pool:
+        refused = sum(pool.map(guess, range(60)))
+    assert (len(checked), refused) == (TRIES, 60 - TRIES)
+
+
+def test_waits_double_up_to_a_minute_and_refused_tries_do_not_prolong_them(access, clock):
+    assert [wait_of(access, "the operator", "10.0.0.9") for _ in range(TRIES)] == [0] * TRIES
+    waits = []
+    for _ in range(8):
+        waits.append(wait_of(access, "the operator", "10.0.0.9"))
+        assert wait_of(access, "the operator", "10.0.0.9") == waits[-1]
+        clock.sleep(waits[-1])
+        assert wait_of(access, "the operator", "10.0.0.9") == 0
+    assert waits == [1, 2, 4, 8, 16, 32, 60, 60]
+    clock.sleep(LONGEST_WAIT_S)
+    assert access.log_in("the operator", PASSWORD, "10.0.0.9") is not None
+    assert [wait_of(access, "the operator", "10.0.0.9") for _ in range(TRIES)] == [0] * TRIES
+
+
+def test_a_month_of_wrong_passwords_locks_neither_the_administrator_nor_the_address(access, clock):
+    """Somebody tries from two addresses whenever he may; the administrator works at a third, and one of his own."""
+    assert access.log_in("the administrator", PASSWORD, "10.0.0.1") is not None
+    assert access.log_in("the administrator", PASSWORD, "10.0.0.8") is not None
+    tried = 0
+    for _ in range(1500):
+        for address in ("10.0.0.8", "10.0.0.9"):
+            tried += wait_of(access, "the administrator", address) == 0
+        for name in ("the operator", "nobody"):
+            tried += wait_of(access, name, "10.0.0.1") == 0
+        assert access.log_in("the administrator", PASSWORD, "10.0.0.1") is not None
+        clock.sleep(30.0)
+    assert tried < 5 * TRIES_OF_ALL + 4 * 1500 * 30 / LONGEST_WAIT_S
+
+
+def test_a_name_tried_from_everywhere_waits_at_addresses_that_it_never_logged_in_from(access, clock):
+    found = [wait_of(access, "the operator", f"10.0.{k}.9") for k in range(TRIES_OF_ALL + 5)]
+    assert (found[:TRIES_OF_ALL], min(found[TRIES_OF_ALL:])) == ([0] * TRIES_OF_ALL, 1)
+    clock.sleep(LONGEST_WAIT_S)
+    assert wait_of(access, "the operator", "10.1.0.1") == 0
+    networks = [wait_of(access, f"somebody {k}", f"2001:db8::{k:x}") for k in range(TRIES_OF_ALL + 5)]
+    assert min(networks[TRIES_OF_ALL:]) == 1  # one network of IPv6 is one address
+
+
+def test_a_session_in_which_nobody_works_may_only_look_and_stop(address, access, clock):
+    with contextlib.closing(client_of(address, "engineer")) as client:
+        clock.sleep(IDLE_S - 1.0)
+        assert client.post("/api/v1/take").status_code == 200
+        clock.sleep(IDLE_S - 1.0)
+        assert client.get("/api/v1/status").status_code == 200  # of the page, not of a person
+        clock.sleep(2.0)
+        assert client.get("/api/v1/status").status_code == 200
+        refused = client.post("/api/v1/take")
+        assert (refused.status_code, refused.json()["error"]) == (
+            401,
+            "Nobody has worked here for a while: log in again.",
+        )
+        assert client.post("/api/v1/stop").status_code == 200
+
+
+def test_a_lock_and_a_new_password_at_the_same_time_both_hold(quick, tmp_path, monkeypatch):
+    accounts = Accounts(tmp_path / "users.json")
+    accounts.put("anna", "operator", PASSWORD)
+    hashing, locked = threading.Event(), threading.Event()
+    plain = module_of_accounts._hash_of
+
+    def slowly(password):
+        hashing.set()
+        assert locked.wait(10)
+        return plain(password)
+
+    monkeypatch.setattr(module_of_accounts, "_hash_of", slowly)
+    with ThreadPoolExecutor(1) as pool:
+        changing = pool.submit(accounts.change, "anna", password=PASSWORD + "!")
+        assert hashing.wait(10)
+        accounts.change("anna", locked=True)
+        locked.set()
+        changing.result(10)
+    assert accounts.read()["anna"].locked
+    assert accounts.check("anna", PASSWORD + "!") is None
+    accounts.change("anna", locked=False)
+    assert accounts.check("anna", PASSWORD + "!") is not None
 
 
 def test_a_login_begins_a_session_of_its_own(address):

@@ -7,7 +7,9 @@ import re
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import httpx
@@ -21,10 +23,11 @@ from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import ConfigError, UsageError
 from anisoscope.cli.console.serve import serve
 from anisoscope.console import accounts as module_of_accounts
+from anisoscope.console import openid as module
 from anisoscope.console.access import SESSION_S, Access
 from anisoscope.console.accounts import Accounts
 from anisoscope.console.application import create_app
-from anisoscope.console.openid import BEGUN_S, OpenId, Provider, read_provider
+from anisoscope.console.openid import BEGUN_S, OpenId, Person, Provider, read_provider
 from anisoscope.console.trail import trail_of
 
 ROLES = {"inspectors": "operator", "auditors": "auditor"}
@@ -197,6 +200,9 @@ def test_a_login_that_takes_too_long_is_one_line(console, clock, browser_of):
     [
         ("eve", "eve has no role here: groups is sales, which the file of --openid gives none."),
         ("the operator", "There is an account the operator here: log in with its password."),
+        ("The Operator", "There is an account the operator here: log in with its password."),
+        ("the оperаtоr", "There is an account the operator here: log in with its password."),  # Cyrillic
+        ("this computer", "There is an account this computer here: log in with its password."),
     ],
 )
 def test_people_without_a_role_or_with_the_name_of_an_account_are_refused(console, who, words, browser_of):
@@ -307,6 +313,85 @@ def test_roles_are_of_a_text_a_list_or_within_tables(claim, value, roles):
         {"sub": "1", "preferred_username": "anna", **given}
     )
     assert person.roles == roles
+
+
+def test_a_second_person_of_one_name_is_refused_and_every_line_says_who_it_was(users, clock):
+    trail = trail_of(users.path)
+    access = Access(users, trail, clock, openid=OpenId(settings(ISSUER), clock))
+    anna = Person("anna", frozenset({"operator"}), "4711")
+    session = access.admit(anna, "10.0.0.1")
+    assert access.admit(anna, "10.0.0.2").name == "anna"
+    for name in ("anna", "Anna", "аnna"):
+        with pytest.raises(HTTPException, match=r"Another person of login\.example is"):
+            access.admit(Person(name, frozenset({"operator"}), "4712"), "10.0.0.1")
+    trail.add(session.name, "stop")
+    trail.add("the operator", "stop")
+    said = [(one["who"], one["more"].get("issuer"), one["more"].get("subject")) for one in trail.lines()]
+    assert said == [("anna", ISSUER, "4711")] * 3 + [("the operator", None, None)]
+
+
+@pytest.mark.parametrize("verified", [False, "false", None])
+def test_an_address_that_is_not_verified_is_no_name(verified):
+    openid = OpenId(settings(ISSUER, name="email"))
+    given = {"sub": "1", "email": "anna@plant.example", "groups": "inspectors"}
+    assert openid._person(given).name == "anna@plant.example"
+    assert openid._person(given | {"email_verified": True}).roles == {"operator"}
+    with pytest.raises(HTTPException, match="gives no name"):
+        openid._person(given | {"email_verified": verified})
+
+
+class _Answers(BaseHTTPRequestHandler):
+    """Answers with what the path asks for."""
+
+    def log_message(self, *_):
+        pass
+
+    def do_GET(self):
+        self.send_response(200)
+        self.end_headers()
+        if self.path == "/endless":
+            with contextlib.suppress(OSError):
+                while True:
+                    self.wfile.write(b"x" * (1 << 16))
+        elif self.path == "/slow":
+            with contextlib.suppress(OSError):
+                while True:
+                    self.wfile.write(b"x")
+                    time.sleep(0.05)
+        else:
+            said = {"sub": self.path[1:], "preferred_username": "anna", "groups": ["inspectors"]}
+            self.wfile.write(json.dumps(said).encode())
+
+
+@pytest.fixture
+def answers():
+    with ThreadingHTTPServer(("127.0.0.1", 0), _Answers) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.mark.parametrize("path", ["/endless", "/slow"])
+def test_answers_without_end_are_cut_off(answers, path, monkeypatch):
+    monkeypatch.setattr(module, "ANSWER_S", 1.0)
+    openid = OpenId(settings(ISSUER))
+    begun = time.monotonic()
+    with openid._session("") as session, pytest.raises(HTTPException, match="does not answer as an OpenID"):
+        openid._fetched(session, answers + path)
+    assert time.monotonic() - begun < 5.0
+
+
+def test_name_and_roles_that_the_token_lacks_are_asked_for(answers):
+    openid = OpenId(settings(ISSUER))
+    with openid._session("") as session:
+        session.token = {"access_token": "a", "token_type": "Bearer"}
+        found = openid._completed({"sub": "1"}, session, {"userinfo_endpoint": f"{answers}/1"})
+        assert openid._person(found) == Person("anna", frozenset({"operator"}), "1")
+        with pytest.raises(HTTPException, match="is of another person than its token"):
+            openid._completed({"sub": "1"}, session, {"userinfo_endpoint": f"{answers}/2"})
+        with pytest.raises(HTTPException, match="does not answer as an OpenID"):
+            openid._completed({"sub": "1"}, session, {"userinfo_endpoint": "http://elsewhere.example/1"})
+        assert openid._completed({"sub": "1"}, session, {}) == {"sub": "1"}
 
 
 @pytest.mark.parametrize("name", [None, "", "a\nb", "x" * 81, ["anna"]])
