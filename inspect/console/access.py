@@ -131,7 +131,7 @@ class Access:
         return changed or self._clock() > session.ends_s
 
     def is_idle(self, session: Session) -> bool:
-        """Whether it was left: no request of a person for the idle time. It may look and stop then, and nothing else."""
+        """Whether it was left: no request of a person for the idle time. Then it may look and stop only."""
         return self.accounts is not None and self._clock() - session.acted_s > self._idle_s
 
     def act(self, session: Session) -> None:
