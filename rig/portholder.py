@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.base.errors import NotConnected, RigError
+from anisoscope.base.regular_file import bounded_text
 
 POLL_S = 0.05
 PROC = Path("/proc")
@@ -221,7 +222,7 @@ def _user() -> str:
 
 def _read(note: Path) -> Holder | None:
     try:
-        found = json.loads(note.read_text(encoding="utf-8"))
+        found = json.loads(bounded_text(note))
         return Holder(
             int(found["pid"]),
             str(found["port"]),

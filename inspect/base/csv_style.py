@@ -9,6 +9,7 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Self
 
 from anisoscope.base.errors import UsageError
 
@@ -93,11 +94,19 @@ class CsvReader:
         self._path = path
         self._mark = ""
 
-    def __iter__(self) -> Iterator[list[str]]:
-        return self._reader
+    def __iter__(self) -> Self:
+        return self
 
     def __next__(self) -> list[str]:
-        return next(self._reader)
+        """Fields of the next line.
+
+        Raises:
+            UsageError: it is no line of CSV, or has a field of more than 128 KiB.
+        """
+        try:
+            return next(self._reader)
+        except csv.Error as error:
+            raise UsageError(f"{self._path}, line {self.line_num}: {error}") from None
 
     @property
     def line_num(self) -> int:

@@ -1,6 +1,5 @@
 """Tables of numbers in CSV files; every error names file and line."""
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,20 +62,17 @@ def read_table(
     """
     reader = CsvReader(read_text(path), path)
     rows, lines = [], []
-    try:
-        columns = tuple(name.strip() for name in next(reader, []))
-        _check_header(columns, headers, optional, path)
-        for fields in reader:
-            if any(field.strip() for field in fields):
-                fields = [reader.with_point(field) for field in fields]  # noqa: PLW2901
-                numbers = _numbers(fields, columns, f"{path}, line {reader.line_num}")
-                _check_signs(
-                    numbers, fields, columns, (above_zero, not_negative), f"{path}, line {reader.line_num}"
-                )
-                rows.append(numbers)
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
+    columns = tuple(name.strip() for name in next(reader, []))
+    _check_header(columns, headers, optional, path)
+    for fields in reader:
+        if any(field.strip() for field in fields):
+            fields = [reader.with_point(field) for field in fields]  # noqa: PLW2901
+            numbers = _numbers(fields, columns, f"{path}, line {reader.line_num}")
+            _check_signs(
+                numbers, fields, columns, (above_zero, not_negative), f"{path}, line {reader.line_num}"
+            )
+            rows.append(numbers)
+            lines.append(reader.line_num)
     if not rows:
         raise UsageError(f"{path}, line {max(reader.line_num, 1)}: no {what} follow the header")
     return Table(columns, np.array(rows), tuple(lines), path)

@@ -53,3 +53,13 @@ def bounded_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
     if len(content) > most:
         raise OSError(errno.EFBIG, f"more than {most >> 20} MiB: this is no file of anisoscope's", str(path))
     return content
+
+
+def bounded_text(path: Path, most: int = MOST_BYTES) -> str:
+    """The text of a regular file in UTF-8, with line ends as Python has them.
+
+    Raises:
+        OSError: as for `bounded_bytes`.
+        UnicodeDecodeError: it is not UTF-8.
+    """
+    return bounded_bytes(path, most).decode("utf-8").replace("\r\n", "\n")

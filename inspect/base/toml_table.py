@@ -38,6 +38,8 @@ def read_toml(path: Path, error: type[ConfigError] = ConfigError) -> dict[str, A
         raise error(f"{path}: cannot be read: {problem.strerror}") from problem
     except tomllib.TOMLDecodeError as problem:
         raise error(f"{path}: not valid TOML: {problem}") from None
+    except ValueError:  # of a whole number with thousands of digits
+        raise error(f"{path}: not valid TOML: a number has too many digits") from None
     except RecursionError:
         raise _too_deep(path, error) from None
     if is_deeper(table, MOST_LEVELS):

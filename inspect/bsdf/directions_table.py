@@ -17,6 +17,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.csv_style import CsvReader, csv_text, number_text
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import regular_file
 from anisoscope.bsdf.formats import compared_directions
 from anisoscope.bsdf.reflectance import Reflectance, above_horizon
 
@@ -110,7 +111,7 @@ def read_mapped(
 def is_astm(path: Path) -> bool:
     """Whether a text file declares its columns in a line ``VARS``."""
     try:
-        with path.open("rb") as stream:
+        with regular_file(path) as stream:
             return re.search(rb"^VARS\b", stream.read(16384), re.MULTILINE) is not None
     except OSError:
         return False

@@ -12,6 +12,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.plugins import Registry
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import regular_file
 from anisoscope.bsdf.file_format import BsdfFile
 from anisoscope.bsdf.klems import write_klems
 from anisoscope.bsdf.merl import RGB_NM, write_merl
@@ -197,7 +198,7 @@ def read_reflectance(path: Path) -> Reflectance:
 
 
 def _head(path: Path) -> bytes:
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         return stream.read(_HEAD)
 
 

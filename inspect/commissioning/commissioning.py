@@ -18,6 +18,7 @@ import numpy as np
 from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import RecordError, RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.toml_edits import with_values
 from anisoscope.calibration.fixture import calibrate_fixture
 from anisoscope.calibration.frames import Taking
@@ -70,7 +71,7 @@ def update_rig_file(path: Path, changes: Changes) -> Written:
         RecordError: it cannot be written.
     """
     read_rig(path)
-    before = path.read_bytes()
+    before = bounded_bytes(path)
     text = before.decode("utf-8-sig")
     try:
         edited, preserved = with_values(text, changes, RigFileError, "rig file"), True

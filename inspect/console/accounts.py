@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import ConfigError, RecordError, UsageError
 from anisoscope.base.lock import locked
+from anisoscope.base.regular_file import bounded_text
 
 Role = Literal["operator", "engineer", "auditor", "administrator"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -51,7 +52,7 @@ class Accounts:
     def read(self) -> dict[str, Account]:
         """All accounts by name, as the file has them now; errors as for the class."""
         try:
-            text = self.path.read_text(encoding="utf-8") if self.path.exists() else "{}"
+            text = bounded_text(self.path) if self.path.exists() else "{}"
             return {one.name: one for one in _File.model_validate_json(text).users}
         except (OSError, UnicodeError) as problem:
             why = problem.strerror if isinstance(problem, OSError) else "it is no UTF-8"

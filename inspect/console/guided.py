@@ -23,6 +23,7 @@ from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.base.json_fields import as_json
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.progress import Advance
+from anisoscope.base.regular_file import bounded_text
 from anisoscope.console.access import Permission
 from anisoscope.inspection.recipe_store import RecipeEntry, recipe_entry, recipe_path
 from anisoscope.inspection.work import Workplace
@@ -218,7 +219,7 @@ class Guided:
         self._file, self._recipes = out / STATE, recipes
         self.state: GuideState | None = None
         with contextlib.suppress(OSError, UnicodeError, ValidationError, AnisoscopeError):
-            found = GuideState.model_validate_json(self._file.read_text(encoding="utf-8"))
+            found = GuideState.model_validate_json(bounded_text(self._file))
             if found.at < len(self._steps(found)):
                 self.state = found
 

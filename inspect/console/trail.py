@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.lock import locked
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 
 A_PIECE = 4096
 
@@ -90,7 +91,7 @@ class Trail:
         if self.path is None or not self.path.exists():
             return b""
         try:
-            return self.path.read_bytes()
+            return bounded_bytes(self.path, MOST_PICTURE_BYTES)
         except OSError as problem:
             raise RecordError(f"{self.path}: cannot be read: {problem.strerror}") from problem
 

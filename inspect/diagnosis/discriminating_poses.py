@@ -15,6 +15,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.covariance import whitening
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, bare_title
 from anisoscope.diagnosis.separability import SIGMAS, planned_covariance
@@ -62,7 +63,9 @@ def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[s
     surface = recipe.surface.height_map
     return {
         "recipe": recipe.model_dump(mode="json", exclude={"surface": {"height_map"}}),
-        "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
+        "map": ""
+        if surface is None
+        else hashlib.sha256(bounded_bytes(surface, MOST_PICTURE_BYTES)).hexdigest(),
         "light_angle_deg": light_angle_deg,
         "names": sorted(names),
     }

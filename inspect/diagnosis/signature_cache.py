@@ -12,6 +12,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.causes import TAILS, tail_cause
 from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, SmearedLevels
@@ -95,7 +96,9 @@ def signature_key(
     surface = recipe.surface.height_map
     return {
         "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),  # its path varies
-        "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
+        "map": ""
+        if surface is None
+        else hashlib.sha256(bounded_bytes(surface, MOST_PICTURE_BYTES)).hexdigest(),
         "material": vars(recipe.material.material()),
         "poses": recipe.poses.model_dump(mode="json"),
         "cells": None if recipe.area is None else recipe.area.cell_deviation,

@@ -171,7 +171,7 @@ def _copy(source: Source, folder: Path, *, share: bool) -> InputCopy:
     )
     try:
         target.parent.mkdir(exist_ok=True)
-        content = source.path.read_bytes()
+        content = bounded_bytes(source.path, MOST_PICTURE_BYTES)
         if hashlib.sha256(content).hexdigest() != source.sha256:
             raise UsageError(f"{source.path} was changed while the inspection began: start it again")
         if share and len(content) >= LARGE:

@@ -30,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import RecordError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.record.schema import InputFile, sha256_of
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import Rig
@@ -211,7 +212,7 @@ def shared_darks(folder: Path, plan: Plan, rig: Rig, now: datetime) -> SharedDar
     if plan.dark_frames < 2 or rig.file.camera.share_darks_s <= 0.0:
         return None
     try:
-        series = SeriesFile.model_validate_json(_series_path(folder, plan, rig).read_bytes())
+        series = SeriesFile.model_validate_json(bounded_bytes(_series_path(folder, plan, rig)))
     except (OSError, ValidationError):
         return None
     age_s = (now - series.taken_at).total_seconds()
@@ -239,7 +240,7 @@ def _frames(files: tuple[tuple[Path, str], ...]) -> list[tuple[Frame, tuple[Path
     """The frames of a series from files and their hashes, each hashed and decoded once in a process."""
     found = []
     for path, sha256 in files:
-        content = path.read_bytes()
+        content = bounded_bytes(path, MOST_PICTURE_BYTES)
         if hashlib.sha256(content).hexdigest() != sha256:
             raise RecordError(f"{path}: was changed")
         found.append((frame_of(content, path), (path, sha256)))

@@ -403,7 +403,7 @@ def resume_lamps(folder: Path, on_progress: Advance = silent) -> tuple[ScanResul
         RecordError: no such scan began here; and as for `begin_scan`.
     """
     try:
-        lamps = Lamps.model_validate_json((folder / LAMPS).read_bytes())
+        lamps = Lamps.model_validate_json(bounded_bytes(folder / LAMPS))
     except OSError as problem:
         raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
     except ValidationError as problem:

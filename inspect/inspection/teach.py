@@ -13,6 +13,7 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import MeasurementError, RigFileError, Saturated, UsageError
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import bounded_text
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.history.aqdef import read_aqdef
@@ -301,7 +302,7 @@ def teach_by_limits(recipe_path: Path, rig_path: Path, source: Path) -> Taught:
         )
     if given.product != recipe.product:
         notes.append(f"the part of {source.name} is {given.product!r}, that of the recipe {recipe.product!r}")
-    text = recipe_path.read_text(encoding="utf-8")
+    text = bounded_text(recipe_path)
     values = {("version",): recipe.version + 1, ("decision", "tolerance"): found}
     candidate = recipe_path.with_name(f".{recipe_path.stem}-taught.toml")
     try:
@@ -340,7 +341,7 @@ def _taught(
     notes: tuple[str, ...],
 ) -> Taught:
     """Write the new version of a recipe by a first look at a good part, and by its inspection."""
-    recipe, text = part.recipe, recipe_path.read_text(encoding="utf-8")
+    recipe, text = part.recipe, bounded_text(recipe_path)
     previous = previous_version_path(recipe_path, recipe.version)
     size = largest_region(probe.pictures, probe.places, part.fixture, recipe)
     values: dict[tuple[str, ...], Any] = {

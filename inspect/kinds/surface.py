@@ -15,6 +15,7 @@ from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import CalibrationError, HeightMapError, ModelError, UsageError
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import bounded_text
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.consistency import contrast_scatter, scatter_of
 from anisoscope.decision.decision import Decision, decide
@@ -737,7 +738,7 @@ def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, sou
             f"{recipe_path}: [scatter] stays: it is within {LEAST_CHANGE:.0%} of what those of {source_path} teach"
         )
     previous = previous_version_path(recipe_path, recipe.version)
-    text = recipe_path.read_text(encoding="utf-8")
+    text = bounded_text(recipe_path)
     new_text = with_values(text, values)
     write_text(previous, text)
     write_text(recipe_path, new_text)

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.history.rows import CAUSE, Row
 from anisoscope.history.store import open_history
 from anisoscope.line.jobs import Job, Jobs, Refused, order_of
@@ -170,7 +171,7 @@ class EdgeNode:
         if not self._memory.exists():
             return _State()
         try:
-            return _State.model_validate_json(self._memory.read_bytes())
+            return _State.model_validate_json(bounded_bytes(self._memory))
         except (OSError, ValidationError) as error:
             raise RecordError(
                 f"{self._memory} cannot be used: remove it to begin anew ({str(error).splitlines()[0]})"

@@ -29,6 +29,7 @@ from asyncua.common.instantiate_util import instantiate
 
 from anisoscope.base.crash import crash_line
 from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.line.jobs import Job, Jobs, Kind, Refused, order_of, result_of
 from anisoscope.line.opcua_security import Security
 from anisoscope.line.opcua_types import (
@@ -594,7 +595,7 @@ class VisionServer:
 
     def _configuration_id(self) -> Structure:
         path = self._jobs.place.rig
-        digest = hashlib.sha256(path.read_bytes()).digest()
+        digest = hashlib.sha256(bounded_bytes(path)).digest()
         return ua.ConfigurationIdDataType(Id=path.name, Hash=digest, HashAlgorithm="SHA-256")
 
     def _configuration(self) -> Structure:
@@ -721,7 +722,7 @@ _RESULT_STATES = {"done": 1, "running": 2, "stopped": 3, "failed": 4}
 def _digest(recipes: Path, name: str) -> bytes:
     """SHA-256 of the file of a recipe; empty where it cannot be read."""
     with contextlib.suppress(OSError):
-        return hashlib.sha256((recipes / f"{name}.toml").read_bytes()).digest()
+        return hashlib.sha256(bounded_bytes(recipes / f"{name}.toml")).digest()
     return b""
 
 

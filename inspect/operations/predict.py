@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.operations.plastic import plastic_of
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import InputUncertainty, default_uncertainty
@@ -103,7 +104,10 @@ class Task:
         """
         if isinstance(self.surface, Path):
             try:
-                surface: object = [self.surface.name, hashlib.sha256(self.surface.read_bytes()).hexdigest()]
+                surface: object = [
+                    self.surface.name,
+                    hashlib.sha256(bounded_bytes(self.surface, MOST_PICTURE_BYTES)).hexdigest(),
+                ]
             except OSError as problem:
                 raise HeightMapError(
                     f"{self.surface}: cannot be read: {problem.strerror or problem}"

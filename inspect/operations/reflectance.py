@@ -13,6 +13,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import regular_file
 from anisoscope.bsdf.directions_table import interpolated, read_mapped
 from anisoscope.bsdf.formats import Exported, FormatName, export, format_of, read_reflectance
 from anisoscope.bsdf.mitsuba_scene import Shape, write_classes_scene, write_normals_scene
@@ -311,7 +312,7 @@ def _of_layout(path: Path, wavelength: float | None) -> tuple[HeightMap, Classes
 
 def _is_dots(path: Path) -> bool:
     try:
-        with PIL.Image.open(path) as opened:
+        with regular_file(path) as file, PIL.Image.open(file) as opened:
             return opened.mode == "P"
     except OSError:
         return False
@@ -325,7 +326,7 @@ def _of_halftone(
     from anisoscope.bsdf.models import of_ink
 
     try:
-        with PIL.Image.open(path) as opened:
+        with regular_file(path) as file, PIL.Image.open(file) as opened:
             mode, dots = opened.mode, np.asarray(opened)
     except OSError as problem:
         raise UsageError(f"cannot read {path}: {problem}") from problem

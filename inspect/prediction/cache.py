@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from anisoscope.base.cache import Cache
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.expectation import (
     PLASTIC,
@@ -85,7 +86,8 @@ def prediction_key(recipe: SurfaceRecipe, light_angle_deg: float, optics: Surfac
     surface = recipe.surface.height_map
     return {
         "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),
-        "map": surface and [surface.name, hashlib.sha256(surface.read_bytes()).hexdigest()],
+        "map": surface
+        and [surface.name, hashlib.sha256(bounded_bytes(surface, MOST_PICTURE_BYTES)).hexdigest()],
         "material": recipe.material.model_dump(mode="json"),
         "poses": recipe.poses.model_dump(mode="json"),
         "uncertainty": recipe.uncertainty.model_dump(mode="json"),

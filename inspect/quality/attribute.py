@@ -9,7 +9,6 @@ Where the reference is measured, the signal-detection method takes the width of 
 as the spread of the measurement process (AIAG III-C; ISO 22514-7:2012, 12.3: U = d/2, Q = d over the tolerance).
 """
 
-import csv
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -439,11 +438,8 @@ def decisions_of_history(readings: Readings, masters: Path) -> AttributeData:
 def _rows(path: Path) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
     """Header, and every line by column with its place."""
     reader = CsvReader(read_text(path), path)
-    try:
-        columns = [name.strip() for name in next(reader, [])]
-        lines = [(reader.line_num, row) for row in reader if any(text.strip() for text in row)]
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
+    columns = [name.strip() for name in next(reader, [])]
+    lines = [(reader.line_num, row) for row in reader if any(text.strip() for text in row)]
     if not lines:
         raise UsageError(f"{path}, line 2: no decisions follow the header")
     found = []

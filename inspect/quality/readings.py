@@ -1,6 +1,5 @@
 """Readings to chart: numbers in measurement order with their groups, from CSV and AQDEF files or from the history."""
 
-import csv
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -181,11 +180,8 @@ def read_readings(path: Path | str) -> Readings:
             limits=found.limits,
         )
     reader = CsvReader(read_text(path), path)
-    try:
-        columns = _columns(path, next(reader, []))
-        rows = _rows(reader, len(columns))
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
+    columns = _columns(path, next(reader, []))
+    rows = _rows(reader, len(columns))
     if not rows:
         raise UsageError(f"{path}, line 2: no readings follow the header")
     for line, row in rows:

@@ -32,6 +32,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache, Entry
 from anisoscope.base.language import language
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes, bounded_text
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.report import figures
 
@@ -193,7 +194,7 @@ def _entries(source: bytes, kinds: tuple[str, ...]) -> dict[str, Entry]:
 
 def _content(path: Path) -> bytes | None:
     try:
-        return path.read_bytes()
+        return bounded_bytes(path, MOST_PICTURE_BYTES)
     except OSError:
         return None
 
@@ -353,7 +354,7 @@ def _page() -> tuple[str, str, tuple[str, ...]] | None:
         return None
     path = Path(found.origin).parent / "tools" / "static_viewer.html"
     try:
-        text = path.read_text(encoding="utf-8")
+        text = bounded_text(path)
     except OSError:
         return None
     text = text.replace("</head>", _STYLE + "</head>", 1)

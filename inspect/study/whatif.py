@@ -17,6 +17,7 @@ import numpy as np
 from anisoscope.base.errors import AnisoscopeError, CameraError, MeasurementError, RecordError, UsageError
 from anisoscope.base.json_fields import in_json, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.history.comparing import record_of
 from anisoscope.history.rows import Row
@@ -191,7 +192,7 @@ def what_if(
     if not rows:
         raise UsageError("no inspection is selected")
     recipe = recipe.resolve()
-    sha256 = hashlib.sha256(recipe.read_bytes()).hexdigest() if recipe.is_file() else ""
+    sha256 = hashlib.sha256(bounded_bytes(recipe)).hexdigest() if recipe.is_file() else ""
     plan = _plan(recipe, sha256)  # errors of the recipe come before any process
     lots: dict[str | None, list[LotMate]] = {}
     for row in sorted(rows, key=lambda one: one.id):

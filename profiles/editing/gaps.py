@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.regular_file import regular_file
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -47,7 +48,7 @@ def picture_mask(surface: HeightMap, path: Path) -> Mask:
     from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - slow to import
 
     try:
-        with Image.open(path) as picture:
+        with regular_file(path) as file, Image.open(file) as picture:
             cols, rows = picture.size
             if (rows, cols) != surface.shape:
                 raise HeightMapError(

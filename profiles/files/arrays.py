@@ -16,6 +16,7 @@ from numpy.lib import format as npy_format
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.regular_file import regular_file
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, check_packing, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.format import Format
@@ -70,7 +71,7 @@ class _Arrays:
 
 
 def _npy(path: Path, factor: float) -> _Arrays:
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         return _Arrays(_read_array(path.name, stream, path.stat().st_size, factor))
 
 
@@ -134,7 +135,7 @@ def read_array(
 
 
 def _starts_with_zip(path: Path) -> bool:
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         return stream.read(2) == b"PK"
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from anisoscope.base.regular_file import regular_file
 from anisoscope.profiles.files.checks import refuse
 from anisoscope.profiles.files.content import DAMAGED
 from anisoscope.profiles.files.decoder_process import decode
@@ -44,7 +45,7 @@ def read_mesh(path: Path | str, given: Given | None = None) -> HeightMap:
     """
     path, given = Path(path), given or Given()
     name = path.name
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         stated = STATED.search(stream.read(HEADER_BYTES))
     own = stated[1].decode() if stated else None
     unit = given.z_unit or own
@@ -74,7 +75,7 @@ def _check_whole(path: Path, read: Mapping[str, Any]) -> None:
     Raises:
         HeightMapError: the file ends early.
     """
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         head = stream.read(HEADER_BYTES)
         size = stream.seek(0, os.SEEK_END)
         stream.seek(max(size - HEADER_BYTES, 0))

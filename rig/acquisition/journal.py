@@ -135,7 +135,7 @@ class JournalFile:
         self.path = folder / JOURNAL
         try:
             self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-            data = self.path.read_bytes()
+            data = bounded_bytes(self.path)
             os.ftruncate(self._file, data.rfind(b"\n") + 1)
         except OSError as problem:
             raise RecordError(f"{self.path}: cannot be written: {problem.strerror}") from problem

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from anisoscope.base.regular_file import regular_file
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile
 from anisoscope.rig.acquisition.plan import Pose
@@ -181,7 +182,7 @@ def _linked(source: Path, sha256: str, path: Path) -> bool:
 
 
 def _hash(path: Path) -> str:
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

@@ -23,6 +23,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.clock import clock_of
 from anisoscope.base.errors import HeightMapError, RigFileError, UsageError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.defects import burrs
@@ -558,7 +559,7 @@ def _with_content(value: object) -> object:
     if isinstance(value, dict):
         return {name: _with_content(one) for name, one in value.items()}
     if isinstance(value, str) and Path(value).is_file():
-        return hashlib.sha256(Path(value).read_bytes()).hexdigest()
+        return hashlib.sha256(bounded_bytes(Path(value), MOST_PICTURE_BYTES)).hexdigest()
     return value
 
 

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import ConfigError, ModelError
+from anisoscope.base.regular_file import regular_file
 from anisoscope.base.toml_file import Part, Positive, one_line, read_toml_model
 from anisoscope.sim.design.depths import Depths
 from anisoscope.sim.design.layout import Layout
@@ -119,7 +120,7 @@ def read_layout(path: Path) -> tuple[Layout, tuple[DesignFile, ...]]:
         ConfigError: missing, damaged, or not a layout.
     """
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        with regular_file(path) as stream, np.load(stream, allow_pickle=False) as file:
             header = LayoutHeader.model_validate_json(bytes(file["header"]))
             tiles, tile_class, index = file["tiles"], file["tile_class"], file["index"]
     except ValidationError as problem:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import ConfigError, HeightMapError
+from anisoscope.base.regular_file import regular_file
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.design.depths import MOST_PASSES, level_heights
 from anisoscope.sim.design.layout import MAX_POINTS
@@ -88,7 +89,7 @@ def _opened(path: Path) -> "tuple[gdstk.Cell, dict[str, Any]]":
 
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file")
-    with path.open("rb") as stream:
+    with regular_file(path) as stream:
         if stream.read(4)[2:] != b"\x00\x02":
             raise ConfigError(f"{path}: not a GDSII file")
     try:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import regular_file
 from anisoscope.sim.proof.separation import decode_srgb
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def read_image(path: Path) -> Image:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
-            with PIL.Image.open(path) as opened:
+            with regular_file(path) as file, PIL.Image.open(file) as opened:
                 upright = PIL.ImageOps.exif_transpose(opened)
                 return _as_srgb(upright, path)
     except FileNotFoundError:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 
 IntArray = npt.NDArray[np.int64]
 
@@ -101,7 +102,7 @@ def read_obj(path: Path) -> Mesh:
         UsageError: no such file, a line that cannot be used, or no faces.
     """
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = bounded_bytes(path, MOST_PICTURE_BYTES).decode("utf-8", "replace").splitlines()
     except OSError as problem:
         raise UsageError(f"{path}: cannot be read: {problem.strerror}") from None
     text = _Text(path)

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING
 
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, OwnCertificate, OwnKey, PeersFolder, TrustFile, extra_packages
 from anisoscope.cli.tables import answer, console, print_lines, print_table
@@ -535,7 +536,7 @@ def _content(path: Path) -> bytes:
     from anisoscope.base.errors import RecordError
 
     try:
-        return path.read_bytes()
+        return bounded_bytes(path, MOST_PICTURE_BYTES)
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror}") from error
 

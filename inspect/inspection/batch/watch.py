@@ -104,14 +104,17 @@ def _of_table(table: Path) -> dict[str, str]:
     """Values of our columns, where the table has them; all its lines must agree."""
     reader = csv.DictReader(io.StringIO(read_text(table), newline=""), skipinitialspace=True)
     found: dict[str, str] = {}
-    for line in reader:
-        for column, text in line.items():
-            name, value = str(column).strip().lower(), (text if isinstance(text, str) else "").strip()
-            if name in COLUMNS and value and found.setdefault(name, value) != value:
-                raise UsageError(
-                    f"{table}, line {reader.line_num}, column {name}: {value!r}, but {found[name]!r} before: "
-                    "a folder holds one part"
-                )
+    try:
+        for line in reader:
+            for column, text in line.items():
+                name, value = str(column).strip().lower(), (text if isinstance(text, str) else "").strip()
+                if name in COLUMNS and value and found.setdefault(name, value) != value:
+                    raise UsageError(
+                        f"{table}, line {reader.line_num}, column {name}: {value!r}, but {found[name]!r} before: "
+                        "a folder holds one part"
+                    )
+    except csv.Error as error:
+        raise UsageError(f"{table}, line {reader.line_num}: {error}") from None
     return found
 
 

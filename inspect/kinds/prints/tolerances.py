@@ -23,6 +23,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
+from anisoscope.base.regular_file import bounded_text
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.reference_parts import golden_path, limit_is_given
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print
@@ -227,7 +228,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     values |= {("tolerances", key): one.value for key, one in limits.items()}
     previous, text = (
         previous_version_path(recipe_path, recipe.version),
-        recipe_path.read_text(encoding="utf-8"),
+        bounded_text(recipe_path),
     )
     new = with_values(text, values)
     write_text(previous, text)

@@ -12,6 +12,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.base.progress import Advance
+from anisoscope.base.regular_file import bounded_text
 from anisoscope.operations.demo.folder import (
     FIXTURE,
     TILE,
@@ -237,7 +238,7 @@ def photograph(
         return changed_bench, changed_rig
 
     write_benches(place, ("plate",), files, EXPOSURE_S, advance)
-    recipe_table = tomllib.loads((folder / "recipe.toml").read_text(encoding="utf-8"))
+    recipe_table = tomllib.loads(bounded_text(folder / "recipe.toml"))
     recipe_table["material"] |= KNOWN_PLASTIC
     recipe_table["plan"]["file"] = "../plan.csv"
     (place / "recipe.toml").write_text(tomli_w.dumps(recipe_table), encoding="utf-8")

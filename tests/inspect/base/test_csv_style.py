@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.base.csv_style import csv_text, number_text, writing
+from anisoscope.base.csv_style import CsvReader, csv_text, number_text, writing
 from anisoscope.base.csv_table import read_table
 from anisoscope.base.errors import UsageError
 from anisoscope.quality.readings import read_readings
@@ -42,3 +42,10 @@ def test_what_could_be_read_in_two_ways_is_refused(rows, tmp_path):
     path.write_text(f"a;b\n{rows}\n")
     with pytest.raises(UsageError, match=r"table\.csv"):
         read_table(path, (("a", "b"),))
+
+
+def test_a_field_beyond_all_measure_is_one_line(tmp_path):
+    reader = CsvReader("a,b\n1," + 200_000 * "x" + "\n", tmp_path / "a.csv")
+    assert next(reader) == ["a", "b"]
+    with pytest.raises(UsageError, match=r"a\.csv, line 2: field larger than field limit"):
+        next(reader)

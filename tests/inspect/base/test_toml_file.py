@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel, ConfigDict
 
-from anisoscope.base.errors import RecipeError, RigFileError
+from anisoscope.base.errors import ConfigError, RecipeError, RigFileError
 from anisoscope.base.toml_file import NameOrFile, read_toml_model
 from anisoscope.base.toml_table import MOST_BYTES, read_toml
 
@@ -105,3 +105,9 @@ def test_a_file_that_would_exhaust_the_program_is_one_line(tmp_path, text, messa
 def test_depth_within_the_limit_is_read(tmp_path):
     (tmp_path / "file.toml").write_text("a = " + "[" * 31 + "]" * 31)
     assert list(read_toml(tmp_path / "file.toml")) == ["a"]
+
+
+def test_a_number_with_thousands_of_digits_is_one_line(tmp_path):
+    (tmp_path / "recipe.toml").write_text("a = " + 5000 * "9" + "\n")
+    with pytest.raises(ConfigError, match=r"recipe\.toml: not valid TOML: a number has too many digits"):
+        read_toml(tmp_path / "recipe.toml")

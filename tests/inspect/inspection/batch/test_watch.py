@@ -523,3 +523,9 @@ def test_a_watch_that_starts_again_writes_the_last_reports(place, look):
             (folder / name).unlink()
     assert look(place)[0] == []
     assert all(verify(folder).report_written and verify(folder).intact for folder in inspections(place))
+
+
+def test_a_field_beyond_all_measure_is_bad_input(tmp_path):
+    (tmp_path / "frames.csv").write_text("lot,file\n" + 200_000 * "x" + ",a.tif\n")
+    with pytest.raises(UsageError, match=r"frames\.csv, line 2: field larger than field limit"):
+        whose(tmp_path)
