@@ -13,8 +13,8 @@ for the user, K4273. Times have no zone: those of this computer.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
@@ -25,6 +25,8 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.regular_file import bounded_bytes
 
 CHARACTERISTIC, FIELD = "\x0f", "\x14"
+MARK = "\ufeff"
+"""Begins a file, which is UTF-8: other programs guess what has none, and the signs between fields mislead them."""
 MISSING, INVALID_VALUE = 256, 255
 SUFFIXES = (".dfq", ".dfd", ".dfx")
 TIME = "%d.%m.%Y/%H:%M:%S"
@@ -45,6 +47,7 @@ class AqdefFile:
         numbers: (N,) values by characteristic; NaN where none was measured.
         limits: lower and upper limit of characteristics that have one.
         nominal: nominal values of characteristics that have one.
+        units: units of characteristics (K2142), such as "deg" or "1", as far as they are stated.
     """
 
     product: str
@@ -52,16 +55,20 @@ class AqdefFile:
     numbers: Mapping[str, FloatArray]
     limits: Mapping[str, Limits]
     nominal: Mapping[str, float]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 def description_lines(found: AqdefFile) -> Iterator[str]:
-    """The description: part, characteristics with their limits, catalogues."""
+    """The description: part, characteristics with their limits, catalogues; behind the mark of its file."""
+    yield MARK
     yield _line("K0100", len(found.numbers))
     yield _line("K1001/1", found.product)
     for number, name in enumerate(found.numbers, start=1):
         yield _line(f"K2001/{number}", number)
         yield _line(f"K2002/{number}", name)
         yield _line(f"K2004/{number}", 0)
+        if name in found.units:
+            yield _line(f"K2142/{number}", found.units[name])
         if name in found.nominal:
             yield _line(f"K2101/{number}", _text(found.nominal[name]))
         for key, limit in zip(("K2110", "K2111"), found.limits.get(name, (None, None)), strict=True):
@@ -73,7 +80,7 @@ def description_lines(found: AqdefFile) -> Iterator[str]:
 
 
 def value_lines(found: AqdefFile) -> Iterator[str]:
-    """The values: a line an inspection, before it its serial number and verdict."""
+    """The values: a line an inspection, before it its serial number and verdict; `MARK` goes before a file of them."""
     catalogues = {
         column: {word: k for k, word in enumerate(_catalogue(found, column), 1)} for column in CATALOGUES
     }
@@ -95,15 +102,6 @@ def value_lines(found: AqdefFile) -> Iterator[str]:
             attribute = 0 if math.isfinite(value) else INVALID_VALUE if verdict == "INVALID" else MISSING
             fields.append(FIELD.join([_text(0.0 if attribute else value), str(attribute), *rest]))
         yield CHARACTERISTIC.join(fields) + "\r\n"
-
-
-def encoded(lines: Iterable[str]) -> bytes:
-    """Lines as Windows programs read them: code page 1252, or UTF-8 with its mark where that has no such letters."""
-    text = "".join(lines)
-    try:
-        return text.encode("cp1252")
-    except UnicodeEncodeError:
-        return text.encode("utf-8-sig")
 
 
 def _catalogue(found: AqdefFile, column: str) -> list[str]:
@@ -293,6 +291,7 @@ class _Reader:
             {name: table[:, k] for k, name in enumerate(names)},
             {name: pair for name, pair in pairs.items() if pair != (None, None)},
             {name: value for name, value in nominal.items() if value is not None},
+            {name: one["K2142"] for name, one in characteristics if one.get("K2142")},
         )
 
 

@@ -92,17 +92,27 @@ def value_lines(found: Iterable[Decided]) -> Iterator[str]:
     yield csv_text([list(VALUE_COLUMNS), list(VALUE_COLUMNS.values())], line_end="\r\n")
     for row, _ in found:
         about = [row.id, utc_text(row.created_at), *(_cell(getattr(row, name) or "") for name in _TEXTS)]
-        more = {f"{word} {label}" for label in row.numbers for word in _WITH}
         lines = []
-        for label in row.numbers:
-            if label not in more:
-                cells = [
-                    number_text(repr(row.numbers[name])) if name in row.numbers else ""
-                    for name in (label, *(f"{word} {label}" for word in _WITH))
-                ]
-                lines.append([*about, _cell(label), "deg" if label in _IN_DEGREES else "1", *cells])
+        for label in characteristics(row.numbers):
+            cells = [
+                number_text(repr(row.numbers[name])) if name in row.numbers else ""
+                for name in (label, *(f"{word} {label}" for word in _WITH))
+            ]
+            lines.append([*about, _cell(label), unit_of(label), *cells])
         if lines:
             yield csv_text(lines, line_end="\r\n", file=False)
+
+
+def unit_of(label: str) -> str:
+    """Unit of a number of inspections."""
+    return "deg" if label in _IN_DEGREES else "1"
+
+
+def characteristics(labels: Iterable[str]) -> list[str]:
+    """Numbers that are not said of another one, as ``u ln 0-90`` is of ``ln 0-90``."""
+    found = list(labels)
+    more = {f"{word} {label}" for label in found for word in _WITH}
+    return [label for label in found if label not in more]
 
 
 def _cell(text: str) -> str:

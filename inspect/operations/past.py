@@ -6,16 +6,25 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 
-from anisoscope.base.atomic_write import appearing, write_bytes
+from anisoscope.base.atomic_write import appearing
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.signature import read_trust
-from anisoscope.history.aqdef import TIME, AqdefFile, description_lines, encoded
+from anisoscope.history.aqdef import MARK, TIME, AqdefFile, description_lines
 from anisoscope.history.aqdef import value_lines as aqdef_values
 from anisoscope.history.covariates import CycleData
-from anisoscope.history.export import csv_lines, json_lines, junit_lines, value_lines, write_lines
+from anisoscope.history.export import (
+    characteristics,
+    csv_lines,
+    json_lines,
+    junit_lines,
+    unit_of,
+    value_lines,
+    write_lines,
+)
 from anisoscope.history.filters import Filters
 from anisoscope.history.heads import HeadsVerified, rows_to_head, verify_heads
 from anisoscope.history.rows import Row, seal_of
@@ -214,7 +223,8 @@ def export_aqdef(place: str | Path, path: Path, filters: Filters | None = None) 
     times = [datetime.fromisoformat(one).replace(tzinfo=UTC).astimezone() for one in readings.column("time")]
     texts = dict(readings.texts) | {"time": tuple(f"{one:{TIME}}" for one in times)}
     pairs = {}
-    for name in readings.numbers:
+    numbers = {name: readings.numbers[name] for name in characteristics(readings.numbers)}
+    for name in numbers:
         try:
             found = specification(readings, name)
         except UsageError:  # predicted or tolerated differently: no one pair of limits holds
@@ -226,13 +236,14 @@ def export_aqdef(place: str | Path, path: Path, filters: Filters | None = None) 
         for name, (low, high) in pairs.items()
         if low is not None and high is not None
     }
-    content = AqdefFile(readings.column("product")[0], texts, readings.numbers, pairs, middle)
+    units = {name: unit_of(name) for name in numbers}
+    content = AqdefFile(readings.column("product")[0], texts, numbers, pairs, middle, units)
     if path.suffix.lower() == ".dfq":
-        write_bytes(path, encoded((*description_lines(content), *aqdef_values(content))))
+        write_lines(path, chain(description_lines(content), aqdef_values(content)))
     else:
         values = path.with_suffix(".DFX" if path.suffix.isupper() else ".dfx")
-        write_bytes(values, encoded(aqdef_values(content)))
-        write_bytes(path, encoded(description_lines(content)))
+        write_lines(values, chain((MARK,), aqdef_values(content)))
+        write_lines(path, description_lines(content))
     return len(readings)
 
 

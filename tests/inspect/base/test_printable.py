@@ -11,7 +11,7 @@ from anisoscope.base.errors import AnisoscopeError
 from anisoscope.base.printable import LONGEST, check_printable
 from anisoscope.calibration.frames import Taking
 from anisoscope.console.station import Start
-from anisoscope.history.aqdef import AqdefFile, description_lines, encoded, value_lines
+from anisoscope.history.aqdef import AqdefFile, description_lines, value_lines
 from anisoscope.history.signs import Beacon
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.batch.watch import whose
@@ -48,7 +48,7 @@ def job(folder, **particulars):
 def aqdef(folder, text):
     path = folder / "tray.dfq"
     file = AqdefFile("plate", {"serial": ("A1",), "lot": ("LOT",)}, {"h": np.array([1.0])}, {}, {})
-    path.write_bytes(encoded([*description_lines(file), *value_lines(file)]).replace(b"LOT", text.encode()))
+    put(path, "".join([*description_lines(file), *value_lines(file)]).replace("LOT", text))
     read_tray(path)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.history.aqdef import AqdefFile, description_lines, encoded, read_aqdef, value_lines
+from anisoscope.history.aqdef import MARK, AqdefFile, description_lines, read_aqdef, value_lines
 from anisoscope.quality.capability import specification
 from anisoscope.quality.readings import read_readings
 
@@ -31,7 +31,14 @@ FILE = AqdefFile(
     {"ln 0-90": np.array([1.25, NAN, -1.5e-7]), "ln 0-180": np.array([0.1, NAN, NAN])},
     {"ln 0-90": (1.0, 1.5), "ln 0-180": (None, 0.2)},
     {"ln 0-90": 1.25},
+    {"ln 0-90": "1", "ln 0-180": "deg"},
 )
+
+
+def encoded(lines):
+    """A file as the export writes it."""
+    text = "".join(lines)
+    return (text if text.startswith(MARK) else MARK + text).encode()
 
 
 def written(folder, found=FILE, *, apart=False):
@@ -46,17 +53,18 @@ def written(folder, found=FILE, *, apart=False):
     return path
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the reader leaves files open
 def test_another_program_reads_values_limits_and_numbers_of_catalogues(tmp_path, capsys):
-    text = (
-        written(tmp_path).read_bytes().decode("cp1252")
-    )  # its own guess of the encoding fails on DC4 and SI
-    read = aqdefreader.DfqFile(text.splitlines())
-    assert "Warning" not in capsys.readouterr().out
+    read = aqdefreader.read_dfq_file(written(tmp_path))
+    said = capsys.readouterr().out
+    assert "utf-8" in said
+    assert "Warning" not in said
     assert read.part_count() == 1
     part = read.get_part(0)
     assert part.get_data("K1001") == "plate 7"
     first, second = part.get_characteristics()
     assert (first.get_data("K2002"), second.get_data("K2002")) == ("ln 0-90", "ln 0-180")
+    assert [str(one.get_data("K2142")) for one in (first, second)] == ["1", "deg"]
     assert [float(first.get_data(key)) for key in ("K2101", "K2110", "K2111")] == [1.25, 1.0, 1.5]
     assert (second.get_data("K2110"), float(second.get_data("K2111"))) == (None, 0.2)
     one, other = first.get_measurements()  # the INVALID inspection is no measurement
@@ -73,7 +81,7 @@ def test_what_was_written_is_read(tmp_path, apart):
     for named in {path, path.with_suffix(".dfx") if apart else path}:
         found = read_aqdef(named)
         assert found.product == "plate 7"
-        assert (found.limits, found.nominal) == (FILE.limits, FILE.nominal)
+        assert (found.limits, found.nominal, found.units) == (FILE.limits, FILE.nominal, FILE.units)
         assert list(found.numbers) == list(FILE.numbers)
         for name, values in FILE.numbers.items():
             np.testing.assert_array_equal(found.numbers[name], values)
@@ -93,15 +101,17 @@ def test_statistics_take_the_file_with_its_limits(tmp_path):
         read_readings(described)
 
 
-def test_letters_that_windows_does_not_have_are_written_in_utf_8(tmp_path):
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the reader leaves files open
+def test_letters_of_all_languages_are_written_in_utf_8_with_its_mark(tmp_path, capsys):
     name = "Łódź\x14\n3"
     found = AqdefFile("p", {"operator": (name,)}, {"x": np.array([1.0])}, {}, {})
     path = written(tmp_path, found)
     assert path.read_bytes()[:3] == b"\xef\xbb\xbf"
     assert read_aqdef(path).texts["operator"] == ("Łódź  3",)
     latin = written(tmp_path, AqdefFile("Gehäuse µ", {}, {"x": np.array([1.0])}, {}, {}))
-    assert "Gehäuse µ".encode("cp1252") in latin.read_bytes()
     assert read_aqdef(latin).product == "Gehäuse µ"
+    assert aqdefreader.read_dfq_file(latin).get_part(0).get_data("K1001") == "Gehäuse µ"
+    assert "utf-8" in capsys.readouterr().out
 
 
 def test_files_of_other_programs(tmp_path):
