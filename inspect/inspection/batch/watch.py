@@ -114,7 +114,7 @@ def _of_table(table: Path) -> dict[str, str]:
                         "a folder holds one part"
                     )
     except csv.Error as error:
-        raise UsageError(f"{table}, line {reader.line_num}: {error}") from None
+        raise UsageError(f"{table}, line {reader.reader.line_num}: {error}") from None
     return found
 
 
