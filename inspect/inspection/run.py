@@ -20,7 +20,7 @@ from anisoscope.imaging.linearisation import check_size
 from anisoscope.inspection.folder import SCAN, add_resume_hint, new_folder, sweep, working_in
 from anisoscope.inspection.frames import check_frames, missing_frames, read_frames
 from anisoscope.inspection.integrity import listed_files
-from anisoscope.inspection.job import Job, prepare
+from anisoscope.inspection.job import LOT, Job, prepare
 from anisoscope.inspection.kept_measurement import write_kept
 from anisoscope.inspection.manifest import Manifest, begin, one_round_more, refuse, reopen
 from anisoscope.inspection.objects import SharedDarks, begin_series, shared_darks
@@ -463,7 +463,11 @@ def judged_by(
 
 
 def _is_last_round(manifest: Manifest, job: Job) -> bool:
-    return manifest.plan is None or manifest.plan.rounds >= 1 + job.recipe.decision.remeasure
+    """Whether no further round is allowed, or none would help: the part waits for others of its lot."""
+    waits = (
+        manifest.input(LOT) is not None and job.reference is not None and job.reference.lacking is not None
+    )
+    return waits or manifest.plan is None or manifest.plan.rounds >= 1 + job.recipe.decision.remeasure
 
 
 def _settled(manifest: Manifest, job: Job, judged: Judged) -> bool:

@@ -105,6 +105,17 @@ def test_parts_of_a_lot_wait_for_the_third_one_and_are_judged_anew_then(of_lot_w
     assert [row.serial for row in rows if "ln 0-90" in row.numbers] == ["A", "B", "C"]
 
 
+def test_a_part_that_waits_for_its_lot_is_photographed_once(of_lot):
+    recipe = of_lot.rig.recipe
+    recipe.write_text(
+        recipe.read_text(encoding="utf-8").replace("remeasure = 0", "remeasure = 1"), encoding="utf-8"
+    )
+    first, _ = of_lot("A")
+    alone, _ = of_lot("B", lot=None)  # without a lot, a second round is all that may help
+    assert (first.record.verdict, alone.record.verdict) == ("INCONCLUSIVE", "INCONCLUSIVE")
+    assert len(alone.record.frames) == 2 * len(first.record.frames)
+
+
 def test_a_part_that_deviates_from_its_lot_fails_and_is_left_out_for_the_others(of_lot):
     for serial in "ABC":
         of_lot(serial)
