@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
+from anisoscope.profiles.files.checks import MAX_POINTS, check_claim, checked_map, refuse
 from anisoscope.profiles.heightmap import HeightMap
 
 LONGEST = 4.0
@@ -40,6 +40,13 @@ def gridded(name: str, points_um: FloatArray, step_um: float, origin: dict[str, 
         refuse(name, "points", f"only {len(places)}", "a height map needs at least 2 × 2 points")
     low, high = places.min(axis=0), places.max(axis=0)
     cols, rows = (int(count) for count in np.floor((high - low) / step_um * (1.0 + 1e-12)) + 1)
+    if rows * cols > MAX_POINTS:
+        refuse(
+            name,
+            "grid",
+            f"{rows} × {cols} points",
+            f"at most {MAX_POINTS // 10**6} million are made; take a larger step",
+        )
     check_claim(name, rows, cols, 0, 0)
     try:
         triangles = Delaunay(places - low)

@@ -139,6 +139,13 @@ def read_image(path: Path | str, given: Given | None = None) -> HeightMap:
     kind = "tiff" if png_note is None else "png"
     answer, raw = decode(kind, path)
     if answer.get("park"):
+        if given.z_unit or given.height_per_count is not None:
+            refuse(
+                path.name,
+                "units",
+                "a file of Park Systems states its own",
+                "leave --z-unit and --height-per-count out",
+            )
         return read_library(path, given, "ps")
     if png_note and given == Given() and (scales := PNG_NOTE.fullmatch(png_note)):
         return _counted(path.name, raw, [_real(path.name, text) for text in scales.groups()])

@@ -1,7 +1,10 @@
 """Files with several channels: Nanonis sxm and Nanoscope files made here, Gwyddion's, and what has one map."""
 
+import struct
+
 import numpy as np
 import pytest
+import tifffile
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.load import read_height_map, write_height_map
@@ -121,3 +124,27 @@ def test_a_format_with_one_map_takes_no_channel(tmp_path, heights):
     write_height_map(HeightMap(heights, 1.0, 1.0), tmp_path / "a.x3p")
     with pytest.raises(HeightMapError, match="have one map; leave --channel out"):
         read_height_map(tmp_path / "a.x3p", channel="Height")
+
+
+def test_a_picture_of_park_systems_holds_heights_of_its_own(tmp_path):
+    """Header and heights are in tags of a picture of 8 bits; its unit is stated, and no other is taken."""
+    header = struct.pack(
+        "<I64s16sdIIIIdIdIIIdddddd16sdddd d16siiiIII".replace(" ", ""),
+        0, "Z Height".encode("utf-16-le"), "NCM".encode("utf-16-le"), 0.0, 0, 0, COLS, ROWS, 0.0, 0, 0.0, 1, 1, 0,
+        0.8, 1.2, 0.0, 0.0, 1.0, 0.0, "nm".encode("utf-16-le"), 0.0, 0.0, 0.5, 1e-3, 0.0, "um".encode("utf-16-le"),
+        0, 0, 0, 0, 0, 0,
+    )  # fmt: skip
+    data = np.rint(Z).astype("<i2").tobytes()
+    tags = [
+        (50432, 4, 1, 0x0E031301, True),
+        (50433, 4, 1, 0x01000001, True),
+        (50435, 1, len(header), header, True),
+        (50434, 1, len(data), data, True),
+    ]
+    path = tmp_path / "a.tiff"
+    tifffile.imwrite(path, np.zeros((4, 4), np.uint8), extratags=tags, metadata=None)
+    found = read_height_map(path)
+    assert (found.pixel_x_um, found.pixel_y_um) == pytest.approx((0.1, 0.2))
+    assert np.ptp(found.height_um) == pytest.approx(0.5e-3 * np.ptp(np.rint(Z)), rel=1e-6)
+    with pytest.raises(HeightMapError, match="a file of Park Systems states its own; leave --z-unit"):
+        read_height_map(path, z_unit="nm")
