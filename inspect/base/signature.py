@@ -46,7 +46,7 @@ class Signer(Protocol):
 
 
 class KeyFile:
-    """Private key in a PEM file (PKCS #8, not encrypted) that only its owner may read.
+    """Private key in a PEM file (PKCS #8, not encrypted) that only its owner may read; ``path`` is the file.
 
     Raises:
         ConfigError: it is missing, no such key, or others may read it.
@@ -68,7 +68,7 @@ class KeyFile:
             raise ConfigError(f"{path}: holds no private key in PEM without a password") from error
         if not isinstance(key, Ed25519PrivateKey):
             raise ConfigError(f"{path}: this is no Ed25519 key: `anisoscope key new FILE` makes one")
-        self._key = key
+        self._key, self.path = key, path
 
     @property
     def public(self) -> bytes:
@@ -247,11 +247,16 @@ class Trust(Part):
         return next((one for one in self.keys if one.public == text), None)
 
     def distrust(self, found: Signed) -> str | None:
-        """Why a valid signature does not count, or None if it does."""
+        """Why a valid signature does not count, or None if it does.
+
+        The station that the statement names has to be that of the key.
+        """
         known = self.key(found.public)
         if known is None:
             return f"the key {found.key} is not among the trusted ones"
-        name = f"the key {found.key} of {known.station}"
+        name, station = f"the key {found.key} of {known.station}", found.content.get("station")
+        if station is not None and station != known.station:
+            return f"{name} signed for the station {station}"
         if known.revoked is not None:
             return f"{name} is revoked: {known.revoked}"
         if known.since is not None and found.signed_at < _utc(known.since):

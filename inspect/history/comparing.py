@@ -8,9 +8,10 @@ from typing import Any, Protocol
 
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.json_fields import in_json, json_field
+from anisoscope.history.evidence import unlike
 from anisoscope.history.export import with_dispositions
-from anisoscope.history.rows import Row, row_of, seal_of
-from anisoscope.record.schema import Record, read_record
+from anisoscope.history.rows import Row, row_of
+from anisoscope.record.schema import Record, read_record, record_signature
 
 _PREFIXES = ("u ", "deviation ", "tolerance ")
 _ROW_FIELDS = ("product", "recipe", "lot", "cavity", "station", "operator", "software")
@@ -161,12 +162,15 @@ def record_of(row: Row) -> Record:
     """The record in a row's folder.
 
     Raises:
-        RecordError: it is gone, damaged, or another one than the history knows.
+        RecordError: it is gone, damaged, another one than the history knows, signed as another one, or says something
+            else than the row.
     """
     folder = Path(row.folder)
     record = read_record(folder)
-    if seal_of(folder) != row.seal:
-        raise RecordError(f"{folder} holds another record than the history knows")
+    record_signature(folder)
+    problem = unlike(row, record)
+    if problem is not None:
+        raise RecordError(problem)
     return record
 
 

@@ -5,7 +5,7 @@ those of RFC 3161; they are read and checked by the package rfc3161-client, an e
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,10 +18,12 @@ from sqlalchemy import Connection, func, insert, select
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT
+from anisoscope.base.last_signed import HEADS, note_head, note_of, noted
 from anisoscope.base.regular_file import bounded_bytes
-from anisoscope.base.signature import Signed, Signer, Trust, read_signed, signed
+from anisoscope.base.signature import Signed, Signer, Trust, key_id, read_signed, signed
 from anisoscope.history import schema
 from anisoscope.history.chain import INSPECTION_FIELDS, START, text_of
+from anisoscope.history.evidence import compare_rows
 from anisoscope.history.problems import HistoryError
 from anisoscope.history.statements import head
 from anisoscope.history.store import History
@@ -29,6 +31,8 @@ from anisoscope.history.store import History
 EVERY = 100
 AFTER = timedelta(hours=24)
 """A head is signed when so many inspections are new, or the last one is so old."""
+MOST_COMPARED = 1000
+"""So many of the latest rows are compared with their records before a head is signed by itself."""
 _HEADS, _STAMPS = schema.signed_heads, schema.time_stamps
 _WAIT_S = 30
 
@@ -44,6 +48,7 @@ class HeadsVerified:
         signed_by: station and key of the last one, or None.
         stamped_at: the time of the last time stamp that was checked, or None.
         problems: what is wrong, a line each.
+        signed_since: by station, how many rows its first head covers.
     """
 
     heads: int
@@ -52,44 +57,49 @@ class HeadsVerified:
     signed_by: str | None
     stamped_at: datetime | None
     problems: tuple[str, ...] = field(metadata=LEFT_OUT)
+    signed_since: Mapping[str, int] = field(default_factory=dict, metadata=LEFT_OUT)
 
 
 def sign_head(history: History, signer: Signer, *, always: bool = False, now: datetime | None = None) -> bool:
     """Sign the present heads if that is due: the first time, after 100 inspections, or after a day with something new.
 
+    Each station signs heads of its own. The rows that are new under the head are compared with their records first, and
+    the last head that this key signed, by the note beside it, has to be there.
+
     Args:
         history: open.
         signer: the key of the station.
-        always: whether it is due or not.
+        always: whether it is due or not; then the rows are compared however many they are.
         now: the time.
 
     Returns:
         Whether they were signed.
 
     Raises:
-        HistoryError: the history cannot be written.
+        HistoryError: the history cannot be written, a row differs from its record, or a head is gone.
+        ConfigError: the note beside the key is damaged.
     """
     with history.writing() as connection:
+        rows, after = _due(connection, signer, always, now or datetime.now(UTC))
+    problems = [*cut(history, signer)]
+    if rows is None and not problems:
+        return False
+    rows = rows or 0
+    problems += compare_rows(history, after=after if always else max(after, rows - MOST_COMPARED)).problems
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise HistoryError(f"{problems[0]}{more}: `anisoscope history verify` says more; nothing is signed")
+    with history.writing() as connection:
         last = connection.execute(select(_HEADS).order_by(_HEADS.c.id.desc()).limit(1)).mappings().first()
-        (rows, row_hash), (decisions, decision_hash), (cycles, cycle_hash) = (
-            head(connection, table) for table in (schema.inspections, schema.dispositions, schema.covariates)
-        )
         number, previous = (0, "") if last is None else (last["id"], last["envelope"])
-        signed_at, signed_cycles = (None, 0) if last is None else _said(last["envelope"])
-        if last is not None and (rows, decisions, cycles) == (
-            last["inspections"],
-            last["dispositions"],
-            signed_cycles,
-        ):
-            return False
-        if last is not None and signed_at is not None and not always and rows - last["inspections"] < EVERY:
-            age = (now or datetime.now(UTC)) - signed_at
-            if age < AFTER and decisions == last["dispositions"]:
-                return False
+        row_hash = connection.scalar(select(schema.inspections.c.hash).where(schema.inspections.c.id == rows))
+        (decisions, decision_hash), (cycles, cycle_hash) = (
+            head(connection, table) for table in (schema.dispositions, schema.covariates)
+        )
         statement = {
             "number": number + 1,
             "inspections": rows,
-            "head": row_hash.hex(),
+            "head": (bytes(row_hash) if row_hash is not None else START).hex(),
             "dispositions": decisions,
             "disposition_head": decision_hash.hex(),
             "covariates": cycles,
@@ -97,8 +107,60 @@ def sign_head(history: History, signer: Signer, *, always: bool = False, now: da
             "previous": hashlib.sha256(previous.encode()).hexdigest() if previous else START.hex(),
         }
         values = {"id": number + 1, "inspections": rows, "dispositions": decisions}
-        connection.execute(insert(_HEADS).values(**values, envelope=signed("head", statement, signer)))
+        envelope = signed("head", statement, signer)
+        connection.execute(insert(_HEADS).values(**values, envelope=envelope))
+    note_head(signer, str(history.address), number + 1, envelope)
     return True
+
+
+def _due(connection: Connection, signer: Signer, always: bool, now: datetime) -> tuple[int | None, int]:
+    """How many rows a head by this key is to cover, or None where none is due; and those that need no comparison."""
+    newest = select(_HEADS).order_by(_HEADS.c.id.desc()).limit(1)
+    mine = newest.where(_HEADS.c.envelope.like(f"%{key_id(signer.public)}%"))
+    last, own = (connection.execute(one).mappings().first() for one in (newest, mine))
+    rows, decisions, cycles = (
+        head(connection, table)[0] for table in (schema.inspections, schema.dispositions, schema.covariates)
+    )
+    if own is None:
+        return rows, 0 if last is None else last["inspections"]
+    signed_at, signed_cycles = _said(own["envelope"])
+    if (rows, decisions, cycles) == (own["inspections"], own["dispositions"], signed_cycles):
+        return None, 0
+    new = always or rows - own["inspections"] >= EVERY or decisions != own["dispositions"]
+    return (rows if new or now - signed_at >= AFTER else None), own["inspections"]
+
+
+def cut(history: History, signer: Signer) -> Iterator[str]:
+    """That the last head which this key signed is gone, by the note next to it.
+
+    Raises:
+        HistoryError, ConfigError: the history, or the note, cannot be read.
+    """
+    note, place = noted(signer)[HEADS].get(str(history.address)), note_of(signer)
+    if note is not None:
+        yield from gone(history, f"{place}: if this history was restored from a copy, remove it there", note)
+
+
+def gone(history: History, where: str, note: Mapping[str, Any]) -> Iterator[str]:
+    """That a history does not hold a signed head which was noted elsewhere.
+
+    Args:
+        history: open.
+        where: where it was noted.
+        note: its ``number``, and the ``sha256`` of its envelope.
+
+    Raises:
+        HistoryError: the history cannot be read.
+    """
+    with history.reading() as connection:
+        there = schema.version_of(connection) >= schema.WITH_SIGNED_HEADS
+        chosen = select(_HEADS.c.envelope).where(_HEADS.c.id == note["number"])
+        envelope = connection.scalar(chosen) if there else None
+    if envelope is None or hashlib.sha256(str(envelope).encode()).hexdigest() != note["sha256"]:
+        yield (
+            f"signed head {note['number']} was noted, and the history does not hold it: it was cut or written anew "
+            f"(noted in {where})"
+        )
 
 
 def _said(envelope: str) -> tuple[datetime, int]:
@@ -127,6 +189,7 @@ def verify_heads(
     """
     problems: list[str] = []
     covered, last, previous, count, name = 0, None, "", 0, None
+    by: dict[str, list[int]] = {}
     with history.reading() as connection:
         rows = head(connection, schema.inspections)[0]
         there = schema.version_of(connection) >= schema.WITH_SIGNED_HEADS
@@ -146,17 +209,39 @@ def verify_heads(
             problems += [f"{where}: {line}" for line in _unlike(connection, row, last, previous)]
             wrong = None if trust is None else trust.distrust(last)
             problems += [] if wrong is None else [f"{where}: {wrong}"]
-            covered, previous = row["inspections"], row["envelope"]
+            covered, previous = max(covered, row["inspections"]), row["envelope"]
             name = last.key if trust is None else trust.station(last)
-        if trust is not None and not found:
-            problems.append("no head of the history is signed")
+            known = None if trust is None or wrong is not None else trust.key(last.public)
+            if known is not None:
+                by.setdefault(known.station, []).append(row["inspections"])
+        if trust is not None:
+            problems += [] if found else ["no head of the history is signed"]
+            problems += _uncovered(connection, by) if found else []
         stamps = connection.execute(select(_STAMPS).order_by(_STAMPS.c.id)).mappings().all() if there else []
     moment, stamp_problems = (
         (None, []) if authorities is None else _stamps(stamps, {row["id"]: row for row in found}, authorities)
     )
+    since = {station: covers[0] for station, covers in by.items()}
     return HeadsVerified(
-        len(found), covered, max(rows - covered, 0), name, moment, (*problems, *stamp_problems)
+        len(found), covered, max(rows - covered, 0), name, moment, (*problems, *stamp_problems), since
     )
+
+
+def _uncovered(connection: Connection, by: Mapping[str, list[int]]) -> Iterator[str]:
+    """Stations whose own heads do not cover their rows: no other station signs for them."""
+    table = schema.inspections.c
+    stations = select(table.station, func.count()).where(table.station.is_not(None)).group_by(table.station)
+    for station, number in connection.execute(stations.order_by(table.station)).all():
+        if station not in by:
+            yield f"no head is signed by the station {station}, which has {number} inspections here"
+            continue
+        later = select(func.count()).where(table.station == station, table.id > max(by[station]))
+        left = int(connection.scalar(later) or 0)
+        if left > EVERY:
+            yield (
+                f"{left} inspections of the station {station} came after its last signed head: `anisoscope history "
+                "sign` there covers them"
+            )
 
 
 def _unlike(connection: Connection, row: Any, said: Signed, previous: str) -> list[str]:  # noqa: ANN401

@@ -14,7 +14,7 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -28,9 +28,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.last_signed import HEADS, noted
 from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.signature import Signed
+from anisoscope.base.signature import Signed, Trust, read_signed, signer_in_use
 from anisoscope.history.rows import seal_of
 from anisoscope.inspection.archive_store import ArchiveError, Store, Stored
 from anisoscope.inspection.folder import INPUTS, sweep, working_in
@@ -142,11 +143,25 @@ class Deleted(_Stored):
     deleted_at: datetime
 
 
+class HeadNote(_Stored):
+    """Number of a signed head, and SHA-256 of its envelope."""
+
+    number: int
+    sha256: str
+
+
 class StationKeys(_Stored):
-    """Keys by which a station of this name signed what it archived, each with its first and last time."""
+    """What a station of this name signed.
+
+    Attributes:
+        station: its name.
+        keys: by which it signed what it archived, each with its first and last time.
+        heads: by history, number and hash of the last head that it signed.
+    """
 
     station: str
     keys: dict[str, tuple[datetime, datetime]]
+    heads: dict[str, HeadNote] = {}
 
 
 class Rule(_Stored):
@@ -225,6 +240,16 @@ def check_format(store: Store, *, begin: bool = False) -> None:
 def archived(store: Store) -> list[str]:
     """Names of all manifests, the oldest day first."""
     return [one.name for one in store.files(INSPECTIONS) if one.name.endswith(".json")]
+
+
+def archived_verdicts(store: Store) -> dict[str, str]:
+    """Verdicts of all archived inspections by the first 12 digits of their seals, from the names of their manifests.
+
+    Raises:
+        ArchiveError: the archive does not answer.
+    """
+    parts = (PurePosixPath(name).stem.split("~") for name in archived(store))
+    return {seal: verdict for _, verdict, seal in parts}
 
 
 def read_manifest(store: Store, name: str) -> Archived:
@@ -432,7 +457,21 @@ def clear_removed(place: Path) -> None:
         shutil.rmtree(trash, ignore_errors=True)
 
 
-def note_keys(store: Store, signed: Iterable[tuple[str, Signed]]) -> list[str]:
+def noted_heads(store: Store, history: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Where in the archive a signed head of a history was noted, and its number and hash.
+
+    Raises:
+        ArchiveError: the archive does not answer, or a note is damaged.
+    """
+    for one in store.files(STATIONS):
+        note = _read(store, one.name, StationKeys).heads.get(history)
+        if note is not None:
+            yield f"{store.url}/{one.name}", note.model_dump()
+
+
+def note_keys(
+    store: Store, signed: Iterable[tuple[str, Signed]], heads: Mapping[str, HeadNote] | None = None
+) -> list[str]:
     """Note which keys the stations sign by; a line for each name under which two keys sign in turn.
 
     A key that replaced another one signs after it, and the earlier one no more.
@@ -440,6 +479,7 @@ def note_keys(store: Store, signed: Iterable[tuple[str, Signed]]) -> list[str]:
     Args:
         store: of the archive.
         signed: stations by name, and signatures of their records.
+        heads: the last head that was signed here, by history; one of a lower number than the note is not noted.
 
     Raises:
         ArchiveError: the archive does not answer, or a note is damaged.
@@ -448,15 +488,23 @@ def note_keys(store: Store, signed: Iterable[tuple[str, Signed]]) -> list[str]:
     for station, one in signed:
         stations.setdefault(station, []).append(one)
     lines = []
+    heads = heads or {}
     for station, those in stations.items():
         name = f"{STATIONS}/{quote(station, safe='')}.json"
-        known = {} if store.size(name) is None else _read(store, name, StationKeys).keys
-        keys = dict(known)
+        known = StationKeys(station=station, keys={})
+        known = known if store.size(name) is None else _read(store, name, StationKeys)
+        keys = dict(known.keys)
         for one in those:
             first, last = keys.get(one.key, (one.signed_at, one.signed_at))
             keys[one.key] = min(first, one.signed_at), max(last, one.signed_at)
-        if keys != known:
-            store.write(name, StationKeys(station=station, keys=keys).model_dump_json(indent=1).encode())
+        latest = known.heads | {
+            place: note
+            for place, note in heads.items()
+            if place not in known.heads or note.number > known.heads[place].number
+        }
+        new = StationKeys(station=station, keys=keys, heads=latest)
+        if new != known:
+            store.write(name, new.model_dump_json(indent=1).encode())
         spans = sorted((first, last, key) for key, (first, last) in keys.items())
         lines += [
             f"two stations are called {station!r}: the keys {before[2]} and {after[2]} sign in turn; give one of them "
@@ -523,6 +571,7 @@ class Proven:
         unread: manifests that cannot be read, with the reason.
         share: upper limit of the damaged share of the objects, with the confidence.
         confidence: of that limit.
+        distrust: inspections that no trusted key signed as they are, or that follow one which is gone.
     """
 
     inspections: int
@@ -533,11 +582,12 @@ class Proven:
     unread: tuple[str, ...]
     share: float
     confidence: float
+    distrust: tuple[str, ...] = ()
 
     @property
     def intact(self) -> bool:
         """Whether nothing was found wrong."""
-        return not (self.damaged or self.missing or self.unread)
+        return not (self.damaged or self.missing or self.unread or self.distrust)
 
 
 def sample_size(objects: int, share: float, confidence: float) -> int:
@@ -591,8 +641,66 @@ def upper_share(objects: int, hashed: int, found: int, confidence: float) -> flo
     return float(betaincinv(found + 1, hashed - found, confidence))
 
 
+def distrusted(store: Store, those: Sequence[Archived], trust: Trust) -> Iterator[str]:
+    """What is wrong with the signatures of archived inspections, and with their sequence.
+
+    Each manifest has to say what the signed record says, and each record has to follow one that is archived, or that a
+    note of its deletion names.
+
+    Args:
+        store: of the archive.
+        those: all manifests.
+        trust: keys that count.
+
+    Raises:
+        ArchiveError: the archive does not answer.
+    """
+    notes = (one.name for one in store.files(DELETED) if one.name.endswith(".json"))
+    seals = {one.seal for one in those} | {_read(store, name, Deleted).inspection.seal for name in notes}
+    linked: set[str] = set()
+    for one in sorted(those, key=lambda one: one.created_at):
+        files = {file.name: file for file in one.files}
+        try:
+            content, envelope = (store.read(files[name].object) for name in (RECORD_NAME, SIGNATURE_NAME))
+            found = read_signed("record", envelope or b"")
+            record = json.loads(content or b"")
+            signed_hash = found.content.get("record")
+            if {signed_hash, files[RECORD_NAME].sha256} != {hashlib.sha256(content or b"").hexdigest()}:
+                raise ValueError("the record is another one than was signed")
+            unlike = {(file["name"], file["sha256"]) for file in record["files"]}
+            unlike -= {(file.name, file.sha256) for file in one.files}
+            said = {
+                name: found.content.get(name) for name in ("serial", "product", "verdict", "lot", "station")
+            }
+            wrong = [name for name, value in said.items() if value != getattr(one, name)]
+            problem = trust.distrust(found)
+        except KeyError:
+            yield f"{one.key}: the record is not signed"
+            continue
+        except (ValueError, TypeError) as error:
+            yield f"{one.key}: {error}"
+            continue
+        if unlike or wrong or record.get("seal") != one.seal:
+            what = min(unlike)[0] if unlike else wrong[0] if wrong else "seal"
+            problem = f"its manifest says another {what} than the signed record"
+        number, previous = found.content.get("number"), found.content.get("previous")
+        if problem is None and number is None and found.key in linked:
+            problem = "the record does not say which one was before it, and earlier ones do"
+        elif problem is None and number not in (None, 1) and previous not in seals:
+            problem = f"record {int(number) - 1} of its station is neither archived nor noted as deleted"
+        if number is not None:
+            linked.add(found.key)
+        if problem is not None:
+            yield f"{one.key}: {problem}"
+
+
 def prove(
-    store: Store, share: float, confidence: float, rng: np.random.Generator, advance: Advance = silent
+    store: Store,
+    share: float,
+    confidence: float,
+    rng: np.random.Generator,
+    advance: Advance = silent,
+    trust: Trust | None = None,
 ) -> Proven:
     """Check that an archive holds what its manifests say, and hash a sample of it.
 
@@ -602,6 +710,7 @@ def prove(
         confidence: with which.
         rng: draws the sample.
         advance: progress.
+        trust: keys of which one has to have signed each record; the small files of all inspections are read then.
 
     Raises:
         ArchiveError: the archive does not answer.
@@ -609,11 +718,13 @@ def prove(
     check_format(store)
     there = {one.name: one.size for one in store.files(OBJECTS)}
     wanted: dict[str, ArchivedFile] = {}
-    names, unread = archived(store), []
+    names, unread, read = archived(store), [], list[Archived]()
     for number, name in enumerate(names):
         advance("manifests", number, len(names))
         try:
-            wanted |= {file.object: file for file in read_manifest(store, name).files}
+            one = read_manifest(store, name)
+            wanted |= {file.object: file for file in one.files}
+            read += [] if trust is None else [one]
         except ArchiveError as error:
             unread.append(str(error))
     missing = tuple(sorted(name for name, file in wanted.items() if there.get(name) != file.size))
@@ -627,8 +738,17 @@ def prove(
         right = for_each(lambda name: _is_right(store, name, wanted[name].sha256), part)
         damaged += [name for name, good in zip(part, right, strict=True) if not good]
     limit = upper_share(len(wanted), len(chosen) + len(missing), len(damaged) + len(missing), confidence)
+    distrust = () if trust is None else tuple(distrusted(store, read, trust))
     return Proven(
-        len(names), len(wanted), len(chosen), tuple(damaged), missing, tuple(unread), limit, confidence
+        len(names),
+        len(wanted),
+        len(chosen),
+        tuple(damaged),
+        missing,
+        tuple(unread),
+        limit,
+        confidence,
+        distrust,
     )
 
 
@@ -779,7 +899,9 @@ def push_all(
             failed += 1
             tell(" ".join(str(error).split()))
     advance("archive", len(folders), len(folders))
-    for line in note_keys(store, signed):
+    signer = signer_in_use()
+    heads = {} if signer is None else noted(signer)[HEADS]
+    for line in note_keys(store, signed, {name: HeadNote(**note) for name, note in heads.items()}):
         tell(line)
     if remove:
         for objects in {objects_of(folder) for folder in folders}:

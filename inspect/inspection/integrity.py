@@ -48,6 +48,8 @@ class Verified:
         report_signed: whether the key that signed the record also signed the report; None where the record is not
             signed, or there is no report beside it.
         origin: "rig" or "imported", as the record says; "" where it does not.
+        judged_anew: earlier record of the same frames; "" where there is none.
+        number: of the record among those of its station in one folder, as was signed; None where it is not linked.
         report_written: whether the report is there; a finished inspection without one is intact, unless its record
             lists it, as those of earlier versions do.
     """
@@ -62,6 +64,8 @@ class Verified:
     distrust: tuple[str, ...] = ()
     report_signed: bool | None = None
     origin: str = ""
+    judged_anew: str = ""
+    number: int | None = None
 
     @property
     @in_json()
@@ -107,6 +111,7 @@ def verify(folder: Path, trust: Trust | None = None) -> Verified:
     if report is not None and not report.by_record:
         changed += report.changed
         own |= OWN
+    origin, anew = ("", "") if listed is None else recorded_origin(folder)
     return Verified(
         RECORD_NAME in present,
         len(expected) + 1 + _count(report, present),
@@ -115,8 +120,19 @@ def verify(folder: Path, trust: Trust | None = None) -> Verified:
         tuple(sorted(present - expected.keys() - own)),
         REPORT_NAME in present,
         *_signature(folder, trust, finished=RECORD_NAME in present),
-        origin="" if listed is None else recorded_origin(folder),
+        origin=origin,
+        judged_anew=anew,
+        number=_number(folder) if RECORD_NAME in present else None,
     )
+
+
+def _number(folder: Path) -> int | None:
+    try:
+        found = record_signature(folder)
+    except RecordError:
+        return None
+    number = None if found is None else found.content.get("number")
+    return number if isinstance(number, int) else None
 
 
 def _signature(

@@ -12,10 +12,12 @@ from pathlib import Path
 from anisoscope.base.atomic_write import appearing
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.signature import read_trust
+from anisoscope.base.signature import read_trust, signer_in_use
 from anisoscope.history.aqdef import MARK, TIME, AqdefFile, description_lines
 from anisoscope.history.aqdef import value_lines as aqdef_values
+from anisoscope.history.comparing import record_of
 from anisoscope.history.covariates import CycleData
+from anisoscope.history.evidence import RowsCompared, compare_rows, last_missing
 from anisoscope.history.export import (
     characteristics,
     csv_lines,
@@ -26,9 +28,11 @@ from anisoscope.history.export import (
     write_lines,
 )
 from anisoscope.history.filters import Filters
-from anisoscope.history.heads import HeadsVerified, rows_to_head, verify_heads
+from anisoscope.history.heads import HeadsVerified, cut, gone, rows_to_head, verify_heads
 from anisoscope.history.rows import Row, seal_of
 from anisoscope.history.store import History, find
+from anisoscope.inspection.archive import archived_verdicts, noted_heads
+from anisoscope.inspection.archive_store import open_store
 from anisoscope.inspection.folder import files_in
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.past_pages import thumbnail_of
@@ -114,6 +118,7 @@ class HistoryVerified:
         head: hash of the last inspection; one that was noted shows later that nothing was cut.
         disposition_head, covariate_head: the same of decisions and cycle data.
         signed: the signed heads.
+        rows: the rows compared with their records.
     """
 
     intact: bool
@@ -123,6 +128,7 @@ class HistoryVerified:
     disposition_head: str
     covariate_head: str
     signed: HeadsVerified
+    rows: RowsCompared
 
 
 def verify_history(
@@ -131,16 +137,21 @@ def verify_history(
     heads: Sequence[str] = (),
     trust: Path | None = None,
     authorities: Path | None = None,
+    archive: str | None = None,
 ) -> HistoryVerified:
-    """Compute the hash of every row again, and check the signed heads.
+    """Compute the hash of every row again, compare rows with records within reach, and check the signed heads.
+
+    Where the key of the station is at hand, the last head and record that it signed have to be there.
 
     Args:
         history: open.
         heads: hashes that were noted earlier and have to be in it, 64 hexadecimal digits each.
         trust: file of keys that have to have signed.
         authorities: certificates (PEM) of authorities whose time stamps count.
+        archive: where stations noted which head they signed last; rows whose folder is gone are compared with it.
 
     Raises:
+        ArchiveError: the archive does not answer.
         UsageError: a head that is none.
         HistoryError, ConfigError: the history or a file cannot be read.
     """
@@ -150,8 +161,18 @@ def verify_history(
                 f"--head takes the 64 hexadecimal digits that this command prints, not {one[:80]!r}"
             )
     damage = [str(one) for one in history.verify_chain()]
-    signed = verify_heads(history, None if trust is None else read_trust(trust), authorities)
-    damage += signed.problems
+    trusted = None if trust is None else read_trust(trust)
+    signed = verify_heads(history, trusted, authorities)
+    store = None if archive is None else open_store(archive)
+    kept = None if store is None else archived_verdicts(store)
+    rows = compare_rows(history, trusted, signed_since=signed.signed_since, elsewhere=kept)
+    damage += (*signed.problems, *rows.problems)
+    signer = None if trust is None else signer_in_use()
+    if signer is not None:
+        damage += (*cut(history, signer), *last_missing(history, signer))
+    if store is not None:
+        for where, note in noted_heads(store, str(history.address)):
+            damage += gone(history, where, note)
     damage += [
         f"nothing has the head {one[:12].lower()}… that was noted: the history was cut or rewritten since"
         for one in heads
@@ -161,7 +182,7 @@ def verify_history(
     if count == 0:
         damage.append("the history holds no inspection: there is nothing to verify")
     ends = history.head(), history.disposition_head(), history.covariate_head()
-    return HistoryVerified(not damage, count, tuple(damage), *ends, signed)
+    return HistoryVerified(not damage, count, tuple(damage), *ends, signed, rows)
 
 
 def export_history(
@@ -270,6 +291,7 @@ def bundle(history: History, inspection: str, path: Path) -> Row:
         raise RecordError(
             f"{folder}: {wrong}: a bundle would prove nothing; `anisoscope verify {folder}` says more"
         )
+    record_of(row)  # which says the same as the row
     rows, head = rows_to_head(history, row.id)
     with (
         appearing(path) as stream,

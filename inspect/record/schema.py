@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validat
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
 from anisoscope.base.json_file import parsed_json
+from anisoscope.base.last_signed import next_record
 from anisoscope.base.printable import check_printable
 from anisoscope.base.regular_file import bounded_bytes, regular_file
 from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
@@ -550,7 +551,8 @@ def sha256_of(path: Path) -> str:
 def write_record(record: Record, folder: Path) -> Path:
     """Write ``record.json``, all or nothing, and before it its signature where a signing key is in use.
 
-    The file ends with its seal: the SHA-256 of its own bytes with zeros in place of the seal.
+    The file ends with its seal: the SHA-256 of its own bytes with zeros in place of the seal. What is signed links the
+    record to the one before it (`next_record`).
 
     Raises:
         ConfigError: the signing key cannot be used.
@@ -558,20 +560,41 @@ def write_record(record: Record, folder: Path) -> Path:
     path = folder / RECORD_NAME
     content = record.model_dump(mode="json", by_alias=True) | {"seal": UNSEALED}
     text = json.dumps(content, indent=2, allow_nan=False)
-    whole = _with_seal(text, hashlib.sha256(text.encode()).hexdigest())
+    seal = hashlib.sha256(text.encode()).hexdigest()
+    whole = _with_seal(text, seal)
     signer = signer_in_use()
     if signer is not None:
         names = "serial", "product", "verdict", "created_at", "software", "origin"
         statement = {"record": hashlib.sha256(whole.encode()).hexdigest()}
         statement |= {name: content[name] for name in names}
+        statement |= {"judged_anew": record.judged_anew}
         statement |= {name: content["particulars"][name] for name in ("lot", "station")}
-        write_text(folder / SIGNATURE_NAME, signed("record", statement, signer) + "\n")
+        with next_record(signer, folder, seal) as link:
+            write_text(folder / SIGNATURE_NAME, signed("record", statement | link, signer) + "\n")
+            write_text(path, whole)
     else:
         (folder / SIGNATURE_NAME).unlink(
             missing_ok=True
         )  # of an attempt with a key that was killed before its record
-    write_text(path, whole)
+        write_text(path, whole)
     return path
+
+
+_ALSO_SIGNED = frozenset(
+    {
+        "serial",
+        "product",
+        "verdict",
+        "created_at",
+        "software",
+        "origin",
+        "judged_anew",
+        "reuse",
+        "lot",
+        "station",
+    }
+)
+"""Fields of a record that its signed statement names as well."""
 
 
 def record_signature(folder: Path) -> Signed | None:
@@ -587,6 +610,11 @@ def record_signature(folder: Path) -> Signed | None:
         found = read_signed("record", bounded_bytes(path))
         if found.content.get("record") != sha256_of(folder / RECORD_NAME):
             raise ValueError("it is the signature of another record, or the record was changed")
+        content, _ = _content_of(folder / RECORD_NAME)
+        for name in _ALSO_SIGNED & found.content.keys():
+            recorded = content.get(name, (content.get("particulars") or {}).get(name, ""))
+            if found.content[name] != recorded:
+                raise ValueError(f"it says another {name} than the record")
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror}") from error
     except ValueError as error:
@@ -636,14 +664,14 @@ def recorded_files(folder: Path) -> tuple[InputFile, ...]:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
 
 
-def recorded_origin(folder: Path) -> str:
-    """Origin of the frames, from the record of an inspection folder: "rig" or "imported"; "" in older records.
+def recorded_origin(folder: Path) -> tuple[str, str]:
+    """Origin of the frames, "rig" or "imported" ("" in older records), and the earlier record of the same frames.
 
     Raises:
         RecordError: there is no record, or it is damaged or was changed.
     """
     content, _ = _content_of(folder / RECORD_NAME)
-    return str(content.get("origin", "")) if isinstance(content, dict) else ""
+    return str(content.get("origin", "")), str(content.get("judged_anew", ""))
 
 
 def _content_of(path: Path) -> tuple[Any, bool]:

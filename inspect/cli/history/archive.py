@@ -10,7 +10,7 @@ from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.cli.history.history import plain, write_line
 from anisoscope.cli.history.options import DEFAULT_OUT
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, TrustFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import answer, print_table
 
@@ -171,11 +171,14 @@ def verify(
     ] = 0.1,
     confidence: Annotated[float, Parameter(help="With this confidence in %.")] = 95.0,
     seed: Annotated[int | None, Parameter(help="Seed of the sample; a new one every time without.")] = None,
+    trust: TrustFile = None,
     json_: Json = False,
 ) -> int:
     """Check that the archive holds what its inspections need, and hash a sample that is large enough for a statement.
 
-    Exit codes: 0 nothing is wrong, 1 files are damaged or missing, 69 the archive does not answer.
+    With --trust every record has to be signed by the key of its station, and to follow one that is archived or noted as
+    deleted.
+    Exit codes: 0 nothing is wrong, 1 files are damaged, missing or not trusted, 69 the archive does not answer.
 
     Examples:
         anisoscope archive verify
@@ -183,6 +186,7 @@ def verify(
     """
     import numpy as np
 
+    from anisoscope.base.signature import read_trust
     from anisoscope.inspection.archive import prove
 
     if not 0.0 <= damaged < 100.0:
@@ -191,13 +195,16 @@ def verify(
         raise UsageError(f"--confidence lies between 0 and 100 %, not {confidence:g}")
     store = _store(archive)
     with progress("archive", quiet=json_) as advance:
-        found = prove(store, damaged / 100.0, confidence / 100.0, np.random.default_rng(seed), advance)
+        trusted = None if trust is None else read_trust(trust)
+        rng = np.random.default_rng(seed)
+        found = prove(store, damaged / 100.0, confidence / 100.0, rng, advance, trusted)
     lines = [
         f"{'missing' if name in found.missing else 'damaged'}: {name}"
         for name in (*found.missing, *found.damaged)
     ]
     lines += [
         *found.unread,
+        *found.distrust,
         f"{_counted(found.inspections, 'inspection')}, {_counted(found.objects, 'file')}, {found.hashed} hashed: "
         + ("none damaged; " if found.intact else "")
         + f"at most {100.0 * found.share:.2g} % of the files are damaged ({confidence:g} % confidence)",

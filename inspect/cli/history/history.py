@@ -150,6 +150,9 @@ def print_verified(found: "HistoryVerified", *, json_: bool) -> None:
         write_line(line)
     if found.intact:
         write_line(f"{found.inspections} inspections are as they were written")
+    away = f", {found.rows.beyond} are out of reach" if found.rows.beyond else ""
+    old = f", {found.rows.not_linked} not linked to the one before" if found.rows.not_linked else ""
+    write_line(f"{found.rows.compared} compared with their records{old}{away}")
     if signed.signed_by is None:
         write_line("note: no head is signed")
     else:
@@ -451,12 +454,16 @@ def verify(
         Path | None,
         Parameter(name="--tsa", help="Certificates (PEM) of authorities whose time stamps count."),
     ] = None,
+    archive: Annotated[
+        str | None, Parameter(help="Archive: its verdicts, and the heads that stations noted there.")
+    ] = None,
     place: Place = None,
     json_: Json = False,
 ) -> int:
     """Compute the hash of every row again, and name the rows that were changed, exchanged or removed.
 
-    Signed heads have to be in the history; with --trust there has to be one, and its keys have to have signed them.
+    Rows are compared with the records within reach. Signed heads have to be in the history; with --trust there has to
+    be one of every station, by its key, and no record may be missing between two others.
     Exit codes: 0 unchanged, 1 changed or not trusted, 64 and above no readable history.
 
     Examples:
@@ -465,7 +472,9 @@ def verify(
     from anisoscope.operations.past import verify_history
 
     with opened(place) as history:
-        found = verify_history(history, heads=head or (), trust=trust, authorities=authorities)
+        found = verify_history(
+            history, heads=head or (), trust=trust, authorities=authorities, archive=archive
+        )
     print_verified(found, json_=json_)
     return 0 if found.intact else 1
 

@@ -295,9 +295,14 @@ def verify(folder: Folder, /, *, trust: TrustFile = None, json_: Json = False) -
     if found.intact:
         lines.append(f"{found.files} files are as they were")
     if found.origin:
-        lines.append("the rig took the frames" if found.origin == "rig" else "the frames were imported")
+        anew = f", judged anew after {found.judged_anew}" if found.judged_anew else ""
+        lines.append(
+            ("the rig took the frames" if found.origin == "rig" else "the frames were imported") + anew
+        )
     if found.signed_by is not None:
-        lines.append(f"signed by {found.signed_by}")
+        number = "" if found.number is None else f", record {found.number}"
+        lines.append(f"signed by {found.signed_by}{number}")
+        lines += [] if found.number is not None else ["note: not linked to the record before it"]
         if found.report_signed is False and not found.distrust:
             lines.append(
                 "note: the report is not covered by a signature: rely on record.json, or write it again"

@@ -1,5 +1,6 @@
 """Histories in SQLite and in PostgreSQL, made-up rows, and folders with real records."""
 
+import subprocess
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
@@ -151,3 +152,100 @@ def inspected(tmp_path):
         return folder
 
     return write
+
+
+@pytest.fixture(name="record_of", scope="session")
+def record_of_fixture():
+    return record_of
+
+
+CONFIG = """
+[req]
+distinguished_name = dn
+[dn]
+[ca]
+basicConstraints = critical, CA:true
+[tsa]
+basicConstraints = critical, CA:false
+extendedKeyUsage = critical, timeStamping
+keyUsage = critical, digitalSignature
+[tsa_config]
+serial = {folder}/serial
+default_policy = 1.2.3.4
+digests = sha256, sha512
+signer_digest = sha256
+ess_cert_id_chain = no
+ess_cert_id_alg = sha256
+"""
+
+
+@pytest.fixture(scope="session")
+def authority(tmp_path_factory):
+    """A time-stamping authority of openssl's: ``answer(request)``, and its certificate."""
+    folder = tmp_path_factory.mktemp("tsa")
+    (folder / "tsa.cnf").write_text(CONFIG.format(folder=folder))
+    (folder / "serial").write_text("01\n")
+
+    def openssl(*arguments, data=None):
+        return subprocess.run(
+            ["openssl", *map(str, arguments)],
+            cwd=folder,
+            input=data,
+            capture_output=True,
+            check=True,
+            timeout=120,
+        ).stdout
+
+    new = ("req", "-config", "tsa.cnf", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
+    openssl(
+        *new,
+        "-x509",
+        "-extensions",
+        "ca",
+        "-subj",
+        "/CN=root",
+        "-keyout",
+        "ca.key",
+        "-out",
+        "ca.pem",
+        "-days",
+        "9",
+    )
+    openssl(*new, "-subj", "/CN=tsa", "-keyout", "tsa.key", "-out", "tsa.csr")
+    openssl(
+        *(
+            "x509",
+            "-req",
+            "-in",
+            "tsa.csr",
+            "-CA",
+            "ca.pem",
+            "-CAkey",
+            "ca.key",
+            "-set_serial",
+            "2",
+            "-days",
+            "9",
+        ),
+        *("-extfile", "tsa.cnf", "-extensions", "tsa", "-out", "tsa.pem"),
+    )
+
+    def answer(request):
+        (folder / "request.tsq").write_bytes(request)
+        signer = ("-signer", "tsa.pem", "-inkey", "tsa.key")
+        openssl(
+            "ts",
+            "-reply",
+            "-config",
+            "tsa.cnf",
+            "-section",
+            "tsa_config",
+            "-queryfile",
+            "request.tsq",
+            *signer,
+            "-out",
+            "answer.tsr",
+        )
+        return (folder / "answer.tsr").read_bytes()
+
+    return answer, folder / "ca.pem"

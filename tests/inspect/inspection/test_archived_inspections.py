@@ -66,6 +66,8 @@ def test_verify_says_what_it_said(archive, anisoscope, kind):
         ("distrust", []),
         ("origin", ""),
         ("report_signed", None),
+        ("judged_anew", ""),
+        ("number", None),
     )  # keys that came later
     assert all(found.pop(key) == value for key, value in later)
     assert found == _then(f"verify-{kind}.json", folder)
