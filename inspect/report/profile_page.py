@@ -42,18 +42,22 @@ MISSING_GREY = 200.0
 COLOURS = {"burr": RED, "spike": "#ffffff", "pit": ORANGE}
 NUMBERS = (
     ("Pitch", "pitch_um", "µm"),
+    ("Pitch on the tilted surface", "surface_pitch_um", "µm"),
     ("Direction of the ridges, from +y", "direction_deg", "°"),
     ("Ridge angle", "ridge_angle_deg", "°"),
     ("Wall angle", "wall_angle_deg", "°"),
     ("Ridge height", "height_um", "µm"),
     ("Height loss at the crest", "height_loss", "1"),
     ("Edge radius of the crest", "edge_radius_um", "µm"),
+    ("Height loss at the foot", "foot_loss", "1"),
+    ("Radius of the foot", "foot_radius_um", "µm"),
     ("α along the ridges", "alpha_along", "1"),
     ("α across the ridges", "alpha_across", "1"),
     ("White noise of the heights", "noise_um", "µm"),
     ("Ridge angle, ridge to ridge", "angle_variation_deg", "°"),
     ("Ridge height, ridge to ridge", "height_variation_um", "µm"),
     ("Position, ridge to ridge", "shift_variation_um", "µm"),
+    ("Ridge angle, along the ridges", "along_variation_deg", "°"),
 )
 
 

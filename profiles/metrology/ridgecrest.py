@@ -33,6 +33,8 @@ class Crest:
         height_loss: share of the full height that is missing at the crest.
         edge_radius_um: radius of the crest; an upper bound where it is not clear of the pixels, empty on a plateau.
         plateau: whether a level top fits the crest better than a round one.
+        foot_loss: share of the full height that is filled at the foot.
+        foot_radius_um: radius of the foot, as of the crest.
     """
 
     wall_angle_deg: Quantity
@@ -42,6 +44,8 @@ class Crest:
     height_loss: Quantity
     edge_radius_um: Quantity
     plateau: bool
+    foot_loss: Quantity
+    foot_radius_um: Quantity
 
 
 @dataclass(frozen=True)
@@ -197,36 +201,68 @@ class _Wall:
 def _estimate(
     total: FloatArray, line: Line, wall: _Wall, pitch: float, step: float, upright: float = 0.5 * np.pi
 ) -> FloatArray:
-    """(5,) inclination of the wall in degrees, full height, height loss, radius, 1 for a plateau; from joined sums.
+    """(8,) inclination of the wall in degrees and full height; loss, radius, 1 for a plateau of crest and of foot.
 
-    A wall that is not resolved is taken to stand at ``upright`` (radians).
+    From joined sums. A wall that is not resolved is taken to stand at ``upright`` (radians). The foot is the crest of
+    the profile turned by 180°.
     """
     x, height, count = mean_profile(total[:-5].reshape(-1, 3), pitch)
+    slope, at, z = _wall_slope(total[-5:])
+    seen = wall.resolved and np.isfinite(slope) and slope > 0
+    inclination = float(np.arctan(slope)) if seen else upright
+    full = -pitch * line.slope * (1.0 - 0.5 * wall.width / pitch)
+    if seen:
+        full = pitch / (1.0 / np.tan(inclination) - 1.0 / line.slope)
+    flank = _Flank(slope if seen else None, at, z, inclination)
+    crest = _end(x, height, count, line, flank, wall, pitch, step)
+    below = Line(-(line.height + line.slope * pitch), line.slope)
+    turned = replace(wall, low=-wall.high, high=-wall.low)
+    foot = _end(
+        -x[::-1], -height[::-1], count[::-1], below, replace(flank, at=-at, z=-z), turned, pitch, step
+    )
+    return np.array([np.degrees(inclination), full, crest[0] / full, *crest[1:], foot[0] / full, *foot[1:]])
+
+
+@dataclass(frozen=True)
+class _Flank:
+    """The wall as a line: slope, None where it is not resolved, a point (at, z) on it, inclination in radians."""
+
+    slope: float | None
+    at: float
+    z: float
+    inclination: float
+
+
+def _end(
+    x: FloatArray,
+    height: FloatArray,
+    count: FloatArray,
+    line: Line,
+    flank: _Flank,
+    wall: _Wall,
+    pitch: float,
+    step: float,
+) -> tuple[float, float, float]:
+    """What is missing at a crest in µm, its radius, and 1 for a plateau."""
     straight = (x > 0.5 * REACH * pitch) & (x < REACH * pitch)
     # all points count here, in the line of the folded medians only the middle ones
     offset = float(np.average(height[straight] - line.at(x[straight]), weights=count[straight]))
-    slope, at, z = _wall_slope(total[-5:])
-    height, z = height - offset, z - offset
-    vertex, inclination = 0.5 * (wall.low + wall.high) + 0.25 * wall.width, upright
-    full = -pitch * line.slope * (1.0 - 0.5 * wall.width / pitch)
-    if wall.resolved and np.isfinite(slope) and slope > 0:
-        vertex, inclination = (
-            at + (float(line.at(np.array(at))) - z) / (slope - line.slope),
-            float(np.arctan(slope)),
-        )
-        full = pitch / (1.0 / np.tan(inclination) - 1.0 / line.slope)
+    height, z = height - offset, flank.z - offset
+    vertex = 0.5 * (wall.low + wall.high) + 0.25 * wall.width
+    if flank.slope is not None:
+        vertex = flank.at + (float(line.at(np.array(flank.at))) - z) / (flank.slope - line.slope)
     near = (x > (vertex + 0.3 * step if wall.resolved else wall.high + 0.5 * step)) & (x < REACH * pitch)
     if np.count_nonzero(near) < FEWEST_PLACES:
-        return np.array([np.degrees(inclination), full, 0.0, 0.0, 0.0])
+        return 0.0, 0.0, 0.0
     data = x[near], height[near], count[near]
     sharp = float(np.square(data[1] - line.at(data[0])) @ data[2])
     top, left = _plateau(*data, line, vertex)
-    radius, round_top, round_left = _arc(*data, line, vertex, inclination)
+    radius, round_top, round_left = _arc(*data, line, vertex, flank.inclination)
     if min(left, round_left) > CLEARLY * sharp:  # within the first pixel next to the edge anything fits
-        return np.array([np.degrees(inclination), full, 0.0, 0.0, 0.0])
+        return 0.0, 0.0, 0.0
     flat = left < round_left
     missing = float(line.at(np.array(vertex))) - (top if flat else round_top)
-    return np.array([np.degrees(inclination), full, max(missing, 0.0) / full, radius, float(flat)])
+    return max(missing, 0.0), radius, float(flat)
 
 
 def measure_crest(
@@ -262,7 +298,8 @@ def measure_crest(
     value, u = jackknife(joined[use], lambda total: _estimate(total, line, wall, p, step_um), weight[use])
     if not wall.resolved:  # the radius depends on how upright the wall is
         seen = _estimate(joined[use].sum(axis=0), line, wall, p, step_um, wall.seen)
-        u[3] = float(np.hypot(u[3], (seen[3] - value[3]) / np.sqrt(3.0)))
+        for at in (3, 6):
+            u[at] = float(np.hypot(u[at], (seen[at] - value[at]) / np.sqrt(3.0)))
     return _crest(value, u, wall, angle, pitch, step_um, bend)
 
 
@@ -282,21 +319,28 @@ def _crest(
     u_wall = float(np.sqrt(u[0] ** 2 + blur**2 + bend**2))
     inclination = Quantity(float(value[0]), u_wall)
     hidden = 0.0 if wall.resolved else wall.width / np.sqrt(12.0)
-    full, loss = float(value[1]), float(value[2])
+    full, loss, filled = float(value[1]), float(value[2]), float(value[5])
     by_angle = full * np.radians(angle.u) / (np.sin(theta) * np.cos(theta))
     by_wall = full**2 / p / np.sin(psi) ** 2 * np.radians(u_wall) if wall.resolved else hidden * np.tan(theta)
     u_full = float(np.sqrt(by_angle**2 + by_wall**2 + (full * pitch.u / p) ** 2))
     # the crest is somewhere between two places, or bins of half a pixel; nearly sharp ones within the pixel beside it
     place = max(wall.gap, 0.5 * step if loss > 0 else step) / np.sqrt(3.0)
     u_loss = float(np.hypot(u[2], np.hypot(place, 0.5 * hidden) / p))
+    below = max(wall.gap, 0.5 * step if filled > 0 else step) / np.sqrt(3.0)
+    u_filled = float(np.hypot(u[5], np.hypot(below, 0.5 * hidden) / p))
     if not wall.resolved:
         inclination = Quantity(None, at_least=float(np.degrees(wall.seen)) - 2.0 * float(blur))
     flat = bool(value[4] > 0.5) and loss > 2.0 * u_loss
-    actual = Quantity((1.0 - loss) * full, float(np.hypot((1.0 - loss) * u_full, full * u_loss)))
+    left = 1.0 - loss - filled
+    actual = Quantity(
+        left * full, float(np.sqrt((left * u_full) ** 2 + (full * u_loss) ** 2 + (full * u_filled) ** 2))
+    )
+    level = bool(value[7] > 0.5) and filled > 2.0 * u_filled
     radius = _radius(float(value[3]), float(u[3]), step, plateau=flat)
     return Crest(
-        inclination, wall.width, actual, Quantity(full, u_full), Quantity(loss, u_loss), radius, flat
-    )
+        inclination, wall.width, actual, Quantity(full, u_full), Quantity(loss, u_loss), radius, flat,
+        Quantity(filled, u_filled), _radius(float(value[6]), float(u[6]), step, plateau=level),
+    )  # fmt: skip
 
 
 def against_the_surface(wall: Quantity, removed: float, tilt: float) -> Quantity:

@@ -290,6 +290,37 @@ def single_ridges(planes: Planes, course: Course, facet: Facet, removed: float) 
     return found
 
 
+@dataclass(frozen=True)
+class Segment:
+    """A length of the map along its ridges.
+
+    Attributes:
+        place_um: middle of the length, along the ridges from the middle of the map.
+        angle_deg: mean ridge angle of all ridges there.
+    """
+
+    place_um: float
+    angle_deg: Quantity
+
+
+def segments_along(planes: Planes, course: Course, grid: Grid, removed: float) -> tuple[Segment, ...]:
+    """Ridge angles of lengths along the ridges; uncertainties from the scatter between the ridges there."""
+    tiles, information = _solve(planes.sums)
+    frame = course.frame(grid)
+    found = []
+    for k in range(frame.tiles):
+        use = (information[:, k] > LEAST_TILE * information.max()) & planes.fitted
+        if int(use.sum()) < MIN_RIDGES:
+            continue
+        slope = weighted_mean(tiles[use, k, 1], information[use, k])
+        assert slope.value is not None
+        assert slope.u is not None
+        angle = _between(slope.value, planes.tilt_across, removed)
+        error = float(np.degrees(slope.u) * np.cos(np.radians(angle)) ** 2)
+        found.append(Segment((k + 0.5 - 0.5 * frame.tiles) * frame.tile, Quantity(angle, error)))
+    return tuple(found)
+
+
 def _step(above: FloatArray, below: FloatArray, weight: FloatArray, before: FloatArray, k: int) -> Quantity:
     use = (weight > 0) & (before > 0)
     if k == 0 or int(use.sum()) < 2:
@@ -303,6 +334,13 @@ THIRD = 400.0  # Σ of the squared coefficients of a third difference along both
 LEAST_WINDOWS = 400
 SAMPLED_ROWS = 60
 MANY_POINTS = 500_000
+COUNTS = 0.02
+MOST_DISTINCT = 0.5
+CROSSED = 4
+LINE_POINTS = 400
+LINE_LEAST = 20
+OF_LINES = 0.1
+OF_LAY = 0.1
 LAGS = np.array([(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1)])
 
 
@@ -314,11 +352,19 @@ class Slopes:
         alpha_along: √2 times the standard deviation of the slope along the ridges.
         alpha_across: the same across them.
         noise_um: standard deviation of the white noise of the heights.
+        line_drift_um: rms step from one line of the scan to the next, already taken off; 0 where none counts.
+        height_step_um: step of rounded heights where it counts beside the roughness, else 0.
+        short_share: share of what looks like noise that is roughness shorter than three pixels, if it counts.
+        lay_um: rms step between lines along the ridges, which is not taken off; 0 where it does not count.
     """
 
     alpha_along: Quantity
     alpha_across: Quantity
     noise_um: Quantity
+    line_drift_um: float = 0.0
+    height_step_um: float = 0.0
+    short_share: float = 0.0
+    lay_um: float = 0.0
 
 
 def _robust(values: FloatArray) -> float:
@@ -368,6 +414,7 @@ def measure_slopes(
     course: Course,
     ridges: int,
     slow: tuple[float, float] = (0.0, 0.0),
+    rounded_um: float = 0.0,
 ) -> Slopes:
     """Roughness of the facets from height differences over one or two pixels.
 
@@ -375,7 +422,8 @@ def measure_slopes(
     ridges that do not run along the grid D is interpolated. Differences beyond four standard deviations are left out.
     White noise of standard deviation σ adds 2σ² to every D. σ comes from the third difference along both axes
     of 4 × 4 points, whose variance is 400 σ²; a surface that is smooth over two or three pixels hardly adds to
-    it. Uncertainties: leaving out one ridge after the other, and the slopes of waves longer than a facet.
+    it. Uncertainties: leaving out one ridge after the other, the slopes of waves longer than a facet, and what all
+    ridges share: steps between lines of the scan, rounded heights, roughness so short that it looks like noise.
 
     Args:
         above: (rows, cols) heights over the planes of the facets in µm, NaN where missing or spoiled.
@@ -384,6 +432,7 @@ def measure_slopes(
         course: how the ridges run.
         ridges: their number.
         slow: variances (along, across) of the slopes of whole pieces of facets, from ``slow_slopes``.
+        rounded_um: step of rounded heights, from ``height_step``; 0 where they are not rounded.
     """
     limit, third = _first_limits(above, owner)
     every = 2 if above.size > MANY_POINTS else 1
@@ -402,21 +451,148 @@ def measure_slopes(
     used = (points > 0.02 * points.max()) & ((noise[:, 0] > 0) | (not heard))
     ex, ey = course.downhill()
     weights = _interpolation(pixel, [(-ey, ex), (ex, ey)])
+    lines, u_lines, lay = _line_steps(above, owner, pixel, course, better)
+    seen = structure[used].sum(axis=0)
+    squares = seen[:, 1] / np.maximum(seen[:, 0], 1.0) / SLOPE_CLIPPED_VARIANCE - lines
+    short = _short_variance(above, owner, squares, noise[used].sum(axis=0), ridges) if heard else 0.0
+    hidden = _rounding_variance(squares, rounded_um)
 
     def variances(sums: FloatArray) -> FloatArray:
-        own = sums[-1] / sums[-2] / SLOPE_CLIPPED_VARIANCE / THIRD if heard else 0.0
+        own = max(sums[-1] / sums[-2] / SLOPE_CLIPPED_VARIANCE / THIRD - short, 0.0) if heard else 0.0
         pairs = sums[:-2].reshape(-1, 2)
-        return np.append(weights @ (pairs[:, 1] / pairs[:, 0] / SLOPE_CLIPPED_VARIANCE - 2.0 * own), own)
+        differences = pairs[:, 1] / pairs[:, 0] / SLOPE_CLIPPED_VARIANCE - lines
+        return np.append(weights @ (differences - 2.0 * own), own)
 
     parts = np.concatenate([structure.reshape(ridges, -1), noise], axis=1)
     (along, across, own), u = jackknife(parts[used], variances, points[used])
-    found = (
-        Quantity(float(np.sqrt(own)), float(u[2] / (2.0 * np.sqrt(own)))) if own > 0 else Quantity(0.0, 0.0)
+    each = weights.sum(axis=1)
+    shared = np.stack([2.0 * hidden * each, 2.0 * short * each])
+    shared = np.vstack([shared, np.abs(weights) @ u_lines, slow])
+    u_along, u_across = np.sqrt(u[:2] ** 2 + np.square(shared).sum(axis=0)).tolist()
+    u_own = float(np.sqrt(u[2] ** 2 + hidden**2 + (0.5 * short) ** 2))
+    noisy = (
+        Quantity(float(np.sqrt(own)), min(u_own / (2.0 * np.sqrt(own)), np.sqrt(u_own))) if own > 0 else None
     )
-    u_along, u_across = np.hypot(u[:2], slow).tolist()
+    counts = COUNTS * max(float(squares[:2].min()) - 2.0 * own, 0.0)
+    coarse = 2.0 * hidden > counts
     return Slopes(
-        _alpha(along, u_along, heard), _alpha(across, u_across, heard), found if heard else Quantity(None)
+        _alpha(along, u_along, heard),
+        _alpha(across, u_across, heard),
+        (noisy or Quantity(0.0, float(np.sqrt(u_own)))) if heard else Quantity(None),
+        float(np.sqrt(lines[:2].max())) if lines[:2].max() > counts and not coarse else 0.0,
+        rounded_um if coarse else 0.0,
+        float(short / (short + own)) if 2.0 * short > counts and not coarse else 0.0,
+        float(np.sqrt(lay)) if lay > OF_LAY / COUNTS * counts and not coarse else 0.0,
     )
+
+
+def height_step(height_um: FloatArray) -> float:
+    """Step in µm to which heights are rounded; 0 where nearly every height of a sample occurs once only."""
+    sample = height_um.ravel()[sampled(np.isfinite(height_um), SAMPLES)]
+    distinct = np.unique(sample)
+    if not 2 < distinct.size < MOST_DISTINCT * sample.size:
+        return 0.0
+    gaps = np.diff(distinct)
+    step = float(np.median(gaps[gaps > 1e-3 * gaps.max()]))
+    left = np.abs(gaps / step - np.rint(gaps / step))
+    return step if float(np.mean(left < 0.05)) > 0.9 else 0.0
+
+
+def _rounding_variance(squares: FloatArray, step: float) -> float:
+    """Most that the errors of rounding leave a white noise by, in µm².
+
+    Errors of two heights rounded to steps q have a covariance of at most q²/12 times exp(−2π²·D/q²), with D the mean
+    squared difference of the heights. Source: Widrow and Kollár, Quantization Noise, 2008.
+    """
+    if step == 0.0:
+        return 0.0
+    difference = max(float(squares[:2].min()) - step**2 / 6.0, 0.0)
+    return float(step**2 / 12.0 * np.exp(-2.0 * np.pi**2 * difference / step**2))
+
+
+def _line_steps(
+    above: FloatArray,
+    owner: npt.NDArray[np.int16],
+    pixel: tuple[float, float],
+    course: Course,
+    limits: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """(lags,) mean squared height differences that whole lines of the scan share, and their uncertainty.
+
+    Steps between lines are told from roughness by the covariance of the mean steps of the first and the last third
+    of each line. Lines that do not cross four ridges are the third number: along a ridge a step may be a part of its
+    profile.
+    """
+    found, error, lay = np.zeros(len(LAGS)), np.zeros(len(LAGS)), 0.0
+    ex, ey = course.downhill()
+    for axis, across in ((0, abs(ex)), (1, abs(ey))):
+        heights, ridge = (above, owner) if axis == 0 else (above.T, owner.T)
+        count = heights.shape[1]
+        crossing = across * count * pixel[1 - axis] >= CROSSED * course.pitch_um
+        thin = max(1, count // LINE_POINTS)
+        for lag in (1, 2):
+            at = LAGS.tolist().index([lag, 0] if axis == 0 else [0, lag])
+            parts = []
+            for part in (slice(0, count // 3, thin), slice(count - count // 3, count, thin)):
+                z, k = heights[:, part], ridge[:, part]
+                step = z[lag:] - z[:-lag]
+                use = (k[lag:] == k[:-lag]) & (k[lag:] >= 0) & (np.abs(step) <= limits[at])
+                known = use.sum(axis=1)
+                total = np.where(use, step, 0.0).sum(axis=1)
+                parts.append(np.where(known >= LINE_LEAST, total / np.maximum(known, 1), np.nan))
+            product = parts[0] * parts[1]
+            product = product[np.isfinite(product)]
+            if product.size < LINE_LEAST:
+                continue
+            shared = float(np.mean(product))
+            u = float(np.std(product)) * float(np.sqrt(2.0 * lag / product.size))
+            if shared > 3.0 * u and not crossing:
+                lay = max(lay, shared) if lag == 1 else lay
+            elif shared > 3.0 * u:
+                down = np.abs(LAGS[:, axis]) == lag
+                found[down] += shared
+                error[down] += np.hypot(u, OF_LINES * shared)
+    return found, error, lay
+
+
+def _third(length: FloatArray, stride: int) -> FloatArray:
+    """Share of the variance of Gaussian roughness that third differences along one axis take for noise."""
+    r1, r2, r3 = (np.exp(-np.square(k * stride / length)) for k in (1, 2, 3))
+    share: FloatArray = (20.0 - 30.0 * r1 + 12.0 * r2 - 2.0 * r3) / 20.0
+    return share
+
+
+def _short_variance(
+    above: FloatArray, owner: npt.NDArray[np.int16], squares: FloatArray, noise: FloatArray, ridges: int
+) -> float:
+    """Variance in µm² of roughness that is so short that it was taken for noise.
+
+    Noise that is white is the same in third differences over every second point; roughness of a few pixels is more
+    there. Of Gaussian roughness of all lengths and white noise, those count that agree with both and with the
+    differences of neighbours; the largest length that does.
+    """
+    own = float(noise[1] / noise[0]) / SLOPE_CLIPPED_VARIANCE / THIRD
+    apart, theirs = np.ascontiguousarray(above[::2, ::2]), np.ascontiguousarray(owner[::2, ::2])
+    part = noise_sums(apart, theirs, SLOPE_CLIP * np.sqrt(THIRD * (own + float(squares.max()))), ridges).sum(
+        axis=0
+    )
+    if part[0] < LEAST_WINDOWS:
+        return 0.0
+    limit = SLOPE_CLIP * float(np.sqrt(part[1] / part[0]))
+    part = noise_sums(apart, theirs, limit, ridges).sum(axis=0)
+    double = float(part[1] / max(part[0], 1.0)) / SLOPE_CLIPPED_VARIANCE / THIRD
+    lengths = np.geomspace(12.0, 0.8, 120)
+    x, y = np.maximum(squares[:2] - 2.0 * own, 1e-3 * squares[:2]).tolist()
+    if min(x, y) <= 0.0:
+        return own
+    wide = lengths * float(np.clip((y / x) ** 0.25, 0.5, 2.0))
+    high = lengths**2 / wide
+    near, far = _third(wide, 1) * _third(high, 1), _third(wide, 2) * _third(high, 2)
+    rough = x / (2.0 * (1.0 - np.exp(-1.0 / wide**2) - near)).clip(1e-12)
+    rough = np.minimum(rough, own / near)
+    reached = rough * (far - near) >= double - own
+    at = int(np.argmax(reached)) if reached.any() else lengths.size - 1
+    return float((rough * near)[at])
 
 
 def _alpha(variance: float, u: float, heard: bool) -> Quantity:

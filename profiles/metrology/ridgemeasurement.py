@@ -3,24 +3,32 @@
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import Quantity, as_text
+from anisoscope.profiles.metrology.ridgefit import Segment
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 MOST_BOW = 0.01
+MIN_SEGMENTS = 3
+CLEAR = 6.0
 OF_STRAIGHT_FACETS = (
     "ridge_angle_deg",
     "wall_angle_deg",
     "height_um",
     "height_loss",
     "edge_radius_um",
+    "foot_loss",
+    "foot_radius_um",
     "alpha_across",
     "angle_variation_deg",
+    "along_variation_deg",
     "height_variation_um",
 )
 
@@ -73,12 +81,15 @@ class RidgeMeasurement:
 
     Attributes:
         pitch_um: distance of neighbouring ridges, in the plane of the map.
+        surface_pitch_um: the same in the plane through equal places of all ridges, where the map is tilted.
         direction_deg: of the ridge line, counter-clockwise from +y as seen from +z, within (−90, 90].
         ridge_angle_deg: mean angle between facets and the plane through equal places of all ridges.
         wall_angle_deg: angle of the narrow walls against the same plane, or a lower bound.
         height_um: from foot to crest.
         height_loss: share of the full height (facet and wall prolonged until they meet) missing at the crest.
         edge_radius_um: radius of the crest, or an upper bound.
+        foot_loss: share of the full height that a rounded or level foot fills.
+        foot_radius_um: radius of the foot, or an upper bound.
         alpha_along: Beckmann roughness of the facets along the ridges: √2 times the standard deviation of the slope.
         alpha_across: the same across the ridges.
         noise_um: white noise of the heights, already taken off the roughness.
@@ -87,6 +98,8 @@ class RidgeMeasurement:
         angle_variation_deg: standard deviation of the ridge angle between ridges.
         height_variation_um: the same of the height.
         shift_variation_um: the same of the position in an even row.
+        along_variation_deg: standard deviation of the ridge angle between lengths along the ridges.
+        segments: ridge angles of these lengths.
         ridges: the ridges one by one, those with too few points left out.
         burrs: what stands out, largest volume first.
         missing_share: share of the map that was not measured.
@@ -97,15 +110,22 @@ class RidgeMeasurement:
         form_um: rms of the form (waviness, curvature) that was removed before; 0 where there was none that counts.
         facet_bow: rms distance of the mean facet from a straight line, as a share of its rise.
         second_direction_deg: direction of other ridges that cross these; None where there are none.
+        line_drift_um: rms step between neighbouring lines of the scan, taken off alpha; 0 where none counts.
+        height_step_um: step to which heights are rounded, where alpha feels it; else 0.
+        short_share: share of the noise that is roughness shorter than three pixels, where alpha feels it; else 0.
+        lay_um: rms step across that whole ridges share, where alpha across holds it; else 0.
     """
 
     pitch_um: Quantity
+    surface_pitch_um: Quantity
     direction_deg: Quantity
     ridge_angle_deg: Quantity
     wall_angle_deg: Quantity
     height_um: Quantity
     height_loss: Quantity
     edge_radius_um: Quantity
+    foot_loss: Quantity
+    foot_radius_um: Quantity
     alpha_along: Quantity
     alpha_across: Quantity
     noise_um: Quantity
@@ -114,6 +134,8 @@ class RidgeMeasurement:
     angle_variation_deg: Quantity
     height_variation_um: Quantity
     shift_variation_um: Quantity
+    along_variation_deg: Quantity
+    segments: tuple[Segment, ...]
     ridges: tuple[Ridge, ...]
     burrs: tuple[Outlier, ...]
     missing_share: float
@@ -124,6 +146,22 @@ class RidgeMeasurement:
     form_um: float = 0.0
     facet_bow: float = 0.0
     second_direction_deg: float | None = None
+    line_drift_um: float = 0.0
+    height_step_um: float = 0.0
+    short_share: float = 0.0
+    lay_um: float = 0.0
+
+    @property
+    def varies_along(self) -> bool:
+        """Whether ridge angles differ along the ridges by more than the ridges of each length explain."""
+        known = [one.angle_deg for one in self.segments]
+        if len(known) < MIN_SEGMENTS or not self.straight:
+            return False
+        angles, errors = np.array([(one.value, one.u) for one in known], dtype=np.float64).T
+        weight = 1.0 / np.maximum(errors, 1e-9) ** 2
+        away = float(weight @ np.square(angles - float(weight @ angles / weight.sum())))
+        freedom = len(known) - 1
+        return bool(away > freedom + CLEAR * np.sqrt(2.0 * freedom))
 
     @property
     def straight(self) -> bool:
@@ -146,6 +184,32 @@ class RidgeMeasurement:
         if self.form_um > 0.0:
             found.append(
                 f"form of {self.form_um:.3g} µm (rms) was removed: waviness or curvature beneath the ridges"
+            )
+        if self.varies_along:
+            angles = [one.angle_deg.value for one in self.segments if one.angle_deg.value is not None]
+            found.append(
+                f"the ridge angle is not the same along the ridges: {min(angles):.2f}° to {max(angles):.2f}° in "
+                f"{len(angles)} lengths; the ridge angle is their mean, and its u is not the spread"
+            )
+        if self.line_drift_um > 0.0:
+            found.append(
+                f"lines of the scan differ in height by {self.line_drift_um:.2g} µm from one to the next (rms); alpha "
+                "is without these steps and has the wider u"
+            )
+        if self.lay_um > 0.0:
+            found.append(
+                f"heights step by {self.lay_um:.2g} µm (rms) from line to line along the ridges: marks of machining, "
+                "or drift of the instrument; alpha across holds them"
+            )
+        if self.height_step_um > 0.0:
+            found.append(
+                f"heights are rounded to steps of {self.height_step_um:.3g} µm, which alpha feels: save the map with "
+                "finer steps"
+            )
+        if self.short_share > 0.0:
+            found.append(
+                f"{self.short_share:.0%} of what looks like noise may be roughness shorter than three pixels; alpha "
+                "has the wider u: measure with smaller pixels"
             )
         return tuple(found)
 

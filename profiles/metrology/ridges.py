@@ -35,8 +35,10 @@ from anisoscope.profiles.metrology.ridgefit import (
     facet_bow,
     facet_line,
     fit_planes,
+    height_step,
     measure_slopes,
     ridge_angle,
+    segments_along,
     single_ridges,
     slope_of_ends,
     slow_slopes,
@@ -82,6 +84,7 @@ def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
 def _fitted(surface: HeightMap) -> "_Fit":
     """All steps up to the sums over the ridges."""
     period = _checked(find_period(surface), surface)
+    rounded_um = height_step(surface.height_um)
     surface, period, form_um = _without_form(surface, period)
     tilt = periodic_tilt(surface, period)
     grid = _levelled(surface, tilt)
@@ -115,6 +118,7 @@ def _fitted(surface: HeightMap) -> "_Fit":
         burrs,
         form_um,
         second.result(),
+        rounded_um,
     )
 
 
@@ -249,6 +253,7 @@ class _Fit:
     burrs: tuple[Outlier, ...]
     form_um: float
     second_deg: float | None
+    rounded_um: float
 
     def measured(self) -> RidgeMeasurement:
         """The measurement."""
@@ -262,22 +267,42 @@ class _Fit:
         wall_angle = against_the_surface(crest.wall_angle_deg, removed, self.planes.tilt_across)
         slow = slow_slopes(self.planes)
         slopes = measure_slopes(
-            self.above, self.owner, self.grid.pixel, self.course, self.planes.weight.size, slow
+            self.above,
+            self.owner,
+            self.grid.pixel,
+            self.course,
+            self.planes.weight.size,
+            slow,
+            self.rounded_um,
         )
+        segments = segments_along(self.planes, self.course, self.grid, removed)
         singles = single_ridges(self.planes, self.course, self.facet, removed)
         ridges = self._ridges(singles, crest)
         span = (self.facet.begin * self.course.pitch_um, self.facet.end * self.course.pitch_um)
         lean_x, lean_y = course.downhill()
         return RidgeMeasurement(
-            pitch, self.positions.direction_deg, angle, wall_angle, crest.height_um, crest.height_loss,
-            crest.edge_radius_um, slopes.alpha_along, slopes.alpha_across, slopes.noise_um,
+            pitch, self._surface_pitch(removed), self.positions.direction_deg, angle, wall_angle, crest.height_um,
+            crest.height_loss, crest.edge_radius_um, crest.foot_loss, crest.foot_radius_um,
+            slopes.alpha_along, slopes.alpha_across, slopes.noise_um,
             (float(min(self.grid.pixel)), float(span[1] - span[0])), float(np.degrees(np.arctan2(lean_y, lean_x))),
             variation([r.angle_deg for r in ridges]), variation([r.height_um for r in ridges]),
-            variation([r.shift_um for r in ridges]), tuple(ridges), self.burrs, self.surface.missing_share,
+            variation([r.shift_um for r in ridges]), variation([one.angle_deg for one in segments]), segments,
+            tuple(ridges), self.burrs, self.surface.missing_share,
             (span[1] - span[0]) / self.course.pitch_um, crest.plateau, self.period.score,
             self._mean_ridge(x_um, height_um, span), self.form_um,
-            facet_bow(self.folded, self.facet, self.course.pitch_um), self.second_deg,
+            facet_bow(self.folded, self.facet, self.course.pitch_um), self.second_deg, slopes.line_drift_um,
+            slopes.height_step_um, slopes.short_share, slopes.lay_um,
         )  # fmt: skip
+
+    def _surface_pitch(self, removed: float) -> Quantity:
+        """Pitch in the plane through equal places of all ridges, from that in the plane of the map."""
+        pitch, (ex, ey) = self.positions.pitch_um, self.course.downhill()
+        assert pitch.value is not None
+        assert pitch.u is not None
+        across = removed + self.planes.tilt_across
+        along = self.tilt[1] * ex - self.tilt[0] * ey + self.planes.tilt_along
+        stretch = float(np.sqrt(1.0 + across**2 / (1.0 + along**2)))
+        return Quantity(pitch.value * stretch, pitch.u * stretch)
 
     def _line(self) -> tuple[float, float]:
         return facet_line(self.folded, self.facet, self.course.pitch_um)

@@ -28,18 +28,22 @@ if TYPE_CHECKING:
 LISTED_BURRS = 12
 NAMES = (
     ("pitch_um", "pitch", "µm"),
+    ("surface_pitch_um", "pitch on the tilted surface", "µm"),
     ("direction_deg", "direction from +y", "°"),
     ("ridge_angle_deg", "ridge angle", "°"),
     ("wall_angle_deg", "wall angle", "°"),
     ("height_um", "ridge height", "µm"),
     ("height_loss", "height loss at the crest", "1"),
     ("edge_radius_um", "edge radius of the crest", "µm"),
+    ("foot_loss", "height loss at the foot", "1"),
+    ("foot_radius_um", "radius of the foot", "µm"),
     ("alpha_along", "alpha along the ridges", "1"),
     ("alpha_across", "alpha across the ridges", "1"),
     ("noise_um", "noise of the heights", "µm"),
     ("angle_variation_deg", "ridge angle, ridge to ridge", "°"),
     ("height_variation_um", "ridge height, ridge to ridge", "µm"),
     ("shift_variation_um", "position, ridge to ridge", "µm"),
+    ("along_variation_deg", "ridge angle, along the ridges", "°"),
 )
 
 
@@ -72,6 +76,14 @@ def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
         "facet_bow": found.facet_bow,
         "straight": found.straight,
         "second_direction_deg": found.second_direction_deg,
+        "line_drift_um": found.line_drift_um,
+        "height_step_um": found.height_step_um,
+        "short_share": found.short_share,
+        "lay_um": found.lay_um,
+        "varies_along": found.varies_along,
+        "segments": [
+            {"place_um": one.place_um, "angle_deg": _number(one.angle_deg)} for one in found.segments
+        ],
         "remarks": found.remarks(),
         "ridges": ridges,
         "burrs": found.burrs,
