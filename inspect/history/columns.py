@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
@@ -10,6 +11,7 @@ from typing import Any
 
 from anisoscope.history.chain import pack, unpack
 from anisoscope.history.dispositions import Disposition
+from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import NewRow, Row
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -57,7 +59,21 @@ def columns_of(new: NewRow, history: Path | None) -> dict[str, Any]:
 
 
 def row_from(values: Mapping[str, Any], history: Path | None) -> Row:
-    """The inspection that a row of the database holds."""
+    """The inspection that a row of the database holds.
+
+    Raises:
+        HistoryError: it is damaged.
+    """
+    try:
+        return _row(values, history)
+    except (ValueError, TypeError, OverflowError, struct.error) as error:
+        raise HistoryError(
+            f"inspection {values['id']} of the history is damaged ({' '.join(str(error).split())[:80]}): its record is "
+            f"in {str(values['folder'])[:200]}; `anisoscope history verify` says what else is damaged"
+        ) from error
+
+
+def _row(values: Mapping[str, Any], history: Path | None) -> Row:
     product, labels = values["product"], parsed_labels(values["labels"])
     return Row(
         id=values["id"],

@@ -22,7 +22,7 @@ from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
 from anisoscope.quality.distributions import FittedCapability, fitted_capability
 from anisoscope.quality.individuals import BoolArray, Limits, Period, given_limits, limits_of, moving_range
-from anisoscope.quality.nelson import Flag, flags
+from anisoscope.quality.nelson import RULES, Flag, flags
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -173,6 +173,10 @@ class Settings:
         center, sigma: known mean and short-term standard deviation, in place of a baseline; both or neither.
         period: whose values the limits rest on, in place of a baseline.
         distribution: of the capability by quantiles besides that of a normal one, or "best"; None for none.
+        rules: numbers of Nelson's rules that count.
+
+    Raises:
+        UsageError: a rule that there is not, or none.
     """
 
     baseline: int | None = None
@@ -182,6 +186,13 @@ class Settings:
     sigma: float | None = None
     period: Period | None = None
     distribution: str | None = None
+    rules: tuple[int, ...] = tuple(RULES)
+
+    def __post_init__(self) -> None:
+        if not self.rules or not set(self.rules) <= set(RULES):
+            raise UsageError(
+                f"Nelson's rules have the numbers 1 to {len(RULES)}: name some of them, such as 1,2,5,6"
+            )
 
     def limits(self, values: FloatArray) -> Limits:
         """Limits of a series.
@@ -420,7 +431,7 @@ def control_study(
     ranges = moving_range(values)
     wide = ranges > limits.range_upper
     average = ewma(values, limits, settings.weight, settings.width)
-    found = flags(values, limits.center, limits.sigma)
+    found = flags(values, limits.center, limits.sigma, settings.rules)
     able = None if specification is None else capability(values, limits, specification)
     notes = tuple(_notes(values, ranges, limits))
     fitted = None

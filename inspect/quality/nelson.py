@@ -4,7 +4,7 @@ What is missing ends every pattern: nobody knows on which side it would have bee
 fall, a value on the centre line lies on neither side, and one exactly at 1 sigma is neither within nor beyond.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,18 +113,22 @@ def _most_of(z: FloatArray, far: float, least: int, span: int) -> BoolArray:
     return found
 
 
-def flags(values: FloatArray, center: float, sigma: float) -> tuple[Flag, ...]:
+def flags(
+    values: FloatArray, center: float, sigma: float, rules: Collection[int] = tuple(RULES)
+) -> tuple[Flag, ...]:
     """All patterns of a series, in order of occurrence; overlapping ones of a rule are one.
 
     Args:
         values: (N,), NaN is missing.
         center: centre line.
         sigma: standard deviation of single values.
+        rules: numbers of the rules that count.
     """
     side = np.nan_to_num(np.sign(values - center)).astype(np.int64)
     found: list[Flag] = []
     for rule, seen in signals(values, center, sigma).items():
-        found += _of_rule(rule, np.flatnonzero(seen), side, np.isnan(values))
+        if rule in rules:
+            found += _of_rule(rule, np.flatnonzero(seen), side, np.isnan(values))
     return tuple(sorted(found, key=lambda flag: (flag.seen_at, flag.rule)))
 
 

@@ -20,6 +20,16 @@ from anisoscope.history.store import open_history
 
 GROUPS = ("product", "recipe", "lot", "cavity", "station", "operator")
 TEXTS = ("time", "serial", *GROUPS, "verdict", "part", "appraiser", "trial", "folder")
+SYNONYMS = {
+    **dict.fromkeys(("part id", "part number", "part no", "parts", "specimen"), "part"),
+    **dict.fromkeys(("appraisers", "inspector", "measurer"), "appraiser"),
+    **dict.fromkeys(("operators", "op"), "operator"),
+    **dict.fromkeys(("replicate", "repeat", "rep", "run"), "trial"),
+    **dict.fromkeys(("timestamp", "datetime", "date/time"), "time"),
+    **dict.fromkeys(("serial number", "serial no"), "serial"),
+    **dict.fromkeys(("batch", "lot number"), "lot"),
+}
+"""Headers of other programs, in lower case; blanks may be ``_``, ``-`` or ``.``."""
 MISSING = {"", "nan", "na", "-", "missing", "invalid"}
 INVALID = "INVALID"
 
@@ -160,9 +170,9 @@ def read_readings(path: Path | str) -> Readings:
 
     Columns are separated by commas, or by semicolons, and numbers then have a decimal comma.
 
-    Columns named as in ``TEXTS`` hold words, all others numbers. An empty field, ``nan``, ``invalid`` or ``-`` is a
-    missing number, and so is a blank line in a file of one column. Where there is a column ``verdict``, the numbers of
-    a line that says INVALID are missing too.
+    Columns named as in ``TEXTS`` or ``SYNONYMS``, whatever their capitals, hold words, all others numbers. An empty
+    field, ``nan``, ``invalid`` or ``-`` is a missing number; so is a blank line in a file of one column. Where there
+    is a column ``verdict``, the numbers of a line that says INVALID are missing too.
 
     Raises:
         UsageError: the file cannot be read, or a line of it cannot be used; line and column are named.
@@ -218,8 +228,15 @@ def without_invalid(
     return {name: np.where(invalid, np.nan, column) for name, column in numbers.items()}
 
 
+def _column(name: str) -> str:
+    """Name of a column of words as we call it, whatever its capitals; that of a number as it is."""
+    plain = " ".join(name.lower().translate(str.maketrans("_-.", "   ")).split())
+    found = SYNONYMS.get(plain, plain)
+    return found if found in TEXTS else name
+
+
 def _columns(path: Path, header: list[str]) -> list[str]:
-    columns = [name.strip() for name in header]
+    columns = [_column(name.strip()) for name in header]
     if not columns or not all(columns) or len(set(columns)) != len(columns):
         raise UsageError(f"{path}, line 1: the header must name every column, and each of them once")
     if all(name in TEXTS for name in columns):

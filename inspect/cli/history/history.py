@@ -279,6 +279,8 @@ app = App(name="history", help="List past inspections; add and check them, recor
 One = Annotated[str, Parameter(help="Serial number, id, or folder of an inspection.")]
 Page = Annotated[Path | None, Parameter(name="--html", help="Write a page for the browser to this file.")]
 _LIMIT = 50
+MOST_ON_PAGE = 10_000
+"""Inspections of a page; it takes 3 ms for each to make, and every browser shows it."""
 
 
 @app.default
@@ -301,6 +303,11 @@ def history(
     """
     filters = which.filters(limit)
     with opened(place) as found:
+        if html is not None and (count := min(limit or math.inf, found.count(filters))) > MOST_ON_PAGE:
+            raise UsageError(
+                f"{count} inspections are too many for a page (at most {MOST_ON_PAGE}): choose with --since or "
+                "--limit, or write a table (anisoscope export)"
+            )
         rows = found.rows(filters)
         decided = found.dispositions_of([row.id for row in rows])
         total = found.count(filters) if len(rows) == limit else len(rows)

@@ -14,6 +14,7 @@ from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
 from anisoscope.cli.tables import print_table
+from anisoscope.record.verdict import Verdict
 
 if TYPE_CHECKING:
     from anisoscope.study.whatif import WhatIf
@@ -43,7 +44,7 @@ def whatif(
     A changed decision, tolerance, material or design takes what inspections kept; a changed region, pose or condition
     of the measurement takes their frames. The folders stay as they are.
 
-    Exit codes: 0 no verdict changes, 1 some do, 64 and above an error.
+    Exit codes: 0 no verdict changes, 1 some do, 3 none does but some could not be judged, 64 and above an error.
 
     Examples:
         anisoscope whatif --recipe tighter.toml --where since=30d
@@ -73,7 +74,7 @@ def whatif(
         print_json(result)
     else:
         _print(result, html)
-    return 1 if result.flips else 0
+    return 1 if result.flips else Verdict.INVALID.exit_code if result.unjudged else 0
 
 
 def selection(where: Sequence[str]) -> Which:

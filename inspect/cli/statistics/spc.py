@@ -58,6 +58,14 @@ class Charting:
     ] = None
     lower: Annotated[float | None, Parameter(name="--lower", help="Lower limit of good parts.")] = None
     upper: Annotated[float | None, Parameter(name="--upper", help="Upper limit of good parts.")] = None
+    rules: Annotated[
+        str | None,
+        Parameter(
+            name="--rules",
+            help="Nelson's rules that count, such as 1,2,5,6; all eight by default (on average a false alarm in 73 "
+            "values).",
+        ),
+    ] = None
     distribution: Annotated[
         str | None,
         Parameter(
@@ -140,6 +148,7 @@ def spc(
         charting.center,
         charting.sigma,
         distribution=charting.distribution,
+        rules=Settings.rules if charting.rules is None else _rules(charting.rules),
     )
     with progress("control charts", quiet=json_) as advance:
         found = control_charts(
@@ -171,6 +180,15 @@ def spc(
         if html is not None:
             print_lines(f"{html}: charts of {title}")
     return 0 if found.stable else 1
+
+
+def _rules(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(one) for one in text.split(","))
+    except ValueError:
+        raise UsageError(
+            f"--rules takes numbers separated by commas, such as 1,2,5,6, not {text!r}"
+        ) from None
 
 
 def _tolerances(recipe: str | None) -> dict[str, float] | None:

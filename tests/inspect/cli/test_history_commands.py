@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from anisoscope import cli
+from anisoscope.cli.history import history as commands
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
@@ -256,3 +257,15 @@ def test_where_there_is_no_history(said, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
     assert said("history", "--history", "none")[0] == 64
     assert said("history", "add")[0] == 64
+
+
+def test_a_page_of_too_many_inspections_is_refused_before_it_is_made(place, said, tmp_path, monkeypatch):
+    monkeypatch.setattr(commands, "MOST_ON_PAGE", 5)
+    page = tmp_path / "history.html"
+    code, _, err = said("history", "--limit", 0, "--html", page)
+    assert code == 64
+    assert "10 inspections are too many for a page (at most 5): choose with --since" in err
+    assert not page.exists()
+    code, _, _ = said("history", "--limit", 0)
+    assert code == 0
+    assert said("history", "--limit", 5, "--html", page)[0] == 0

@@ -6,6 +6,8 @@ from datetime import UTC, datetime
 import pytest
 
 from anisoscope.base.errors import RecordError
+from anisoscope.history.columns import columns_of, labels_of, row_from
+from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import numbers_of, row_of, seal_of
 from anisoscope.record.schema import RECORD_NAME, read_record
 
@@ -81,3 +83,21 @@ def test_text_that_databases_refuse_is_made_storable(inspected):
 def test_a_folder_without_a_record(tmp_path):
     with pytest.raises(RecordError, match="was this inspection finished"):
         seal_of(tmp_path)
+
+
+def test_a_damaged_row_is_named(inspected):
+    folder = inspected()
+    new = row_of(read_record(folder), folder)
+    values = columns_of(new, None) | {"id": 7, "labels": labels_of(new), "hash": bytes(32)}
+    assert row_from(values, None).serial == "A1"
+    for damage in (
+        {"reasons": "["},
+        {"numbers": b"abc"},
+        {"labels": "{"},
+        {"numbers": b""},
+        {"created_us": None},
+    ):
+        with pytest.raises(
+            HistoryError, match=r"inspection 7 of the history is damaged \(.+\): its record is in"
+        ):
+            row_from(values | damage, None)

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from anisoscope.base.errors import UsageError
+from anisoscope.quality.control import Settings
 from anisoscope.quality.nelson import LENGTHS, RULES, flagged, flags, signals
 
 # the shortest series in which a rule is met and none that is shorter; noise that meets no rule stands before it
@@ -130,3 +132,14 @@ def test_flagged_values_are_those_of_all_patterns():
     found = flags(z, 0.0, 1.0)
     assert np.flatnonzero(flagged(found, len(z))).tolist() == [5]
     assert not flagged((), 4).any()
+
+
+def test_rules_that_are_not_chosen_do_not_count():
+    z = np.array([*QUIET, *PATTERNS[1], *QUIET, *PATTERNS[2]])
+    assert {one.rule for one in flags(z, 0.0, 1.0)} == {1, 2}
+    for rule in (1, 2):
+        assert {one.rule for one in flags(z, 0.0, 1.0, (rule, 7))} == {rule}
+    with pytest.raises(UsageError, match="the numbers 1 to 8"):
+        Settings(rules=(1, 9))
+    with pytest.raises(UsageError, match="the numbers 1 to 8"):
+        Settings(rules=())

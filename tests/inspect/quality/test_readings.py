@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
+from anisoscope.operations.statistics import msa_gauge
 from anisoscope.quality.gauge import gauge_data
 from anisoscope.quality.readings import read_readings
 
@@ -122,3 +123,24 @@ def test_a_blank_line_of_one_column_is_a_missing_reading(tmp_path):
     )
     path.write_text("value,other\n10,1\n\n11,2\n\n")
     assert len(read_readings(path)) == 2
+
+
+def test_headers_of_other_programs_name_the_same_columns(tmp_path):
+    """As in the examples of statistics programs: capitals, blanks, and their own words."""
+    path = tmp_path / "gauge.csv"
+    for header in (
+        "Part,Operator,Measurement",
+        "Part ID,Inspector,Measurement",
+        "part_no,APPRAISER,Measurement",
+    ):
+        rows = [f"{part},{whom},{part + 0.1 * trial}" for part in (1, 2) for whom in "AB" for trial in (1, 2)]
+        path.write_text("\n".join([header, *rows]) + "\n")
+        found = read_readings(path)
+        assert list(found.numbers) == ["Measurement"]
+        study = msa_gauge(found)
+        assert (study.data.parts, study.data.appraisers) == (("1", "2"), ("A", "B"))
+    path.write_text("Time,Serial Number,Batch,Height\n2026-11-01,A1,L1,1.0\n")
+    assert set(read_readings(path).texts) == {"time", "serial", "lot"}
+    path.write_text("Part,part,Height\n1,1,1.0\n")
+    with pytest.raises(UsageError, match="each of them once"):
+        read_readings(path)

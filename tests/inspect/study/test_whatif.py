@@ -17,6 +17,7 @@ from anisoscope.base.json_fields import as_json
 from anisoscope.cli import run
 from anisoscope.cli.history.whatif import selection
 from anisoscope.history.rows import Row, row_of
+from anisoscope.history.store import open_history
 from anisoscope.operations.past import write_whatif_page
 from anisoscope.record.schema import read_record
 from anisoscope.study import whatif as module
@@ -252,3 +253,12 @@ def test_a_killed_worker_of_a_cluster_loses_no_inspection(many, cluster):
         cluster.wait_for_workers(2)
     assert killed
     assert there == here
+
+
+def test_folders_that_could_not_be_judged_are_no_success(past, tmp_path, capsys):
+    other, one = past
+    with open_history(tmp_path / "history.sqlite") as history:
+        history.append_all([replace(one, folder=str(tmp_path / "gone"))])
+    command = ["whatif", "--recipe", other(), "--history", tmp_path / "history.sqlite"]
+    assert run([str(one) for one in command]) == 3
+    assert "was this inspection finished" in capsys.readouterr().out
