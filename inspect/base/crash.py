@@ -1,6 +1,13 @@
 """Errors that nothing foresaw: the traceback goes to a file, one line names it."""
 
+import contextlib
+from collections.abc import Callable
 from importlib.metadata import version
+from typing import TypeVar
+
+from anisoscope.base.errors import AnisoscopeError
+
+Found = TypeVar("Found")
 
 
 def crash_line(error: Exception, during: str) -> str:
@@ -23,3 +30,31 @@ def crash_line(error: Exception, during: str) -> str:
     except OSError:
         where = "run the command again with --debug, and report it with what that prints"
     return f"internal error ({type(error).__name__}: {error}): this is no verdict; {where}"
+
+
+class Steady:
+    """Steps of a service that ends by a signal only: what one raises is a line, said once, and the next one begins.
+
+    Args:
+        service: its name, for the file of an error that nothing foresaw.
+        say: called with the line; where it raises, nobody hears, and the service goes on.
+    """
+
+    def __init__(self, service: str, say: Callable[[str], object]) -> None:
+        self._service, self._say, self._last = service, say, ""
+
+    def __call__(self, step: Callable[[], Found], otherwise: Found) -> Found:
+        """What a step returns, or the other value where it failed."""
+        try:
+            found = step()
+        except Exception as error:  # noqa: BLE001 - a signal ends a service, no error does
+            kind = f"{type(error).__name__}: {error}"
+            if kind != self._last:
+                self._last = kind
+                is_own = isinstance(error, AnisoscopeError)
+                text = " ".join(str(error).split()) if is_own else crash_line(error, self._service)
+                with contextlib.suppress(Exception):
+                    self._say(text)
+            return otherwise
+        self._last = ""
+        return found

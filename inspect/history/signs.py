@@ -15,7 +15,7 @@ from typing import Literal, Self, cast
 
 from sqlalchemy import Connection, insert, select, text, update
 
-from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.crash import Steady
 from anisoscope.base.printable import check_printable
 from anisoscope.history import schema
 from anisoscope.history.columns import us_to_datetime
@@ -139,9 +139,10 @@ class Beacon:
         beat_s: float = BEAT_S,
     ) -> None:
         check_printable({"station": station})
-        self._place, self._station, self._complain, self._beat_s = place, station, complain, beat_s
+        self._place, self._station, self._beat_s = place, station, beat_s
+        self._steady = Steady("signs of the station", complain)
         self._now: tuple[Doing, str] = ("idle", "")
-        self._woken, self._over, self._failed = threading.Event(), threading.Event(), False
+        self._woken, self._over = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="signs of the station", daemon=True)
 
     def __enter__(self) -> Self:
@@ -167,7 +168,7 @@ class Beacon:
         while True:
             over = self._over.is_set()
             self._woken.clear()
-            self._give()
+            self._steady(self._give, None)
             if over:
                 return
             self._woken.wait(self._beat_s)
@@ -175,11 +176,5 @@ class Beacon:
     def _give(self) -> None:
         assert self._place is not None
         assert self._station is not None
-        try:
-            with open_history(self._place) as history:
-                give_sign(history, self._station, *self._now)
-            self._failed = False
-        except AnisoscopeError as error:
-            if not self._failed:
-                self._complain(" ".join(str(error).split()))
-            self._failed = True
+        with open_history(self._place) as history:
+            give_sign(history, self._station, *self._now)

@@ -100,7 +100,10 @@ class Reports:
 
     def _write(self, report: PendingReport) -> None:
         for note in report.write():
-            self._tell(f"{report.folder.name}: {note}")
+            try:
+                self._tell(f"{report.folder.name}: {note}")
+            except Exception:  # noqa: BLE001 - nobody hears of it; the next report is written all the same
+                _log.debug("note on %s", report.folder, exc_info=True)
 
     def wait(self) -> None:
         """Wait for all reports that were handed over; until then their folders are locked."""

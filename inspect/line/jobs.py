@@ -399,7 +399,12 @@ class Jobs:
     def _end(self, job: Job, state: State, record: Record | None = None, **more: str | None) -> None:
         line = JobLine(line="end", at=self._time(), job=job.id, state=state, **more)
         with self._lock:
-            self._journal.add(line, is_safe=state != "done")  # the record in the folder says it too
+            try:
+                self._journal.add(line, is_safe=state != "done")  # the record in the folder says it too
+            except (
+                RecordError
+            ):  # a full disk must not leave the rig busy; the next process looks into the folder
+                _log.exception("end of job %s", job.id)
             ended = self._take(line)
         self._say(_END[state], ended, {} if record is None else {"record": record})
 

@@ -11,6 +11,7 @@ import queue
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -20,6 +21,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from anisoscope.base.atomic_write import write_text
+from anisoscope.base.crash import Steady
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.history.rows import CAUSE, Row
@@ -125,7 +127,7 @@ class EdgeNode:
         self._verdicts: dict[int, str] = {}
         self._sent, self._lost_at = 0, 0
         self._waiting: dict[int, int] = {}
-        self._remembered = self._recall()
+        self._remembered, self._is_over = self._recall(), False
         if jobs is not None:
             jobs.listen(
                 lambda kind, job, _: self._events.put(("job", kind, job)) if kind != "progress" else None
@@ -144,28 +146,32 @@ class EdgeNode:
 
         Raises:
             HistoryError: the history cannot be read at the start, or there is none and no jobs can be ordered.
-            RecordError: the memory cannot be written.
+            RecordError: the memory cannot be written at the start.
         """
         self._begin()
-        wait_s = 0.0
-        while True:
-            if self._client is None and wait_s <= 0.0:
-                wait_s = self._connect()
-            try:
-                event = self._events.get(timeout=max(wait_s if self._client is None else _LOOK_S, 0.01))
-            except queue.Empty:
-                wait_s = 0.0
-                self._look()
-                continue
-            if event[0] == "end":
-                self._die()
-                return
-            if event[0] in ("connected", "lost", "message", "acknowledged") and event[1] != self._session:
-                continue  # of an earlier session
-            if event[0] == "lost" or (event[0] == "connected" and event[2]):
-                wait_s = self._cut("the connection was cut" if event[0] == "lost" else str(event[2]))
-            else:
-                getattr(self, f"_on_{event[0]}")(*event[2 if event[0] != "job" else 1 :])
+        steady, wait_s = Steady("line mqtt", self._say), 0.0
+        while not self._is_over:
+            wait_s = steady(partial(self._step, wait_s), _AGAIN_S[0])
+
+    def _step(self, wait_s: float) -> float:
+        """Connect if it is time, and take an event; returns for how long to wait before the next try to connect."""
+        if self._client is None and wait_s <= 0.0:
+            wait_s = self._connect()
+        try:
+            event = self._events.get(timeout=max(wait_s if self._client is None else _LOOK_S, 0.01))
+        except queue.Empty:
+            self._look()
+            return 0.0
+        if event[0] == "end":
+            self._is_over = True
+            self._die()
+        elif event[0] in ("connected", "lost", "message", "acknowledged") and event[1] != self._session:
+            pass  # of an earlier session
+        elif event[0] == "lost" or (event[0] == "connected" and event[2]):
+            return self._cut("the connection was cut" if event[0] == "lost" else str(event[2]))
+        else:
+            getattr(self, f"_on_{event[0]}")(*event[2 if event[0] != "job" else 1 :])
+        return wait_s
 
     def _recall(self) -> _State:
         if not self._memory.exists():

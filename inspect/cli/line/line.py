@@ -207,6 +207,7 @@ def modbus(
     """
     with extra_packages("Modbus/TCP", "line"):
         from anisoscope.line.modbus import POLL_S, Addresses, Handshake, Lines, ModbusIo
+    from anisoscope.base.crash import Steady
     from anisoscope.base.errors import NotConnected
     from anisoscope.line.jobs import jobs_at
 
@@ -219,9 +220,10 @@ def modbus(
     with _at_signals(stop.set), contextlib.closing(io), held as jobs, jobs:
         jobs.check(recipe)
         handshake = Handshake(io, jobs, recipe, prefix, write_line)
+        steady = Steady("line modbus", write_line)
         _say_address(f"modbus://{plc}")
         while not stop.wait(POLL_S):
-            handshake.step()
+            steady(handshake.step, None)
         with contextlib.suppress(NotConnected):
             io.write(Lines())
     return 0

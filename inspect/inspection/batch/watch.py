@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from pydantic import BaseModel, ConfigDict
 
-from anisoscope.base.crash import crash_line
+from anisoscope.base.crash import Steady, crash_line
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import AnisoscopeError, ConfigError, RecordError, UsageError
 from anisoscope.base.json_file import JsonLines
@@ -431,18 +431,15 @@ class Watch:
     def run(self, stop: threading.Event) -> None:
         """Watch and inspect until stopped; a running inspection is finished first.
 
-        A folder that cannot be read is heard of once, and tried again.
+        What goes wrong beyond a folder, such as a share that is away for a while, is heard of once, and tried again.
         """
-        said = ""
+        name = self.watched.root.name
+        steady = Steady(
+            f"watch, at {name}", lambda text: self.listener.bad(name, f"{text}; it is tried again")
+        )
         while not stop.is_set():
             begun = time.monotonic()
-            try:
-                self.look(stop)
-                said = ""
-            except RecordError as error:  # a share that is away for a while
-                if str(error) != said:
-                    self.listener.bad(self.watched.root.name, f"{error}; it is tried again")
-                said = str(error)
+            steady(lambda: self.look(stop), None)
             stop.wait(max(self.watched.poll_s, LEISURE * (time.monotonic() - begun)))
 
     def run_once(self, stop: threading.Event) -> None:

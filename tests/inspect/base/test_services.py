@@ -1,0 +1,282 @@
+"""Services end by a signal only: faults thrown in every callback of every loop, which goes on and ends when told."""
+
+import itertools
+import os
+import queue
+import random
+import threading
+import types
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from anisoscope.base import crash
+from anisoscope.base.crash import Steady
+from anisoscope.base.errors import NotConnected, RecordError, UsageError
+from anisoscope.history import signs
+from anisoscope.inspection.batch import watch as watching
+from anisoscope.inspection.reports import Reports
+from anisoscope.line.modbus import Handshake
+from anisoscope.line.mqtt import EdgeNode, broker_of
+from anisoscope.line.sparkplug import Names
+
+MANY, CAMPAIGN = 60, 700
+"""Faults for each callback."""
+FAULTS = (
+    OSError(28, "No space left on device"),
+    BrokenPipeError(32, "Broken pipe"),
+    PermissionError(13, "Permission denied"),
+    TimeoutError("timed out"),
+    ValueError("no number"),
+    KeyError("serial"),
+    TypeError("no text"),
+    AssertionError(),
+    AttributeError("none"),
+    RecursionError("too deep"),
+    MemoryError(),
+    ZeroDivisionError("by zero"),
+    UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte"),
+    RuntimeError("a driver"),
+    StopIteration(),
+    RecordError("a damaged record"),
+    UsageError("a wrong word"),
+    NotConnected("nobody there"),
+)
+
+
+class Thrower:
+    """Throws faults in turn, a number of them, and then does as it is told."""
+
+    def __init__(self, count, then=lambda *_, **__: None):
+        self.left, self.then, self.done = count, then, threading.Event()
+        self.draw = random.Random(count)
+
+    def __call__(self, *given, **named):
+        if self.left <= 0:
+            self.done.set()
+            return self.then(*given, **named)
+        self.left -= 1
+        raise self.draw.choice(FAULTS)
+
+
+@pytest.fixture(autouse=True)
+def no_files(monkeypatch):
+    """The files of what nothing foresaw are not written thousands of times."""
+    monkeypatch.setattr(crash, "crash_line", lambda error, during: f"{during}: {type(error).__name__}")
+    monkeypatch.setattr(watching, "crash_line", crash.crash_line)
+
+
+def watch_of(tmp_path, monkeypatch, callback, thrower):
+    """A watch of a folder whose parts are looked at again and again."""
+    numbers = itertools.count()
+    arrival = lambda *_: iter([watching.Arrival("in/a", f"a{next(numbers)}", (1, 1))])  # noqa: E731
+    listener = types.SimpleNamespace(bad=lambda *_: None)
+    found = watching.Watch(
+        types.SimpleNamespace(root=tmp_path, out=tmp_path / "out", poll_s=0.0, settle_s=0.0), listener, None
+    )
+    found._journal = types.SimpleNamespace(knows=lambda _: False)
+    monkeypatch.setattr(watching, "LEISURE", 0.0)
+    monkeypatch.setattr(watching, "arrivals", arrival)
+    monkeypatch.setattr(watching, "signature_of", lambda _: ())
+    monkeypatch.setattr(found, "_take", lambda *_: None)
+    if callback == "journal":
+        found._journal.knows = thrower
+    elif callback == "listener":
+        thrower.then = listener.bad = thrower
+        monkeypatch.setattr(found, "_take", Thrower(10**9))
+        thrower.then = lambda *_: None
+    elif callback == "part":
+        monkeypatch.setattr(found, "_take", thrower)
+    elif callback == "folder":
+        thrower.then = arrival
+        monkeypatch.setattr(watching, "arrivals", thrower)
+    else:
+        thrower.then = lambda _: ()
+        monkeypatch.setattr(watching, "signature_of", thrower)
+    stop = threading.Event()
+    return partial(found.run, stop), stop.set
+
+
+def modbus_of(tmp_path, monkeypatch, callback, thrower):
+    """The handshake as the command goes round in it."""
+    io = types.SimpleNamespace(read=lambda: 1, write=lambda _: None)
+    job = types.SimpleNamespace(state="done", verdict="PASS")
+    jobs = types.SimpleNamespace(running=None, submit=lambda _: job)
+    said = thrower if callback == "operator" else lambda _: None
+    if callback == "operator":
+        io.read = Thrower(10**9)
+    else:
+        thrower.then = {"read": lambda: 1, "write": lambda _: None, "submit": lambda _: job}[callback]
+        setattr(jobs if callback == "submit" else io, callback, thrower)
+    stop, handshake = threading.Event(), Handshake(io, jobs, "plate", "", said)
+    numbers = itertools.count()
+    if callback == "submit":
+        io.read = lambda: next(numbers)
+
+    def run():
+        steady = Steady("line modbus", said)
+        while not stop.is_set():
+            steady(handshake.step, None)
+
+    return run, stop.set
+
+
+def mqtt_of(tmp_path, monkeypatch, callback, thrower):
+    """The loop of the node, without a broker."""
+    said = thrower if callback == "operator" else lambda _: None
+    names = Names("group", "node", "device")
+    node = EdgeNode(broker_of("mqtt://127.0.0.1"), names, tmp_path / "h", tmp_path / "m", said)
+    for name in ("_begin", "_look", "_die"):
+        monkeypatch.setattr(node, name, lambda: None)
+    monkeypatch.setattr(node, "_connect", lambda: 0.0)
+    monkeypatch.setattr(node, "_on_job", lambda *_: None)
+    ever = types.SimpleNamespace(
+        put=node._events.put, get=lambda timeout: next_event(node._events, inner, timeout)
+    )
+    inner = node._events
+    monkeypatch.setattr(node, "_events", ever)
+    if callback == "operator":
+        monkeypatch.setattr(node, "_on_job", Thrower(10**9))
+    else:
+        thrower.then = (lambda: 0.0) if callback == "_connect" else thrower.then
+        monkeypatch.setattr(node, callback, thrower)
+    turn = itertools.count()
+
+    def next_event(_, events, timeout):
+        try:
+            return events.get_nowait()
+        except queue.Empty:
+            if callback == "_look" or next(turn) % 2:
+                raise
+            return ("job", "done", None)
+
+    return node.run, node.end
+
+
+def signs_of(tmp_path, monkeypatch, callback, thrower):
+    """The thread that gives signs of a station."""
+    complain = thrower if callback == "operator" else lambda _: None
+    monkeypatch.setattr(signs, "open_history", thrower if callback == "history" else Thrower(10**9))
+    beacon = signs.Beacon(tmp_path / "h.sqlite", "north", complain, beat_s=0.0)
+    return beacon._run, beacon._over.set
+
+
+LOOPS = {
+    watch_of: ("folder", "journal", "signature", "part", "listener"),
+    modbus_of: ("read", "write", "submit", "operator"),
+    mqtt_of: ("_connect", "_look", "_on_job", "operator"),
+    signs_of: ("history", "operator"),
+}
+CASES = [(loop, callback) for loop, callbacks in LOOPS.items() for callback in callbacks]
+
+
+def thrown(loop, callback, tmp_path, monkeypatch, count):
+    """A loop with that many faults in one callback: it still runs afterwards, and ends when it is told."""
+    thrower, problems = Thrower(count), []
+    run, end = loop(tmp_path, monkeypatch, callback, thrower)
+
+    def guarded():
+        try:
+            run()
+        except BaseException as error:  # noqa: BLE001 - that is what is looked for
+            problems.append(error)
+
+    thread = threading.Thread(target=guarded)
+    thread.start()
+    try:
+        assert thrower.done.wait(120), (thrower.left, problems)
+        assert thread.is_alive()
+    finally:
+        end()
+        thread.join(20)
+    assert not thread.is_alive()
+    assert not problems
+
+
+@pytest.mark.parametrize(("loop", "callback"), CASES, ids=lambda one: getattr(one, "__name__", one))
+def test_no_fault_ends_a_service(loop, callback, tmp_path, monkeypatch):
+    thrown(loop, callback, tmp_path, monkeypatch, MANY)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(("loop", "callback"), CASES, ids=lambda one: getattr(one, "__name__", one))
+def test_ten_thousand_faults_end_no_service(loop, callback, tmp_path, monkeypatch):
+    thrown(loop, callback, tmp_path, monkeypatch, CAMPAIGN)
+
+
+def test_reports_are_written_though_nobody_hears_of_them(tmp_path):
+    written = []
+
+    class Pending:
+        folder = tmp_path
+
+        def write(self):
+            written.append(1)
+            return ("a note",)
+
+        def discard(self):
+            pass
+
+    with Reports(Thrower(10**9)) as reports:
+        for _ in range(MANY):
+            reports.add(Pending())
+        reports.wait()
+    assert len(written) == MANY
+
+
+def test_a_fault_is_said_once_until_it_is_over():
+    said = []
+    steady = Steady("a service", said.append)
+
+    def fail(text):
+        raise RecordError(text)
+
+    for text in ("away", "away", "full", "away"):
+        assert steady(partial(fail, text), 7) == 7
+    assert said == ["away", "full", "away"]
+    assert steady(lambda: 3, 7) == 3
+    steady(partial(fail, "away"), 7)
+    assert said[3:] == ["away"]
+    with pytest.raises(KeyboardInterrupt):
+        steady(lambda: (_ for _ in ()).throw(KeyboardInterrupt), 7)
+
+
+SERVICES = {
+    watch_of: "`watch`",
+    modbus_of: "`line modbus`",
+    mqtt_of: "`line mqtt`",
+    signs_of: "signs of a station",
+}
+WORDS = {
+    "folder": "reading the watched folder",
+    "journal": "the journal",
+    "signature": "looking at a part's folder",
+    "part": "inspecting a part",
+    "listener": "printing",
+    "operator": "printing",
+    "read": "reading inputs",
+    "write": "setting outputs",
+    "submit": "beginning a job",
+    "_connect": "connecting to the broker",
+    "_look": "reading the history",
+    "_on_job": "taking a job's events",
+    "history": "writing the history",
+}
+MARKS = "<!-- services: the faults that tests throw -->\n", "<!-- end of services -->"
+
+
+def test_the_docs_say_where_faults_are_thrown():
+    rows = [
+        f"| {SERVICES[loop]} | {', '.join(WORDS[one] for one in callbacks)} |"
+        for loop, callbacks in LOOPS.items()
+    ]
+    table = "\n".join(["| service | faults thrown in |", "|---|---|", *rows, ""])
+    page = Path(__file__).resolve().parents[3] / "docs" / "line.md"
+    text = page.read_text(encoding="utf-8")
+    before, _, rest = text.partition(MARKS[0])
+    _, _, after = rest.partition(MARKS[1])
+    wanted = before + MARKS[0] + table + MARKS[1] + after
+    if os.environ.get("ANISOSCOPE_WRITE_DOCS"):
+        page.write_text(wanted, encoding="utf-8")
+    assert text == wanted or os.environ.get("ANISOSCOPE_WRITE_DOCS")
