@@ -34,6 +34,7 @@ from anisoscope.history.rows import NewRow, row_of
 from anisoscope.history.signs import give_sign
 from anisoscope.history.store import open_history
 from anisoscope.quality.control import Settings, control_study
+from anisoscope.record.schema import write_record
 
 START = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
 NOW = START + timedelta(hours=10)
@@ -429,9 +430,11 @@ def test_where_parts_deviate_is_laid_over_each_other(client_of, tmp_path, with_b
     place = tmp_path / "history.sqlite"
     with open_history(place) as history:
         for one in with_burrs:
-            new = row_of(one.record, one.folder)
-            fields = {name: getattr(new, name) for name in new.__dataclass_fields__}
-            history.append(NewRow(**fields | {"cavity": "3"}))
+            folder = shutil.copytree(one.folder, tmp_path / one.folder.name)
+            who = one.record.particulars.model_copy(update={"cavity": "3"})
+            record = one.record.model_copy(update={"particulars": who})
+            write_record(record, folder)
+            history.append(row_of(record, folder))
         history.append(new_row(1, folder="/data/inspections/A1", station="east"))
     page = client_of(place).get("/fleet/maps")
     words = text_of(page.text)
