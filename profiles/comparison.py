@@ -543,7 +543,8 @@ def _wall(found: RidgeMeasurement) -> tuple[float, float]:
     wall = found.wall_angle_deg
     if wall.value is not None:
         return float(np.radians(wall.value)), float(np.radians(wall.u or 0.0))
-    pitch, height, loss = found.pitch_um.value, found.height_um, found.height_loss.value or 0.0
+    pitch, height = found.pitch_um.value, found.height_um
+    loss = (found.height_loss.value or 0.0) + (found.foot_loss.value or 0.0)
     assert pitch is not None
     assert height.value is not None
     assert found.ridge_angle_deg.value is not None
