@@ -211,7 +211,8 @@ def slope_chart(found: RidgeMeasurement) -> str:
         axes.set_ylabel("density")
         axes.set_xlim(-reach, reach)
         axes.grid()
-        axes.legend(frameon=False, fontsize=7.5)
+        if axes.get_legend_handles_labels()[0]:  # none where alpha is withheld
+            axes.legend(frameon=False, fontsize=7.5)
         return svg_uri(figure)
 
 

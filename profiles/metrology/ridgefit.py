@@ -15,6 +15,7 @@ from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife, weighted_mean
 from anisoscope.profiles.metrology.ridgefold import Course, Facet, Folded, Grid
 from anisoscope.profiles.metrology.ridgekernels import Frame, Mask
+from anisoscope.profiles.metrology.ridgemeasurement import Segment
 from anisoscope.profiles.metrology.ridgesums import noise_sums, structure_sums
 
 SAMPLES = 60_000
@@ -288,19 +289,6 @@ def single_ridges(planes: Planes, course: Course, facet: Facet, removed: float) 
         value = Quantity(angle, float(np.degrees(error * cosine**2)) if error is not None else None)
         found.append(Single(value, _step(above[k], below[k - 1], information[k], information[k - 1], k)))
     return found
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A length of the map along its ridges.
-
-    Attributes:
-        place_um: middle of the length, along the ridges from the middle of the map.
-        angle_deg: mean ridge angle of all ridges there.
-    """
-
-    place_um: float
-    angle_deg: Quantity
 
 
 def segments_along(planes: Planes, course: Course, grid: Grid, removed: float) -> tuple[Segment, ...]:

@@ -9,7 +9,6 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import Quantity, as_text
-from anisoscope.profiles.metrology.ridgefit import Segment
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +30,19 @@ OF_STRAIGHT_FACETS = (
     "along_variation_deg",
     "height_variation_um",
 )
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A length of the map along its ridges.
+
+    Attributes:
+        place_um: middle of the length, along the ridges from the middle of the map.
+        angle_deg: mean ridge angle of all ridges there.
+    """
+
+    place_um: float
+    angle_deg: Quantity
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import HistoryOption, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
@@ -17,6 +18,20 @@ if TYPE_CHECKING:
 PORT = 8040
 
 
+@everyday(
+    "rig",
+    "recipes",
+    "out",
+    "history",
+    "users",
+    "openid",
+    "host",
+    "port",
+    "station",
+    "name",
+    "certificate",
+    "key",
+)
 def serve(
     *,
     rig: RigPath,
