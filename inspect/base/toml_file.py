@@ -145,7 +145,7 @@ def _describe(mistake: ErrorDetails, model: type[BaseModel]) -> str:
         expected = _fields(model, location[:-1]).get(str(location[-1]))
         return f"{key}: missing; expected {_words(expected)}"
     text = mistake["msg"].removeprefix("Value error, ")
-    if mistake["type"] == "value_error":
+    if mistake["type"] == "value_error" or not key:
         return f"{key}: {text}" if key else text
     shown = json.dumps(mistake["input"], ensure_ascii=False, default=str)
     return f"{key}: {text[:1].lower()}{text[1:]}, not {shown if len(shown) <= 40 else shown[:37] + '…'}"

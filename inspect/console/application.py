@@ -316,7 +316,7 @@ async def _say_invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
-    return _said(request, f"{where}: {first['msg']}", 422)
+    return _said(request, f"{where}: {first['msg'].removeprefix('Value error, ')}", 422)
 
 
 def _login_router(access: Access, pages: Sequence[Page]) -> APIRouter:

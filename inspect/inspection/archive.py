@@ -32,6 +32,7 @@ from anisoscope.base.last_signed import HEADS, noted
 from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.signature import Signed, Trust, read_signed, signer_in_use
+from anisoscope.base.toml_file import one_line
 from anisoscope.history.rows import seal_of
 from anisoscope.inspection.archive_store import ArchiveError, Store, Stored
 from anisoscope.inspection.folder import INPUTS, sweep, working_in
@@ -268,8 +269,7 @@ def _read(store: Store, name: str, model: type[Model]) -> Model:
     try:
         return model.model_validate_json(content)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise ArchiveError(f"{store.url}/{name}: is damaged: {first['msg']}") from error
+        raise ArchiveError(f"{store.url}/{name}: is damaged: {one_line(error, model)}") from error
 
 
 def manifests(store: Store, names: Sequence[str], advance: Advance = silent) -> Iterator[Archived]:

@@ -30,6 +30,7 @@ from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.errors import AnisoscopeError, CalibrationError, RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import bounded_bytes
+from anisoscope.base.toml_file import one_line
 from anisoscope.bsdf.directions_table import COLUMNS, DirectionsTable, polar_degrees
 from anisoscope.fit.lobe import Scan, fit_lobe
 from anisoscope.fit.table import read_readings
@@ -322,7 +323,7 @@ def resume_scan(folder: Path, on_progress: Advance = silent) -> ScanResult:
     except OSError as problem:
         raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
     except ValidationError as problem:
-        raise RecordError(f"{folder / SCAN} is damaged: {problem.errors()[0]['msg']}") from problem
+        raise RecordError(f"{folder / SCAN} is damaged: {one_line(problem, ScanSettings)}") from problem
     with working_in(folder), _resumable(folder):
         manifest, job = reopen(folder, settings.light_channel)
         check_frames(folder)
@@ -407,7 +408,7 @@ def resume_lamps(folder: Path, on_progress: Advance = silent) -> tuple[ScanResul
     except OSError as problem:
         raise RecordError(f"{folder}: no scan began here: {problem.strerror or problem}") from problem
     except ValidationError as problem:
-        raise RecordError(f"{folder / LAMPS} is damaged: {problem.errors()[0]['msg']}") from problem
+        raise RecordError(f"{folder / LAMPS} is damaged: {one_line(problem, Lamps)}") from problem
     found: list[ScanResult] = []
     try:
         channels = lamps.channels or (None,) * len(lamps.rigs)

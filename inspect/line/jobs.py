@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.json_file import JsonLines
 from anisoscope.base.printable import Printable
+from anisoscope.base.toml_file import one_line
 from anisoscope.history.rows import numbers_of
 from anisoscope.history.signs import Beacon, Doing
 from anisoscope.inspection.folder import working_in
@@ -88,9 +89,7 @@ def order_of(content: object) -> Order:
     try:
         return Order.model_validate(content, strict=True)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "order"
-        raise Refused("order", f"{where}: {first['msg']}") from None
+        raise Refused("order", one_line(error, Order)) from None
 
 
 class JobLine(BaseModel):

@@ -95,8 +95,8 @@ def with_sizes(recipe: RecipeT, asked: Sequence[str]) -> tuple[RecipeT, tuple[st
         part = type(recipe.defects).model_validate({**recipe.defects.model_dump(), **sizes})
     except ValidationError as problem:
         (error, *_), fields = problem.errors(), {one.key: name for name, one in _SIZED.items()}
-        name, reason = fields.get(str(error["loc"][0]), "size"), error["msg"][:1].lower() + error["msg"][1:]
-        raise UsageError(f"--defect {name}: {reason}") from None
+        name, reason = fields.get(str(error["loc"][0]), "size"), error["msg"].removeprefix("Value error, ")
+        raise UsageError(f"--defect {name}: {reason[:1].lower()}{reason[1:]}") from None
     return recipe.model_copy(update={"defects": part}), tuple(begins)
 
 

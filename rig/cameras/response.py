@@ -21,6 +21,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
 from anisoscope.base.regular_file import bounded_bytes
+from anisoscope.base.toml_file import one_line
 from anisoscope.rig.frame import Frame
 
 Mask = npt.NDArray[np.bool_]
@@ -302,11 +303,8 @@ def read_response(path: Path) -> ResponseCurve:
     except OSError as problem:
         raise CalibrationError(f"{path}: cannot be read: {problem.strerror or problem}") from problem
     except ValidationError as problem:
-        mistake = problem.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in mistake["loc"])
-        text = mistake["msg"].removeprefix("Value error, ")
         raise CalibrationError(
-            f"{path}: not a response curve: {where + ': ' if where else ''}{text}"
+            f"{path}: not a response curve: {one_line(problem, ResponseCurve)}"
         ) from problem
 
 

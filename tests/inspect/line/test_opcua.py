@@ -3,6 +3,7 @@
 docs/line-states.md is what `test_every_transition_under_every_fault` (soak) finds, and ANISOSCOPE_WRITE_DOCS=1 writes.
 """
 
+import asyncio
 import importlib.util
 import itertools
 import json
@@ -236,9 +237,14 @@ def test_a_job_by_the_specification(place, server, controller, loop, at):
 
 
 async def said(controller, words):
-    """Wait until it is said in an event."""
-    while re.search(words, (await controller.next(INFORMATION)).Message.Text) is None:
-        pass
+    """Wait until it is said in an event; fails with what was said instead."""
+    heard = []
+    try:
+        async with asyncio.timeout(60):
+            while not heard or re.search(words, heard[-1]) is None:
+                heard.append((await controller.next(INFORMATION)).Message.Text)
+    except TimeoutError:
+        pytest.fail(f"{words!r} was not said, but {heard}")
     return True
 
 
@@ -289,7 +295,7 @@ def test_arguments_of_other_types_are_refused_and_change_nothing(case, server, c
         ({"product": "spoon"}, -5, "product 'spoon'"),
         ({"parameters": ["colour=red"]}, -5, "parameter 'colour=red'"),
         ({"parameters": [7]}, -5, "parameter '7'"),
-        ({"meas": "a\nb"}, -5, "job: String should match"),
+        ({"meas": "a\nb"}, -5, r"job: 'a\\nb' holds a sign that cannot be seen"),
     ],
 )
 def test_orders_that_do_not_fit_are_refused_in_words(asked, code, words, place, server, controller, loop, at):
