@@ -247,8 +247,9 @@ def archived_verdicts(store: Store) -> dict[str, str]:
     """Verdicts of all archived inspections by the first 12 digits of their seals, from the names of their manifests.
 
     Raises:
-        ArchiveError: the archive does not answer.
+        ArchiveError: there is no archive, or it does not answer.
     """
+    check_format(store)
     parts = (PurePosixPath(name).stem.split("~") for name in archived(store))
     return {seal: verdict for _, verdict, seal in parts}
 

@@ -20,8 +20,8 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 
 PIXEL_LIMITS_UM = (0.01, 1000.0)
-PROBE_PIXEL_UM = 1e-4
-"""Least pixel of a scanning probe microscope."""
+PROBE_PIXEL_UM, PROBE_RANGE_UM = 1e-5, 1e-6
+"""Least pixel and range of heights of a scanning probe microscope: it resolves atoms."""
 MAX_FIELD_UM = 0.5e6
 MAX_HEIGHT_UM = 10_000.0
 MIN_RANGE_UM = 1e-4
@@ -160,24 +160,24 @@ def _check_range(name: str, lowest: float, highest: float) -> None:
         )
 
 
-def check_spread(name: str, lowest: float, highest: float) -> None:
-    """Refuse heights of an imported map that differ, but by less than 0.1 nm from the lowest to the highest.
+def check_spread(name: str, lowest: float, highest: float, least_um: float = MIN_RANGE_UM) -> None:
+    """Refuse heights of an imported map that differ, but by less than an instrument sees: 0.1 nm of one with light.
 
-    No instrument sees so little over a whole map; heights in m taken for µm do. A flat map is none of these: what
-    differs by less than that were it in m, such as the rounding of a levelled plane.
+    Heights in m taken for µm differ by less. A flat map is none of these: what differs by less than that were it in
+    m, such as the rounding of a levelled plane.
 
     Raises:
         HeightMapError: such heights, and the user does not trust them.
     """
     spread = highest - lowest
-    if 1e-6 * MIN_RANGE_UM < spread < MIN_RANGE_UM and not passes(
+    if 1e-6 * least_um < spread < least_um and not passes(
         "heights", f"heights that differ by {spread:.3g} µm at most"
     ):
         refuse(
             name,
             "range of the heights",
             f"{spread:.3g} µm",
-            f"plausible are {MIN_RANGE_UM:g} µm or more; check the unit of the heights, or take them as they are with "
+            f"plausible are {least_um:g} µm or more; check the unit of the heights, or take them as they are with "
             "--trust heights",
         )
 
@@ -269,7 +269,7 @@ def checked_map(
         origin = _corrected(origin, f"heights counted from {middle:.6g} µm, the middle of their range")
         lowest, highest = lowest - middle, highest - middle
     _check_range(name, lowest, highest)
-    check_spread(name, lowest, highest)
+    check_spread(name, lowest, highest, PROBE_RANGE_UM if probe else MIN_RANGE_UM)
     height_um.flags.writeable = False
     try:
         return HeightMap(height_um, float(pixel_um[1]), float(pixel_um[0]), origin, layers or {})

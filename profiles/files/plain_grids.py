@@ -143,11 +143,11 @@ def read_keyence_text(path: Path, given: Given) -> HeightMap:
     header: dict[str, list[str]] = {}
     title = ""
     for cells in rows_of_cells:
-        filled = [cell.strip() for cell in cells if cell.strip()]
-        if len(filled) > 1:
-            header[filled[0]] = filled[1:]
-        elif filled and header:
-            title = filled[0]
+        key, *values = [cell.strip() for cell in cells] or [""]
+        if values:
+            header[key] = values
+        elif key and header:
+            title = key
             break
     if title.casefold() not in KEYENCE_TITLES:
         refuse(name, "block", repr(title[:40]), "a block of heights is read; export the height")
@@ -160,7 +160,7 @@ def read_keyence_text(path: Path, given: Given) -> HeightMap:
 
     cols, rows = (int(number_of(name, 1, value(key)[0])) for key in ("width", "height"))
     check_claim(name, rows, cols, 0, 0)
-    side, unit = value("pixel")[0], value("pixel")[-1]
+    side, unit, *_ = *value("pixel"), ""
     step = number_of(name, 1, side) * stated_micrometres_per(name, "pixel (XY Calibration)", unit)
     factor = stated_micrometres_per(name, "heights (Unit)", value("unit")[0])
     numbers = [

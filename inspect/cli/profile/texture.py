@@ -154,6 +154,8 @@ def texture(
     check_picture(plot)
     shares, at_heights = _free(ratios, heights)
     doubt.check()
+    if not (features or border_features):
+        raise UsageError("--no-border-features leaves out hills and dales: ask for them with --features")
 
     def measured(surface: "HeightMap") -> "Texture":
         return measure(

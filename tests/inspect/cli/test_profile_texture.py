@@ -93,6 +93,7 @@ def test_a_flat_map_is_no_accident(anisoscope, tmp_path):
         (("--s-filter", 50, "--l-filter", 20), "below the L-filter"),
         (("--plot", "t.txt"), "*.png"),
         (("--form", "torus"), "torus"),
+        (("--no-border-features",), "ask for them with --features"),
         (("--u-pixel-size", 0.01), "--draws NUMBER"),
         (("--draws", 9), "--u-height-noise"),
         (("--draws", 1, "--u-pixel-size", 0.01), "two draws"),

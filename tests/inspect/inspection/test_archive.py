@@ -20,6 +20,7 @@ from anisoscope.base.signature import VARIABLE, make_key
 from anisoscope.inspection import archive as module
 from anisoscope.inspection.archive import (
     archived,
+    archived_verdicts,
     check_clock,
     check_format,
     clear,
@@ -257,6 +258,11 @@ def test_a_store_without_space_is_one_line_and_the_push_goes_on_later(finished, 
         pull(folder_store, read_manifest(folder_store, name), tmp_path / "restored")
     assert verify(pull(folder_store, read_manifest(folder_store, name), tmp_path / "restored")).intact
     assert [one.name for one in (tmp_path / "restored").iterdir() if one.name.startswith(".")] == []
+
+
+def test_a_mistyped_archive_holds_no_verdicts(tmp_path):
+    with pytest.raises(ArchiveError, match="is no archive, or an empty one"):
+        archived_verdicts(FolderStore(tmp_path / "archvie"))
 
 
 def test_a_damaged_folder_and_a_damaged_archive_are_refused(finished, folder_store, tmp_path):

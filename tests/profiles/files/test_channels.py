@@ -15,15 +15,15 @@ Z = np.arange(ROWS * COLS, dtype=float).reshape(ROWS, COLS) ** 1.5
 """In nm, the first row at the top."""
 
 
-def sxm(path, direction="down", channels=("Z\tm\tboth", "Current\tA\tfwd")):
+def sxm(path, direction="down", channels=("Z\tm\tboth", "Current\tA\tfwd"), scale=1.0, side="8.0E-7 1.2E-6"):
     head = (
         ":NANONIS_VERSION:\n2\n:SCANIT_TYPE:\n FLOAT MSBFIRST\n"
-        f":SCAN_PIXELS:\n {COLS} {ROWS}\n:SCAN_RANGE:\n 8.0E-7 1.2E-6\n:SCAN_DIR:\n{direction}\n"
+        f":SCAN_PIXELS:\n {COLS} {ROWS}\n:SCAN_RANGE:\n {' '.join(side)}\n:SCAN_DIR:\n{direction}\n"
         ":DATA_INFO:\n\tChannel\tName\tUnit\tDirection\tCalibration\tOffset\n"
         + "".join(f"\t{14 + k}\t{one}\t9.0E-9\t0.0E+0\n" for k, one in enumerate(channels))
         + ":SCANIT_END:\n\n\n"
     )
-    heights = 1e-9 * (Z[::-1] if direction == "up" else Z)
+    heights = scale * 1e-9 * (Z[::-1] if direction == "up" else Z)
     pictures = [heights, (heights + 5e-9)[:, ::-1], heights * 1e-3]
     path.write_bytes(head.encode() + b"\x1a\x04" + b"".join(one.astype(">f4").tobytes() for one in pictures))
     return path
@@ -38,6 +38,13 @@ def test_sxm(tmp_path, direction):
     for name in ("z BACKWARD", "2"):
         found = read_height_map(tmp_path / "a.sxm", channel=name)
         np.testing.assert_allclose(found.height_um, 1e-3 * (Z[::-1] + 5.0), rtol=1e-6)
+
+
+def test_sxm_of_atoms(tmp_path):
+    path = sxm(tmp_path / "a.sxm", scale=1e-4, side="2.0E-10 3.0E-10")
+    found = read_height_map(path)
+    assert (found.pixel_x_um, found.pixel_y_um) == pytest.approx((2.5e-5, 5e-5))
+    np.testing.assert_allclose(found.height_um, 1e-7 * Z[::-1], rtol=1e-6)
 
 
 def test_sxm_that_is_no_height_map(tmp_path):

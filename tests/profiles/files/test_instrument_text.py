@@ -80,6 +80,7 @@ def keyence(german=False, title=None):
         f'"{width}","3"',
         f'"{height}","2"',
         f'"{unit}","um"',
+        '"Reference data name",""',
         "",
         f'"{title or block}"',
         *(",".join(f'"{text}"' for text in row) for row in words(HEIGHTS, "")),
