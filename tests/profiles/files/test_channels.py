@@ -18,7 +18,7 @@ Z = np.arange(ROWS * COLS, dtype=float).reshape(ROWS, COLS) ** 1.5
 def sxm(path, direction="down", channels=("Z\tm\tboth", "Current\tA\tfwd"), scale=1.0, side="8.0E-7 1.2E-6"):
     head = (
         ":NANONIS_VERSION:\n2\n:SCANIT_TYPE:\n FLOAT MSBFIRST\n"
-        f":SCAN_PIXELS:\n {COLS} {ROWS}\n:SCAN_RANGE:\n {' '.join(side)}\n:SCAN_DIR:\n{direction}\n"
+        f":SCAN_PIXELS:\n {COLS} {ROWS}\n:SCAN_RANGE:\n {side}\n:SCAN_DIR:\n{direction}\n"
         ":DATA_INFO:\n\tChannel\tName\tUnit\tDirection\tCalibration\tOffset\n"
         + "".join(f"\t{14 + k}\t{one}\t9.0E-9\t0.0E+0\n" for k, one in enumerate(channels))
         + ":SCANIT_END:\n\n\n"
