@@ -32,6 +32,16 @@ def crash_line(error: Exception, during: str) -> str:
     return f"internal error ({type(error).__name__}: {error}): this is no verdict; {where}"
 
 
+def as_foreseen(error: Exception, during: str) -> AnisoscopeError:
+    """An error itself if it is one of ours; else one whose text is that of `crash_line`, so that the next item begins.
+
+    Args:
+        error: the error.
+        during: what was being done: a slot, a folder.
+    """
+    return error if isinstance(error, AnisoscopeError) else AnisoscopeError(crash_line(error, during))
+
+
 class Steady:
     """Steps of a service that ends by a signal only: what one raises is a line, said once, and the next one begins.
 
@@ -51,10 +61,8 @@ class Steady:
             kind = f"{type(error).__name__}: {error}"
             if kind != self._last:
                 self._last = kind
-                is_own = isinstance(error, AnisoscopeError)
-                text = " ".join(str(error).split()) if is_own else crash_line(error, self._service)
                 with contextlib.suppress(Exception):
-                    self._say(text)
+                    self._say(" ".join(str(as_foreseen(error, self._service)).split()))
             return otherwise
         self._last = ""
         return found

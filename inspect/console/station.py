@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from fastapi import HTTPException
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
+from anisoscope.base.crash import as_foreseen
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
 from anisoscope.base.printable import Printable
@@ -358,6 +359,8 @@ class Station:
         try:
             self.live.pause()  # here, not where a page waits: a camera may hang
             self._worker.run(task, emit, cancel)
+        except Exception as error:  # noqa: BLE001 - the page says it, and the next task can begin
+            emit("failed", {"text": str(as_foreseen(error, f"serve: {task.kind}")), "stopped": False})
         finally:
             with self._lock:
                 if mine is self._now and self._runs:  # a check, or what ended without a word

@@ -27,7 +27,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.base.atomic_write import write_bytes
-from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.crash import as_foreseen
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.last_signed import HEADS, noted
 from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
@@ -896,9 +897,9 @@ def push_all(
             done += 1
         except ArchiveError:
             raise
-        except AnisoscopeError as error:
+        except Exception as error:  # noqa: BLE001 - one folder must not keep the others from the archive
             failed += 1
-            tell(" ".join(str(error).split()))
+            tell(" ".join(str(as_foreseen(error, f"archive push, at {folder}")).split()))
     advance("archive", len(folders), len(folders))
     signer = signer_in_use()
     heads = {} if signer is None else noted(signer)[HEADS]

@@ -17,6 +17,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from anisoscope.base.crash import as_foreseen
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.json_file import JsonLines
 from anisoscope.base.printable import Printable
@@ -376,16 +377,19 @@ class Jobs:
             operator=order.operator, lot=order.lot, cavity=order.cavity, station=self._station, job=order.job
         )
         at_work = _AtWork(self, job, cancel)
-        for number in range(MOST_TRIES):
-            at_work.problem = None
-            path = recipe_paths(self._recipes).get(order.recipe)
-            task = Task("job", path, order.serial, who, fresh=fresh and not number, stopped=self._stopped)
-            if path is None:  # taken away since the job was accepted
-                at_work.problem = {"text": f"recipe {order.recipe} is gone"}
-                break
-            self._worker.run(task, at_work.emit, cancel)
-            if at_work.ended or not at_work.is_crashed:
-                break
+        try:
+            for number in range(MOST_TRIES):
+                at_work.problem = None
+                path = recipe_paths(self._recipes).get(order.recipe)
+                task = Task("job", path, order.serial, who, fresh=fresh and not number, stopped=self._stopped)
+                if path is None:  # taken away since the job was accepted
+                    at_work.problem = {"text": f"recipe {order.recipe} is gone"}
+                    break
+                self._worker.run(task, at_work.emit, cancel)
+                if at_work.ended or not at_work.is_crashed:
+                    break
+        except Exception as error:  # noqa: BLE001 - the job has an end, whatever ended it
+            at_work.problem = {"text": str(as_foreseen(error, f"job {job.id}"))}
         at_work.close()
 
     def _forget(self) -> None:

@@ -12,6 +12,7 @@ import math
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -19,7 +20,8 @@ from asyncua import Client, ua
 from asyncua.common.events import Event, get_filter_from_event_type
 from asyncua.ua.uaerrors import UaError
 
-from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.base.crash import Steady, as_foreseen
+from anisoscope.base.errors import UsageError
 from anisoscope.history.covariates import CycleData
 from anisoscope.history.store import History
 from anisoscope.line.opcua_security import Security
@@ -32,7 +34,7 @@ _AGAIN_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 _LOOK_S = 1.0
 _REALS = (ua.VariantType.Double, ua.VariantType.Float)
 
-Take = Callable[[Sequence[CycleData]], object]
+Take = Callable[[Sequence[CycleData]], str]
 
 
 def cycle_of(event: Event, wanted: Sequence[str], source: str) -> tuple[CycleData, list[str]]:
@@ -84,7 +86,7 @@ class PressReader:
 
     Args:
         address: ``opc.tcp://host:port/…``.
-        take: receives cycles; where it raises `AnisoscopeError` they are given to it again.
+        take: receives cycles and returns a line for the operator; where it raises they are given to it again.
         say: takes a line for the operator.
         wanted: browse names of the fields to take; none: all that are real numbers.
         again_s: waiting times before the next tries to connect.
@@ -119,6 +121,7 @@ class PressReader:
         self._waiting: list[CycleData] = []
         self._counted: dict[str, int] = {}
         self._said: set[str] = set()
+        self._steady = Steady("line press", say)
         self.taken = 0
 
     def event_notification(self, event: Event) -> None:
@@ -132,12 +135,13 @@ class PressReader:
         """Take cycles, until so many are taken, or until cancelled.
 
         Raises:
-            UsageError: the server is none of OPC 40077, or its cycles do not have a field that is wanted.
+            UsageError: before the first cycle: the server is none of OPC 40077, or its cycles do not have a field that
+                is wanted.
         """
         logging.getLogger("asyncua").setLevel(
             logging.CRITICAL
         )  # what it logs of a cut is said in a line here
-        tries, said = 0, ""
+        tries, said, was_connected = 0, "", False
         while most is None or self.taken < most:
             try:
                 found = Client(self._url, timeout=10.0)
@@ -145,15 +149,19 @@ class PressReader:
                     await self._security.secure(found)
                 async with _connected(found) as client:
                     await self._subscribe(client)
-                    self._say(f"connected to {self._address}")
-                    tries, said = 0, ""
+                    self._tell(f"connected to {self._address}")
+                    tries, said, was_connected = 0, "", True
                     while most is None or self.taken < most:
                         await client.check_connection()
                         await self._follow()
-            except (OSError, UaError, TimeoutError, asyncio.IncompleteReadError) as problem:
-                why = " ".join(str(problem).split()) or type(problem).__name__
+            except Exception as problem:  # a machine that is off for a night is followed again
+                if isinstance(problem, UsageError) and not was_connected:
+                    raise
+                foreseen = OSError, UaError, TimeoutError, asyncio.IncompleteReadError
+                own = problem if isinstance(problem, foreseen) else as_foreseen(problem, "line press")
+                why = " ".join(str(own).split()) or type(problem).__name__
                 if why != said:
-                    self._say(f"{self._address}: {why}; trying again")
+                    self._tell(f"{self._address}: {why.removeprefix(f'{self._address}: ')}; trying again")
                 said = why
                 await asyncio.sleep(self._again_s[min(tries, len(self._again_s) - 1)])
                 tries += 1
@@ -185,13 +193,11 @@ class PressReader:
             self._hear(self._heard.get_nowait())
         if not self._waiting:
             return
-        try:
-            await asyncio.to_thread(self._take, tuple(self._waiting))
-        except AnisoscopeError as problem:  # they wait for the next try
-            self._once(" ".join(str(problem).split()))
-            return
-        self.taken += len(self._waiting)
-        self._waiting.clear()
+        said = await asyncio.to_thread(self._steady, partial(self._take, tuple(self._waiting)), None)
+        if said is not None:  # else they wait for the next try
+            self.taken += len(self._waiting)
+            self._waiting.clear()
+            self._tell(said)
 
     def _hear(self, event: Event) -> None:
         cycle, lacking = cycle_of(event, self._wanted, self._source)
@@ -203,7 +209,7 @@ class PressReader:
                 missed = count - self._counted.get(name, count) - 1
                 self._counted[name] = count
                 if missed > 0:
-                    self._say(f"{self._address}: {missed} cycles before {name} {count} were not heard")
+                    self._tell(f"{self._address}: {missed} cycles before {name} {count} were not heard")
                 break
         if cycle.numbers:
             self._waiting.append(cycle)
@@ -211,6 +217,10 @@ class PressReader:
     def _once(self, text: str) -> None:
         if text not in self._said:
             self._said.add(text)
+            self._tell(text)
+
+    def _tell(self, text: str) -> None:
+        with contextlib.suppress(Exception):  # nobody hears
             self._say(text)
 
 
@@ -239,14 +249,14 @@ def follow_press(
         HistoryError: the history cannot be written.
     """
 
-    def take(news: Sequence[CycleData]) -> None:
+    def take(news: Sequence[CycleData]) -> str:
         named = [
             replace(one, numbers={f"{machine} {name}".strip(): value for name, value in one.numbers.items()})
             for one in news
         ]
         with opening() as history:
             added = history.add_covariates(named)
-        say(f"{added} added, {len(news) - added} there already")
+        return f"{added} added, {len(news) - added} there already"
 
     reader = PressReader(address, take, say, fields, security=security)
     with opening() as history:  # one that cannot be written is said before a cycle is waited for

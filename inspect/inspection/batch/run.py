@@ -5,6 +5,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from anisoscope.base.crash import as_foreseen
 from anisoscope.base.errors import AnisoscopeError, MeasurementError, RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.inspection.batch.codes import one_code, read_codes
@@ -222,8 +223,8 @@ class _Run:
         try:
             with self.operator.progress(self.batch, number) as advance:
                 code = self._inspect(number, slot, answer.scan, unfinished, advance)
-        except AnisoscopeError as error:
-            return self._fault(number, error)
+        except Exception as error:  # noqa: BLE001 - what is wrong with one part must not end the batch
+            return self._fault(number, as_foreseen(error, f"batch, at {slot.label}"))
         self.faults = 0
         self._note(number, code=code, seconds=round(time.monotonic() - begun, 1))
         self.operator.finished(self.batch, number)

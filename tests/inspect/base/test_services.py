@@ -1,5 +1,7 @@
 """Services end by a signal only: faults thrown in every callback of every loop, which goes on and ends when told."""
 
+import asyncio
+import contextlib
 import itertools
 import os
 import queue
@@ -14,11 +16,20 @@ import pytest
 from anisoscope.base import crash
 from anisoscope.base.crash import Steady
 from anisoscope.base.errors import NotConnected, RecordError, UsageError
+from anisoscope.console.station import Station
 from anisoscope.history import signs
+from anisoscope.inspection import archive as archives
+from anisoscope.inspection.batch import run as batches
 from anisoscope.inspection.batch import watch as watching
+from anisoscope.inspection.batch.operator import Answer
 from anisoscope.inspection.reports import Reports
+from anisoscope.inspection.work import Task, Workplace
+from anisoscope.line import jobs as orders
+from anisoscope.line import press as presses
+from anisoscope.line.jobs import Jobs
 from anisoscope.line.modbus import Handshake
 from anisoscope.line.mqtt import EdgeNode, broker_of
+from anisoscope.line.opcua import VisionServer
 from anisoscope.line.sparkplug import Names
 
 MANY, CAMPAIGN = 60, 700
@@ -57,7 +68,9 @@ class Thrower:
             self.done.set()
             return self.then(*given, **named)
         self.left -= 1
-        raise self.draw.choice(FAULTS)
+        fault = self.draw.choice(FAULTS)
+        fault.__context__ = None  # of the time before
+        raise fault.with_traceback(None)
 
 
 @pytest.fixture(autouse=True)
@@ -162,11 +175,167 @@ def signs_of(tmp_path, monkeypatch, callback, thrower):
     return beacon._run, beacon._over.set
 
 
+def batch_of(tmp_path, monkeypatch, callback, thrower):
+    """A batch of more slots than faults; the slot after the last fault is at work until the end."""
+    stop = threading.Event()
+    slots = [
+        types.SimpleNamespace(label=f"{n}", serial=f"{n}", state="waiting", slot=f"{n}") for n in range(2000)
+    ]
+    operator = types.SimpleNamespace(
+        place=lambda *_, **__: Answer(),
+        progress=lambda *_: contextlib.nullcontext(),
+        finished=lambda *_: None,
+        trouble=lambda *_: "stop" if stop.is_set() else "go on",
+    )
+    order = types.SimpleNamespace(
+        tray=types.SimpleNamespace(placed=False, slots=slots),
+        out=tmp_path,
+        look=None,
+        files=lambda _: (None, None),
+    )
+    batch = types.SimpleNamespace(slots=slots)
+    run = batches._Run(order, operator, lambda _: None, batch, None, None)
+    monkeypatch.setattr(run, "_note", lambda *_, **__: None)
+    thrower.then = lambda *_, **__: stop.wait()
+    monkeypatch.setattr(*{"part": (run, "_inspect"), "code": (run, "_identify")}[callback], thrower)
+    return run.all_slots, stop.set
+
+
+def push_of(tmp_path, monkeypatch, callback, thrower):
+    """A push of more folders than faults."""
+    stop = threading.Event()
+    thrower.then = lambda *_, **__: stop.wait()
+    monkeypatch.setattr(archives, "check_format", lambda *_, **__: None)
+    monkeypatch.setattr(archives, "finished_folders", lambda _: [tmp_path / f"{n}" for n in range(2000)])
+    monkeypatch.setattr(archives, {"record": "read_record", "push": "push"}[callback], thrower)
+    if callback == "push":
+        who = types.SimpleNamespace(particulars=types.SimpleNamespace(station=None))
+        monkeypatch.setattr(archives, "read_record", lambda _: who)
+        monkeypatch.setattr(archives, "record_signature", lambda _: None)
+    return partial(archives.push_all, None, [], remove=False, tell=lambda _: None), stop.set
+
+
+def jobs_of(tmp_path, monkeypatch, callback, thrower):
+    """Jobs one after the other; each has an end."""
+    order = types.SimpleNamespace(operator="", lot=None, cavity=None, job="1", recipe="plate", serial="1")
+    job, ended, stop = types.SimpleNamespace(id="1", order=order), [], threading.Event()
+    jobs = Jobs(
+        types.SimpleNamespace(out=tmp_path), tmp_path, types.SimpleNamespace(run=lambda *_: None), None
+    )
+    monkeypatch.setattr(jobs, "_end", lambda _, state, *__, **___: ended.append(jobs._say("ended", job, {})))
+    monkeypatch.setattr(orders, "recipe_paths", lambda _: {"plate": tmp_path})
+    if callback == "listener":
+        jobs._listeners.append(thrower)
+    elif callback == "recipes":
+        thrower.then = orders.recipe_paths
+        monkeypatch.setattr(orders, "recipe_paths", thrower)
+    else:
+        jobs._worker.run = thrower
+
+    def run():
+        for number in itertools.count(1):
+            jobs._do(job, threading.Event(), None, True)
+            assert len(ended) == number
+            if stop.is_set():
+                return
+
+    return run, stop.set
+
+
+def opcua_of(tmp_path, monkeypatch, callback, thrower):
+    """The task that follows the jobs of the server."""
+    server, over = VisionServer.__new__(VisionServer), threading.Event()
+
+    async def ended(*_):
+        thrower()
+
+    async def main():
+        server._heard, server._lock, server._ended = asyncio.Queue(), asyncio.Lock(), ended
+        following = asyncio.create_task(server._follow())
+        while not over.is_set():
+            server._heard.put_nowait(("failed", types.SimpleNamespace(id="1"), None))
+            await asyncio.sleep(0)
+            assert not following.done()
+        following.cancel()
+
+    return lambda: asyncio.run(main()), over.set
+
+
+def press_of(tmp_path, monkeypatch, callback, thrower):
+    """The reader of a machine's cycles, without the machine."""
+    over, numbers = threading.Event(), itertools.count()
+    said = thrower if callback == "operator" else lambda _: None
+
+    @contextlib.asynccontextmanager
+    async def connected(_):
+        if callback == "_connect" and next(numbers):  # a wrong word ends it before it was ever connected
+            try:
+                thrower()
+            except StopIteration:  # a coroutine makes it a RuntimeError, a context manager does not
+                raise RuntimeError from None
+        yield types.SimpleNamespace(check_connection=check)
+
+    async def check():
+        if over.is_set():
+            raise asyncio.CancelledError
+        cycle = types.SimpleNamespace(data_types={"t": presses._REALS[0]}, t=float(next(numbers)))
+        reader.event_notification(cycle)
+        if callback == "_connect" and not thrower.done.is_set():
+            raise OSError("gone again")
+
+    async def subscribed(_):
+        return None
+
+    take = (
+        thrower if callback == "history" else Thrower(10**9) if callback == "operator" else lambda _: "taken"
+    )
+    thrower.then = lambda *_: "taken"
+    monkeypatch.setattr(presses, "_connected", connected)
+    reader = presses.PressReader("opc.tcp://127.0.0.1", take, said, again_s=(0.0,))
+    monkeypatch.setattr(reader, "_subscribe", subscribed)
+
+    def run():
+        with contextlib.suppress(asyncio.CancelledError):
+            asyncio.run(reader.run())
+
+    return run, over.set
+
+
+def serve_of(tmp_path, monkeypatch, callback, thrower):
+    """Tasks of the console one after the other; each ends, and the page says why."""
+    worker = types.SimpleNamespace(run=lambda *_: None)
+    station, stop = (
+        Station(Workplace(tmp_path, tmp_path), tmp_path, worker, dict, None, None),
+        threading.Event(),
+    )
+    if callback == "worker":
+        worker.run = thrower
+    else:
+        thrower.then = station.live.pause
+        monkeypatch.setattr(station.live, "pause", thrower)
+
+    def run():
+        while not stop.is_set():
+            station._now.state, left = "running", thrower.left
+            station._do(Task("job", None, "1", None), threading.Event())
+            now = station.state()[1]
+            assert now["state"] == "failed"
+            assert now["failure"] or thrower.left == left
+
+    return run, stop.set
+
+
 LOOPS = {
     watch_of: ("folder", "journal", "signature", "part", "listener"),
     modbus_of: ("read", "write", "submit", "operator"),
     mqtt_of: ("_connect", "_look", "_on_job", "operator"),
     signs_of: ("history", "operator"),
+    batch_of: ("part", "code"),
+    push_of: ("record", "push"),
+    jobs_of: ("recipes", "worker", "listener"),
+    opcua_of: ("_on_job",),
+    press_of: ("_connect", "history", "operator"),
+    serve_of: ("worker", "camera"),
 }
 CASES = [(loop, callback) for loop, callbacks in LOOPS.items() for callback in callbacks]
 
@@ -247,21 +416,33 @@ SERVICES = {
     modbus_of: "`line modbus`",
     mqtt_of: "`line mqtt`",
     signs_of: "signs of a station",
+    batch_of: "`batch`",
+    push_of: "`archive push`",
+    jobs_of: "jobs of `line`",
+    opcua_of: "`line opcua`",
+    press_of: "`line press`",
+    serve_of: "`serve`",
 }
 WORDS = {
     "folder": "reading the watched folder",
     "journal": "the journal",
     "signature": "looking at a part's folder",
     "part": "inspecting a part",
-    "listener": "printing",
     "operator": "printing",
     "read": "reading inputs",
     "write": "setting outputs",
     "submit": "beginning a job",
-    "_connect": "connecting to the broker",
+    "_connect": "connecting",
+    "record": "reading a record",
+    "push": "sending an inspection",
     "_look": "reading the history",
     "_on_job": "taking a job's events",
     "history": "writing the history",
+    "code": "reading a part's code",
+    "recipes": "reading the folder of recipes",
+    "worker": "the process that inspects",
+    "listener": "printing",
+    "camera": "pausing the live picture",
 }
 MARKS = "<!-- services: the faults that tests throw -->\n", "<!-- end of services -->"
 
