@@ -110,6 +110,7 @@ if TYPE_CHECKING:
     from anisoscope.quality.attribute import attribute_study as msa_attribute
     from anisoscope.quality.attribute import read_decisions
     from anisoscope.quality.capability import Specification
+    from anisoscope.quality.chart_limits import read_chart_limits, write_chart_limits
     from anisoscope.quality.control import ControlStudy
     from anisoscope.quality.control import Settings as ChartSettings
     from anisoscope.quality.drift import drift_study
@@ -240,6 +241,8 @@ _HOME = {
     "msa_bias": "anisoscope.operations.statistics",
     "msa_gauge": "anisoscope.operations.statistics",
     "history_readings": "anisoscope.quality.readings",
+    "read_chart_limits": "anisoscope.quality.chart_limits",
+    "write_chart_limits": "anisoscope.quality.chart_limits",
     "read_readings": "anisoscope.quality.readings",
     "Readings": "anisoscope.quality.readings",
     "AnisoscopeError": "anisoscope.base.errors",
@@ -467,6 +470,7 @@ __all__ = [
     "predict",
     "pull",
     "push",
+    "read_chart_limits",
     "read_codes",
     "read_cycles",
     "read_decisions",
@@ -511,6 +515,7 @@ __all__ = [
     "verify_history",
     "watch",
     "whatif",
+    "write_chart_limits",
     "write_experiment_page",
     "write_findings_page",
     "write_height_map",
@@ -852,11 +857,11 @@ def control_chart(
 
     from anisoscope.quality.capability import Specification
     from anisoscope.quality.control import Settings, control_study
+    from anisoscope.quality.limits import individuals
 
     series = np.asarray(values, dtype=np.float64)
-    names = tuple(map(str, range(1, series.size + 1))) if labels is None else tuple(labels)
     specification = None if lower is None and upper is None else Specification(lower, upper)
-    return control_study(name, series, names, Settings(baseline=baseline), specification)
+    return control_study(name, individuals(series, labels), Settings(baseline=baseline), specification)
 
 
 def recipe_yield(

@@ -45,6 +45,7 @@ from anisoscope.history.store import History, open_history
 from anisoscope.inspection.report_seal import report_state
 from anisoscope.quality.capability import charted, specification
 from anisoscope.quality.control import ControlStudy, Settings, control_study
+from anisoscope.quality.limits import individuals
 from anisoscope.quality.nelson import MEANING, flagged
 from anisoscope.quality.readings import Readings, readings_of
 from anisoscope.record.verdict import Verdict
@@ -597,10 +598,11 @@ def _chart(title: str, name: str, part: Readings) -> Chart:
     except UsageError as error:
         limits, note = None, str(error)
     values, labels = part.numbers[name], part.labels
-    study = control_study(title, values, labels, Settings(), limits)
-    levels = [(study.limits.center, message("centre"), "centre")]
-    levels += [(study.limits.lower, message("lower limit"), "limit")]
-    levels += [(study.limits.upper, message("upper limit"), "limit")]
+    study = control_study(title, individuals(values, labels), Settings(), limits)
+    line = study.line
+    levels = [(float(line.center[0]), message("centre"), "centre")]
+    levels += [(float(line.lower[0]), message("lower limit"), "limit")]
+    levels += [(float(line.upper[0]), message("upper limit"), "limit")]
     if limits is not None:
         sides = (limits.lower, limits.upper)
         levels += [(side, message("tolerance"), "tolerance") for side in sides if side is not None]

@@ -16,7 +16,7 @@ from anisoscope.quality.capability import Specification, charted, specification
 from anisoscope.quality.control import ControlStudy, Settings, control_study
 from anisoscope.quality.drift import Drift, drift_study
 from anisoscope.quality.gauge import GaugeStudy, gauge_data, gauge_study
-from anisoscope.quality.individuals import Period
+from anisoscope.quality.limits import Limits, Period
 from anisoscope.quality.linearity import GaugeLinearity, gauge_linearity
 from anisoscope.quality.measurement_process import (
     PROCESS_LIMIT,
@@ -29,6 +29,7 @@ from anisoscope.quality.measurement_process import (
 )
 from anisoscope.quality.readings import GROUPS, Readings
 from anisoscope.quality.stability import Stability, stability_study
+from anisoscope.quality.subgroups import COUNTED, charted_points
 
 REFERENCE = "reference"
 """Column of known values."""
@@ -204,7 +205,7 @@ def _known(readings: Readings, given: float | None) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Control study of a number, the readings that it is of, and its drift where one was looked for."""
+    """Control study of a number, a reading for each of its points, and its drift where one was looked for."""
 
     number: str
     readings: Readings
@@ -244,6 +245,9 @@ def control_charts(
     *,
     by: str | None = None,
     settings: Settings | None = None,
+    subgroup: str | None = None,
+    of: str | None = None,
+    known: Mapping[str, tuple[str, Limits]] | None = None,
     period: str | None = None,
     limits: Specification | None = None,
     tolerances: Mapping[str, float] | None = None,
@@ -258,6 +262,9 @@ def control_charts(
         number: its name; None for all.
         by: product, recipe, lot, cavity, station or operator: a chart for each.
         settings: of the charts.
+        subgroup: lot, day, cavities (a part of each), a column of words, or how many readings that follow each other.
+        of: number that says how many parts a count is of; one by default.
+        known: charts and limits by name, as `read_chart_limits` has them, in place of those of the data.
         period: values on which the limits rest: ``FROM..TO``, either may be missing.
         limits: of good parts; by default those that the readings state.
         tolerances: of a recipe, by number, in place of those of the readings.
@@ -268,8 +275,10 @@ def control_charts(
     Raises:
         UsageError: no number, settings that make no sense, or no chart is possible.
     """
-    names = charted(readings) if number is None else (readings.number(number)[0],)
     used = Settings() if settings is None else settings
+    names = charted(readings) if number is None else (readings.number(number)[0],)
+    if number is None and used.chart[0] in COUNTED:
+        names = (COUNTED[used.chart[0]],)
     if not names:
         raise UsageError(f"{readings.source}: there is no number to chart")
     if len(names) > 1 and (limits is not None or used.center is not None):
@@ -283,18 +292,29 @@ def control_charts(
     for place, (name, group) in enumerate(wanted):
         title, part = name if by is None else f"{name}, {by} {group or 'not stated'}", groups[group]
         on_progress(title, place, len(wanted))
-        values = part.numbers[name]
         try:
-            own = replace(used, period=None if period is None else period_of(part, period))
-            good = limits or specification(part, name, tolerances)
-            study = control_study(title, values, part.labels, own, good)
-            moved = drift_study(title, values, part.labels, part.against(against, name)) if drift else None
+            stand, study = _study(
+                title,
+                part,
+                name,
+                used,
+                limits or tolerances,
+                subgroup=subgroup,
+                of=of,
+                known=known,
+                period=period,
+            )
+            values, labels = (
+                (study.values, study.labels) if study.points.counted else (part.numbers[name], part.labels)
+            )
+            beside = (stand if study.points.counted else part).against(against, name) if drift else {}
+            moved = drift_study(title, values, labels, beside) if drift else None
         except UsageError as error:
             if len(wanted) == 1:
                 raise
             skipped.append(f"{title}: {error}")
         else:
-            charts.append(Chart(name, part, study, moved))
+            charts.append(Chart(name, stand, study, moved))
     if not charts:
         raise UsageError(skipped[0])
     return Charts(
@@ -304,6 +324,38 @@ def control_charts(
         tuple(skipped),
         tuple(one.drift for one in charts if one.drift is not None),
     )
+
+
+def _study(
+    title: str,
+    part: Readings,
+    name: str,
+    settings: Settings,
+    limits: Specification | Mapping[str, float] | None,
+    *,
+    subgroup: str | None,
+    of: str | None,
+    known: Mapping[str, tuple[str, Limits]] | None,
+    period: str | None,
+) -> tuple[Readings, ControlStudy]:
+    """Control study of a number, and a reading for each of its points."""
+    points, stand, left = charted_points(part, name, settings.chart, subgroup, of)
+    within = None if period is None else period_of(stand, period)
+    own = replace(settings, period=within, known=_known_of(known, title, settings.chart))
+    if not points.counted and not isinstance(limits, Specification):
+        limits = specification(part, name, limits)
+    study = control_study(title, points, own, limits if isinstance(limits, Specification) else None)
+    return stand, replace(study, notes=(*study.notes, *left))
+
+
+def _known_of(known: Mapping[str, tuple[str, Limits]] | None, title: str, chart: str) -> Limits | None:
+    if known is None:
+        return None
+    if title not in known:
+        raise UsageError(f"{title}: the file of limits has {', '.join(known)} only")
+    if known[title][0] != chart:
+        raise UsageError(f"{title}: the limits in the file are of the chart {known[title][0]}, not {chart}")
+    return known[title][1]
 
 
 def period_of(readings: Readings, text: str) -> Period:

@@ -15,7 +15,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import json_field
 from anisoscope.history.chain import PRECISION
 from anisoscope.history.rows import CAUSE
-from anisoscope.quality.individuals import Limits, sigma_freedom
+from anisoscope.quality.limits import Limits
 from anisoscope.quality.readings import Readings
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.surface_details import contrast_label
@@ -62,7 +62,7 @@ class Capability:
         specification: the limits.
         count: measured values.
         mean: of all measured values.
-        sigma_short: from the moving ranges.
+        sigma_short: from moving ranges, or within subgroups.
         sigma_long: standard deviation of all values.
         cp, pp: width of the limits over 6 sigma; None for a limit on one side.
         cpk, ppk: distance of the nearer limit from the mean over 3 sigma.
@@ -136,7 +136,6 @@ def capability(
     count, mean, sigma = len(measured), float(measured.mean()), float(measured.std(ddof=1))
     if sigma == 0.0:
         raise UsageError("all values are the same: a capability needs values that vary")
-    short_freedom = sigma_freedom(limits.ranges) if limits.ranges else math.inf
     lower, upper = specification.lower, specification.upper
     rooms = [mean - lower] if lower is not None else []
     rooms += [upper - mean] if upper is not None else []
@@ -148,7 +147,7 @@ def capability(
         spread = None if width is None else spread_index(width, sd, freedom, confidence)
         return spread, nearer_index(min(rooms) / (3.0 * sd), count, freedom, confidence)
 
-    cp, cpk = both(limits.sigma, short_freedom)
+    cp, cpk = both(limits.sigma, limits.freedom)
     pp, ppk = both(sigma, count - 1.0)
     expected = float(ndtr((low - mean) / sigma) + ndtr((mean - high) / sigma))
     outside = int(np.count_nonzero((measured < low) | (measured > high)))

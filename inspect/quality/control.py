@@ -1,8 +1,8 @@
-"""Statistical control of one number: chart, EWMA, patterns, capability and normality, and a verdict in words.
+"""Statistical control: a chart of points, EWMA, patterns, capability and normality, and a verdict in words.
 
 The exponentially weighted moving average (EWMA) shows slow drifts that no single value shows. Source: S. W. Roberts,
 Technometrics 1 (1959) 239; NIST/SEMATECH e-Handbook 6.3.2.4. The limits are the exact ones, which are narrower for
-the first values.
+the first points and follow the sizes of subgroups.
 
 Normality is tested after Anderson and Darling; where values are not normal, the result says what to do. Source: R. B.
 D'Agostino and M. A. Stephens (ed.), Goodness-of-Fit Techniques (1986), table 4.9: the statistic for a mean and a
@@ -10,8 +10,8 @@ standard deviation that are estimated, and its p-value.
 """
 
 import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,16 @@ from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
 from anisoscope.quality.distributions import FittedCapability, fitted_capability
-from anisoscope.quality.individuals import BoolArray, Limits, Period, given_limits, limits_of, moving_range
+from anisoscope.quality.limits import (
+    CHARTS,
+    BoolArray,
+    Limits,
+    Period,
+    Points,
+    given_limits,
+    limits_of,
+)
+from anisoscope.quality.limits import WIDTH as SIGMAS
 from anisoscope.quality.nelson import RULES, Flag, flags
 
 if TYPE_CHECKING:
@@ -31,34 +40,47 @@ WEIGHT, WIDTH = 0.2, 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Ewma:
-    """The average after every value, and its limits.
+class Line:
+    """A line of a chart: points, and a centre and limits for each of them.
 
     Attributes:
-        average: (N,); NaN where no value was measured: the average then stands still.
-        lower, upper: (N,) exact limits for as many values as were measured so far.
-        weight: lambda, the share of the newest value.
-        width: L, in standard deviations of the average.
+        name: what it shows.
+        values: (N,); NaN where there is none.
+        center, lower, upper: (N,).
     """
 
-    average: FloatArray = field(metadata=LEFT_OUT)
+    name: str = field(metadata=LEFT_OUT)
+    values: FloatArray = field(metadata=LEFT_OUT)
+    center: FloatArray = field(metadata=LEFT_OUT)
     lower: FloatArray = field(metadata=LEFT_OUT)
     upper: FloatArray = field(metadata=LEFT_OUT)
-    weight: float = field(metadata=json_field("lambda"))
-    width: float
 
     @property
     def outside(self) -> BoolArray:
-        """(N,) averages beyond their limits."""
-        return (self.average < self.lower) | (self.average > self.upper)
+        """(N,) points beyond their limits."""
+        return (self.values < self.lower) | (self.values > self.upper)
 
 
-def ewma(values: FloatArray, limits: Limits, weight: float = WEIGHT, width: float = WIDTH) -> Ewma:
-    """The average of a series, started at the centre of its limits.
+@dataclass(frozen=True, eq=False)
+class Ewma(Line):
+    """The average after every point: ``weight`` is lambda, the share of the newest, ``width`` L in its own sigma."""
+
+    weight: float = field(metadata=json_field("lambda"))
+    width: float
+
+
+LineT = TypeVar("LineT", bound=Line)
+
+
+def ewma(
+    values: FloatArray, center: float, sigma: FloatArray, weight: float = WEIGHT, width: float = WIDTH
+) -> Ewma:
+    """The average of a series, started at its centre; it stands still where nothing was measured, and is NaN there.
 
     Args:
         values: (N,), NaN is missing.
-        limits: centre and short-term standard deviation.
+        center: of the chart.
+        sigma: (N,) short-term standard deviations of the values, or one for all.
         weight: lambda, above 0 and at most 1; 1 is the chart of the values themselves.
         width: L, above 0.
 
@@ -69,21 +91,18 @@ def ewma(values: FloatArray, limits: Limits, weight: float = WEIGHT, width: floa
         raise UsageError(f"the weight of an EWMA (lambda) lies above 0 and at most at 1, not at {weight:g}")
     if not 0.0 < width < 100.0:
         raise UsageError(f"the width of the limits of an EWMA (L) lies above 0, not at {width:g}")
-    valid = ~np.isnan(values)
-    average = np.full(len(values), np.nan)
-    average[valid] = _averaged(values[valid], limits.center, weight)
-    seen = np.maximum(np.cumsum(valid), 1)
-    spread = weight / (2.0 - weight) * -np.expm1(2.0 * seen * np.log1p(-weight)) if weight < 1.0 else 1.0
-    reach = width * limits.sigma * np.sqrt(np.broadcast_to(spread, average.shape))
-    return Ewma(average, limits.center - reach, limits.center + reach, weight, width)
-
-
-def _averaged(values: FloatArray, start: float, weight: float) -> FloatArray:
-    found, last = np.empty(len(values)), start
-    for number, value in enumerate(values.tolist()):
-        last += weight * (value - last)
-        found[number] = last
-    return found
+    average, variance = np.full(len(values), np.nan), np.empty(len(values))
+    last, scatter, keep = center, 0.0, (1.0 - weight) ** 2
+    new = (weight * np.broadcast_to(sigma, values.shape)) ** 2
+    for place, (value, own) in enumerate(zip(values.tolist(), new.tolist(), strict=True)):
+        if not math.isnan(value):
+            last += weight * (value - last)
+            scatter = own + keep * scatter
+            average[place] = last
+        variance[place] = scatter or own
+    reach = width * np.sqrt(variance)
+    middle = np.full(len(values), center)
+    return Ewma("EWMA", average, middle, middle - reach, middle + reach, weight, width)
 
 
 MIN_COUNT = 8
@@ -160,6 +179,8 @@ def _hint(p: float, count: int, distinct: int) -> str:
 
 
 FEW = 20
+FEW_COUNTED = 5
+COUNTED_RULES = (1, 2, 3, 4)
 
 
 @dataclass(frozen=True)
@@ -167,16 +188,18 @@ class Settings:
     """Settings of a control chart.
 
     Attributes:
-        baseline: measured values from the start that the limits rest on; None for all.
+        baseline: measured points from the start that the limits rest on; None for all.
         weight: lambda of the EWMA.
         width: L of the EWMA.
         center, sigma: known mean and short-term standard deviation, in place of a baseline; both or neither.
         period: whose values the limits rest on, in place of a baseline.
         distribution: of the capability by quantiles besides that of a normal one, or "best"; None for none.
-        rules: numbers of Nelson's rules that count.
+        rules: numbers of Nelson's rules that count; all by default, of shares and rates the first four.
+        chart: one of ``CHARTS``.
+        known: limits of earlier data, in place of a baseline.
 
     Raises:
-        UsageError: a rule that there is not, or none.
+        UsageError: a rule that there is not, or none; an unknown chart.
     """
 
     baseline: int | None = None
@@ -186,31 +209,38 @@ class Settings:
     sigma: float | None = None
     period: Period | None = None
     distribution: str | None = None
-    rules: tuple[int, ...] = tuple(RULES)
+    rules: tuple[int, ...] | None = None
+    chart: str = "i-mr"
+    known: Limits | None = None
 
     def __post_init__(self) -> None:
-        if not self.rules or not set(self.rules) <= set(RULES):
+        if self.chart not in CHARTS:
+            raise UsageError(f"--chart takes {', '.join(CHARTS)}, not {self.chart!r}")
+        if self.rules is not None and not (self.rules and set(self.rules) <= set(RULES)):
             raise UsageError(
                 f"Nelson's rules have the numbers 1 to {len(RULES)}: name some of them, such as 1,2,5,6"
             )
 
-    def limits(self, values: FloatArray) -> Limits:
+    def limits(self, points: Points) -> Limits:
         """Limits of a series.
 
         Raises:
-            UsageError: one of mean and sigma is missing, or as `limits_of`.
+            UsageError: one of mean and sigma is missing, several sources of limits, or as `limits_of`.
         """
-        if (self.center is None) != (self.sigma is None):
+        if (self.sigma is not None and self.center is None) or (
+            self.center is not None and self.sigma is None and not points.counted
+        ):
             raise UsageError("a known mean and a known sigma go together: give both or neither")
-        if self.period is not None and (self.baseline, self.center) != (None, None):
+        if self.center is not None and self.baseline is not None:
+            raise UsageError("a known mean and sigma take the place of a baseline: leave one of them out")
+        if sum(one is not None for one in (self.period, self.baseline, self.center, self.known)) > 1:
             raise UsageError(
-                "limits rest on a reference period, on a baseline or on a known mean and sigma: name one of them"
+                "limits rest on a reference period, on a baseline, on earlier limits or on a known mean and sigma: "
+                "name one of them"
             )
-        if self.center is not None and self.sigma is not None:
-            if self.baseline is not None:
-                raise UsageError("a known mean and sigma take the place of a baseline: leave one of them out")
-            return given_limits(self.center, self.sigma)
-        return limits_of(values, self.baseline, self.period)
+        if self.center is not None:
+            return given_limits(self.center, *(() if self.sigma is None else (self.sigma,)))
+        return self.known or limits_of(points, self.baseline, self.period)
 
 
 @dataclass(frozen=True)
@@ -233,48 +263,115 @@ class Pattern:
     labels: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Point:
+    """A subgroup: its label, how many values or parts it has, mean, share or rate, its limits, and its spread."""
+
+    label: str
+    size: float
+    value: float
+    lower: float
+    upper: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class ChartLimits:
+    """Numbers of a chart; None for a limit that follows the size of the subgroups, or that the chart does not have."""
+
+    center: float
+    sigma: float
+    lower: float | None
+    upper: float | None
+    range_center: float | None
+    range_upper: float | None
+    baseline: int
+
+
 @dataclass(frozen=True, eq=False)
 class ControlStudy:
     """Control chart of one series: limits, rule violations, normality and capability.
 
     Attributes:
         name: of the number, and of the group it belongs to.
-        values: (N,), NaN is missing.
-        labels: N names of the values, such as serial numbers.
-        limits: of the chart.
-        ranges: (N,) moving ranges.
+        points: N points: single values, means of subgroups, shares or rates.
+        basis: of the limits.
+        line: the points with their limits.
+        spread: moving range, or range or standard deviation of the subgroups; None where there is none.
         average: EWMA.
-        flags: patterns of the values.
-        wide: (N,) moving ranges above their limit.
+        flags: patterns of the points.
         capability: where there is a specification.
-        normality: where there are enough values.
+        normality: of the single values, where there are enough.
         notes: what the reader should know.
         fitted: capability by a fitted distribution, where it was asked for.
     """
 
     name: str
-    values: FloatArray = field(metadata=LEFT_OUT)
-    labels: tuple[str, ...] = field(metadata=LEFT_OUT)
-    limits: Limits
-    ranges: FloatArray = field(metadata=LEFT_OUT)
+    points: Points = field(metadata=json_field("chart", by=lambda points: points.chart))
+    basis: Limits = field(metadata=LEFT_OUT)
+    line: Line = field(metadata=LEFT_OUT)
+    spread: Line | None = field(metadata=LEFT_OUT)
     average: Ewma = field(metadata=json_field("ewma"))
     flags: tuple[Flag, ...] = field(metadata=LEFT_OUT)
-    wide: BoolArray = field(metadata=LEFT_OUT)
     capability: Capability | None
     normality: Normality | None
     notes: tuple[str, ...]
     fitted: FittedCapability | None = None
 
     @property
+    def values(self) -> FloatArray:
+        """(N,) of the points, NaN is missing."""
+        return self.points.values
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """N names of the points, such as serial numbers."""
+        return self.points.labels
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """All lines, that of the points first."""
+        return tuple(one for one in (self.line, self.spread, self.average) if one is not None)
+
+    @property
+    @in_json()
+    def limits(self) -> ChartLimits:
+        """Limits as numbers, as far as all points have the same."""
+        spread, basis = self.spread, self.basis
+        return ChartLimits(
+            basis.center,
+            basis.sigma,
+            _same(self.line.lower),
+            _same(self.line.upper),
+            None if spread is None else _same(spread.center),
+            None if spread is None else _same(spread.upper),
+            basis.baseline,
+        )
+
+    @property
+    @in_json("points", only_given=True)
+    def subgroups(self) -> tuple[Point, ...]:
+        """The points of charts of subgroups; none of single values."""
+        if self.points.chart == "i-mr":
+            return ()
+        spread = np.full(len(self.values), np.nan) if self.spread is None else self.spread.values
+        columns = (self.values, self.line.lower, self.line.upper, spread)
+        rows = zip(*(one.tolist() for one in columns), strict=True)
+        sizes = self.points.sizes.tolist()
+        return tuple(
+            Point(*one, *row) for one, row in zip(zip(self.labels, sizes, strict=True), rows, strict=True)
+        )
+
+    @property
     @in_json("measured")
     def count(self) -> int:
-        """Measured values."""
+        """Measured points."""
         return int(np.count_nonzero(~np.isnan(self.values)))
 
     @property
     @in_json()
     def missing(self) -> int:
-        """Values that were not measured."""
+        """Points that were not measured."""
         return len(self.values) - self.count
 
     @property
@@ -296,8 +393,13 @@ class ControlStudy:
     @property
     @in_json()
     def wide_ranges(self) -> tuple[str, ...]:
-        """Labels of the moving ranges above their limit."""
+        """Labels of the ranges or standard deviations beyond their limits."""
         return tuple(self.labels[k] for k in np.flatnonzero(self.wide))
+
+    @property
+    def wide(self) -> BoolArray:
+        """(N,) spreads beyond their limits."""
+        return np.zeros(len(self.values), dtype=np.bool_) if self.spread is None else self.spread.outside
 
     @property
     @in_json()
@@ -315,12 +417,22 @@ class ControlStudy:
     @in_json()
     def verdict(self) -> str:
         """The outcome in plain words."""
-        words = [f"stable: nothing unusual among {self.count} values" if self.stable else self._trouble()]
+        quiet = (
+            f"stable: nothing unusual among {self.count} values"
+            if self.points.chart == "i-mr"
+            else f"stable: nothing unusual among {self.count} subgroups"
+        )
+        words = [quiet if self.stable else self._trouble()]
         if self.capability is not None:
             words.append(capable_words(self.capability, self.stable))
         if self.fitted is not None:
             words.append(self.fitted.verdict)
         return "; ".join(words)
+
+    @property
+    def unit(self) -> str:
+        """What its points are."""
+        return "values" if self.points.chart == "i-mr" else "subgroups"
 
     def _trouble(self) -> str:
         found = []
@@ -329,8 +441,12 @@ class ControlStudy:
             name, rule, meaning = self.labels[first.seen_at], first.rule, first.text
             found.append(f"{patterns}, the first at {name} (rule {rule}: {meaning})")
         if self.wide.any():
-            jumps = _times(int(self.wide.sum()), "jump")
-            found.append(f"{jumps} between neighbours above the limit")
+            jumps = _times(int(self.wide.sum()), "jump" if self.points.within is None else "spread")
+            found.append(
+                f"{jumps} between neighbours above the limit"
+                if self.points.within is None
+                else f"{jumps} within subgroups beyond the limits"
+            )
         if self.average.outside.any():
             name = self.labels[int(np.argmax(self.average.outside))]
             found.append(f"the moving average leaves its limits, first at {name}")
@@ -339,41 +455,40 @@ class ControlStudy:
 
     def __repr__(self) -> str:
         """One line: name, how many values, and the outcome."""
-        return f"ControlStudy({self.name}, {self.count} values: {self.verdict})"
+        return f"ControlStudy({self.name}, {self.count} {self.unit}: {self.verdict})"
 
     def _repr_html_(self) -> str:
-        limits = self.limits
+        low, high = self.line.lower, self.line.upper
         rows = [
             ("outcome", self.verdict),
-            ("values", self.count),
-            ("centre", f"{limits.center:.5g}"),
-            ("limits", f"{limits.lower:.5g} to {limits.upper:.5g}"),
-            ("short-term standard deviation", f"{limits.sigma:.3g}"),
+            (self.unit, self.count),
+            ("centre", f"{self.basis.center:.5g}"),
+            ("limits", f"{np.nanmin(low):.5g} to {np.nanmax(high):.5g}"),
+            ("short-term standard deviation", f"{self.basis.sigma:.3g}"),
             *(("note", note) for note in self.notes),
         ]
         return html_table(self.name, ("", ""), rows)
 
     def plot(self, axes: "Axes | None" = None) -> "Axes":
-        """Draw the chart of individual values with its limits; values that belong to a pattern are red.
+        """Draw the chart of the points with its limits; points that belong to a pattern are red.
 
         Args:
             axes: of matplotlib, to draw into; a new figure where they are not given.
         """
-        axes, limits = axes_or_new(axes), self.limits
+        axes, line = axes_or_new(axes), self.line
         at = np.arange(1, len(self.values) + 1)
         marked = np.zeros(len(at), dtype=bool)
         for flag in self.flags:
             marked[flag.first : flag.last + 1] = True
         axes.plot(at, self.values, "o-", color="tab:blue")
         axes.plot(at[marked], self.values[marked], "o", color="tab:red")
-        axes.axhline(limits.center, color="grey")
-        for limit in (limits.lower, limits.upper):
-            axes.axhline(limit, color="grey", linestyle="--")
-        axes.set(xlabel="value", ylabel=self.name)
+        for level, style in ((line.center, "-"), (line.lower, "--"), (line.upper, "--")):
+            axes.step(at, level, where="mid", color="grey", linestyle=style)
+        axes.set(xlabel=line.name, ylabel=self.name)
         return axes
 
     def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
-        """The values as a pandas data frame: label, value, moving range, whether it belongs to a pattern.
+        """The points as a pandas data frame: label, value, spread, whether it belongs to a pattern.
 
         Raises:
             UsageError: pandas is not installed.
@@ -381,8 +496,9 @@ class ControlStudy:
         patterns = [
             any(flag.first <= place <= flag.last for flag in self.flags) for place in range(len(self.values))
         ]
+        spread = np.full(len(self.values), np.nan) if self.spread is None else self.spread.values
         return data_frame(
-            {"label": self.labels, "value": self.values, "range": self.ranges, "in_pattern": patterns}
+            {"label": self.labels, "value": self.values, "range": spread, "in_pattern": patterns}
         )
 
 
@@ -406,57 +522,124 @@ def capable_words(found: Capability, stable: bool) -> str:
     return capable if stable else f"{capable}; capability is meaningless until the process is stable"
 
 
+def _same(values: FloatArray) -> float | None:
+    """The number that all are; None where they differ."""
+    known = values[~np.isnan(values)]
+    return float(known[0]) if len(known) and (known == known[0]).all() else None
+
+
+OVERDISPERSED = 0.01
+
+
 def control_study(
-    name: str,
-    values: FloatArray,
-    labels: tuple[str, ...],
-    settings: Settings,
-    specification: Specification | None = None,
+    name: str, points: Points, settings: Settings, specification: Specification | None = None
 ) -> ControlStudy:
     """Chart and judge a series.
 
     Args:
         name: of the number.
-        values: (N,) in the order in which they were measured; NaN is missing.
-        labels: N names of the values.
+        points: in the order in which they were measured, of the chart that the settings name.
         settings: how.
         specification: limits of good parts.
 
     Raises:
-        UsageError: too few values, or settings that make no sense.
+        UsageError: too few points, or settings that make no sense.
     """
+    if specification is not None and points.counted:
+        raise UsageError(
+            f"{name}: a chart of counts has no limits of good parts: leave --lower and --upper out"
+        )
     if settings.distribution is not None and specification is None:
         raise UsageError(f"{name}: a capability by a distribution needs limits: --lower, --upper or --recipe")
-    limits = settings.limits(values)
-    ranges = moving_range(values)
-    wide = ranges > limits.range_upper
-    average = ewma(values, limits, settings.weight, settings.width)
-    found = flags(values, limits.center, limits.sigma, settings.rules)
-    able = None if specification is None else capability(values, limits, specification)
-    notes = tuple(_notes(values, ranges, limits))
+    limits = settings.limits(points)
+    center = limits.center
+    most = 1.0 if points.chart.startswith("p") else math.inf
+    if points.counted and not 0.0 < center < most:
+        raise UsageError(
+            f"{name}: the centre is {center:g}: limits need some that are counted, and some that are not"
+        )
+    sigma = limits.sigma * points.scale(center)
+    names = CHARTS[points.chart]
+    line = _line(names[0], points.values, np.full(len(sigma), center), sigma)
+    average = ewma(points.values, center, sigma, settings.weight, settings.width)
+    if points.counted:
+        line, average = _clipped(line, most), _clipped(average, most)
+    within, spread = points.spread(center), None
+    if within is not None:
+        mean, deviation = points.spread_moments()
+        spread = _clipped(_line(names[1], within, mean * limits.sigma, deviation * limits.sigma), math.inf)
+    rules = settings.rules or (COUNTED_RULES if points.counted else tuple(RULES))
+    found = flags(points.values, center, sigma, rules)
+    able = None if specification is None else capability(points.single, limits, specification)
     fitted = None
     if settings.distribution is not None and specification is not None:
-        fitted = fitted_capability(values, specification, settings.distribution)
-    normal = anderson_darling(values)
-    return ControlStudy(
-        name, values, labels, limits, ranges, average, found, wide, able, normal, notes, fitted
-    )
+        fitted = fitted_capability(points.single, specification, settings.distribution)
+    normal = anderson_darling(points.single)
+    notes = tuple(_notes(points, spread, limits))
+    return ControlStudy(name, points, limits, line, spread, average, found, able, normal, notes, fitted)
 
 
-def _notes(values: FloatArray, ranges: FloatArray, limits: Limits) -> list[str]:
-    number, known = int(np.isnan(values).sum()), ranges[~np.isnan(ranges)]
+def _line(name: str, values: FloatArray, center: FloatArray, sigma: FloatArray) -> Line:
+    return Line(name, values, center, center - SIGMAS * sigma, center + SIGMAS * sigma)
+
+
+def _clipped(line: LineT, most: float) -> LineT:
+    """A line with limits between 0 and what its points can be at most."""
+    return replace(line, lower=np.maximum(line.lower, 0.0), upper=np.minimum(line.upper, most))
+
+
+def _notes(points: Points, spread: Line | None, limits: Limits) -> list[str]:
+    single, number = points.chart == "i-mr", int(np.isnan(points.values).sum())
     notes = []
     if number:
-        missing = _times(number, "value")
-        notes.append(f"{missing} missing; no moving range and no pattern reaches across")
-    if limits.baseline == 0:
+        missing = _times(number, "value" if single else "subgroup")
+        notes.append(
+            f"{missing} missing; no moving range and no pattern reaches across"
+            if single
+            else f"{missing} missing; no pattern reaches across"
+        )
+    if limits.source and limits.baseline == 0:
+        notes.append(f"the limits are those of {limits.source}")
+    elif limits.baseline == 0:
         notes.append("mean and sigma of the limits were given")
     elif limits.baseline < FEW:
-        notes.append(f"the limits rest on {limits.baseline} values only; {FEW} or more are usual")
-    still = int(np.count_nonzero(known == 0.0))
-    if len(known) and still > 0.3 * len(known):
         notes.append(
-            f"{still} of {len(known)} neighbours are equal: the number is rounded too coarsely for a chart, and its "
-            "limits are too narrow or too wide"
+            f"the limits rest on {limits.baseline} values only; {FEW} or more are usual"
+            if single
+            else f"the limits rest on {limits.baseline} subgroups only; {FEW} or more are usual"
+        )
+    if single and spread is not None:
+        known = spread.values[~np.isnan(spread.values)]
+        still = int(np.count_nonzero(known == 0.0))
+        if len(known) and still > 0.3 * len(known):
+            notes.append(
+                f"{still} of {len(known)} neighbours are equal: the number is rounded too coarsely for a chart, and "
+                "its limits are too narrow or too wide"
+            )
+    return notes + (_counted_notes(points, limits) if points.counted else [])
+
+
+def _counted_notes(points: Points, limits: Limits) -> list[str]:
+    """What a chart of counts presumes: enough of them, and scatter by chance alone (chi-square test of dispersion)."""
+    from scipy.special import chdtrc  # noqa: PLC0415 - heavy
+
+    notes = []
+    least = float(np.median(points.sizes)) * limits.center
+    if least < FEW_COUNTED:
+        notes.append(
+            f"a subgroup holds {least:.2g} counted ones on average: limits of fewer than {FEW_COUNTED} are "
+            "rough; larger subgroups have better ones"
+        )
+    z = ((points.values - limits.center) / points.scale(limits.center))[
+        limits.first : limits.last + 1 or None
+    ]
+    z = z[~np.isnan(z)]
+    freedom, square = len(z) - (limits.baseline > 0), float(z @ z)
+    chance = float(chdtrc(freedom, square)) if freedom > 0 else 1.0
+    if chance < OVERDISPERSED and "laney" not in points.chart:
+        notes.append(
+            f"the points scatter more than by chance (chi-square {square:.1f} with {freedom} degrees of freedom, p "
+            f"{chance:.2g}): lots or days differ, and these limits are too narrow; --chart {points.chart}-laney widens "
+            "them to what neighbours show"
         )
     return notes

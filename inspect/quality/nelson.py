@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.quality.individuals import BoolArray
+from anisoscope.quality.limits import BoolArray
 
 IntArray = npt.NDArray[np.int64]
 
@@ -59,13 +59,13 @@ class Flag:
         return RULES[self.rule]
 
 
-def signals(values: FloatArray, center: float, sigma: float) -> dict[int, BoolArray]:
+def signals(values: FloatArray, center: float, sigma: float | FloatArray) -> dict[int, BoolArray]:
     """For every rule, whether its pattern is complete at each value.
 
     Args:
         values: (N,), NaN is missing.
         center: centre line.
-        sigma: standard deviation of single values.
+        sigma: standard deviation of the values, or (N,) of each.
 
     Returns:
         (N,) for every rule. Rules 5 and 6 are complete only at a value that lies beyond itself.
@@ -114,14 +114,14 @@ def _most_of(z: FloatArray, far: float, least: int, span: int) -> BoolArray:
 
 
 def flags(
-    values: FloatArray, center: float, sigma: float, rules: Collection[int] = tuple(RULES)
+    values: FloatArray, center: float, sigma: float | FloatArray, rules: Collection[int] = tuple(RULES)
 ) -> tuple[Flag, ...]:
     """All patterns of a series, in order of occurrence; overlapping ones of a rule are one.
 
     Args:
         values: (N,), NaN is missing.
         center: centre line.
-        sigma: standard deviation of single values.
+        sigma: standard deviation of the values, or (N,) of each.
         rules: numbers of the rules that count.
     """
     side = np.nan_to_num(np.sign(values - center)).astype(np.int64)

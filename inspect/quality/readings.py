@@ -108,11 +108,11 @@ class Readings:
         if not mask.any():
             wish = ", ".join(f"{column} {word}" for column, word in selection.items())
             raise UsageError(f"{self.source}: no reading has {wish}")
-        return self if mask.all() else self._where(mask.nonzero()[0].tolist())
+        return self if mask.all() else self.at(mask.nonzero()[0].tolist())
 
     def latest(self, limit: int) -> "Readings":
         """The last readings; all for 0."""
-        return self if limit in (0, len(self)) else self._where(list(range(len(self)))[-limit:])
+        return self if limit in (0, len(self)) else self.at(list(range(len(self)))[-limit:])
 
     def column(self, name: str) -> tuple[str, ...]:
         """A column of words.
@@ -135,9 +135,10 @@ class Readings:
         places: dict[str, list[int]] = {}
         for place, word in enumerate(self.column(by)):
             places.setdefault(word, []).append(place)
-        return {word: self._where(where) for word, where in places.items()}
+        return {word: self.at(where) for word, where in places.items()}
 
-    def _where(self, places: list[int]) -> "Readings":
+    def at(self, places: list[int]) -> "Readings":
+        """The readings at some places, from 0."""
         return Readings(
             self.source,
             {name: tuple(column[k] for k in places) for name, column in self.texts.items()},

@@ -6,6 +6,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.json_fields import in_json
 from anisoscope.quality.bias import ALPHA, Bias, bias_study
 from anisoscope.quality.control import ControlStudy, Settings, control_study
+from anisoscope.quality.limits import individuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,5 +53,5 @@ def stability_study(
     Raises:
         UsageError: too few values, or settings that make no sense.
     """
-    chart = control_study(name, values, labels, settings)
+    chart = control_study(name, individuals(values, labels), settings)
     return Stability(chart, None if reference is None else bias_study(values, reference, alpha))

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.quality.control import ControlStudy
-from anisoscope.quality.individuals import BoolArray
+from anisoscope.quality.control import ControlStudy, Ewma, Line
+from anisoscope.quality.limits import BoolArray
 from anisoscope.quality.nelson import flagged
 from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, RED, ZONE, new_figure, svg_uri
 
@@ -117,30 +117,28 @@ WIDTH, HEIGHT = 9.4, 7.4
 
 
 def control_picture(study: ControlStudy, points: Points | None = None) -> tuple[str, tuple[Mark, ...]]:
-    """Values, moving range and EWMA over each other, with their limits, as a data URI; and marks on the values."""
+    """Points, spread and EWMA over each other, with their limits, as a data URI; and marks on the points."""
+    lines, limits = study.lines, study.basis
     with new_figure(WIDTH, HEIGHT) as (figure, whole):
         whole.remove()
-        values, ranges, average = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.6, 2.0))
+        heights = (3.0, 1.6, 2.0) if study.spread is not None else (3.0, 2.0)
+        every = figure.subplots(len(lines), 1, sharex=True, height_ratios=heights)
         figure.set_dpi(150)
-        limits = study.limits
-        _line(values, study.values, flagged(study.flags, len(study.values)))
-        _levels(values, limits.center, limits.lower, limits.upper)
-        for side in (-2.0, -1.0, 1.0, 2.0):
-            values.axhline(limits.center + side * limits.sigma, color=MUTED, linewidth=0.5, linestyle=":")
+        values = every[0]
+        for axes, line in zip(every, lines, strict=True):
+            _line(
+                axes, line.values, flagged(study.flags, len(line.values)) if axes is values else line.outside
+            )
+            _levels(axes, line)
+            axes.set_ylabel(line.name)
+        reach = (study.line.upper - study.line.center) / 3.0
+        for side in (-2.0, -1.0, 1.0, 2.0) if np.ptp(reach) == 0.0 else ():
+            values.axhline(limits.center + side * reach[0], color=MUTED, linewidth=0.5, linestyle=":")
         if 0 < limits.baseline < study.count:
             _reference(values, limits.first + 0.5, limits.last + 1.5, len(study.values))
         _name_rules(values, study)
-        _line(ranges, study.ranges, study.wide)
-        _levels(ranges, limits.range_center, None, limits.range_upper)
-        _line(average, study.average.average, study.average.outside)
-        ends = outline(study.average.upper)
-        for edge in (study.average.lower, study.average.upper):
-            average.plot(ends + 1, edge[ends], color=RED, linewidth=1.0, linestyle="--")
-        average.axhline(limits.center, color=GREEN, linewidth=1.0, zorder=2.5)
-        for axes, name in zip((values, ranges, average), ("value", "moving range", "EWMA"), strict=True):
-            axes.set_ylabel(name)
-        average.set_xlim(0.3, len(study.values) + 0.7)
-        _name_places(average, study, points)
+        every[-1].set_xlim(0.3, len(study.values) + 0.7)
+        _name_places(every[-1], study, points)
         uri = svg_uri(figure)
         return uri, _marks(study, points, values)
 
@@ -161,7 +159,8 @@ def _name_places(axes: "Axes", study: ControlStudy, points: Points | None) -> No
     axes.set_xticks(places + 1, [_tick(study, points, place) for place in places.tolist()], fontsize=8)
     timed = points is not None and points.time(0) is not None
     axes.set_xlabel(
-        f"{count} measurements in their order; serial number{' and local time' if timed else ''} of some"
+        f"{count} {'measurements' if study.unit == 'values' else study.unit} in their order; "
+        f"{'serial number' if study.unit == 'values' else 'name'}{' and local time' if timed else ''} of some"
     )
 
 
@@ -189,6 +188,7 @@ def _marks(study: ControlStudy, points: Points | None, axes: "Axes") -> tuple[Ma
     for place, (x, y) in zip(places.tolist(), at / size, strict=True):
         time = None if points is None else points.time(place)
         words = [study.labels[place], number(float(study.values[place]))]
+        words += [] if study.unit == "values" else [f"n = {study.points.sizes[place]:.0f}"]
         words += [f"{time:%Y-%m-%d %H:%M %Z}"] if time is not None else []
         words += [f"rule {', '.join(dict.fromkeys(rules[place]))}"] if place in rules else []
         found.append(
@@ -209,11 +209,23 @@ def _line(axes: "Axes", values: FloatArray, marked: BoolArray) -> None:
               markeredgewidth=0.0 if crowded else 0.5, rasterized=crowded, zorder=3)  # fmt: skip
 
 
-def _levels(axes: "Axes", center: float, lower: float | None, upper: float) -> None:
-    axes.axhline(center, color=GREEN, linewidth=1.0, zorder=2.5)
-    for level in (lower, upper):
-        if level is not None:
-            axes.axhline(level, color=RED, linewidth=1.0, linestyle="--", zorder=2.5)
+def _levels(axes: "Axes", line: Line) -> None:
+    """Centre and limits: straight lines where all points have the same, else steps."""
+    places = outline(line.upper)
+    for level, style in ((line.center, "-"), (line.lower, "--"), (line.upper, "--")):
+        colour = GREEN if style == "-" else RED
+        look: dict[str, Any] = {"color": colour, "linestyle": style, "linewidth": 1.0, "zorder": 2.5}
+        known = level[~np.isnan(level)]
+        if np.ptp(known) == 0.0:
+            if style == "-" or known[0] != 0.0 or line.values[np.isfinite(line.values)].min() < 0.0:
+                axes.axhline(known[0], **look)
+        else:
+            axes.plot(
+                places + 1,
+                level[places],
+                drawstyle="default" if isinstance(line, Ewma) else "steps-mid",
+                **look,
+            )
 
 
 def _name_rules(axes: "Axes", study: ControlStudy) -> None:
@@ -224,7 +236,7 @@ def _name_rules(axes: "Axes", study: ControlStudy) -> None:
     for flag in study.flags:
         rules.setdefault(flag.seen_at, []).append(str(flag.rule))
     for place, numbers in rules.items():
-        above = study.values[place] >= study.limits.center
+        above = study.values[place] >= study.basis.center
         axes.annotate(
             ",".join(numbers),
             (place + 1, study.values[place]),
@@ -240,7 +252,7 @@ def _name_rules(axes: "Axes", study: ControlStudy) -> None:
 
 def spread_picture(study: ControlStudy) -> str:
     """Histogram of the values with a normal distribution and the specification limits, as a data URI."""
-    measured = study.values[~np.isnan(study.values)]
+    measured = study.points.single[~np.isnan(study.points.single)]
     mean, sigma = float(measured.mean()), float(measured.std(ddof=1))
     with new_figure(9.4, 3.0) as (figure, axes):
         heights, edges, _ = axes.hist(
@@ -310,8 +322,8 @@ def overview(studies: Sequence[ControlStudy]) -> Grid:
         (
             one.name,
             str(one.count),
-            number(one.limits.center),
-            number(one.limits.sigma, 3),
+            number(one.basis.center),
+            number(one.basis.sigma, 3),
             str(len(one.flags)),
             "–" if one.capability is None else interval(one.capability.ppk),
             "stable" if one.stable else "not stable",
@@ -336,7 +348,7 @@ def study_content(
         "name": study.name,
         "verdict": study.verdict,
         "good": study.stable and (study.capability is None or study.capability.ppk.value >= 1.0),
-        "pictures": [_chart(study, points), _spread(study)],
+        "pictures": [_chart(study, points), *([] if study.points.counted else [_spread(study)])],
         "tables": tables(study),
         "notes": [*words, *study.notes],
         "drift": None if drift is None else _drift(drift),
@@ -366,17 +378,20 @@ def interval(index: Index) -> str:
 
 
 def _chart(study: ControlStudy, points: Points | None) -> Picture:
-    limits = study.limits
+    lines = study.lines
+    details = [
+        f"{line.name}, {int(line.outside.sum())} beyond {_span(line.lower)} and {_span(line.upper)}"
+        for line in lines
+    ]
     alt = (
-        f"Control charts of {study.name}: {study.count} values about {number(limits.center)} with limits "
-        f"{number(limits.lower)} and {number(limits.upper)}; {len(study.flags)} patterns; moving range, mean "
-        f"{number(limits.range_center)}, limit {number(limits.range_upper)}, {int(study.wide.sum())} above; moving "
-        f"average, {int(study.average.outside.sum())} beyond its limits"
+        f"Control charts of {study.name}: {study.count} {study.unit} about {number(study.basis.center)}; "
+        f"{len(study.flags)} patterns; {'; '.join(details)}"
     )
+    names = ", ".join(line.name for line in lines[:-1])
     caption = (
-        "Values, moving range and exponentially weighted moving average (EWMA) in the order of measurement. Green: "
-        "centre. Red dashes: limits. Red squares: values that belong to a pattern, with the number of the rule where "
-        "they are few. Point at a value for its serial number and time"
+        f"{names[0].upper()}{names[1:]} and exponentially weighted moving average (EWMA) in the order of measurement. "
+        "Green: centre. Red dashes: limits. Red squares: points that belong to a pattern, with the number of the rule "
+        "where they are few. Point at one for its name and time"
     )
     linked = points is not None and points.linked
     caption += "; click it for the report of the part." if linked else "."
@@ -386,8 +401,14 @@ def _chart(study: ControlStudy, points: Points | None) -> Picture:
     return Picture(uri, alt, caption, marks, WIDTH / HEIGHT)
 
 
+def _span(values: FloatArray) -> str:
+    """A number that all points have, or the range of those that they have."""
+    low, high = number(float(np.nanmin(values))), number(float(np.nanmax(values)))
+    return low if low == high else f"{low} to {high}"
+
+
 def _spread(study: ControlStudy) -> Picture:
-    measured = study.values[~np.isnan(study.values)]
+    measured = study.points.single[~np.isnan(study.points.single)]
     alt = (
         f"Histogram of {study.name}: {len(measured)} values from {number(float(measured.min()))} to "
         f"{number(float(measured.max()))}, mean {number(float(measured.mean()))}"
@@ -400,33 +421,29 @@ def _spread(study: ControlStudy) -> Picture:
 
 
 def _limits(study: ControlStudy) -> Grid:
-    limits, average = study.limits, study.average
-    reach = average.width * limits.sigma * (average.weight / (2.0 - average.weight)) ** 0.5
-    rows = (
-        ("value", number(limits.lower), number(limits.center), number(limits.upper)),
-        ("moving range", number(0.0), number(limits.range_center), number(limits.range_upper)),
-        (
-            f"EWMA in the long run (λ {average.weight:g}, L {average.width:g})",
-            number(limits.center - reach),
-            number(limits.center),
-            number(limits.center + reach),
-        ),
-    )
-    title = f"Limits {_origin(study)}; sigma {number(limits.sigma)}"
-    return Grid("Limits", title, ("chart", "lower", "center", "upper"), rows, "limits")
+    rows = []
+    for line in study.lines:
+        name, shown = line.name, slice(None)
+        if isinstance(line, Ewma):
+            name, shown = f"EWMA at the end (λ {line.weight:g}, L {line.width:g})", slice(-1, None)
+        rows.append((name, *(_span(one[shown]) for one in (line.lower, line.center, line.upper))))
+    sigma = "" if study.points.chart in ("p", "u") else f"; sigma {number(study.basis.sigma)}"
+    title = f"Limits {_origin(study)}{sigma}"
+    sizes = "" if study.unit == "values" else f"Subgroups of {_span(study.points.sizes)}"
+    return Grid("Limits", title, ("chart", "lower", "center", "upper"), tuple(rows), "limits", note=sizes)
 
 
 def _origin(study: ControlStudy) -> str:
-    """The values that the limits rest on, in words."""
-    limits = study.limits
+    """The points that the limits rest on, in words."""
+    limits = study.basis
     if limits.baseline == 0:
-        return "as given"
+        return f"of {limits.source}" if limits.source else "as given"
     ends = f"{study.labels[limits.first]} to {study.labels[limits.last]}"
-    if limits.period:
-        return f"from the reference period {limits.period}: {limits.baseline} values, {ends}"
+    if limits.source:
+        return f"from the {limits.source}: {limits.baseline} {study.unit}, {ends}"
     if limits.baseline == study.count:
-        return f"from all {study.count} measured values"
-    return f"from the first {limits.baseline} measured values, {ends}"
+        return f"from all {study.count} measured {study.unit}"
+    return f"from the first {limits.baseline} measured {study.unit}, {ends}"
 
 
 def _fitted(found: FittedCapability) -> Grid:
@@ -480,7 +497,7 @@ def _flags(study: ControlStudy, listed: int) -> Grid:
 def _points(labels: Sequence[str]) -> str:
     if len(labels) <= NAMED_POINTS:
         return ", ".join(labels)
-    return f"{labels[0]} … {labels[-1]} ({len(labels)} values)"
+    return f"{labels[0]} … {labels[-1]} ({len(labels)} in a row)"
 
 
 def _in_a_million(share: float) -> str:

@@ -17,6 +17,7 @@ from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
+from anisoscope.quality.limits import individuals
 from anisoscope.report.spc_page import write_spc_page
 
 pytestmark = pytest.mark.benchmark
@@ -33,7 +34,7 @@ def test_a_page_over_a_hundred_thousand_inspections(bench, tmp_path, shift):
     settings = Settings(baseline=1000)
 
     def page():
-        study = control_study("ln 0-90", values, labels, settings, Specification(-9.0, 9.0))
+        study = control_study("ln 0-90", individuals(values, labels), settings, Specification(-9.0, 9.0))
         write_spc_page(tmp_path / "page.html", "x", "y", [study], [(study, None, None)])
         return study
 
@@ -42,7 +43,7 @@ def test_a_page_over_a_hundred_thousand_inspections(bench, tmp_path, shift):
         {
             "statistics and page": page,
             "statistics": lambda: control_study(
-                "ln 0-90", values, labels, settings, Specification(-9.0, 9.0)
+                "ln 0-90", individuals(values, labels), settings, Specification(-9.0, 9.0)
             ),
         },
         rounds=3,

@@ -23,10 +23,32 @@ LISTED = 20  # patterns in the terminal
 
 
 @dataclass(frozen=True)
-@everyday("by", "baseline", "period", "lower", "upper", "drift")
+@everyday("chart", "subgroup", "by", "baseline", "lower", "upper")
 class Charting:
     """Chart type and rules for a series."""
 
+    chart: Annotated[
+        str | None,
+        Parameter(
+            name="--chart",
+            help="i-mr: single values; xbar-r, xbar-s: means of subgroups and their range or standard deviation; p: "
+            "share of parts that FAIL; u: deviations of a part; p-laney, u-laney: where lots differ. By default i-mr, "
+            "with --subgroup xbar-s.",
+        ),
+    ] = None
+    subgroup: Annotated[
+        str | None,
+        Parameter(
+            name="--subgroup",
+            help="What a subgroup is: lot, day, cavities (one part of each), or how many readings in a row, such as 5.",
+        ),
+    ] = None
+    of: Annotated[
+        str | None,
+        Parameter(
+            name="--of", help="Number that says how many parts a count of --number is of, in p and u charts."
+        ),
+    ] = None
     by: Annotated[
         str | None,
         Parameter(name="--by", help="A chart for each product, recipe, lot, cavity, station or operator."),
@@ -43,6 +65,14 @@ class Charting:
             name="--period",
             help="Limits from the values of this reference period, such as 2026-11-01..2026-11-07 or 14d..7d.",
         ),
+    ] = None
+    limits_from: Annotated[
+        Path | None,
+        Parameter(name="--limits-from", help="Limits of earlier data from this file, for later data."),
+    ] = None
+    limits_to: Annotated[
+        Path | None,
+        Parameter(name="--limits-to", help="Write the limits of these charts to this file (TOML)."),
     ] = None
     weight: Annotated[float, Parameter(name="--lambda", help="Weight of the newest value in the EWMA.")] = 0.2
     width: Annotated[float, Parameter(name="--ewma-limit", help="Limits of the EWMA, in its sigma (L).")] = (
@@ -63,7 +93,7 @@ class Charting:
         Parameter(
             name="--rules",
             help="Nelson's rules that count, such as 1,2,5,6; all eight by default (on average a false alarm in 73 "
-            "values).",
+            "values), of p and u charts 1 to 4.",
         ),
     ] = None
     distribution: Annotated[
@@ -127,11 +157,12 @@ def spc(
 
     Examples:
         anisoscope spc --number "ln 0-90" --recipe plate.toml --html spc.html
-        anisoscope spc -n "ln 0-90" --drift --html drift.html
+        anisoscope spc -n "ln 0-90" --subgroup lot --drift --html drift.html
         anisoscope spc --csv heights.csv --lower 9.8 --upper 10.2
     """
     from anisoscope.operations.statistics import control_charts
     from anisoscope.quality.capability import Specification
+    from anisoscope.quality.chart_limits import read_chart_limits, write_chart_limits
     from anisoscope.quality.control import Settings
 
     compared = charting.compared()
@@ -148,14 +179,19 @@ def spc(
         charting.center,
         charting.sigma,
         distribution=charting.distribution,
-        rules=Settings.rules if charting.rules is None else _rules(charting.rules),
+        rules=None if charting.rules is None else _rules(charting.rules),
+        chart=charting.chart or ("i-mr" if charting.subgroup is None else "xbar-s"),
     )
+    known = None if charting.limits_from is None else read_chart_limits(charting.limits_from)
     with progress("control charts", quiet=json_) as advance:
         found = control_charts(
             readings,
             number,
             by=charting.by,
             settings=settings,
+            subgroup=charting.subgroup,
+            of=charting.of,
+            known=known,
             period=charting.period,
             limits=limits,
             tolerances=tolerances,
@@ -173,6 +209,8 @@ def spc(
         ]
         page = f"Control charts: {title}"
         write_spc_page(html, page, _source(readings), found.studies, drawn, found.skipped)
+    if charting.limits_to is not None:
+        write_chart_limits(charting.limits_to, found.studies, readings.source)
     if json_:
         print_json(found)
     else:

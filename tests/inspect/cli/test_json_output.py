@@ -188,7 +188,7 @@ scoring.noise scoring.noise.floor scoring.noise.share scoring.over scoring.pairs
 scoring.samples scoring.bounces scoring.score scoring.seed scoring.tilts_deg scoring.tolerances scoring.z unit
 """
 SPC = """
-skipped source studies studies.capability studies.capability.confidence studies.capability.count
+skipped source studies studies.chart studies.capability studies.capability.confidence studies.capability.count
 studies.capability.cp studies.capability.cp.high studies.capability.cp.low studies.capability.cp.value
 studies.capability.cpk studies.capability.cpk.high studies.capability.cpk.low studies.capability.cpk.value
 studies.capability.lower studies.capability.mean studies.capability.outside
@@ -212,7 +212,7 @@ verdict
 """
 STABILITY = """
 bias bias.alpha bias.bias bias.count bias.high bias.low bias.mean bias.p bias.reference bias.sigma
-bias.significant bias.t bias.u bias.verdict chart chart.capability chart.ewma chart.ewma.lambda
+bias.significant bias.t bias.u bias.verdict chart chart.capability chart.chart chart.ewma chart.ewma.lambda
 chart.ewma.width chart.ewma_outside chart.flags chart.flags.first chart.flags.labels chart.flags.last
 chart.fitted chart.flags.rule chart.flags.seen_at chart.flags.text chart.limits chart.limits.baseline
 chart.limits.center chart.limits.lower chart.limits.range_center chart.limits.range_upper

@@ -121,6 +121,50 @@ def test_limits_from_a_reference_period_are_named(done, tmp_path):
     assert done("spc", "--csv", path, "--period", "2026-11-01..", "--baseline", 5)[0] == 64
 
 
+def test_subgroups_within_limits_of_earlier_data(done, place, tmp_path):
+    """The first lot gives limits to a file; the second, which is shifted, is charted within them (phase II)."""
+    limits, page = tmp_path / "limits.toml", tmp_path / "spc.html"
+    chosen = ("spc", "--history", place, "-n", "ln 0-90", "--subgroup", 5)
+    code, _, _ = done(*chosen, "--lot", "L0", "--limits-to", limits)
+    assert "SN-0–SN-4 to SN-35–SN-39" in limits.read_text(encoding="utf-8")
+    code, out, _ = done(*chosen, "--lot", "L1", "--limits-from", limits, "--html", page, "--json")
+    (study,) = json.loads(out)["studies"]
+    assert (code, study["chart"], study["limits"]["baseline"], len(study["points"])) == (1, "xbar-s", 0, 8)
+    assert study["limits"]["center"] == pytest.approx(1.0, abs=0.02)
+    assert study["points"][0]["value"] > study["points"][0]["upper"]
+    assert "limits.toml" in page.read_text(encoding="utf-8")
+    for wrong, word in (
+        (("--limits-from", limits, "--baseline", 5), "name one of them"),
+        (("--limits-from", limits, "--chart", "xbar-r"), "are of the chart xbar-s"),
+        (("--limits-to", limits), "limits are not replaced"),
+    ):
+        code, _, err = done(*chosen, *wrong)
+        assert (code, word in err, err.count("\n")) == (64, True, 1)
+    code, _, err = done("spc", "--history", place, "-n", "deviation ln 0-90", "--limits-from", limits)
+    assert (code, "the file of limits has ln 0-90 only" in err) == (64, True)
+    limits.write_text("schema = 1\n", encoding="utf-8")
+    assert done(*chosen, "--limits-from", limits)[0] == 78
+
+
+def test_share_that_fails_and_deviations_of_a_history(done, place, tmp_path):
+    code, _, err = done("spc", "--history", place, "--chart", "p", "--subgroup", "lot")
+    assert (code, "at least 5 measured subgroups" in err) == (64, True)
+    code, _, err = done("spc", "--history", place, "--chart", "p", "--subgroup", 10)
+    assert (code, "parts that FAIL: the centre is 0" in err) == (64, True)
+    rows = [
+        (f"S{k}", "FAIL" if k % 7 == 0 else "PASS", f"2026-11-{1 + k // 10:02d} 12:00") for k in range(200)
+    ]
+    path = csv_of(tmp_path / "parts.csv", "serial,verdict,time,height", [(*row, 1.0) for row in rows])
+    page = tmp_path / "p.html"
+    code, out, _ = done("spc", "--csv", path, "--chart", "p", "--subgroup", "day", "--html", page)
+    assert (code, "stable: nothing unusual among 20 subgroups" in out) == (0, True)
+    assert "parts that FAIL" in page.read_text(encoding="utf-8")
+    code, _, err = done(
+        "spc", "--csv", path, "--chart", "p", "--subgroup", "day", "--lower", 0, "-n", "height"
+    )
+    assert (code, "leave --lower and --upper out" in err) == (64, True)
+
+
 def test_a_recipe_file_gives_the_limits(done, place, tmp_path):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(tomli_w.dumps(RECIPE))

@@ -34,6 +34,7 @@ from anisoscope.history.rows import NewRow, row_of
 from anisoscope.history.signs import give_sign
 from anisoscope.history.store import open_history
 from anisoscope.quality.control import Settings, control_study
+from anisoscope.quality.limits import individuals
 from anisoscope.record.schema import write_record
 
 START = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
@@ -248,7 +249,7 @@ def test_a_chart_shows_the_limits_and_patterns_that_spc_computes(client, place):
         rows = [row for row in history.rows(Filters(cavity="2")) if row.verdict != "INVALID"]
         every = history.rows(Filters(cavity="2"))
     values = np.array([row.numbers["ln 0-90"] if row.verdict != "INVALID" else np.nan for row in every])
-    study = control_study("", values, tuple(row.serial for row in every), Settings())
+    study = control_study("", individuals(values, tuple(row.serial for row in every)), Settings())
     page = client.get("/fleet/charts?cavity=2&number=ln+0-90").text
     (svg,) = re.findall(r"<svg class=\"chart\".*?</svg>", page, re.DOTALL)
     drawn = ET.fromstring(svg)

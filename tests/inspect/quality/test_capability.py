@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from anisoscope.base.errors import UsageError
 from anisoscope.quality.capability import Specification, capability, nearer_index, spread_index
-from anisoscope.quality.individuals import limits_of
+from anisoscope.quality.limits import individuals, limits_of
 
 
 def exact(mean, sigma, count, rng):
@@ -18,7 +18,7 @@ def exact(mean, sigma, count, rng):
 def test_nist_example(rng):
     """e-Handbook 6.1.6: limits 8 and 20, mean 16, s 2: Cp 1.0, Cpk 0.6667."""
     values = exact(16.0, 2.0, 50, rng)
-    found = capability(values, limits_of(values), Specification(8.0, 20.0))
+    found = capability(values, limits_of(individuals(values)), Specification(8.0, 20.0))
     assert found.pp.value == pytest.approx(1.0)
     assert found.ppk.value == pytest.approx(0.6667, abs=5e-5)
 
@@ -33,7 +33,7 @@ def test_intervals_hold_as_often_as_they_say(rng):
     """3000 series of 40: Pp and Ppk at 95 %, Cp and Cpk from moving ranges as well."""
     true_cp, true_cpk, hits = 10.0 / 6.0, 4.0 / 3.0, np.zeros(4)
     for values in rng.normal(1.0, 1.0, (3000, 40)):
-        found = capability(values, limits_of(values), Specification(-5.0, 5.0))
+        found = capability(values, limits_of(individuals(values)), Specification(-5.0, 5.0))
         pairs = ((found.pp, true_cp), (found.ppk, true_cpk), (found.cp, true_cp), (found.cpk, true_cpk))
         hits += [index.low <= truth <= index.high for index, truth in pairs]
     np.testing.assert_allclose(hits / 3000, 0.95, atol=0.015)
@@ -41,17 +41,17 @@ def test_intervals_hold_as_often_as_they_say(rng):
 
 def test_a_limit_on_one_side_has_no_cp(rng):
     values = exact(1.0, 0.5, 30, rng)
-    found = capability(values, limits_of(values), Specification(None, 2.5))
+    found = capability(values, limits_of(individuals(values)), Specification(None, 2.5))
     assert (found.cp, found.pp) == (None, None)
     assert found.ppk.value == pytest.approx(1.0)
     assert found.outside_expected == pytest.approx(norm.sf(3.0))
-    lower = capability(-values, limits_of(-values), Specification(-2.5, None))
+    lower = capability(-values, limits_of(individuals(-values)), Specification(-2.5, None))
     assert lower.ppk.value == pytest.approx(found.ppk.value)
 
 
 def test_missing_values_do_not_count_and_outside_is_counted(rng):
     values = np.append(exact(0.0, 1.0, 60, rng), [np.nan, 9.0, -9.0])
-    found = capability(values, limits_of(values), Specification(-8.0, 8.0))
+    found = capability(values, limits_of(individuals(values)), Specification(-8.0, 8.0))
     assert (found.count, found.outside) == (62, 2)
 
 

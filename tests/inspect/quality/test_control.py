@@ -7,12 +7,15 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import as_json
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
+from anisoscope.quality.limits import individuals
 
 LABELS = tuple(f"SN-{k}" for k in range(1, 201))
 
 
 def study(values, settings=None, limits=None):
-    return control_study("ln 0-90", values, LABELS[: len(values)], settings or Settings(), limits)
+    return control_study(
+        "ln 0-90", individuals(values, LABELS[: len(values)]), settings or Settings(), limits
+    )
 
 
 def steady(count, seed=2):

@@ -12,6 +12,7 @@ from anisoscope.base.json_fields import as_json
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
 from anisoscope.quality.distributions import FAMILIES, best_fit, fit, fitted_capability, time_model
+from anisoscope.quality.limits import individuals
 
 MADE = {
     "normal": stats.norm(5.0, 1.0),
@@ -104,11 +105,13 @@ def test_models_over_time(rng):
 def test_the_chart_shows_it(rng):
     values = np.exp(rng.normal(0.0, 0.8, 200))
     labels = tuple(map(str, range(200)))
-    study = control_study("x", values, labels, Settings(distribution="best"), Specification(None, 6.0))
+    study = control_study(
+        "x", individuals(values, labels), Settings(distribution="best"), Specification(None, 6.0)
+    )
     assert "lognormal: Ppk" in study.verdict
     assert as_json(study)["fitted"]["fitted"]["family"] == study.fitted.fitted.family
     with pytest.raises(UsageError, match="needs limits"):
-        control_study("x", values, labels, Settings(distribution="best"))
+        control_study("x", individuals(values, labels), Settings(distribution="best"))
 
 
 @pytest.mark.parametrize(

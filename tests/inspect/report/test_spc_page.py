@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.quality.control import Settings, control_study
+from anisoscope.quality.limits import individuals
 from anisoscope.quality.readings import Readings
 from anisoscope.report.spc_page import BUCKETS, Points, control_picture, distinct_on_paper, outline
 
@@ -64,7 +65,7 @@ def test_marks_stand_at_the_values_and_lead_to_their_reports(tmp_path):
         "folder": tuple("A5" if k == 5 else "gone" for k in range(8)),
     }
     readings = Readings("a file", texts, {"x": values}, base=tmp_path)
-    study = control_study("x", values, tuple(f"A{k}" for k in range(8)), Settings())
+    study = control_study("x", individuals(values, tuple(f"A{k}" for k in range(8))), Settings())
     _, marks = control_picture(study, Points(readings, tmp_path / "spc.html"))
     measured = values[~np.isnan(values)]
     assert [mark.link for mark in marks] == [None, None, None, None, "A5/report.html", None, None]

@@ -14,6 +14,7 @@ from anisoscope.quality.camera import read_camera
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
 from anisoscope.quality.gauge import GaugeData, gauge_study
+from anisoscope.quality.limits import individuals
 from anisoscope.quality.linearity import gauge_linearity
 from anisoscope.quality.measurement_process import measurement_process, standards_study, type_one
 from anisoscope.quality.stability import stability_study
@@ -54,7 +55,7 @@ def series(rng, count, name):
     values[count // 2] = 6.0
     values[3] = np.nan
     labels = tuple(f"{NASTY if k == count // 2 else 'SN'}-{k}" for k in range(count))
-    return control_study(name, values, labels, Settings(), Specification(-4.0, 4.0))
+    return control_study(name, individuals(values, labels), Settings(), Specification(-4.0, 4.0))
 
 
 def camera_record(folder, *, curve):

@@ -4,12 +4,19 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.quality.individuals import given_limits, limits_of, moving_range, sigma_freedom
+from anisoscope.quality.control import Settings, control_study
+from anisoscope.quality.limits import (
+    given_limits,
+    individuals,
+    limits_of,
+    moving_range,
+    sigma_freedom,
+)
 
 
 def test_nist_example_of_flow_rates(published):
     """e-Handbook 6.3.2.2: mean 50.81, mean moving range 1.8778, limits 45.8159 and 55.8041 (with d2 = 1.128)."""
-    limits = limits_of(published.nist_flowrate)
+    limits = control_study("flow", individuals(published.nist_flowrate), Settings()).limits
     assert limits.center == pytest.approx(50.81)
     assert limits.range_center == pytest.approx(1.8778, abs=5e-5)
     assert limits.lower == pytest.approx(45.8159, abs=0.002)
@@ -24,9 +31,13 @@ def test_a_missing_value_takes_two_moving_ranges_with_it():
 
 def test_a_baseline_counts_measured_values_only():
     values = np.array([1.0, np.nan, 2.0, 1.0, np.nan, 2.0, 1.0, 50.0, 90.0])
-    limits = limits_of(values, 5)
-    assert (limits.center, limits.baseline, limits.ranges) == (pytest.approx(1.4), 5, 2)
-    assert limits_of(values).center > 20.0
+    limits = limits_of(individuals(values), 5)
+    assert (limits.center, limits.baseline, limits.freedom) == (
+        pytest.approx(1.4),
+        5,
+        sigma_freedom(2),
+    )
+    assert limits_of(individuals(values)).center > 20.0
 
 
 @pytest.mark.parametrize(
@@ -41,11 +52,12 @@ def test_a_baseline_counts_measured_values_only():
 )
 def test_what_carries_no_chart_is_refused(values, baseline, word):
     with pytest.raises(UsageError, match=word):
-        limits_of(np.array(values), baseline)
+        limits_of(individuals(np.array(values)), baseline)
 
 
-def test_given_limits_are_taken_as_they_are():
-    limits = given_limits(10.0, 2.0)
+def test_given_limits_are_taken_as_they_are(rng):
+    settings = Settings(center=10.0, sigma=2.0)
+    limits = control_study("x", individuals(rng.normal(size=9)), settings).limits
     assert (limits.lower, limits.upper, limits.baseline) == (4.0, 16.0, 0)
     assert limits.range_center == pytest.approx(2.0 * 1.12838, abs=1e-4)
     with pytest.raises(UsageError, match="sigma above 0"):
