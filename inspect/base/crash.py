@@ -5,7 +5,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import TypeVar
 
-from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.errors import AnisoscopeError, UsageError
 
 Found = TypeVar("Found")
 
@@ -39,7 +39,11 @@ def as_foreseen(error: Exception, during: str) -> AnisoscopeError:
         error: the error.
         during: what was being done: a slot, a folder.
     """
-    return error if isinstance(error, AnisoscopeError) else AnisoscopeError(crash_line(error, during))
+    if isinstance(error, AnisoscopeError):
+        return error
+    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop from "):  # of Path.resolve
+        return UsageError(f"{str(error).removeprefix('Symlink loop from ')}: a link that leads to itself")
+    return AnisoscopeError(crash_line(error, during))
 
 
 class Steady:

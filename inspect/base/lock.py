@@ -53,4 +53,5 @@ def _open(path: Path) -> tuple[int, Callable[[int], None]]:
         place = Path(tempfile.gettempdir()) / f"anisoscope-{name}.lock"
         take = cast("Any", msvcrt)  # whose types exist on Windows only
         return os.open(place, os.O_RDWR | os.O_CREAT), lambda one: take.locking(one, take.LK_NBLCK, 1)
-    return os.open(path, os.O_RDONLY), lambda one: fcntl.flock(one, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    how = os.O_RDONLY | os.O_NONBLOCK  # a pipe would wait for its writer
+    return os.open(path, how), lambda one: fcntl.flock(one, fcntl.LOCK_EX | fcntl.LOCK_NB)

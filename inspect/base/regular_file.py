@@ -18,17 +18,24 @@ NO_FILE = "it is a pipe or a device, not a file"
 
 
 @contextlib.contextmanager
-def regular_file(path: Path) -> Iterator[BufferedReader]:
+def regular_file(path: Path, most: int | None = None) -> Iterator[BufferedReader]:
     """Open a file to read; a pipe without a writer, or a device, would block or never end.
 
+    Args:
+        path: the file.
+        most: largest size in bytes.
+
     Raises:
-        OSError: it cannot be opened, or is no regular file.
+        OSError: it cannot be opened, is no regular file, or is larger.
     """
     descriptor = os.open(path, os.O_RDONLY | _NO_WAIT)
-    mode = os.fstat(descriptor).st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+    found = os.fstat(descriptor)
+    if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
         os.close(descriptor)
         raise OSError(errno.EINVAL, NO_FILE, str(path))
+    if most is not None and found.st_size > most:
+        os.close(descriptor)
+        raise _too_large(path, most)
     with open(descriptor, "rb") as stream:  # noqa: PTH123 - a folder is refused here
         yield stream
 
@@ -44,15 +51,19 @@ def bounded_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
         OSError: it cannot be read, is no regular file, or is larger.
     """
     pieces, left = [], most + 1
-    with regular_file(path) as file:
+    with regular_file(path, most) as file:
         ahead = os.fstat(file.fileno()).st_size + 1  # a read takes the memory that it asks for
         while left > 0 and (piece := file.read(min(ahead, left))):
             pieces.append(piece)
             left, ahead = left - len(piece), _CHUNK
     content = b"".join(pieces)
     if len(content) > most:
-        raise OSError(errno.EFBIG, f"more than {most >> 20} MiB: this is no file of anisoscope's", str(path))
+        raise _too_large(path, most)
     return content
+
+
+def _too_large(path: Path, most: int) -> OSError:
+    return OSError(errno.EFBIG, f"more than {most >> 20} MiB: this is no file of anisoscope's", str(path))
 
 
 def bounded_text(path: Path, most: int = MOST_BYTES) -> str:

@@ -286,13 +286,6 @@ def _notes(error: BaseException | None) -> list[str]:
     return found
 
 
-def _crash(error: Exception, arguments: list[str]) -> str:
-    """Write the traceback of an error that no command foresaw to a file, and name both in one line."""
-    from anisoscope.base.crash import crash_line
-
-    return "; ".join([crash_line(error, "anisoscope " + " ".join(map(str, arguments))), *_notes(error)])
-
-
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; every error becomes one line on stderr.
 
@@ -333,7 +326,10 @@ def _failed(error: Exception, arguments: list[str]) -> int:
         return _report("; ".join([str(error) + see, *_notes(error)]), error.exit_code)
     if _signalled:
         return _report("; ".join(["interrupted", *_notes(error)]), EXIT_INTERRUPTED)
-    return _report(_crash(error, arguments), AnisoscopeError.exit_code)
+    from anisoscope.base.crash import as_foreseen
+
+    found = as_foreseen(error, "anisoscope " + " ".join(map(str, arguments)))
+    return _report("; ".join([str(found), *_notes(error)]), found.exit_code)
 
 
 def _call(arguments: list[str]) -> object:

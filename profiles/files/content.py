@@ -53,6 +53,18 @@ class Content:
         return np.frombuffer(self.data, dtype, rows * cols, offset).reshape(rows, cols)
 
 
+def check_size(path: Path) -> None:
+    """Refuse a file of more than 8 GiB before it is read.
+
+    Raises:
+        HeightMapError: it is larger.
+        OSError: there is no such file.
+    """
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        refuse(path.name, "size", f"{size} bytes", f"at most {MAX_BYTES} are read; crop the map")
+
+
 def load_content(path: Path) -> Content:
     """Read a file.
 
@@ -60,9 +72,7 @@ def load_content(path: Path) -> Content:
         HeightMapError: it cannot be read, or is larger than 8 GiB.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            refuse(path.name, "size", f"{size} bytes", f"at most {MAX_BYTES} are read; crop the map")
+        check_size(path)
         return Content(path.name, bounded_bytes(path, MAX_BYTES))
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be read ({error.strerror}); check the path") from None

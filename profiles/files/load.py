@@ -12,6 +12,7 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.base.regular_file import regular_file
 from anisoscope.profiles.files.arrays import write_array
 from anisoscope.profiles.files.checks import Trust, refuse, trusting
+from anisoscope.profiles.files.content import check_size
 from anisoscope.profiles.files.exr import write_exr
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.formats import find_format
@@ -57,6 +58,7 @@ def _fingerprint(path: Path) -> tuple[str, bytes]:
         mode = path.stat().st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe or a device may never end
             refuse(path.name, "file", "is a pipe, a device or a socket", "give a regular file")
+        check_size(path)
         with regular_file(path) as stream:
             head = stream.read(HEAD_BYTES)
             stream.seek(0)
