@@ -271,7 +271,14 @@ def _ridge_part(measured: RidgeMeasurement) -> dict[str, Any]:
     }
 
 
-def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: Advance = silent) -> None:
+def write_profile_page(
+    surface: HeightMap,
+    name: str,
+    path: Path,
+    on_progress: Advance = silent,
+    *,
+    period_limit_um: float | None = None,
+) -> None:
     """Write the page of a height map, atomically.
 
     Args:
@@ -279,6 +286,7 @@ def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: A
         name: how the page calls it.
         path: file to write.
         on_progress: told what is done.
+        period_limit_um: of the instrument, as of ``measure_ridges``.
 
     Raises:
         HeightMapError: nothing was measured.
@@ -290,7 +298,7 @@ def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: A
     try:
         on_progress("ridges", 1, 3)
         try:
-            found, reason = measure_ridges(surface), ""
+            found, reason = measure_ridges(surface, period_limit_um), ""
         except HeightMapError as error:
             found, reason = None, str(error)
         on_progress("pictures", 2, 3)

@@ -3,9 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife
+from anisoscope.profiles.metrology.ridgeoutline import Fit, Outline, best_fit
 
 CORE = (0.2, 0.8)
 MAX_BEND_DEG = 2.0
@@ -19,6 +21,11 @@ CLEARLY = 0.8
 LEAST_WEIGHT = 0.15
 SPREAD_OF_PLACES = 0.5  # of that of places evenly over the wall; two places a gap apart reach 0.58 and more
 FEWEST_PLACES = 3
+UPRIGHT_DEG = 90.0
+BLURRED_PIXELS = 0.3
+SIGMA_KNOWN = 0.05
+MOST_BLUR = 2.0
+LEAST_STRAIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,7 @@ class Crest:
         plateau: whether a level top fits the crest better than a round one.
         foot_loss: share of the full height that is filled at the foot.
         foot_radius_um: radius of the foot, as of the crest.
+        blur_um: σ of a point spread function that alone would round crest and foot, where none is known; else 0.
     """
 
     wall_angle_deg: Quantity
@@ -46,6 +54,7 @@ class Crest:
     plateau: bool
     foot_loss: Quantity
     foot_radius_um: Quantity
+    blur_um: float
 
 
 @dataclass(frozen=True)
@@ -63,8 +72,14 @@ class Line:
 def mean_profile(parts: FloatArray, pitch_um: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Positions x in µm from the wall, heights and numbers of points, from (bins, 3) sums; empty bins dropped."""
     count = parts[:, 0]
-    use = count > LEAST_FILL * float(np.median(count[count > 0]))
+    use = _filled(parts)
     return parts[use, 2] / count[use] * pitch_um, parts[use, 1] / count[use], count[use]
+
+
+def _filled(parts: FloatArray) -> npt.NDArray[np.intp]:
+    """Bins that hold enough points."""
+    count = parts[:, 0]
+    return np.flatnonzero(count > LEAST_FILL * float(np.median(count[count > 0])))
 
 
 def core_of_wall(x: FloatArray, height: FloatArray) -> tuple[float, float]:
@@ -266,14 +281,23 @@ def _end(
 
 
 def measure_crest(
-    parts: FloatArray, walls: FloatArray, line: Line, angle: Quantity, pitch: Quantity, step_um: float
+    parts: FloatArray,
+    walls: FloatArray,
+    line: Line,
+    angle: Quantity,
+    pitch: Quantity,
+    step_um: float,
+    spread_um: float,
+    sigma_um: float | None = None,
 ) -> Crest:
     """Wall and crest from the profiles of all ridges about their walls.
 
     With facets at θ and walls at ψ, the full height is p/(cot θ + cot ψ). The wall's slope is that of the regression
     of height on position between 20 % and 80 % of its height. Where the wall is narrower than two pixels it may be
     anything between upright and what is seen. The crest is fitted twice, cut level and rounded; the better one
-    counts, if it leaves clearly less than a sharp edge does.
+    counts, if it leaves clearly less than a sharp edge does. Where the point spread function is known, or rounding
+    leaves no straight wall, the whole outline is fitted (:mod:`.ridgeoutline`). Where it is not known and both ends
+    are rounded, the outline is fitted as blurred too, and what that changes is the width of a rectangular distribution.
 
     Args:
         parts: (ridges, bins, 3) from ``profile_sums``.
@@ -282,31 +306,100 @@ def measure_crest(
         angle: ridge angle in degrees.
         pitch: in µm.
         step_um: pixel across the ridges.
+        spread_um: standard deviation of the heights about the facets.
+        sigma_um: of the point spread function of the instrument; None where it is not known.
     """
     assert pitch.value is not None
-    x, height, _ = mean_profile(parts.sum(axis=0), pitch.value)
+    total, p = parts.sum(axis=0), pitch.value
+    x, height, _ = mean_profile(total, p)
     low, high = core_of_wall(x, height)
-    resolved = (high - low) / (CORE[1] - CORE[0]) > RESOLVED_PIXELS * step_um
+    wide = (high - low) / (CORE[1] - CORE[0]) > RESOLVED_PIXELS * step_um
     bend = _bend(x, height)
-    resolved = bool(resolved and bend < MAX_BEND_DEG and _carries_slope(walls.sum(axis=0), high - low))
+    resolved = bool(wide and bend < MAX_BEND_DEG and _carries_slope(walls.sum(axis=0), high - low))
     gap = float(np.diff(x[np.abs(x) < max(CREST_PIXELS * step_um, high)]).max(initial=0.0))
     wall = _Wall(low, high, float(height.max() - height.min()), gap, resolved)
     joined = np.concatenate([parts.reshape(parts.shape[0], -1), walls], axis=1)
     weight = parts[..., 0].sum(axis=1)
     use = weight > LEAST_WEIGHT * weight.max()
-    p = pitch.value
-    value, u = jackknife(joined[use], lambda total: _estimate(total, line, wall, p, step_um), weight[use])
-    if not wall.resolved:  # the radius depends on how upright the wall is
-        seen = _estimate(joined[use].sum(axis=0), line, wall, p, step_um, wall.seen)
-        for at in (3, 6):
-            u[at] = float(np.hypot(u[at], (seen[at] - value[at]) / np.sqrt(3.0)))
-    return _crest(value, u, wall, angle, pitch, step_um, bend)
+    outline = _outline(total, line, wall, p, step_um, spread_um, sigma_um or 0.0)
+    blur, doubt = 0.0, np.zeros(8)
+    known_blur = sigma_um is not None and sigma_um > BLURRED_PIXELS * step_um
+    fit = best_fit(outline, step_um) if known_blur or (wide and bend >= MAX_BEND_DEG) else None
+    if fit is not None and fit.straight > LEAST_STRAIGHT:
+        about = parts[use][:, _about(total)]
+        value, u = jackknife(about, lambda one: fit.shape(fit.moved(*_places(one, p))), weight[use])
+        other = replace(outline, level=fit.outline.level, sigma=(1.0 + SIGMA_KNOWN) * outline.sigma).fitted(
+            step_um
+        )
+        u, doubt = np.hypot(u, fit.misfit()), other.shape(other.found) - value
+        middle, width = fit.found[:2]
+        wall = replace(wall, low=middle - 0.3 * width, high=middle + 0.3 * width, resolved=True)
+        bend = 0.0
+    else:
+        wall = replace(wall, resolved=resolved and fit is None)
+        value, u = jackknife(joined[use], lambda one: _estimate(one, line, wall, p, step_um), weight[use])
+        if not wall.resolved:  # the radius depends on how upright the wall is
+            seen = _estimate(joined[use].sum(axis=0), line, wall, p, step_um, wall.seen)
+            for at in (3, 6):
+                u[at] = float(np.hypot(u[at], (seen[at] - value[at]) / np.sqrt(3.0)))
+    if sigma_um is None and wall.resolved:
+        blurred = _blurred(outline, step_um)
+        if blurred.found[-1] > BLURRED_PIXELS * step_um:
+            blur, doubt = float(blurred.found[-1]), (blurred.shape(blurred.found) - value) / np.sqrt(2.0)
+            u = np.hypot(u, blurred.misfit())
+    return _crest(value, u, doubt, wall, angle, pitch, step_um, bend, blur)
+
+
+def _blurred(outline: Outline, step: float) -> Fit:
+    """The outline with the widest point spread function that rounds its ends, or the sharper one of them."""
+    both = outline.fitted(step, free=(False, False, True))
+    if both.found[-1] <= BLURRED_PIXELS * step:
+        return both
+    one = min(
+        (outline.fitted(step, free=(*ends, True)) for ends in ((False, True), (True, False))),
+        key=lambda fit: fit.square,
+    )
+    return both if both.square < MOST_BLUR * one.square else one
+
+
+def _outline(
+    total: FloatArray, line: Line, wall: _Wall, pitch: float, step: float, spread: float, sigma: float
+) -> Outline:
+    """The mean profile about the wall, weighed by scatter, place of the walls and width of the bins."""
+    x, height, count = (one[_about(total)] for one in (*_places(total, pitch), total[:, 0]))
+    slope = np.gradient(height, x)
+    place = POSITION_PIXELS * step * np.maximum(np.abs(slope), -line.slope)
+    bins = 0.1 * np.abs(np.gradient(slope, x)) * (0.5 * step) ** 2
+    u = np.sqrt(spread**2 / count + place**2 + bins**2)
+    start = 0.5 * (wall.low + wall.high), wall.width
+    return Outline(x, height, u, -line.slope, line.height, pitch, start, sigma)
+
+
+def _about(total: FloatArray) -> npt.NDArray[np.intp]:
+    """Bins about the wall that hold enough points."""
+    filled = _filled(total)
+    found: npt.NDArray[np.intp] = filled[np.abs(total[filled, 2] / total[filled, 0]) < REACH]
+    return found
+
+
+def _places(parts: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
+    """Places in µm from the wall and heights of every bin, NaN where it is empty."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return parts[:, 2] / parts[:, 0] * pitch, parts[:, 1] / parts[:, 0]
 
 
 def _crest(
-    value: FloatArray, u: FloatArray, wall: _Wall, angle: Quantity, pitch: Quantity, step: float, bend: float
+    value: FloatArray,
+    u: FloatArray,
+    doubt: FloatArray,
+    wall: _Wall,
+    angle: Quantity,
+    pitch: Quantity,
+    step: float,
+    bend: float,
+    blur_um: float,
 ) -> Crest:
-    """The crest with the uncertainties that the ridges do not show between them."""
+    """The crest with the uncertainties that the ridges do not show between them; ``doubt`` is one for all numbers."""
     assert angle.value is not None
     assert angle.u is not None
     assert pitch.value is not None
@@ -317,7 +410,6 @@ def _crest(
     narrow = np.sqrt(1.0 + 3.0 * (RESOLVED_PIXELS * step / max(wall.width, step)) ** 4)
     blur = np.degrees(0.5 * np.sin(2.0 * apparent)) * POSITION_PIXELS * narrow * step / max(wall.width, step)
     u_wall = float(np.sqrt(u[0] ** 2 + blur**2 + bend**2))
-    inclination = Quantity(float(value[0]), u_wall)
     hidden = 0.0 if wall.resolved else wall.width / np.sqrt(12.0)
     full, loss, filled = float(value[1]), float(value[2]), float(value[5])
     by_angle = full * np.radians(angle.u) / (np.sin(theta) * np.cos(theta))
@@ -328,18 +420,24 @@ def _crest(
     u_loss = float(np.hypot(u[2], np.hypot(place, 0.5 * hidden) / p))
     below = max(wall.gap, 0.5 * step if filled > 0 else step) / np.sqrt(3.0)
     u_filled = float(np.hypot(u[5], np.hypot(below, 0.5 * hidden) / p))
+    inclination = Quantity(float(value[0]), float(np.hypot(u_wall, doubt[0])))
     if not wall.resolved:
         inclination = Quantity(None, at_least=float(np.degrees(wall.seen)) - 2.0 * float(blur))
-    flat = bool(value[4] > 0.5) and loss > 2.0 * u_loss
-    left = 1.0 - loss - filled
-    actual = Quantity(
-        left * full, float(np.sqrt((left * u_full) ** 2 + (full * u_loss) ** 2 + (full * u_filled) ** 2))
+    elif value[0] + 2.0 * max(u_wall, doubt[0]) > UPRIGHT_DEG:
+        inclination = Quantity(None, at_least=float(value[0]) - 2.0 * u_wall)
+    flat, level = (
+        bool(value[4] > 0.5) and loss > 2.0 * u_loss,
+        bool(value[7] > 0.5) and filled > 2.0 * u_filled,
     )
-    level = bool(value[7] > 0.5) and filled > 2.0 * u_filled
+    left = 1.0 - loss - filled
+    parts = left * u_full, full * u_loss, full * u_filled, left * doubt[1] - full * (doubt[2] + doubt[5])
+    actual = Quantity(left * full, float(np.linalg.norm(parts)))
+    u_full, u_loss, u_filled = np.hypot((u_full, u_loss, u_filled), doubt[[1, 2, 5]]).tolist()
+    u = np.hypot(u, doubt)
     radius = _radius(float(value[3]), float(u[3]), step, plateau=flat)
     return Crest(
         inclination, wall.width, actual, Quantity(full, u_full), Quantity(loss, u_loss), radius, flat,
-        Quantity(filled, u_filled), _radius(float(value[6]), float(u[6]), step, plateau=level),
+        Quantity(filled, u_filled), _radius(float(value[6]), float(u[6]), step, plateau=level), blur_um,
     )  # fmt: skip
 
 

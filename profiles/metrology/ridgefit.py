@@ -203,6 +203,21 @@ def slope_of_ends(folded: Folded, facet: Facet, pitch_um: float) -> float:
     return inner - facet_line(folded, facet, pitch_um)[1]
 
 
+def slope_of_steps(planes: Planes, facet: Facet, pitch_um: float, rounded_um: float) -> float:
+    """Standard uncertainty of the mean slope by heights rounded to steps of ``rounded_um``, the same for all ridges.
+
+    A staircase of steps q on a facet of width w and slope a has lost triangles of q by q/a; of a half one at either
+    end, least squares make a slope of 3q²/(4aw²) at most. Roughness σ beneath takes exp(−2π²σ²/q²) of it (Widrow and
+    Kollár, Quantization Noise, 2008).
+    """
+    if rounded_um == 0.0:
+        return 0.0
+    width, sigma = (facet.end - facet.begin) * pitch_um, float(np.median(planes.sigma_um[planes.fitted]))
+    most = 0.75 * rounded_um**2 / (max(abs(float(planes.mean[1])), rounded_um / width) * width**2)
+    rough = max(sigma**2 - rounded_um**2 / 12.0, 0.0)
+    return most * float(np.exp(-2.0 * np.pi**2 * rough / rounded_um**2))
+
+
 def facet_bow(folded: Folded, facet: Facet, pitch_um: float) -> float:
     """Bow of the median facet: rms distance of its eighths from its line, as a share of its rise."""
     place = (np.arange(folded.height_um.size) + folded.shift) / folded.height_um.size
@@ -225,13 +240,15 @@ def slow_slopes(planes: Planes) -> tuple[float, float]:
     return along, across
 
 
-def ridge_angle(planes: Planes, course: Course, removed: float, u_pitch: float, ends: float) -> Quantity:
+def ridge_angle(
+    planes: Planes, course: Course, removed: float, u_pitch: float, ends: float, rounded: float
+) -> Quantity:
     """Mean ridge angle in degrees: between facets and the plane through equal places of the ridges.
 
     Slopes are turned into angles before they are subtracted, with the slope ``removed`` across by levelling put back.
     Uncertainty: leaving out one ridge after the other, tilt and facets together; equal places are only as equal as
     the pitch is known, and with a relative error of the pitch the slope of the plane through them changes by as much of
-    that of the facets; and what the ends of the facets change of their slope.
+    that of the facets; and what the ends of the facets, and rounded heights, change of their slope.
 
     Args:
         planes: of the facets.
@@ -239,6 +256,7 @@ def ridge_angle(planes: Planes, course: Course, removed: float, u_pitch: float, 
         removed: slope across that levelling took off.
         u_pitch: standard uncertainty of the pitch in µm.
         ends: change of slope by the ends, from ``slope_of_ends``.
+        rounded: change of slope by rounded heights, from ``slope_of_steps``.
     """
     good = planes.fitted
     parts = _across_parts(planes.planes, planes.weight, course.pitch_um)[good]
@@ -249,7 +267,8 @@ def ridge_angle(planes: Planes, course: Course, removed: float, u_pitch: float, 
 
     value, u = jackknife(parts, angle, planes.weight[good], fitted=2)
     slope = float(np.tan(np.radians(value[0])))
-    others = np.degrees(np.hypot(slope * u_pitch / course.pitch_um, ends) / (1.0 + slope * slope))
+    shared = np.linalg.norm([slope * u_pitch / course.pitch_um, ends, rounded])
+    others = np.degrees(shared / (1.0 + slope * slope))
     return Quantity(float(value[0]), float(np.hypot(u[0], others)))
 
 
@@ -329,6 +348,8 @@ LINE_POINTS = 400
 LINE_LEAST = 20
 OF_LINES = 0.1
 OF_LAY = 0.1
+LEAST_SHARP = 0.2
+OF_SHARPENING = 0.5
 LAGS = np.array([(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1)])
 
 
@@ -403,6 +424,8 @@ def measure_slopes(
     ridges: int,
     slow: tuple[float, float] = (0.0, 0.0),
     rounded_um: float = 0.0,
+    sigma_um: float = 0.0,
+    blur_um: float = 0.0,
 ) -> Slopes:
     """Roughness of the facets from height differences over one or two pixels.
 
@@ -421,6 +444,8 @@ def measure_slopes(
         ridges: their number.
         slow: variances (along, across) of the slopes of whole pieces of facets, from ``slow_slopes``.
         rounded_um: step of rounded heights, from ``height_step``; 0 where they are not rounded.
+        sigma_um: of the known point spread function, for which α is corrected.
+        blur_um: of one that is only suspected, which widens u.
     """
     limit, third = _first_limits(above, owner)
     every = 2 if above.size > MANY_POINTS else 1
@@ -453,6 +478,12 @@ def measure_slopes(
 
     parts = np.concatenate([structure.reshape(ridges, -1), noise], axis=1)
     (along, across, own), u = jackknife(parts[used], variances, points[used])
+    factor, u_factor = np.ones(2), np.zeros(2)
+    if max(sigma_um, blur_um) > 0.0:
+        lengths = _lengths(above, owner, pixel, lines, own, ridges)
+        factor, u_factor = _sharpening(lengths, [(-ey, ex), (ex, ey)], pixel, max(sigma_um, blur_um))
+        if blur_um > 0.0:
+            factor, u_factor = np.ones(2), (factor - 1.0) / np.sqrt(2.0)
     each = weights.sum(axis=1)
     shared = np.stack([2.0 * hidden * each, 2.0 * short * each])
     shared = np.vstack([shared, np.abs(weights) @ u_lines, slow])
@@ -464,8 +495,8 @@ def measure_slopes(
     counts = COUNTS * max(float(squares[:2].min()) - 2.0 * own, 0.0)
     coarse = 2.0 * hidden > counts
     return Slopes(
-        _alpha(along, u_along, heard),
-        _alpha(across, u_across, heard),
+        _sharper(_alpha(along, u_along, heard), factor[0], u_factor[0]),
+        _sharper(_alpha(across, u_across, heard), factor[1], u_factor[1]),
         (noisy or Quantity(0.0, float(np.sqrt(u_own)))) if heard else Quantity(None),
         float(np.sqrt(lines[:2].max())) if lines[:2].max() > counts and not coarse else 0.0,
         rounded_um if coarse else 0.0,
@@ -478,7 +509,7 @@ def height_step(height_um: FloatArray) -> float:
     """Step in µm to which heights are rounded; 0 where nearly every height of a sample occurs once only."""
     sample = height_um.ravel()[sampled(np.isfinite(height_um), SAMPLES)]
     distinct = np.unique(sample)
-    if not 2 < distinct.size < MOST_DISTINCT * sample.size:
+    if not 1 < distinct.size < MOST_DISTINCT * sample.size:
         return 0.0
     gaps = np.diff(distinct)
     step = float(np.median(gaps[gaps > 1e-3 * gaps.max()]))
@@ -581,6 +612,63 @@ def _short_variance(
     reached = rough * (far - near) >= double - own
     at = int(np.argmax(reached)) if reached.any() else lengths.size - 1
     return float((rough * near)[at])
+
+
+def _lengths(
+    above: FloatArray,
+    owner: npt.NDArray[np.int16],
+    pixel: tuple[float, float],
+    lines: FloatArray,
+    noise: float,
+    ridges: int,
+) -> FloatArray:
+    """Correlation lengths (x, y) in µm of roughness with Gaussian correlation, from differences over 1 to 8 pixels."""
+    steps = np.array([1, 2, 4, 8])
+    lags = np.concatenate([np.stack([0 * steps, steps], 1), np.stack([steps, 0 * steps], 1)])
+    sums = structure_sums(above, owner, lags, np.full(len(lags), np.inf), ridges, 2).sum(axis=0)
+    squares = sums[:, 1] / np.maximum(sums[:, 0], 1.0) - 2.0 * noise
+    squares[4:] -= lines[1]
+    tried = np.geomspace(0.8, 60.0, 300)
+    shapes = np.log(-np.expm1(-np.square(steps / tried[:, None])))
+    found = []
+    for part in (squares[:4], squares[4:]):
+        seen = np.log(np.maximum(part, 1e-3 * part.max()) if part.max() > 0.0 else np.ones(4))
+        left = np.var(seen - shapes, axis=1)
+        found.append(float(tried[np.argmin(left)]))
+    return np.array([found[0] * pixel[1], found[1] * pixel[0]])
+
+
+def _sharpening(
+    lengths: FloatArray, directions: list[tuple[float, float]], pixel: tuple[float, float], sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Factors (along, across) that take a Gaussian point spread function off α, and their uncertainties.
+
+    Roughness with correlation exp(−x²/Tx² − y²/Ty²) has lengths √(T² + 4σ²) after it, and its variance falls as the
+    product of the lengths grows. Other spectra need another factor: half of the correction is u. Infinite where the
+    roughness seen is hardly longer than the point spread function.
+    """
+    true = np.square(lengths) - 4.0 * sigma**2
+    if np.any(true < LEAST_SHARP * np.square(lengths)):
+        return np.full(2, np.inf), np.full(2, np.inf)
+    variance = np.prod(lengths) / np.sqrt(np.prod(true))
+    found = []
+    for ex, ey in directions:
+        lag = 1.0 / np.hypot(ex / pixel[1], ey / pixel[0])
+        seen, sharp = (
+            -np.expm1(-(lag**2) * (ex**2 / one[0] + ey**2 / one[1])) for one in (np.square(lengths), true)
+        )
+        found.append(float(np.sqrt(variance * sharp / seen)))
+    factor = np.array(found)
+    return factor, OF_SHARPENING * (factor - 1.0)
+
+
+def _sharper(alpha: Quantity, factor: float, u_factor: float) -> Quantity:
+    """α times a factor; a lower bound where nothing but that is known."""
+    if alpha.value is None or alpha.u is None:
+        return alpha if np.isfinite(factor) and factor == 1.0 else Quantity(None)
+    if not (np.isfinite(factor) and np.isfinite(u_factor)):
+        return Quantity(None, at_least=alpha.value - 2.0 * alpha.u)
+    return Quantity(factor * alpha.value, float(np.hypot(factor * alpha.u, u_factor * alpha.value)))
 
 
 def _alpha(variance: float, u: float, heard: bool) -> Quantity:

@@ -20,15 +20,20 @@ SAMPLES = 60_000
 MIN_BINS = 8
 LEAST_SLOPE = 0.3
 SLOPE_WINDOW = 40
+BLURRED_ENDS = 1.5
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Levelled heights (rows, cols) in µm, NaN where missing, points to leave out, and the pixel (y, x) in µm."""
+    """Levelled heights (rows, cols) in µm, NaN where missing, points to leave out, and the pixel (y, x) in µm.
+
+    ``rounded_um`` is the step to which heights are rounded, 0 where they are not.
+    """
 
     z: FloatArray
     out: Mask
     pixel: tuple[float, float]
+    rounded_um: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,8 @@ class Folded:
 def fold_median(grid: Grid, course: Course) -> Folded:
     """Median and spread of the heights at every place on the ridge; bins are about a pixel wide.
 
+    Rounded heights stand for all heights within their step, as in the median of grouped data.
+
     Raises:
         HeightMapError: a pitch of fewer than eight pixels.
     """
@@ -103,7 +110,7 @@ def fold_median(grid: Grid, course: Course) -> Folded:
     sample = grid.z.ravel()[:: max(1, grid.z.size // SAMPLES)]
     low, high = np.quantile(sample[np.isfinite(sample)], (0.002, 0.998)).tolist()
     margin = 0.2 * (high - low) + 1e-9
-    low, step = low - margin, (high - low + 2.0 * margin) / LEVELS
+    low, step = low - margin, max((high - low + 2.0 * margin) / LEVELS, grid.rounded_um)
     counts, places = kernels.histogram(grid.z, grid.out, course.frame(grid), bins, low, step, LEVELS)
     total = counts.sum(axis=1)
     filled = np.flatnonzero(total)
@@ -150,9 +157,13 @@ class Facet:
         return 0.5 * (self.begin + self.end)
 
 
-def _falling_run(height: FloatArray) -> tuple[int, int]:
-    """First bin and length of the longest stretch that falls at about the usual slope of what falls."""
-    window = max(1, height.size // SLOPE_WINDOW)
+def _falling_run(height: FloatArray, rounded_um: float) -> tuple[int, int]:
+    """First bin and length of the longest stretch that falls at about the usual slope of what falls.
+
+    Slopes are taken over a step of rounded heights at least.
+    """
+    stair = 0.5 * height.size * rounded_um / max(float(np.ptp(height)), 1e-12)
+    window = max(1, height.size // SLOPE_WINDOW, int(np.ceil(min(stair, 0.2 * height.size))))
     slope = np.roll(height, -window) - np.roll(height, window)
     falling = slope < 0
     if not falling.any():
@@ -160,11 +171,12 @@ def _falling_run(height: FloatArray) -> tuple[int, int]:
     return _runs(falling & (-slope > LEAST_SLOPE * float(np.median(-slope[falling]))))
 
 
-def orient(grid: Grid, course: Course) -> tuple[Course, Facet, Folded]:
+def orient(grid: Grid, course: Course, sigma_um: float = 0.0) -> tuple[Course, Facet, Folded]:
     """Turn and shift a course so that the large facets fall along it and the walls are at whole pitches.
 
     The large facet is the longest run of one sign of slope, one pixel and 1 % of the pitch less at both ends. Symmetric
-    ridges have two such runs; then the longer one is taken.
+    ridges have two such runs; then the longer one is taken. A point spread function of standard deviation ``sigma_um``
+    bends the ends, which are left out.
 
     Returns:
         The course, the facet on it, and the median ridge.
@@ -174,7 +186,8 @@ def orient(grid: Grid, course: Course) -> tuple[Course, Facet, Folded]:
     """
     half = 0.5 * course.step_um(grid.pixel) / course.pitch_um
     first = fold_median(grid, Course(course.pitch_um, course.direction_deg, 1, -half))
-    runs = {1: _falling_run(first.height_um), -1: _falling_run(first.height_um[::-1])}
+    steps = grid.rounded_um
+    runs = {1: _falling_run(first.height_um, steps), -1: _falling_run(first.height_um[::-1], steps)}
     lean = 1 if runs[1][1] >= runs[-1][1] else -1
     bins = first.height_um.size
     height = first.height_um if lean == 1 else first.height_um[::-1]
@@ -192,7 +205,7 @@ def orient(grid: Grid, course: Course) -> tuple[Course, Facet, Folded]:
     wall = (begin + length + at - 1 + float(part) + place) / bins
     offset = -half + wall if lean == 1 else half + wall
     found = Course(course.pitch_um, course.direction_deg, lean, float(offset))
-    trim = course.step_um(grid.pixel) / course.pitch_um + 0.01
+    trim = (course.step_um(grid.pixel) + BLURRED_ENDS * sigma_um) / course.pitch_um + 0.01
     start = (begin + place) / bins - wall
     start -= np.floor(start)
     facet = Facet(float(start + trim), float(start + (length - 1) / bins - trim))

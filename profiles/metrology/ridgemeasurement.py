@@ -126,6 +126,8 @@ class RidgeMeasurement:
         height_step_um: step to which heights are rounded, where alpha feels it; else 0.
         short_share: share of the noise that is roughness shorter than three pixels, where alpha feels it; else 0.
         lay_um: rms step across that whole ridges share, where alpha across holds it; else 0.
+        period_limit_um: lateral period limit of the instrument that was given, and its blur taken off; else None.
+        seen_limit_um: one that alone would round crest and foot as they are, where none was given; else 0.
     """
 
     pitch_um: Quantity
@@ -162,6 +164,8 @@ class RidgeMeasurement:
     height_step_um: float = 0.0
     short_share: float = 0.0
     lay_um: float = 0.0
+    period_limit_um: float | None = None
+    seen_limit_um: float = 0.0
 
     @property
     def varies_along(self) -> bool:
@@ -222,6 +226,11 @@ class RidgeMeasurement:
             found.append(
                 f"{self.short_share:.0%} of what looks like noise may be roughness shorter than three pixels; alpha "
                 "has the wider u: measure with smaller pixels"
+            )
+        if self.seen_limit_um > 0.0:
+            found.append(
+                f"an instrument with a lateral period limit of {self.seen_limit_um:.3g} µm would round sharp crests "
+                "and feet like these; wall angle, height, losses, radii and alpha have the wider u: give --period-limit"
             )
         return tuple(found)
 

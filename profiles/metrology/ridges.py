@@ -8,13 +8,13 @@ map differ.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.base.parallel import one_blas_thread
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 from anisoscope.profiles.level import periodic_form, periodic_tilt
@@ -41,6 +41,7 @@ from anisoscope.profiles.metrology.ridgefit import (
     segments_along,
     single_ridges,
     slope_of_ends,
+    slope_of_steps,
     slow_slopes,
 )
 from anisoscope.profiles.metrology.ridgefold import (
@@ -54,6 +55,7 @@ from anisoscope.profiles.metrology.ridgefold import (
     refine,
 )
 from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, Ridge, RidgeMeasurement
+from anisoscope.profiles.metrology.ridgeoutline import SIGMA_OF_LIMIT
 from anisoscope.profiles.metrology.ridgesums import profile_sums, wall_sums
 from anisoscope.profiles.period import MIN_SCORE, Period, find_period
 
@@ -66,29 +68,43 @@ SECOND_POINTS = 400
 SECOND_DEG = 5.0
 MIN_QUARTER = 16
 SECOND_SHARE = 0.03
+MOST_SIGMA = 0.5 * SIGMA_OF_LIMIT
 
 
-def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
+def measure_ridges(surface: HeightMap, period_limit_um: float | None = None) -> RidgeMeasurement:
     """Measure the ridges of a map, (rows, cols) in µm, in any direction.
 
     Args:
         surface: the map; missing points and tilt may remain, strong form should be removed.
+        period_limit_um: lateral period limit of the instrument, the period at which its transfer function is 50 %
+            (ISO 25178-600): the blur of a Gaussian point spread function with σ = 0.187 of it is taken off wall,
+            height, radii and alpha. None: not known.
 
     Raises:
-        HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch.
+        HeightMapError: no ridges are found, fewer than four of them, fewer than eight pixels a pitch, or a period
+            limit of more than half a pitch.
+        UsageError: a period limit that is no length.
     """
+    if period_limit_um is not None and not 0.0 <= period_limit_um < float("inf"):
+        raise UsageError(f"the lateral period limit is a length in µm, at least 0, not {period_limit_um:g}")
+    sigma = None if period_limit_um is None else SIGMA_OF_LIMIT * period_limit_um
     with one_blas_thread():
-        return _fitted(surface).measured()
+        return _fitted(surface, sigma).measured()
 
 
-def _fitted(surface: HeightMap) -> "_Fit":
+def _fitted(surface: HeightMap, sigma_um: float | None) -> "_Fit":
     """All steps up to the sums over the ridges."""
     period = _checked(find_period(surface), surface)
+    if sigma_um is not None and sigma_um > MOST_SIGMA * period.pitch_um:
+        raise HeightMapError(
+            f"a lateral period limit of {sigma_um / SIGMA_OF_LIMIT:.4g} µm leaves no facet of ridges "
+            f"{period.pitch_um:.4g} µm apart; it may be half of the pitch"
+        )
     rounded_um = height_step(surface.height_um)
     surface, period, form_um = _without_form(surface, period)
     tilt = periodic_tilt(surface, period)
-    grid = _levelled(surface, tilt)
-    course, facet, folded = orient(grid, Course(period.pitch_um, period.direction_deg))
+    grid = replace(_levelled(surface, tilt), rounded_um=rounded_um)
+    course, facet, folded = orient(grid, Course(period.pitch_um, period.direction_deg), sigma_um or 0.0)
     for _ in range(COURSE_PASSES):
         before, course = course, refine(grid, course, folded, 0.0).course
         folded = fold_median(grid, course)
@@ -96,7 +112,7 @@ def _fitted(surface: HeightMap) -> "_Fit":
             break
     planes = fit_planes(grid, course, facet, folded)
     above, owner, burrs, out = _outliers(grid, course, facet, folded, planes)
-    clean = Grid(grid.z, out, grid.pixel)
+    clean = replace(grid, out=out)
     planes = fit_planes(clean, course, facet, folded, planes)
     wall = _resolved_wall(folded, course, grid)
     above[out] = np.nan
@@ -118,7 +134,7 @@ def _fitted(surface: HeightMap) -> "_Fit":
         burrs,
         form_um,
         second.result(),
-        rounded_um,
+        sigma_um,
     )
 
 
@@ -253,7 +269,7 @@ class _Fit:
     burrs: tuple[Outlier, ...]
     form_um: float
     second_deg: float | None
-    rounded_um: float
+    sigma_um: float | None
 
     def measured(self) -> RidgeMeasurement:
         """The measurement."""
@@ -262,7 +278,8 @@ class _Fit:
         removed = self.tilt[0] * ex + self.tilt[1] * ey
         assert pitch.u is not None
         ends = slope_of_ends(self.folded, self.facet, self.course.pitch_um)
-        angle = ridge_angle(self.planes, self.course, removed, pitch.u, ends)
+        steps = slope_of_steps(self.planes, self.facet, self.course.pitch_um, self.grid.rounded_um)
+        angle = ridge_angle(self.planes, self.course, removed, pitch.u, ends, steps)
         crest, x_um, height_um = self._crest(angle)
         wall_angle = against_the_surface(crest.wall_angle_deg, removed, self.planes.tilt_across)
         slow = slow_slopes(self.planes)
@@ -273,7 +290,9 @@ class _Fit:
             self.course,
             self.planes.weight.size,
             slow,
-            self.rounded_um,
+            self.grid.rounded_um,
+            self.sigma_um or 0.0,
+            crest.blur_um,
         )
         segments = segments_along(self.planes, self.course, self.grid, removed)
         singles = single_ridges(self.planes, self.course, self.facet, removed)
@@ -292,6 +311,7 @@ class _Fit:
             self._mean_ridge(x_um, height_um, span), self.form_um,
             facet_bow(self.folded, self.facet, self.course.pitch_um), self.second_deg, slopes.line_drift_um,
             slopes.height_step_um, slopes.short_share, slopes.lay_um,
+            None if self.sigma_um is None else self.sigma_um / SIGMA_OF_LIMIT, crest.blur_um / SIGMA_OF_LIMIT,
         )  # fmt: skip
 
     def _surface_pitch(self, removed: float) -> Quantity:
@@ -320,7 +340,8 @@ class _Fit:
         limit = 4.0 * sigma + 0.3 * step * float(np.ptp(height_um)) / max(core[1] - core[0], step)
         walls = wall_sums(self.above, frame, profile, core, limit)
         line = Line(height - slope * facet.middle * course.pitch_um, slope)
-        return measure_crest(parts, walls, line, angle, self.positions.pitch_um, step), x_um, height_um
+        crest = measure_crest(parts, walls, line, angle, self.positions.pitch_um, step, sigma, self.sigma_um)
+        return crest, x_um, height_um
 
     def _ridges(self, singles: list[Single | None], crest: Crest) -> list[Ridge]:
         assert crest.height_um.value is not None

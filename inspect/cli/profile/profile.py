@@ -67,6 +67,12 @@ Rows = Literal["auto", "up", "down"]
 FilterType = Literal["gaussian", "robust", "spline"]
 Layer = Literal["intensity", "colour"]
 Trust = Literal["checksum", "pixel-size", "heights"]
+PeriodLimit = Annotated[
+    float | None,
+    Parameter(
+        help="Lateral period limit of the instrument in µm (ISO 25178-600), whose blur is taken off the ridges."
+    ),
+]
 VIEW_SUFFIX, MOST_EXAGGERATION = "-view.html", 1e6
 
 
@@ -326,6 +332,7 @@ def note_lost_layers(surface: "HeightMap", target: Path) -> None:
 def report(
     *files: Path,
     out: Annotated[Path | None, Parameter(help="HTML file to write, of one map.")] = None,
+    period_limit: PeriodLimit = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -348,7 +355,7 @@ def report(
 
         def run(path: Path, target: Path) -> Values:
             surface = scales.read(path)
-            write_profile_page(surface, path.name, target)
+            write_profile_page(surface, path.name, target, period_limit_um=period_limit)
             return map_values(surface)
 
         return write_each(chosen, run, several, ".html", to_json=json_)
@@ -362,7 +369,7 @@ def report(
     with progress(chosen[0].name) as advance:
         advance("reading", 0, 3)
         surface = scales.read(chosen[0])
-        write_profile_page(surface, chosen[0].name, out, advance)
+        write_profile_page(surface, chosen[0].name, out, advance, period_limit_um=period_limit)
     sys.stdout.write(f"{out}\n")
     return 0
 

@@ -16,7 +16,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     print_sheet,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.profile.profile import AS_STATED, PeriodLimit, Scales
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -80,6 +80,8 @@ def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
         "height_step_um": found.height_step_um,
         "short_share": found.short_share,
         "lay_um": found.lay_um,
+        "period_limit_um": found.period_limit_um,
+        "seen_limit_um": found.seen_limit_um,
         "varies_along": found.varies_along,
         "segments": [
             {"place_um": one.place_um, "angle_deg": _number(one.angle_deg)} for one in found.segments
@@ -95,6 +97,7 @@ def ridges(
     picture: Annotated[
         Path | None, Parameter(help="PNG of a map of several directions, its regions outlined and numbered.")
     ] = None,
+    period_limit: PeriodLimit = None,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -108,7 +111,7 @@ def ridges(
         json_: Print JSON.
 
     Examples:
-        anisoscope profile ridges part.x3p
+        anisoscope profile ridges part.x3p --period-limit 4
         anisoscope profile ridges 'lot/*.x3p' --table lot.csv
         anisoscope profile ridges checkerboard.npz --picture regions.png
     """
@@ -119,12 +122,12 @@ def ridges(
     chosen = expanded(files)
     if len(chosen) > 1 or many.table is not None:
         return measure_each(
-            chosen, lambda path: _values(measure_ridges(scales.read(path))), many, to_json=json_
+            chosen, lambda path: _values(measure_ridges(scales.read(path), period_limit)), many, to_json=json_
         )
     check_table(many)
     surface = scales.read(chosen[0])
     try:
-        found = measure_ridges(surface)
+        found = measure_ridges(surface, period_limit)
     except HeightMapError:
         if not many.limits and _regions(chosen[0].name, surface, picture, as_json=json_):
             return 0
@@ -218,6 +221,7 @@ def _print(name: str, found: "RidgeMeasurement") -> None:
         [[text, *as_text(getattr(found, key)), unit] for key, text, unit in NAMES],
         caption=f"facets fall toward {found.lean_deg:.1f}° from +x and take {found.facet_share:.0%} of the pitch; "
         f"roughness from {low:.3g} to {high:.3g} µm; {found.missing_share:.2%} missing; periodicity {found.score:.2f}"
+        + (f"; lateral period limit {limit:.4g} µm" if (limit := found.period_limit_um) is not None else "")
         + "".join(f"\n{remark}" for remark in found.remarks()),
     )
     ridge_rows = []

@@ -158,14 +158,14 @@ edge_radius_um.at_most edge_radius_um.u edge_radius_um.value facet_bow facet_sha
 foot_loss.value foot_radius_um foot_radius_um.at_most foot_radius_um.u foot_radius_um.value form_um
 height_loss height_loss.u height_loss.value height_step_um height_um height_um.u height_um.value
 height_variation_um height_variation_um.u height_variation_um.value lay_um lean_deg line_drift_um
-missing_share noise_um noise_um.u noise_um.value periodicity pitch_um pitch_um.u pitch_um.value plateau
-remarks ridge_angle_deg ridge_angle_deg.u ridge_angle_deg.value ridges ridges.angle_deg ridges.angle_deg.u
-ridges.angle_deg.value ridges.height_um ridges.height_um.u ridges.height_um.value ridges.number
-ridges.points ridges.position_um ridges.shift_um ridges.shift_um.u ridges.shift_um.value
-second_direction_deg segments segments.angle_deg segments.angle_deg.u segments.angle_deg.value
-segments.place_um shift_variation_um shift_variation_um.u shift_variation_um.value short_share straight
-surface_pitch_um surface_pitch_um.u surface_pitch_um.value varies_along wall_angle_deg
-wall_angle_deg.at_least wall_angle_deg.u wall_angle_deg.value
+missing_share noise_um noise_um.u noise_um.value period_limit_um periodicity pitch_um pitch_um.u
+pitch_um.value plateau remarks ridge_angle_deg ridge_angle_deg.u ridge_angle_deg.value ridges
+ridges.angle_deg ridges.angle_deg.u ridges.angle_deg.value ridges.height_um ridges.height_um.u
+ridges.height_um.value ridges.number ridges.points ridges.position_um ridges.shift_um ridges.shift_um.u
+ridges.shift_um.value second_direction_deg seen_limit_um segments segments.angle_deg segments.angle_deg.u
+segments.angle_deg.value segments.place_um shift_variation_um shift_variation_um.u
+shift_variation_um.value short_share straight surface_pitch_um surface_pitch_um.u surface_pitch_um.value
+varies_along wall_angle_deg wall_angle_deg.at_least wall_angle_deg.u wall_angle_deg.value
 """
 TEXTURE = """
 bearing bearing.smc_10_um bearing.smc_80_um bearing.smr_mean core core.sk_um core.smr1 core.smr2
