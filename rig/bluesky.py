@@ -63,8 +63,7 @@ class Axis(Device):
         return AsyncStatus(asyncio.to_thread(self._go, float(value)))
 
     def _go(self, place: float) -> None:
-        reading = self._part.reading(place)
-        below = reading - self._part.approach
+        below, reading = self._part.way(place, self._axis.limits_deg)
         check_limits(self._axis, reading)
         check_limits(self._axis, below)
         self._target = place

@@ -17,7 +17,7 @@ from pydantic import field_validator, model_validator
 
 from anisoscope.base.errors import LimitExceeded, RigError
 from anisoscope.base.toml_file import Part
-from anisoscope.rig.stage import SYMBOLS, RotationStage, unit_of
+from anisoscope.rig.stage import FULL_TURN_DEG, SYMBOLS, RotationStage, turns_round, unit_of
 
 AxisTable = Literal["stage", "tilt", "x", "y", "z"]
 Range = tuple[float, float]
@@ -173,7 +173,7 @@ class Guard:
         low, high = min(way), max(way)
         for row in self._rows:
             ranges = row.ranges
-            if table not in ranges or high <= ranges[table][0] or low >= ranges[table][1]:
+            if table not in ranges or not self._meets(table, low, high, ranges[table]):
                 continue
             passed_over = self._after(table) if home else ()
             others = {name: standing(name) for name in ranges if name != table and name not in passed_over}
@@ -194,7 +194,15 @@ class Guard:
         slack = (
             2.0 * self._axes[table].resolution_deg
         )  # an axis that was sent to the end of a range stands about there
-        return forbidden[0] + slack < at < forbidden[1] - slack
+        return self._meets(table, at, at, (forbidden[0] + slack, forbidden[1] - slack))
+
+    def _meets(self, table: str, low: float, high: float, forbidden: Range) -> bool:
+        """Whether a way meets a range; that of a stage that turns round lies in every turn, but for an open one."""
+        first, last = forbidden
+        if table == "stage" and turns_round(self._axes[table].limits_deg) and math.isfinite(last - first):
+            turns = FULL_TURN_DEG * (math.floor((low - last) / FULL_TURN_DEG) + 1)
+            first, last = first + turns, last + turns
+        return first < high and low < last
 
     def _refuse(
         self, table: str, row: Collision, others: Mapping[str, float | None], *, home: bool

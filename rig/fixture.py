@@ -1,5 +1,6 @@
 """The sample holder: printed ArUco markers around the sample, to find position and angle by."""
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -55,3 +56,18 @@ class Fixture(BaseModel):
         if twice:
             raise ValueError(f"marker {twice[0]} is listed twice; every marker needs its own id")
         return self
+
+    @property
+    def free_mm(self) -> float:
+        """Side in mm of the upright square about the origin that markers and greys leave free; 0 without any.
+
+        Each marker has a module of white round it; rounded down to 0.1 mm.
+        """
+        quiet = QUIET * self.marker_mm
+        ends = [max(abs(one.x_mm), abs(one.y_mm)) - self.marker_mm / 2.0 - quiet for one in self.markers]
+        ends += [max(abs(one.x_mm), abs(one.y_mm)) - one.size_mm / 2.0 for one in self.greys]
+        return max(0.0, math.floor(20.0 * min(ends)) / 10.0)
+
+
+QUIET = 1.0 / 6.0
+"""White round a marker as a share of its side: a module of the 6 of a 4 × 4 marker."""

@@ -148,7 +148,7 @@ class Jogger:
         axis = self.axes[step.axis]
         target = axis.position_deg() + step.sign * self.step_of(step.axis)
         if step.axis == "stage":
-            target = within_a_turn(axis, target)
+            target = within_a_turn(axis.limits_deg, target)
         check_limits(axis, target)
         self._at[step.axis] = axis.move_to(target)
 

@@ -12,7 +12,7 @@ from anisoscope.base.toml_file import LocalPath, NameOrFile, Part, Positive, rea
 from anisoscope.rig.camera import CameraInfo, Compression
 from anisoscope.rig.collisions import AxisTable, Collision
 from anisoscope.rig.fixture import Fixture
-from anisoscope.rig.stage import Unit
+from anisoscope.rig.stage import Unit, apart_deg, approach_from, within_a_turn
 
 Option = str | int | float | bool
 BY_HAND = "manual"
@@ -63,6 +63,15 @@ class MotorPart(Part):
     def place(self, reading: float) -> float:
         """Place at a reading, in the unit."""
         return self.direction * (reading - self.zero)
+
+    def way(self, place: float, limits: tuple[float, float]) -> tuple[float, float]:
+        """Reading below, from which a place is approached, and reading at the place; limits are those of the axis.
+
+        Whether the axis reaches both is not asked here.
+        """
+        del limits
+        reading = self.reading(place)
+        return reading - self.approach, reading
 
 
 class AxisPart(MotorPart):
@@ -151,6 +160,15 @@ class StagePart(AxisPart):
     def direction(self) -> int:
         """1 if the angle of the sample grows with the reading, else −1."""
         return 1 if self.turns == "ccw" else -1
+
+    def place_near(self, reading: float, place: float) -> float:
+        """The angle of the sample at a reading, among those a turn apart the nearest to another, in degrees."""
+        return place + apart_deg(self.place(reading), place)
+
+    def way(self, place: float, limits: tuple[float, float]) -> tuple[float, float]:
+        """As of every axis; where the limits span a turn, readings a turn apart are the same."""
+        reading = within_a_turn(limits, self.reading(place), self.approach)
+        return approach_from(limits, reading, self.approach), reading
 
 
 class TiltPart(AxisPart):

@@ -126,31 +126,47 @@ def between_readings(read_deg: Callable[[], float], still_deg: float, clock: Clo
 
 FULL_TURN_DEG = 360.0
 MOST_TURNS = 10
+ROUND_SLACK_DEG = 0.01
+"""Limits that miss a full turn by no more still span it: they are rounded to counts."""
+LEAST_APPROACH = 0.25
 
 
-def within_a_turn(stage: RotationStage, angle_deg: float) -> float:
-    """The angle in degrees within the limits that is the same direction, where they span a full turn.
+def turns_round(limits_deg: tuple[float, float]) -> bool:
+    """Whether limits in degrees span a turn, so that readings a turn apart are the same direction."""
+    return limits_deg[1] - limits_deg[0] >= FULL_TURN_DEG - ROUND_SLACK_DEG
 
-    Of a stage that cannot turn all the way round, and for an angle within the limits, the angle itself.
 
-    Raises:
-        LimitExceeded: more than `MOST_TURNS` turns away, which nobody means.
+def apart_deg(first_deg: float, second_deg: float) -> float:
+    """How far the first direction is from the second, −180° to below 180°."""
+    half = FULL_TURN_DEG / 2.0
+    return (first_deg - second_deg + half) % FULL_TURN_DEG - half
+
+
+def within_a_turn(limits_deg: tuple[float, float], reading_deg: float, approach_deg: float = 0.0) -> float:
+    """The reading within the limits that is the same direction, if possible with room to approach it from below.
+
+    Of a stage that cannot turn all the way round, of one more than `MOST_TURNS` turns away, and of a number that is
+    none, the reading itself. All in degrees.
     """
-    low, high = stage.limits_deg
-    slack = 0.5 * stage.resolution_deg
-    if (
-        not math.isfinite(angle_deg)
-        or unit_of(stage) != "deg"
-        or high - low < FULL_TURN_DEG - slack
-        or low - slack <= angle_deg <= high + slack
-    ):
-        return angle_deg
-    if not low - MOST_TURNS * FULL_TURN_DEG <= angle_deg <= high + MOST_TURNS * FULL_TURN_DEG:
-        raise LimitExceeded(
-            f"{stage.name}: {angle_deg:.6g}° is more than {MOST_TURNS} turns away; nothing was moved: give an angle "
-            f"near {low:.6g}°…{high:.6g}°"
-        )
-    return low + (angle_deg - low) % FULL_TURN_DEG
+    low, high = limits_deg
+    if not turns_round(limits_deg) or not math.isfinite(reading_deg):
+        return reading_deg
+    turns = sorted(range(-MOST_TURNS, MOST_TURNS + 1), key=abs)
+    same = (reading_deg + FULL_TURN_DEG * turn for turn in turns)
+    found = [
+        min(max(one, low), high) for one in same if low - ROUND_SLACK_DEG <= one <= high + ROUND_SLACK_DEG
+    ]
+    return max(found, key=lambda one: min(one - low, approach_deg), default=reading_deg)
+
+
+def approach_from(limits_deg: tuple[float, float], reading_deg: float, approach_deg: float) -> float:
+    """Reading from which another is approached: so far below it, or the end of the travel of a stage that turns round.
+
+    That end serves where `LEAST_APPROACH` of the way is left to it. All in degrees.
+    """
+    low, below = limits_deg[0], reading_deg - approach_deg
+    near = turns_round(limits_deg) and reading_deg - low >= LEAST_APPROACH * approach_deg
+    return max(below, low) if near else below
 
 
 @dataclass(frozen=True)

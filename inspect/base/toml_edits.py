@@ -13,6 +13,7 @@ def with_values(
     changes: Mapping[tuple[str, ...], Any],
     error: type[ConfigError] = RecipeError,
     what: str = "recipe",
+    remarks: Mapping[tuple[str, ...], str] | None = None,
 ) -> str:
     """The text with some values changed; comments and everything else are preserved.
 
@@ -21,6 +22,7 @@ def with_values(
         changes: new values by (key,) at the top, (table, key), or (table, table in it, key).
         error: what is raised.
         what: word for the file in its message.
+        remarks: comments of changed values, in place of those that stand behind them.
 
     Raises:
         ConfigError: the layout of the file does not allow the change.
@@ -32,7 +34,7 @@ def with_values(
         for name in place[:-1]:
             table = table.setdefault(name, {})
         table[place[-1]] = value
-        text = _changed(text, place, value, end)
+        text = _changed(text, place, value, end, (remarks or {}).get(place, ""))
     try:
         found = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
@@ -45,8 +47,9 @@ def with_values(
     return text
 
 
-def _changed(text: str, place: tuple[str, ...], value: object, end: str) -> str:
+def _changed(text: str, place: tuple[str, ...], value: object, end: str, remark: str) -> str:
     lines = text.splitlines()
+    own = f"  # {remark}" if remark else ""
     start, stop = 0, len(lines)
     headers = [k for k, line in enumerate(lines) if re.match(r"\s*\[", line)]
     if len(place) == 1:
@@ -56,7 +59,7 @@ def _changed(text: str, place: tuple[str, ...], value: object, end: str) -> str:
         named = [k for k in headers if re.match(rf"\s*\[\s*{name}\s*\]", lines[k])]
         if not named:
             return end.join(
-                [*lines, "", f"[{'.'.join(place[:-1])}]", f"{place[-1]} = {toml_literal(value)}", ""]
+                [*lines, "", f"[{'.'.join(place[:-1])}]", f"{place[-1]} = {toml_literal(value)}{own}", ""]
             )
         start = named[0] + 1
         stop = next((k for k in headers if k >= start), stop)
@@ -64,9 +67,9 @@ def _changed(text: str, place: tuple[str, ...], value: object, end: str) -> str:
     for k in range(start, stop):
         match = key.match(lines[k])
         if match:
-            lines[k : _end(lines, k)] = [f"{match[1]}{toml_literal(value)}{match[3] or ''}"]
+            lines[k : _end(lines, k)] = [f"{match[1]}{toml_literal(value)}{own or match[3] or ''}"]
             return end.join([*lines, ""])
-    lines.insert(start, f"{place[-1]} = {toml_literal(value)}")
+    lines.insert(start, f"{place[-1]} = {toml_literal(value)}{own}")
     return end.join([*lines, ""])
 
 

@@ -136,17 +136,11 @@ def poses_all_round(
         RigFileError: the stage reaches fewer than six.
     """
     low, high = limits_deg
-    targets_deg = [360.0 * number / angles for number in range(angles)]
-    whole_turns = (-360.0, 0.0)
-
-    def reachable(angle_deg: float) -> float | None:
-        for turn in whole_turns:
-            reading = file.stage.reading(angle_deg + turn)
-            if low + file.stage.approach_deg <= reading <= high:
-                return angle_deg + turn
-        return None
-
-    found = sorted(angle for angle in map(reachable, targets_deg) if angle is not None)
+    found = []
+    for angle_deg in (360.0 * number / angles for number in range(angles)):
+        below, reading = file.stage.way(angle_deg, limits_deg)
+        if low <= below and reading <= high:
+            found.append(angle_deg)
     if len(found) < MIN_ANGLES:
         raise RigFileError(
             f"stage: of {angles} angles all round it reaches {len(found)} (at least {MIN_ANGLES} are needed): "

@@ -59,12 +59,15 @@ class Written:
     comments_preserved: bool
 
 
-def update_rig_file(path: Path, changes: Changes) -> Written:
+def update_rig_file(
+    path: Path, changes: Changes, remarks: Mapping[tuple[str, ...], str] | None = None
+) -> Written:
     """Change values of a rig file atomically; the old file is saved under a name with its date.
 
     Args:
         path: the rig file.
         changes: new values by the names of tables and key.
+        remarks: comments that stand behind them then.
 
     Raises:
         RigFileError: the file cannot be read, or would no longer be a rig file.
@@ -74,7 +77,7 @@ def update_rig_file(path: Path, changes: Changes) -> Written:
     before = bounded_bytes(path)
     text = before.decode("utf-8-sig")
     try:
-        edited, preserved = with_values(text, changes, RigFileError, "rig file"), True
+        edited, preserved = with_values(text, changes, RigFileError, "rig file", remarks), True
     except RigFileError:  # such as tables in one line
         edited, preserved = _dumped(text, changes), False
     backup = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.bak")
@@ -280,7 +283,7 @@ def _decimals(finding: Finding) -> int:
 
 
 def write_to_rig_file(rig_path: Path, record: Commissioning) -> Written | None:
-    """Write the findings to the rig file; None if nothing differs.
+    """Write the findings to the rig file, each with its u as a comment; None if nothing differs.
 
     Raises:
         UsageError: the rig file was changed since the pictures were taken.
@@ -289,7 +292,13 @@ def write_to_rig_file(rig_path: Path, record: Commissioning) -> Written | None:
     if sha256_of(rig_path) != record.rig_file_sha256:
         raise UsageError(f"{rig_path} was changed since it was commissioned: commission the rig again")
     changes: Changes = changes_of(record)
-    return update_rig_file(rig_path, changes) if changes else None
+    told = {tuple(one.key.split(".")): _stated(one, record.created_at[:10]) for one in record.findings}
+    return update_rig_file(rig_path, changes, {key: told[key] for key in changes}) if changes else None
+
+
+def _stated(finding: Finding, day: str) -> str:
+    """What stands behind a finding in the rig file."""
+    return f"commissioned {day}" + (f", u = {finding.u:.2g} {finding.unit}" if finding.u else "")
 
 
 def tilts_of(rig_path: Path, recipe: RecipeBase) -> tuple[float, ...]:

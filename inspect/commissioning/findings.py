@@ -14,7 +14,8 @@ from anisoscope.commissioning.record import (
 )
 from anisoscope.commissioning.series import PictureSet
 from anisoscope.commissioning.turning import Turning, wrapped
-from anisoscope.rig.rigfile import AxisPart, RigFile
+from anisoscope.rig.rigfile import RigFile, StagePart
+from anisoscope.rig.stage import FULL_TURN_DEG, apart_deg, turns_round
 
 MAX_U_LIGHT_DEG = 0.5
 MAX_U_AZIMUTH_DEG = 2.0
@@ -181,9 +182,7 @@ def _zero(angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_
         if not known:
             remark = "; ".join((remark, f"the brightness cannot distinguish it from {zero + 180.0:.2f}°"))
     zero = _reachable_zero(zero, angles.sense, file.stage, picture_set.limits_deg)
-    beyond = [
-        a for a in USUAL_ANGLES if not _reached(zero + angles.sense * a, file.stage, picture_set.limits_deg)
-    ]
+    beyond = _unreached(zero, angles.sense, file.stage, picture_set.limits_deg)
     if beyond:
         listed = ", ".join(f"{a:g}°" for a in beyond)
         remark = "; ".join(
@@ -202,21 +201,30 @@ def _zero(angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_
     )
 
 
-def _reached(reading_deg: float, part: AxisPart, limits_deg: tuple[float, float]) -> bool:
-    """Whether a reading can be approached from below."""
-    return limits_deg[0] + part.approach_deg <= reading_deg <= limits_deg[1]
+def _unreached(
+    zero_deg: float, sense: int, part: StagePart, limits_deg: tuple[float, float]
+) -> tuple[float, ...]:
+    """Usual angles of the sample that the stage cannot approach from below, were this its zero."""
+    found = part.model_copy(update={"zero_deg": zero_deg, "turns": SENSES[sense]})
+    ways = {angle: found.way(angle, limits_deg) for angle in USUAL_ANGLES}
+    return tuple(
+        angle for angle, (below, target) in ways.items() if below < limits_deg[0] or target > limits_deg[1]
+    )
 
 
-def _reachable_zero(zero_deg: float, sense: int, part: AxisPart, limits_deg: tuple[float, float]) -> float:
-    """The zero among those a turn apart from which most of the usual angles are reached, the nearest to the old one."""
+def _reachable_zero(zero_deg: float, sense: int, part: StagePart, limits_deg: tuple[float, float]) -> float:
+    """The zero among those a turn apart from which most of the usual angles are reached, the nearest to the old one.
+
+    Where readings wrap, all are alike: the zero within the first turn then.
+    """
+    if turns_round(limits_deg):
+        return float(zero_deg % FULL_TURN_DEG)
 
     def merit(zero: float) -> tuple[int, float]:
-        readings = [zero + sense * angle for angle in USUAL_ANGLES]
-        within = sum(_reached(reading, part, limits_deg) for reading in readings)
-        return within, -abs(zero - part.zero_deg)
+        return -len(_unreached(zero, sense, part, limits_deg)), -abs(zero - part.zero_deg)
 
-    first = part.zero_deg + float(wrapped(zero_deg - part.zero_deg))
-    return max((first + 360.0 * turns for turns in (-1, 0, 1)), key=merit)
+    first = part.zero_deg + apart_deg(zero_deg, part.zero_deg)
+    return max((first + FULL_TURN_DEG * turns for turns in (-1, 0, 1)), key=merit)
 
 
 def _fixture_zero(angles: Angles, file: RigFile) -> Finding:

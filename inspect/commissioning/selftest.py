@@ -39,7 +39,7 @@ from anisoscope.rig.acquisition.runner import Rig, open_rig
 from anisoscope.rig.camera import UNCALIBRATED, CameraSettings
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.rigfile import AxisPart, RigFile, read_rig
-from anisoscope.rig.stage import RotationStage
+from anisoscope.rig.stage import RotationStage, apart_deg
 
 Image = npt.NDArray[np.float32]
 
@@ -224,16 +224,17 @@ def _readback_limit(settings: Settings, axis: RotationStage) -> float:
 
 def _go(part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
     """Move from below, as an inspection does; return the error of the reading."""
-    target = part.reading(angle_deg)
-    if axis.position_deg() > target - part.approach_deg:
-        axis.move_to(target - part.approach_deg)
+    below, target = part.way(angle_deg, axis.limits_deg)
+    if axis.position_deg() > below:
+        axis.move_to(below)
     axis.move_to(target)
-    return axis.position_deg() - target
+    return apart_deg(axis.position_deg(), target)
 
 
 def _reachable(part: AxisPart, axis: RotationStage, angles_deg: tuple[float, ...]) -> list[float]:
     low, high = axis.limits_deg
-    return [a for a in angles_deg if low + part.approach_deg <= part.reading(a) <= high]
+    ways = {angle: part.way(angle, axis.limits_deg) for angle in angles_deg}
+    return [angle for angle, (below, target) in ways.items() if low <= below and target <= high]
 
 
 def check_home(bed: Bed) -> list[Check]:
@@ -388,7 +389,7 @@ def check_moves(bed: Bed) -> list[Check]:
     fixes: list[tuple[float, Fix | None]] = []
     for angle in [*angles, angles[0], angles[0]]:
         if fixes and angle == angles[0]:
-            stage.move_to(max(part.reading(angle) - part.approach_deg - 5.0, stage.limits_deg[0]))
+            stage.move_to(max(part.way(angle, stage.limits_deg)[0] - 5.0, stage.limits_deg[0]))
         off.append(_go(part, stage, angle))
         (counts,) = _grab(bed, 1)
         bed.keep("sample", counts, used, angle)

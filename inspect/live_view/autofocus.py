@@ -28,7 +28,7 @@ from anisoscope.calibration.record import (
 from anisoscope.live_view.view import FocusMeasure, focus_of, signal_of
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
-from anisoscope.rig.acquisition.runner import check_plan, readings_at
+from anisoscope.rig.acquisition.runner import check_plan, ways_to
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.rigfile import RigFile, read_rig
@@ -388,10 +388,10 @@ def map_focus(
         search = Autofocus(axes["z"], rig.camera, part.approach_mm, sweep.measure, sweep.average)
         for number, plan in enumerate(plans):
             on_progress("focus", number, len(plans))
-            targets = readings_at(pose, plan.seat, file)
-            del targets["z"]
-            for table in rig.guard.order({table: (target,) for table, target in targets.items()}):
-                axes[table].move_to(targets[table])
+            ways = ways_to(pose, plan.seat, rig)
+            del ways["z"]
+            for table in rig.guard.order({table: way[1:] for table, way in ways.items()}):
+                axes[table].move_to(ways[table][-1])
             try:
                 found.append(search.search(sweep.low, sweep.high, sweep.steps, sweep.repeats))
             except MeasurementError as problem:

@@ -14,6 +14,7 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import AnisoscopeError, NotConnected, UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.language import message
+from anisoscope.commissioning.record import default_record_path
 from anisoscope.live_view.autofocus import Autofocus, Focus, Sweep, depth_of_field_mm
 from anisoscope.live_view.picture import as_png, to_show
 from anisoscope.live_view.view import look_at, saturated_share
@@ -43,6 +44,34 @@ Axes = tuple[RigAxes | None, Mapping[str, MotorPart]]
 def unasked(what: str) -> None:
     """Allow every motion."""
     del what
+
+
+def is_taught(rig: Path, file: RigAxes) -> bool:
+    """Whether a rig was commissioned or calibrated before, so that sense, zero and limits are known: it moves unasked.
+
+    A rig file that names a calibration says so, or a record of its commissioning beside it.
+    """
+    channels = {} if file.light is None else file.light.channels
+    named = file.calibration is not None or any(one.flat or one.fixture for one in channels.values())
+    return named or default_record_path(rig).exists()
+
+
+def may_turn(rig: Path, confirm: Confirm) -> None:
+    """Ask once before the first motion of a rig that was never taught; a hand is asked for every motion anyway.
+
+    Raises:
+        UsageError: the motion was not allowed.
+        RigFileError: the rig file.
+    """
+    file = read_axes(rig)
+    driven = [table for table, part in file.axes.items() if part.driver != BY_HAND]
+    if driven and not is_taught(rig, file):
+        names = ", ".join(driven)
+        confirm(
+            message(
+                "this rig was never commissioned; {names} home and turn: keep their paths free", names=names
+            )
+        )
 
 
 def home_axes(
@@ -159,25 +188,25 @@ def move_axis(
     if sample and file is None:
         raise UsageError("--sample needs a rig file: only that says at which reading the sample stands at 0°")
 
-    def target(stage: RotationStage, part: MotorPart, now: float) -> float:
-        reading = now + to if by else part.reading(to) if sample else to
+    def way_to(stage: RotationStage, part: MotorPart, now: float) -> tuple[float, float]:
+        limits, reading = stage.limits_deg, now + to if by else to
         if axis == "stage":
-            reading = within_a_turn(stage, reading)
-        check_limits(stage, reading)
-        if sample:
-            check_limits(stage, reading - part.approach)
-        return reading
+            reading = within_a_turn(limits, reading)
+        way = part.way(to, limits) if sample else (reading, reading)
+        for one in way:
+            check_limits(stage, one)
+        return way
 
     with open_devices(dict(parts), rows_of=file) as devices:
         stage, part = devices.axes[axis], parts[axis]
         before, homed = position(stage), not stage.is_homed
         low, high = stage.limits_deg
         zero = min(max(0.0, low), high)
-        reading = target(stage, part, zero if homed or before is None else before)
+        below, reading = way_to(stage, part, zero if homed or before is None else before)
         home_axes(devices.axes, parts, file, confirm)
         if homed:
-            reading = target(stage, part, stage.position_deg())
-        if sample and stage.position_deg() > (below := reading - part.approach):
+            below, reading = way_to(stage, part, stage.position_deg())
+        if sample and stage.position_deg() > below:
             stage.move_to(below)
         stage.move_to(reading)
         return _moved(axis, stage, part, file, before, homed=homed)

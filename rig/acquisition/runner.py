@@ -2,7 +2,7 @@
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -52,58 +52,59 @@ def check_plan(plan: Plan, rig: Rig) -> None:
         )
     standing: dict[str, float] = {}
     for pose in plan.poses:
-        targets = readings_at(pose, plan.seat, rig.file)
-        for table, reading in targets.items():
-            _check_reach(rig.file, rig.by_table[table], table, reading, pose)
+        ways = ways_to(pose, plan.seat, rig)
+        for table, way in ways.items():
+            _check_reach(rig.file, rig.by_table[table], table, way, pose)
         if rig.tilt is None:
             check_arm(rig.file, [pose.tilt_deg])
         if not rig.file.collisions:
             continue
+        targets = {table: target for table, (_, target) in ways.items()}
         rig.guard.check_together(targets)
         if standing:
-            rig.guard.order(_ways(targets, standing, rig.file), standing)
+            moved = {table: way for table, way in ways.items() if standing[table] != way[1]}
+            rig.guard.order(
+                {table: _shortened(way, standing[table]) for table, way in moved.items()}, standing
+            )
         standing = targets
 
 
-def readings_at(pose: Pose, seat: Seat, file: RigFile) -> dict[str, float]:
-    """Readings of all axes of a rig at a pose, by their tables, in the order in which they usually move.
+def ways_to(pose: Pose, seat: Seat, rig: Rig) -> dict[str, tuple[float, float]]:
+    """Readings of all axes of a rig before a pose and at it, by their tables, in the order in which they usually move.
 
     Args:
         pose: angles of sample and arm.
         seat: where the part lies.
-        file: the rig file.
+        rig: an opened rig.
     """
-    found: dict[str, float] = {}
-    if file.tilt is not None:
-        found["tilt"] = file.tilt.reading(pose.tilt_deg)
-    found["stage"] = file.stage.reading(pose.stage_deg)
+    file, found = rig.file, dict[str, tuple[float, float]]()
+    if file.tilt is not None and rig.tilt is not None:
+        found["tilt"] = file.tilt.way(pose.tilt_deg, rig.tilt.limits_deg)
+    found["stage"] = file.stage.way(pose.stage_deg, rig.stage.limits_deg)
     for number, (part, travel) in enumerate(
         zip((file.x, file.y), seat.travel_mm(pose.stage_deg), strict=True)
     ):
         if part is not None:
             zero = part.zero if seat.centre_mm is None else seat.centre_mm[number]
-            found["xy"[number]] = zero + part.direction * travel
+            target = zero + part.direction * travel
+            found["xy"[number]] = (target - part.approach, target)
     if file.z is not None:
-        found["z"] = file.z.zero if seat.focus_mm is None else seat.focus_mm
+        target = file.z.zero if seat.focus_mm is None else seat.focus_mm
+        found["z"] = (target - file.z.approach, target)
     return found
 
 
-def _ways(
-    targets: Mapping[str, float], standing: Mapping[str, float], file: RigFile
-) -> dict[str, tuple[float, ...]]:
-    """Readings on the way of every moving axis: below its target if it is higher, then the target."""
-    below = {table: target - file.axes[table].approach for table, target in targets.items()}
-    return {
-        table: (below[table], target) if standing[table] > below[table] else (target,)
-        for table, target in targets.items()
-        if standing[table] != target
-    }
+def _shortened(way: tuple[float, float], here: float) -> tuple[float, ...]:
+    """A way from a reading: below its target only if the axis stands higher."""
+    return way if here > way[0] else way[1:]
 
 
-def _check_reach(file: RigFile, axis: RotationStage, table: str, target: float, pose: Pose) -> None:
-    part = file.axes[table]
+def _check_reach(
+    file: RigFile, axis: RotationStage, table: str, way: tuple[float, float], pose: Pose
+) -> None:
+    part, (below, target) = file.axes[table], way
     low, high = axis.limits_deg
-    if target - part.approach < low or target > high:
+    if below < low or target > high:
         what = {
             "stage": f"a sample angle of {pose.stage_deg:g}°",
             "tilt": f"a tilt of {pose.tilt_deg:g}°",
@@ -115,7 +116,7 @@ def _check_reach(file: RigFile, axis: RotationStage, table: str, target: float, 
         if table in {"x", "y"}:
             advice = "lay the part nearer to the axis of the stage"
         raise RigFileError(
-            f"{what} needs the {table} at {target:g}{sign} and before at {target - part.approach:g}{sign}, but it "
+            f"{what} needs the {table} at {target:g}{sign} and before at {below:g}{sign}, but it "
             f"reaches {low:g}{sign}…{high:g}{sign}; {advice}"
         )
 
@@ -390,13 +391,13 @@ class _Run:
             axis.home()
             self._check_halt()
         self.readings = {table: axis.position_deg() for table, axis in self.rig.by_table.items()}
-        self.at = self.pose = self._pose_read()
+        self.at = self.pose = self._pose_read(0.0)
 
-    def _pose_read(self) -> Pose:
+    def _pose_read(self, near_deg: float) -> Pose:
         file = self.rig.file
         fixed_deg = file.geometry.tilt_deg
         tilt_deg = fixed_deg if file.tilt is None else file.tilt.place(self.readings["tilt"])
-        return Pose(file.stage.place(self.readings["stage"]), tilt_deg)
+        return Pose(file.stage.place_near(self.readings["stage"], near_deg), tilt_deg)
 
     def _do(self, event: Event) -> None:
         match event:
@@ -418,14 +419,13 @@ class _Run:
 
     def _go(self, pose: Pose) -> None:
         """Go to a pose, one axis after the other: tilt, stage, x, y, z, or in another order that is free."""
-        targets = readings_at(pose, self.plan.seat, self.rig.file)
         ways = {
-            table: self._way(table, target)
-            for table, target in targets.items()
-            if table == "stage" or self.sent.get(table) != target
+            table: _shortened(way, self.rig.by_table[table].position_deg())
+            for table, way in ways_to(pose, self.plan.seat, self.rig).items()
+            if table == "stage" or self.sent.get(table) != way[1]
         }
         for table in self.rig.guard.order(ways):
-            reading = targets[table]
+            reading = ways[table][-1]
             if table == "tilt":
                 self._report(f"tilting to {pose.tilt_deg:g}°")
             elif table == "stage":
@@ -437,12 +437,7 @@ class _Run:
                 self._check_halt()
                 self.readings[table] = self.rig.by_table[table].move_to(step)
             self.sent[table] = reading
-        self.at, self.pose = self._pose_read(), pose
-
-    def _way(self, table: str, target: float) -> tuple[float, ...]:
-        """The readings that an axis goes to, so that it comes to its target from below."""
-        below = target - self.rig.file.axes[table].approach
-        return (below, target) if self.rig.by_table[table].position_deg() > below else (target,)
+        self.at, self.pose = self._pose_read(pose.stage_deg), pose
 
     def _take(self, kind: FrameKind, step: int | None, *, again: bool = False) -> Frame:
         frame = self._expose(kind)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from anisoscope.base.errors import RigError
 from anisoscope.rig.stages.manual import prompt_in_terminal
 
 
@@ -16,7 +17,7 @@ class ManualLight:
     asks = True
 
     def __init__(self, prompt: Callable[[str], None]) -> None:
-        self._prompt = prompt
+        self._show = prompt
         self._lit: bool | None = None
 
     def on(self) -> None:
@@ -30,6 +31,15 @@ class ManualLight:
         if self._lit is not False:
             self._prompt("Switch the light off")
             self._lit = False
+
+    def _prompt(self, request: str) -> None:
+        try:
+            self._show(request)
+        except RigError as problem:
+            raise RigError(
+                f"{problem}; run this in a terminal, or leave the light as it is (rig snap, live and focus: "
+                "--light as-is)"
+            ) from problem
 
     def close(self) -> None:
         """Nothing to disconnect."""

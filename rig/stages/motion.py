@@ -17,7 +17,15 @@ from typing import Self
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
-from anisoscope.rig.stage import SYMBOLS, MotionRules, MotionState, Unit, between_readings, check_limits
+from anisoscope.rig.stage import (
+    SYMBOLS,
+    MotionRules,
+    MotionState,
+    Unit,
+    apart_deg,
+    between_readings,
+    check_limits,
+)
 
 POLL_S = 0.1
 SETTLE_S = 0.2
@@ -97,6 +105,10 @@ class StageBase(ABC):
     def _shown(self, value: float, digits: int = 4) -> str:
         """A number in the unit, for messages."""
         return f"{value:.{digits}g}{SYMBOLS[self.unit]}"
+
+    def _away(self, at: float, target: float) -> float:
+        """How far a reading is from another, in the unit: of what turns, readings a turn apart are the same place."""
+        return abs(apart_deg(at, target) if self.unit == "deg" else at - target)
 
     @property
     def name(self) -> str:
@@ -242,7 +254,7 @@ class StageBase(ABC):
         """Refuse a stage that is not at its last position: a power cycle or a hand has lost its count."""
         if self._left_at_deg is None:
             return
-        if abs(now_deg - self._left_at_deg) > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
+        if self._away(now_deg, self._left_at_deg) > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
             self._homed = False
             raise NotHomed(
                 f"{self.name} stands at {self._shown(now_deg)} but was left at {self._shown(self._left_at_deg)}: "
@@ -250,7 +262,7 @@ class StageBase(ABC):
             )
 
     def _off_target(self, what: str, at_deg: float, target_deg: float) -> MotionTimeout:
-        away_deg = abs(at_deg - target_deg)
+        away_deg = self._away(at_deg, target_deg)
         at, away, target = (
             self._shown(one, digits) for one, digits in ((at_deg, 6), (away_deg, 3), (target_deg, 6))
         )
@@ -287,7 +299,7 @@ class StageBase(ABC):
             if busy:
                 self._observe(what)
             at_deg = self._read_deg() if not busy else math.nan
-            if abs(at_deg - target_deg) <= self.rules.tolerance_deg:
+            if self._away(at_deg, target_deg) <= self.rules.tolerance_deg:
                 return at_deg
             now = self._clock()
             short_since = None if busy else short_since or now

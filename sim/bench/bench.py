@@ -341,6 +341,13 @@ class Bench:
         self._sharp: dict[_Shine, tuple[_InFocus, FloatArray]] = {}
         self._lock = threading.Lock()
 
+    def lay(self, sample: SamplePart) -> None:
+        """Lay another sample on the stage; everything else stays as it is, axes and lamps too."""
+        with self._lock:
+            self.file = self.file.model_copy(update={"sample": sample})
+            for known in (self._samples, self._scenes, self._sharp):
+                known.clear()
+
     @property
     def light_on(self) -> bool:
         """Whether the lamp shines; set, it switches the lamp to full level, or off."""

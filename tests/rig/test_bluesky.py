@@ -141,9 +141,9 @@ def test_what_a_device_refuses_ends_the_plan_with_its_own_error(lab):
     run, devices, rig = lab
     before = rig.stage.position_deg()
     with pytest.raises(FailedStatus) as failed:
-        run(mv(devices["stage"], 355.0))
+        run(mv(devices["stage"], 350.2))
     assert isinstance(failed.value.__cause__, LimitExceeded)
-    assert "365° is outside 0°…360°; nothing was moved" in str(failed.value.__cause__)
+    assert "-1.8° is outside 0°…360°; nothing was moved" in str(failed.value.__cause__)
     assert rig.stage.position_deg() == before
     for name, kind in {"camera": CameraError, "light": RigError}.items():
         with pytest.raises(kind, match="was read before"):

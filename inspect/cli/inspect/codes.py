@@ -9,6 +9,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
+from anisoscope.cli.rig.options import Yes, ask_to_turn
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.codes import Code, Counts
@@ -28,6 +29,7 @@ def read_code(
     ] = None,
     exposure: Annotated[float | None, Parameter(help="With --rig: exposure in seconds instead.")] = None,
     code_kind: CodeKind = "any",
+    yes: Yes = False,
     json_: Json = False,
 ) -> int:
     """Read the Data Matrix, Code 128 or QR code on a part; GS1 codes give lot and serial number.
@@ -40,6 +42,8 @@ def read_code(
     """
     from anisoscope.inspection.batch.codes import one_code, read_codes
 
+    if rig is not None:
+        ask_to_turn(rig, yes=yes)
     counts, where = _picture(picture, rig, recipe, exposure)
     found = read_codes(counts, code_kind)
     if json_:

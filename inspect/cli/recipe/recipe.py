@@ -59,11 +59,16 @@ def new(
         str | None,
         Parameter(help="For a print instead: its ink, a file or one of the package, such as synthetic-red."),
     ] = None,
+    rig: Annotated[
+        Path | None,
+        Parameter(name=["--rig", "-g"], help="Rig file, for its geometry; its devices may be missing."),
+    ] = None,
 ) -> int:
     """Write a recipe with comments, valid as written; then adapt it.
 
     With --ridge-angle and --height-map the height map decides, and the design is compared as well; with
-    --u-ridge-angle the design decides. With --ink it is the recipe of a print.
+    --u-ridge-angle the design decides. With --ink it is the recipe of a print. With --rig the region stays within the
+    markers of its fixture.
 
     Examples:
         anisoscope recipe new --ridge-angle 10 --pitch 100 --product "plate 7" --out plate.toml
@@ -73,11 +78,25 @@ def new(
     from anisoscope.kinds.parts import beginning
     from anisoscope.kinds.registry import kind_of_new
     from anisoscope.recipe.new_recipe import NewRecipe
+    from anisoscope.rig.rigfile import read_replay_rig
 
     if out.exists():
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
     named = None if product == PRODUCT else product
-    requested = NewRecipe(named, pitch, ridge_angle, u_ridge_angle, height_map, ink)
+    fixture = None if rig is None else read_replay_rig(rig).fixture
+    if fixture is not None and not fixture.free_mm:
+        raise UsageError(
+            f"{rig}: fixture.markers leave no room about the rotation axis: print them farther out"
+        )
+    requested = NewRecipe(
+        named,
+        pitch,
+        ridge_angle,
+        u_ridge_angle,
+        height_map,
+        ink,
+        None if fixture is None else fixture.free_mm,
+    )
     tables = beginning(kind_of_new(requested, kind)).new_recipe(out, requested)
     print_lines(f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}")
     return 0

@@ -12,7 +12,7 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
-from anisoscope.cli.rig.options import asked_to_seat_fixture
+from anisoscope.cli.rig.options import Yes, ask_to_turn, asked_to_seat_fixture
 from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _fixture_after_tile(rig: Path, taking: "Taking", *, write: bool) -> int:
         channel = "" if taking.light_channel is None else f" --channel {taking.light_channel}"
         print_lines(
             "the tile hid the markers, by which inspections watch the rig: seat the fixture, then `anisoscope "
-            f"calibrate fixture --rig {rig} --exposure {taking.exposure_s:g}{channel} --out fixture.json`"
+            f"calibrate fixture --rig {rig} --exposure {taking.exposure_s:g}{channel} --out fixture.json --write`"
         )
         return 0
     with progress("fixture") as advance:
@@ -272,22 +272,24 @@ def fixture(
     angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 8,
     tilts: Annotated[str, Parameter(help="Tilts of the arm of your recipes, in degrees; usually 0.")] = "",
     frames: Annotated[int, Parameter(name="--count", help="Frames in every pose.")] = 4,
+    write: Annotated[bool, Parameter(negative="", help="Write it into the rig file.")] = False,
     entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph the markers of the fixture all round: the grey card by which inspections watch the rig.
 
     Inspections then measure lamp level, exposure, stray light and linearity in every picture, and correct for them.
-    Take it after the flat, when lamp, room and camera are as they should be; a part may lie in the fixture. Name the
-    file in the rig file under [calibration] fixture. The axes home and move: keep their paths free. Exit code 0: fit;
-    3: out of limits.
+    Take it after the flat, when lamp, room and camera are as they should be; a part may lie in the fixture. --write
+    names the file in the rig file under [calibration] fixture. The axes home and move: keep their paths free. Exit
+    code 0: fit; 3: out of limits.
 
     Examples:
-        anisoscope calibrate fixture --rig rig.toml --exposure 0.006 --out fixture.json
+        anisoscope calibrate fixture --rig rig.toml --exposure 0.006 --out fixture.json --write
     """
     from anisoscope.calibration.fixture import calibrate_fixture
+    from anisoscope.commissioning.commissioning import name_in_rig
 
-    return _taken(
+    code = _taken(
         "fixture",
         calibrate_fixture,
         rig,
@@ -298,6 +300,9 @@ def fixture(
         angles=angles,
         tilts=parse_numbers(tilts, "--tilts") if tilts else (),
     )
+    if write and code == 0:
+        name_in_rig(rig, "fixture", out, entries.channel)
+    return code
 
 
 @app.command
@@ -315,6 +320,7 @@ def rotation(
             help="Place of the fixture on the plate, which x and y follow: mm right and up of the axis."
         ),
     ] = (0.0, 0.0),
+    yes: Yes = False,
     entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
@@ -328,6 +334,7 @@ def rotation(
     """
     from anisoscope.calibration.rotation import calibrate_rotation
 
+    ask_to_turn(rig, yes=yes)
     return _taken(
         "rotation",
         calibrate_rotation,

@@ -11,7 +11,7 @@ from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import PITCH, Json, parse_numbers
 from anisoscope.cli.progress import progress
-from anisoscope.cli.rig.options import Channel
+from anisoscope.cli.rig.options import Channel, Yes, ask_to_turn
 from anisoscope.cli.tables import console, print_lines, print_table
 
 if TYPE_CHECKING:
@@ -88,11 +88,13 @@ def commission(
             help="Write the findings into the rig file; with a flat the markers are taught then, the part may stay.",
         ),
     ] = False,
+    yes: Yes = False,
     json_: Json = False,
 ) -> int:
     """Find rotation sense, zero, centre, pixel size, tilt and light angle of a rig, from a known ridged part.
 
-    Place the part on the stage first. The command turns it by a full turn, also at tilts if an axis tilts the arm.
+    Place the part on the stage first. The command turns it by a full turn, also at tilts if an axis tilts the arm; the
+    first time it asks, or takes --yes.
     Sense and zero in the rig file need not be right. Exit code 0: done; undetermined quantities are named.
 
     Examples:
@@ -122,6 +124,7 @@ def commission(
         channel = recipe.acquisition.light_channel
     tilts_deg = parse_numbers(tilts, "--tilts")
     series = Series(exposure, gain, step, tilts_deg, max(step, 60.0), frames, max(frames, 4), settle, channel)
+    ask_to_turn(rig, yes=yes)
     with progress("commissioning", quiet=json_) as advance:
         done = find(
             rig,
@@ -228,11 +231,12 @@ def check(
         ),
     ] = False,
     out: Annotated[Path | None, Parameter(help="Folder that receives the result as JSON.")] = None,
+    yes: Yes = False,
     json_: Json = False,
 ) -> int:
     """Test a rig at the start of a shift: stage, camera, light, markers, focus. Exit code 0: fit; 3: not fit.
 
-    The stage homes and turns: keep its path free.
+    The stage homes and turns: keep its path free. A rig that was never commissioned asks first, or takes --yes.
 
     Examples:
         anisoscope rig check --rig rig.toml --exposure 0.006 --out selftests
@@ -243,6 +247,7 @@ def check(
 
     if teach and tile:
         raise UsageError("--teach photographs the markers, which the white tile hides: leave --tile out")
+    ask_to_turn(rig, yes=yes)
     settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile, light_channel=channel)
     with progress("self test", quiet=json_) as advance:
         result = self_test(rig, settings, commissioned, on_progress=advance)

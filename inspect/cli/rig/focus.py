@@ -11,7 +11,7 @@ from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, Yes, asking, confirm
+from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, Yes, asking
 from anisoscope.cli.tables import answer
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def focus(
     sweep = Sweep(low, high, steps, repeat, measure, average)
     if map_ is not None:
         return _map(rig, map_, out, (exposure, gain), sweep, channel, yes=yes, json_=json_)
-    done = focused(rig, exposure, sweep, gain, light=light, channel=channel, confirm=asking(yes=yes))
+    done = focused(rig, exposure, sweep, gain, light=light, channel=channel, confirm=asking(rig, yes=yes))
     answer(done, [_line(done)], json_=json_)
     return 0
 
@@ -83,7 +83,9 @@ def _map(
     from anisoscope.live_view.autofocus import LEAST_SEATS, map_focus
 
     seats = [slot.place_mm for slot in read_tray(tray).slots if slot.place_mm is not None]
-    confirm(message("the axes search their references and go to {count} seats", count=len(seats)), yes=yes)
+    asking(rig, yes=yes)(
+        message("the axes search their references and go to {count} seats", count=len(seats))
+    )
     with progress("focus map", quiet=json_) as advance:
         record = map_focus(rig, seats, out, Taking(*exposed, light_channel=channel), sweep, advance)
     if json_:

@@ -40,7 +40,7 @@ def hold(
     with hold_devices(axes, file, "" if which.rig is None else str(which.rig.resolve())) as held:
         devices = held.devices
         if home:
-            home_axes(devices.axes, axes, file, asking(yes=yes))
+            home_axes(devices.axes, axes, file, asking(which.rig, yes=yes))
         missing = f"{message('camera')} ({held.missing})" if held.missing else ""
         names = [message("light")] * (devices.light is not None)
         names += [message("camera")] * (devices.camera is not None)

@@ -103,7 +103,7 @@ def live(
         if lamp is not None:
             (lamp.on if light == "on" else lamp.off)()
         by_hand = lamp is not None and file.light.driver == "manual"  # which asks in the same terminal
-        home_axes(devices.axes, axes, file, asking(yes=yes))
+        home_axes(devices.axes, axes, file, asking(rig, yes=yes))
         try:
             with ExitStack() as stack:
                 jogger, ended = _jogging(devices.axes, pad, stack) if jog else (None, None)

@@ -32,7 +32,7 @@ def home(
     """
     from anisoscope.operations.rigging import home_axis
 
-    return _show(home_axis(which.axis(axis), axis, confirm=asking(yes=yes)), json_=json_)
+    return _show(home_axis(which.axis(axis), axis, confirm=asking(which.rig, yes=yes)), json_=json_)
 
 
 def move(
@@ -68,7 +68,7 @@ def move(
     """
     from anisoscope.operations.rigging import move_axis
 
-    moved = move_axis(which.axis(axis), place, axis, sample=sample, confirm=asking(yes=yes))
+    moved = move_axis(which.axis(axis), place, axis, sample=sample, confirm=asking(which.rig, yes=yes))
     return _show(moved, json_=json_)
 
 
@@ -92,7 +92,7 @@ def jog(
     """
     from anisoscope.operations.rigging import move_axis
 
-    moved = move_axis(which.axis(axis), delta_deg, axis, by=True, confirm=asking(yes=yes))
+    moved = move_axis(which.axis(axis), delta_deg, axis, by=True, confirm=asking(which.rig, yes=yes))
     return _show(moved, json_=json_)
 
 

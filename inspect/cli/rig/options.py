@@ -27,7 +27,12 @@ Channel = Annotated[
     Parameter(name="--channel", help="Light channel of the rig file; its light.channel by default."),
 ]
 RigPath = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
-Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative="", help="Home without asking.")]
+Yes = Annotated[
+    bool,
+    Parameter(
+        name=["--yes", "-y"], negative="", help="Move without asking, also a rig that was never commissioned."
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -137,6 +142,17 @@ def asked_to_seat_fixture() -> bool:
     return bool(line) and line.strip().lower() not in {"n", "no", message("no"), message("no")[0]}
 
 
-def asking(*, yes: bool) -> "Confirm":
-    """Announcement of motions as `confirm`."""
-    return partial(confirm, yes=yes)
+def asking(rig: Path | None, *, yes: bool) -> "Confirm":
+    """Announcement of motions as `confirm`, which asks where the rig was never taught, or none is named."""
+    from anisoscope.operations.rigging import is_taught
+    from anisoscope.rig.rigfile import read_axes
+
+    return partial(confirm, yes=yes or (rig is not None and is_taught(rig, read_axes(rig))))
+
+
+def ask_to_turn(*rigs: Path, yes: bool) -> None:
+    """Ask before the first motion of rigs that were never taught; errors as for `confirm`, and of the rig file."""
+    from anisoscope.operations.rigging import may_turn
+
+    for rig in rigs:
+        may_turn(rig, partial(confirm, yes=yes))

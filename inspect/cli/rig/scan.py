@@ -10,6 +10,7 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
+from anisoscope.cli.rig.options import Yes, ask_to_turn
 from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def scan(
         ),
     ] = (),
     dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
+    yes: Yes = False,
     json_: Json = False,
 ) -> int:
     """Measure the BRDF of a coupon or a part over stage and tilt, with the uncertainty of every value.
@@ -101,6 +103,7 @@ def scan(
         return _show_plan(settings, job.recipe.acquisition.frames_per_pose, lights, as_json=json_)
     if out is None:
         raise UsageError("--out FOLDER says where the scan goes; --dry-run prints the plan only")
+    ask_to_turn(*rig, yes=yes)
     if lights > 1:
         lamps = planned_lamps(
             rig, recipe, specimen,

@@ -3,13 +3,15 @@
 import math
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 from cyclopts import App, Parameter
 
-from anisoscope.base.errors import UsageError
+from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.cli.rig.options import write_line
 
 if TYPE_CHECKING:
+    from anisoscope.sim.bench.bench import Bench
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
 app = App(name="sim", help="Serve a simulated device, byte by byte, to any program.")
@@ -170,13 +172,11 @@ def bench(
 
     The first line says where: serving bench on stage 127.0.0.1:4001, light 127.0.0.1:4002, camera 127.0.0.1:4003.
     A tilt axis is on the line of the stage, as linear axes of its protocol are; lines of other protocols follow. Only
-    programs of this machine can connect.
+    programs of this machine can connect. Save the bench file with another table [sample] to lay that on the stage.
 
     Examples:
         anisoscope rig sim bench bench.toml --tcp-base 4001 --write-rig rig.toml
     """
-    import threading
-
     from anisoscope.sim.bench.bench import Bench
     from anisoscope.sim.bench.benchfile import read_bench
     from anisoscope.sim.bench.serving import MOST, serve_bench, write_rig_file
@@ -194,7 +194,32 @@ def bench(
                 write_rig_file(virtual_rig, urls, write_rig)
             listing = ", ".join(f"{name} {place}" for name, place in places.items())
             print(f"serving bench on {listing}", flush=True)  # noqa: T201
-            threading.Event().wait()
+            _lay_as_written(virtual_rig, file)
         except KeyboardInterrupt:
             return 0
     return 0
+
+
+LOOK_S = 0.5
+
+
+def _lay_as_written(virtual_rig: "Bench", file: Path) -> NoReturn:
+    """Lay on the stage what the bench file says, whenever it is saved."""
+    import time
+
+    from anisoscope.sim.bench.benchfile import read_bench
+
+    seen = file.stat().st_mtime_ns
+    while True:
+        time.sleep(LOOK_S)
+        try:
+            now = file.stat().st_mtime_ns
+            if now == seen:
+                continue
+            seen, sample = now, read_bench(file).sample
+        except (OSError, RigFileError) as problem:
+            write_line(f"the sample stays as it is: {problem}")
+            continue
+        if sample != virtual_rig.file.sample:
+            virtual_rig.lay(sample)
+            print(f"on the stage: {sample.kind}", flush=True)  # noqa: T201

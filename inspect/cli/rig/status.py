@@ -71,6 +71,9 @@ def _axis_words(device: dict[str, Any], unit: "Unit", whose: str, place: float |
     ]
 
 
+EIGHT_BITS = 8
+
+
 def _line(table: str, device: dict[str, Any]) -> str:
     if "error" in device:
         return f"{device['driver']}: {device['error']}"
@@ -92,6 +95,15 @@ def _line(table: str, device: dict[str, Any]) -> str:
                 "{depth} bits, black at {black}",
                 depth=device["bit_depth"],
                 black=format(device["black_level"], "g"),
+            ),
+            *(
+                [
+                    message(
+                        "8 bits: set its pixel format to 10 or 12 where it has them, else average more frames"
+                    )
+                ]
+                if device["bit_depth"] == EIGHT_BITS
+                else []
             ),
             *(
                 []

@@ -12,7 +12,7 @@ from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
-from anisoscope.rig.acquisition.runner import check_plan, readings_at
+from anisoscope.rig.acquisition.runner import check_plan, ways_to
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import FrameEntry
 from anisoscope.rig.light import rest
@@ -81,12 +81,12 @@ def _go(rig: Rig, plan: Plan) -> float:
     axes = rig.by_table
     for axis in rig.unhomed():
         axis.home()
-    targets = readings_at(plan.poses[0], plan.seat, rig.file)
+    ways = ways_to(plan.poses[0], plan.seat, rig)
     reached = {
-        table: axes[table].move_to(targets[table])
-        for table in rig.guard.order({table: (target,) for table, target in targets.items()})
+        table: axes[table].move_to(ways[table][-1])
+        for table in rig.guard.order({table: way[1:] for table, way in ways.items()})
     }
-    return rig.file.stage.place(reached["stage"])
+    return rig.file.stage.place_near(reached["stage"], plan.poses[0].stage_deg)
 
 
 def scan_of(replay: Replay, recipe: RecipeBase, kind: Kind) -> Scan:

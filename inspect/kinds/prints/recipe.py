@@ -273,7 +273,7 @@ settle_s = 0.1
 
 [region]  # what is judged, in mm
 center_mm = [0.0, 0.0]  # from the rotation axis
-size_mm = [2.0, 2.0]
+size_mm = [{side}, {side}]
 
 [tolerances]  # largest deviations of a good print; starting values, to be set by parts
 delta_e = 2.0  # CIEDE2000 of a pose
@@ -318,20 +318,24 @@ model_share = 0.003
 """
 
 
-def new_print_recipe(product: str, ink: str, wrong_inks: tuple[str, ...] = ()) -> str:
+def new_print_recipe(
+    product: str, ink: str, wrong_inks: tuple[str, ...] = (), largest_mm: float | None = None
+) -> str:
     """The text of a recipe with comments.
 
     Args:
         product: name of the product.
         ink: name or path of the ink, as it shall stand there.
         wrong_inks: of other inks, likewise.
+        largest_mm: side of the largest region, as the markers leave it free; None: any.
     """
 
     def literal(value: object) -> str:
         return tomli_w.dumps({"x": value}, multiline_strings=False).removeprefix("x = ").strip()
 
     wrong = "[" + ", ".join(literal(name) for name in wrong_inks) + "]"
-    return _TEMPLATE.format(product=literal(product), ink=literal(ink), wrong=wrong)
+    side = min(2.0, largest_mm or 2.0)
+    return _TEMPLATE.format(product=literal(product), ink=literal(ink), wrong=wrong, side=side)
 
 
 def write_new_recipe(out: Path, requested: NewRecipe) -> None:
@@ -351,7 +355,7 @@ def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     if ink not in SYNTHETIC:
         ink = Path(os.path.relpath(Path(ink).resolve(), out.resolve().parent)).as_posix()
     others = tuple(name for name in SYNTHETIC if name != ink) if ink in SYNTHETIC else ()
-    write_text(out, new_print_recipe(requested.product or "print", ink, others))
+    write_text(out, new_print_recipe(requested.product or "print", ink, others, requested.largest_mm))
     try:
         read_print_recipe(out)
     except BaseException:

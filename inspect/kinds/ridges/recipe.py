@@ -1,5 +1,6 @@
 """The recipe of a part with ridges, and a new one to begin with."""
 
+import math
 import os
 from pathlib import Path
 from typing import Self
@@ -104,6 +105,7 @@ def new_recipe(
     ridge_angle_deg: float | None,
     height_map: str | None,
     u_ridge_angle_deg: float | None = None,
+    largest_mm: float | None = None,
 ) -> str:
     """Text of a new recipe with comments; of two surfaces the height map decides, unless a spread is given.
 
@@ -114,6 +116,7 @@ def new_recipe(
         height_map: path of a height map as written into the recipe, or None.
         u_ridge_angle_deg: spread of the ridge angle of good parts; with a height map None, unless the design is to
             decide.
+        largest_mm: side of the largest region, as the markers leave it free; None: any.
     """
     lines = []
     if height_map is not None:
@@ -131,7 +134,7 @@ def new_recipe(
             lines.append(
                 f'compare = "{decides}"  # which of the two decides; the other one is compared with as well'
             )
-    side = max(1.0, round(20.0 * pitch_um / 1000.0, 3))
+    side = min(max(1.0, round(20.0 * pitch_um / 1000.0, 3)), largest_mm or math.inf)
     return _TEMPLATE.format(
         product=toml_literal(product),
         pitch=toml_literal(float(pitch_um)),
@@ -164,6 +167,7 @@ def write_new_recipe(out: Path, requested: NewRecipe) -> None:
         ridge_angle_deg=ridge_angle,
         u_ridge_angle_deg=requested.u_ridge_angle_deg,
         height_map=relative_path and Path(relative_path).as_posix(),
+        largest_mm=requested.largest_mm,
     )
     write_text(out, text)
     try:

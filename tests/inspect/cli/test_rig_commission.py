@@ -1,6 +1,7 @@
 """``rig commission`` and ``rig check`` as a user calls them."""
 
 import io
+import re
 import sys
 
 import pytest
@@ -144,7 +145,9 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
     now = read_rig(rig)
     assert now.stage.turns == "cw"
     assert now.stage.zero_deg == pytest.approx(350.0, abs=0.05)
-    assert "# by eye" in rig.read_text(encoding="utf-8")
+    stated = rig.read_text(encoding="utf-8")
+    assert re.search(r"zero_deg = 3\d\d\.\d+  # commissioned \d{4}-\d\d-\d\d, u = 0\.\d+ °\n", stated), stated
+    assert "# the rig of the test" in stated
     assert (tmp_path / "rig.commissioning.json").is_file()
 
     after = anisoscope(

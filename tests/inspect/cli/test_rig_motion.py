@@ -199,8 +199,8 @@ def test_an_angle_out_of_reach_is_refused_before_the_stage_is_homed(command, arg
 
 def test_an_approach_out_of_reach_is_refused_before_the_stage_is_homed(command, line, rig_file):
     rig = rig_file(line()[0])
-    code, _, err = command("rig", "move", -9, "--sample", "-g", rig, "--yes")
-    assert (code, "-1° is outside 0°…360°" in err, "homing" in err) == (69, True, False)
+    code, _, err = command("rig", "move", -9.8, "--sample", "-g", rig, "--yes")
+    assert (code, "-1.8° is outside 0°…360°" in err, "homing" in err) == (69, True, False)
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_a_stage_that_turns_all_the_way_round_takes_every_angle(command, line, r
 def test_an_angle_that_nobody_means_is_refused(command, line, rig_file, angle):
     url, (axis, _) = line()
     code, _, err = command("rig", "move", angle, "-g", rig_file(url), "--yes")
-    assert (code, "is more than 10 turns away; nothing was moved" in err) == (69, True)
+    assert (code, "° is outside 0°…360°; nothing was moved" in err) == (69, True)
     assert ("homing" in err, axis.position()) == (False, 0.0)
 
 

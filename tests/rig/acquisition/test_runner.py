@@ -192,16 +192,38 @@ def test_a_tilt_that_the_arm_does_not_have(rig, log, tmp_path):
 @pytest.mark.parametrize(
     ("stage", "angle"),
     [
+        ({"zero_deg": 0.4}, 0.0),
         ({"zero_deg": 1.0}, 0.0),
         ({"zero_deg": 10.0}, 351.0),
         ({"zero_deg": 10.0, "turns": "cw"}, 90.0),
     ],
 )
 def test_an_angle_that_cannot_be_reached_from_below(rig, log, tmp_path, stage, angle):
+    if stage["zero_deg"] > 0.4:
+        rig.stage.limits_deg = (0.0, 350.0)
     rig = Rig(rig.stage, rig.camera, rig.light, rig_file(**stage))
     with pytest.raises(RigFileError, match=r"stage\.zero_deg"):
         run_plan(Plan(poses=(Pose(angle),), exposure_s=0.01), rig, tmp_path)
     assert log == []
+
+
+@pytest.mark.parametrize(
+    ("stage", "moves"),
+    [
+        ({"zero_deg": 0.0}, ["move 360", "move 88", "move 90"]),
+        ({"zero_deg": 396.99988}, ["move 36.9999", "move 127"]),
+        ({"zero_deg": 181.0, "turns": "cw"}, ["move 181", "move 89", "move 91"]),
+        ({"zero_deg": 271.0}, ["move 271", "move 0", "move 1"]),
+        ({"zero_deg": 359.9}, ["move 359.9", "move 87.9", "move 89.9"]),
+    ],
+)
+def test_readings_of_a_stage_that_turns_round_wrap(rig, log, tmp_path, stage, moves):
+    rig = Rig(rig.stage, rig.camera, rig.light, rig_file(**stage))
+    plan = Plan(poses=(Pose(0.0), Pose(90.0)), exposure_s=0.01, return_to_first=False)
+    records = run_plan(plan, rig, tmp_path)
+    assert [line for line in log if line.startswith("move")] == moves
+    taken = [record.frame.stage_deg for record in records if record.frame.kind == "sample"]
+    assert taken == pytest.approx([0.0, 90.0], abs=0.002)
 
 
 def test_a_clockwise_stage(rig, log, tmp_path):

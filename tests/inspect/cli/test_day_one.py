@@ -1,0 +1,149 @@
+"""docs/day-one.md, walked as it stands, on a virtual rig behind ptys: from the unpacked box to the first verdicts."""
+
+import io
+import json
+import re
+import shlex
+import sys
+import tomllib
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+from anisoscope.cli import run
+from anisoscope.inspection import run as inspection
+from anisoscope.kinds.kind import Explanation
+from anisoscope.rig.rigfile import read_rig
+from anisoscope.sim.bench.bench import Bench
+from anisoscope.sim.bench.benchfile import BenchFile, SamplePart
+from anisoscope.sim.bench.serving import serve_bench, write_rig_file
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "day-one.md").read_text(encoding="utf-8")
+STEP = re.compile(
+    r"\*\*(the known part|the white tile|a part that must fail)\*\*|^```(sh|toml)\n(.*?)^```",
+    re.MULTILINE | re.DOTALL,
+)
+NOT_HERE = re.compile(
+    r"pip |anisoscope rig (sim|ports --probe|live)"
+)  # installs, serves, opens every port, waits
+LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
+PART = {"kind": "ridges", "size_mm": 2.4, "resolved_alpha": 0.0, "material": LOBE}
+SAMPLES = {
+    "the known part": PART,
+    "the white tile": {"kind": "white-tile"},
+    "a part that must fail": PART | {"ridge_angle_deg": 14.0},
+    "the fixture": {"kind": "none"},
+}
+STAGES = ("elliptec", "zaber", "grbl", "apt", "smc100")
+GUESSES = ("zero_deg", "turns", "pixel_um", "angle_deg")
+
+
+class Operator(io.StringIO):
+    """A terminal at which somebody says yes, and takes the tile away when the fixture is asked for."""
+
+    def __init__(self, bench):
+        super().__init__()
+        self.bench = bench
+
+    def isatty(self):
+        return True
+
+    def readline(self):
+        if self.bench.file.sample.kind == "white-tile":
+            self.bench.lay(SamplePart(**SAMPLES["the fixture"]))
+        return "y\n"
+
+
+def fixture_of_page():
+    return tomllib.loads(re.search(r"^```toml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)[1])["fixture"]
+
+
+def bench_of(fixture, protocol, turns, zero_deg):
+    """A virtual rig of which the rig file of the page knows neither sense nor zero nor the size of a pixel."""
+    return Bench(
+        BenchFile.model_validate(
+            {
+                "schema": 1,
+                "seed": 3,
+                "sample": PART,
+                "sensor": {"rows": 512, "cols": 512},
+                "optics": {"pixel_um": 8.0, "blur_um": 5.0, "electrons": 6.0e6},
+                "stage": {"protocol": protocol, "time_scale": 0.0, "turns": turns, "zero_deg": zero_deg},
+                "geometry": {"light_angle_deg": 10.2},
+                "fixture": fixture,
+            }
+        )
+    )
+
+
+def rig_of(page, bench, urls, path):
+    """The rig file of the page with the devices of the bench in place of its own; all that is guessed stays."""
+    write_rig_file(bench, urls, path)
+    own = tomllib.loads(path.read_text(encoding="utf-8"))
+    for table in ("stage", "camera", "light"):
+        guessed = {key: value for key, value in page[table].items() if key in GUESSES}
+        own[table] = own[table] | guessed
+    path.write_text(
+        tomli_w.dumps(page | {table: own[table] for table in ("stage", "camera", "light")}), "utf-8"
+    )
+
+
+def walk(folder, monkeypatch, stage, turns, zero_deg, *, quick):
+    """Do what the page says, from top to bottom; exit codes by command. Quick: fewer pictures, no causes."""
+    if quick:
+        monkeypatch.setattr(inspection, "USUAL", inspection.Methods(diagnose=lambda *_: Explanation()))
+    monkeypatch.chdir(folder)
+    fixture = tomllib.loads(re.search(r"^```toml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)[1])["fixture"]
+    bench, codes = bench_of(fixture, stage, turns, zero_deg), {}
+    monkeypatch.setattr(sys, "stdin", Operator(bench))
+    with ExitStack() as stack:
+        _, urls = serve_bench(bench, 0, stack, pty=True)
+        for laid, language, text in STEP.findall(PAGE):
+            if laid:
+                bench.lay(SamplePart.model_validate(SAMPLES[laid]))
+            elif language == "toml":
+                rig_of(tomllib.loads(text), bench, urls, folder / "rig.toml")
+            for line in text.splitlines() if language == "sh" else ():
+                words = shlex.split(line, comments=True)
+                if NOT_HERE.match(line) or (quick and words[1:3] == ["recipe", "check"]):
+                    continue
+                more = ["--step", "45"] if quick and words[2] == "commission" else []
+                codes[" ".join(words)] = run([*words[1:], *more])
+    return codes
+
+
+def verdicts(folder):
+    records = [json.loads(path.read_text()) for path in sorted((folder / "parts").glob("*/record.json"))]
+    return {record["serial"]: record["verdict"] for record in records}
+
+
+def check(folder, codes, turns, zero_deg):
+    failed = {line: code for line, code in codes.items() if code and "FIRST-2" not in line}
+    assert not failed
+    assert verdicts(folder) == {"FIRST-1": "PASS", "FIRST-2": "FAIL"}
+    found = read_rig(folder / "rig.toml")
+    assert (found.stage.turns, found.camera.pixel_um) == (turns, pytest.approx(8.0, rel=0.002))
+    assert (found.stage.zero_deg - zero_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.01)
+    assert 0.0 <= found.stage.zero_deg <= 360.0
+    assert found.calibration.fixture == folder / "fixture.json"
+    assert "# a guess" not in (folder / "rig.toml").read_text(encoding="utf-8")
+
+
+def test_day_one_ends_with_a_part_that_passes_and_one_that_fails(tmp_path, monkeypatch, capsys):
+    codes = walk(tmp_path, monkeypatch, "elliptec", "cw", 181.0, quick=True)
+    check(tmp_path, codes, "cw", 181.0)
+    said = capsys.readouterr()
+    assert re.search(r"never commissioned; stage home and turn.*Go on\?", said.err)
+    printed = re.search(r"^\[fixture\]\n.*?^greys = .*?\]$", said.out, re.MULTILINE | re.DOTALL)[0]
+    assert tomllib.loads(printed)["fixture"] == fixture_of_page()
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("zero_deg", [0.0, 37.0, 181.0, 359.9])
+@pytest.mark.parametrize("turns", ["ccw", "cw"])
+@pytest.mark.parametrize("stage", STAGES)
+def test_day_one_on_every_stage(tmp_path, monkeypatch, stage, turns, zero_deg):
+    codes = walk(tmp_path, monkeypatch, stage, turns, zero_deg, quick=zero_deg != 37.0)
+    check(tmp_path, codes, turns, zero_deg)
