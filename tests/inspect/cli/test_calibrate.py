@@ -88,7 +88,7 @@ def test_rotation_and_linearity_print_what_was_found(anisoscope, small, tmp_path
         (("dark", "--exposure", "0.01", "--valid-days", "0"), 64, "--valid-days"),
         (("flat", "--exposure", "0.004", "--reflectance", "2"), 64, "reflectance"),
         (("linearity", "--exposure", "0.002", "--steps", "2"), 64, "steps"),
-        (("rotation", "--exposure", "0.002", "--steps", "3"), 64, "angles"),
+        (("rotation", "--exposure", "0.002", "--steps", "3"), 78, "no such file"),
         (("check", "--recipe", "none.toml", "--serial", "K-1"), 64, "--teach"),
         (("dark", "--exposure", "0.01"), 78, "no such file"),
     ],

@@ -43,7 +43,19 @@ options = {{ bench = "${{here}}/bench.toml" }}
 
 [fixture]
 {tomli_w.dumps(FIXTURE)}"""
-COMMON = ("--exposure", "0.0015", "--ridge-angle", "10", "--pitch", "100", "--spot-mm", "1", "--settle", "0")
+COMMON = (
+    "--exposure",
+    "0.0015",
+    "--ridge-angle",
+    "10",
+    "--pitch",
+    "100",
+    "--spot-mm",
+    "1",
+    "--settle",
+    "0",
+    "--yes",
+)
 
 
 @pytest.fixture
@@ -132,7 +144,7 @@ def test_a_new_rig_with_a_flat_ends_commissioned_with_a_reference(anisoscope, ri
 
 
 def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path):
-    before = anisoscope("rig", "check", "--rig", rig, "--exposure", "0.0015", "--count", "8")
+    before = anisoscope("rig", "check", "--rig", rig, "--exposure", "0.0015", "--count", "8", "--yes")
     assert before.code == 3, before.err
     assert "NOT fit" in before.out
     assert "turns the other way" in " ".join(before.out.split())
@@ -175,6 +187,7 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
     ("options", "message"),
     [
         (("--exposure", "0.001"), "name the part on the stage"),
+        ((*COMMON[:-1],), "never commissioned"),
         (("--ridge-angle", "10", "--pitch", "100", "--spot-mm", "1"), "give --exposure"),
         ((*COMMON, "--alpha", "0.1,0.2,0.3"), "--alpha takes"),
         ((*COMMON, "--step", "90"), "step must lie"),

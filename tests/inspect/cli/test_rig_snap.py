@@ -281,7 +281,6 @@ def test_arrow_keys_turn_the_stage_while_the_picture_is_watched(rig):
     [
         (("--pad", "auto"), 64, "--pad moves axes: it goes with --jog"),
         (("--jog", "--yes", "--pad", "/dev/no-pad"), 69, "game pad /dev/no-pad: No such file or directory"),
-        (("--jog",), 64, "there is no terminal to ask in"),
     ],
 )
 def test_jogging_that_cannot_be(command, rig, monkeypatch, more, code, words):
