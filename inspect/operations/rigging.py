@@ -57,7 +57,7 @@ def is_taught(rig: Path, file: RigAxes) -> bool:
 
 
 def may_turn(rig: Path, confirm: Confirm) -> None:
-    """Ask once before the first motion of a rig that was never taught; a hand is asked for every motion anyway.
+    """Ask once before the first motion of a rig that was never taught, unless all its axes are set by hand.
 
     Raises:
         UsageError: the motion was not allowed.

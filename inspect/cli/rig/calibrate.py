@@ -42,6 +42,7 @@ _Temperature = Annotated[float | None, Parameter(help="Temperature in °C, for t
 
 
 @dataclass(frozen=True)
+@everyday("valid_days", "channel")
 class Entries:
     """Validity and origin of a record, and the light."""
 

@@ -197,7 +197,6 @@ def bench(
             _lay_as_written(virtual_rig, file)
         except KeyboardInterrupt:
             return 0
-    return 0
 
 
 LOOK_S = 0.5

@@ -26,7 +26,14 @@ CALIBRATED = {
     "inspect": ("inspect", "--recipe", "RECIPE", "--serial", "A", "--out", "parts"),
     "fixture": ("calibrate", "fixture", *EXPOSE, "--out", "fixture.json"),
 }
-NEVER = {"calibration": None, "z": {"driver": "zaber", "port": "sim://zaber?bench=${here}/bench.toml", "options": {"counts_per_mm": 20997.375}}}
+NEVER = {
+    "calibration": None,
+    "z": {
+        "driver": "zaber",
+        "port": "sim://zaber?bench=${here}/bench.toml",
+        "options": {"counts_per_mm": 20997.375},
+    },
+}
 
 
 @pytest.fixture
