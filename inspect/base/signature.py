@@ -12,7 +12,7 @@ import os
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, cast
 
@@ -28,6 +28,8 @@ VARIABLE = "ANISOSCOPE_SIGNING_KEY"
 _STORES = "anisoscope.key_stores"
 _TYPE = "application/vnd.anisoscope.{}+json"
 _MOST = 1 << 20
+CLOCK_BACK = timedelta(minutes=10)
+"""A clock that is set right goes back by less."""
 
 _chosen: str | None = None
 
@@ -143,16 +145,17 @@ def key_id(public: bytes) -> str:
     return f"ed25519:{hashlib.sha256(public).hexdigest()[:16]}"
 
 
-def signed(kind: str, statement: Mapping[str, Any], signer: Signer) -> str:
+def signed(kind: str, statement: Mapping[str, Any], signer: Signer, now: datetime | None = None) -> str:
     """Envelope of a statement, JSON in one line; time and public key are added to what is signed.
 
     Args:
         kind: what the statement is about, such as "record"; a signature of one kind never passes for another.
         statement: what JSON takes.
         signer: the key.
+        now: the time.
     """
-    now = datetime.now(UTC).isoformat(timespec="milliseconds")
-    whole = {**statement, "signed_at": now, "public": base64.b64encode(signer.public).decode()}
+    at = (now or datetime.now(UTC)).isoformat(timespec="milliseconds")
+    whole = {**statement, "signed_at": at, "public": base64.b64encode(signer.public).decode()}
     payload = json.dumps(whole, ensure_ascii=False).encode()
     signature = signer.sign(_encoded(kind, payload))
     envelope = {
@@ -215,6 +218,14 @@ def read_signed(kind: str, envelope: str | bytes) -> Signed:
     except (KeyError, IndexError, TypeError, AttributeError, binascii.Error) as error:
         raise ValueError(f"it is no signature: {type(error).__name__}") from None
     return Signed(statement, public, signed_at if signed_at.tzinfo else signed_at.replace(tzinfo=UTC))
+
+
+def clock_set_back(before: Signed, after: Signed) -> str | None:
+    """How far the clock of a key was set back between two statements that it signed, in words; None for ten minutes."""
+    back = before.signed_at - after.signed_at
+    if before.public != after.public or back <= CLOCK_BACK:
+        return None
+    return f"signed {back / timedelta(hours=1):.1f} h before the one before it: the clock of its station was set back"
 
 
 class TrustedKey(Part):

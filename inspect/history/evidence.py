@@ -4,6 +4,7 @@ A signed head covers rows as they are. So before a station signs one, and when a
 compared with its record, and each record has to follow one that the history holds.
 """
 
+import contextlib
 import math
 import os
 from collections.abc import Iterator, Mapping
@@ -15,7 +16,7 @@ from sqlalchemy import select
 from anisoscope.base.errors import RecordError
 from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.base.last_signed import last_records
-from anisoscope.base.signature import Signed, Signer, Trust
+from anisoscope.base.signature import Signed, Signer, Trust, clock_set_back
 from anisoscope.history.chain import PRECISION
 from anisoscope.history.rows import Row, row_of, storable
 from anisoscope.history.schema import inspections
@@ -23,6 +24,10 @@ from anisoscope.history.store import History
 from anisoscope.record.schema import RECORD_NAME, Record, read_record, record_signature
 
 _AT_ONCE = 500
+_GAP = (
+    "it is record {} of its station, and the history does not hold record {}: that was removed, or `anisoscope history "
+    "add` adds it"
+)
 _SAME = (
     "created_at",
     "serial",
@@ -46,12 +51,14 @@ class RowsCompared:
         beyond: rows whose folder is not there, in the archive perhaps.
         not_linked: signed records, of earlier versions, that do not say which record was before them.
         problems: what is wrong, a line each.
+        remarks: records signed by a clock that was set back.
     """
 
     compared: int
     beyond: int
     not_linked: int
     problems: tuple[str, ...] = field(default=(), metadata=LEFT_OUT)
+    remarks: tuple[str, ...] = field(default=(), metadata=LEFT_OUT)
 
 
 def differences(row: Row, record: Record) -> tuple[str, ...]:
@@ -107,6 +114,7 @@ def compare_rows(
         HistoryError: the history cannot be read.
     """
     since, compared, beyond, not_linked, problems = signed_since or {}, 0, 0, 0, list[str]()
+    remarks: list[str] = []
     linked: set[str] = set()
     while rows := history.after(after, _AT_ONCE):
         after = rows[-1].id
@@ -134,7 +142,10 @@ def compare_rows(
                 continue
             distrust = None if trust is None else trust.distrust(found)
             problems += [] if distrust is None else [f"{where}: {distrust}"]
-            gap = _gap(history, found)
+            there, before = _before(history, found)
+            back = None if before is None else clock_set_back(before, found)
+            remarks += [] if back is None else [f"{where}: {back}"]
+            gap = None if there else _GAP.format(found.content["number"], found.content["number"] - 1)
             if found.content.get("number") is not None:
                 linked.add(found.key)
             elif found.key in linked:
@@ -142,23 +153,21 @@ def compare_rows(
             else:
                 not_linked += 1
             problems += [] if gap is None else [f"{where}: {gap}"]
-    return RowsCompared(compared, beyond, not_linked, tuple(problems))
+    return RowsCompared(compared, beyond, not_linked, tuple(problems), tuple(remarks))
 
 
-def _gap(history: History, found: Signed) -> str | None:
+def _before(history: History, found: Signed) -> tuple[bool, Signed | None]:
+    """Whether the history holds the record that one says was before it, and the signature of that one within reach."""
     number, previous = found.content.get("number"), found.content.get("previous")
     if not isinstance(number, int) or number == 1:
-        return None
+        return True, None
     try:
-        there = history.row_by_seal(str(previous)) is not None
+        row = history.row_by_seal(str(previous))
     except ValueError:
-        there = False
-    if there:
-        return None
-    return (
-        f"it is record {number} of its station, and the history does not hold record {number - 1}: that was removed, "
-        "or `anisoscope history add` adds it"
-    )
+        row = None
+    with contextlib.suppress(RecordError):  # what is wrong with it, its own row says
+        return row is not None, None if row is None else record_signature(Path(row.folder))
+    return True, None
 
 
 def last_missing(history: History, signer: Signer) -> Iterator[str]:

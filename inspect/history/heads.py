@@ -20,7 +20,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.base.last_signed import HEADS, note_head, note_of, noted
 from anisoscope.base.regular_file import bounded_bytes
-from anisoscope.base.signature import Signed, Signer, Trust, key_id, read_signed, signed
+from anisoscope.base.signature import Signed, Signer, Trust, clock_set_back, key_id, read_signed, signed
 from anisoscope.history import schema
 from anisoscope.history.chain import INSPECTION_FIELDS, START, text_of
 from anisoscope.history.evidence import compare_rows
@@ -49,6 +49,7 @@ class HeadsVerified:
         stamped_at: the time of the last time stamp that was checked, or None.
         problems: what is wrong, a line each.
         signed_since: by station, how many rows its first head covers.
+        remarks: heads signed by a clock that was set back.
     """
 
     heads: int
@@ -58,6 +59,7 @@ class HeadsVerified:
     stamped_at: datetime | None
     problems: tuple[str, ...] = field(metadata=LEFT_OUT)
     signed_since: Mapping[str, int] = field(default_factory=dict, metadata=LEFT_OUT)
+    remarks: tuple[str, ...] = field(default=(), metadata=LEFT_OUT)
 
 
 def sign_head(history: History, signer: Signer, *, always: bool = False, now: datetime | None = None) -> bool:
@@ -107,7 +109,7 @@ def sign_head(history: History, signer: Signer, *, always: bool = False, now: da
             "previous": hashlib.sha256(previous.encode()).hexdigest() if previous else START.hex(),
         }
         values = {"id": number + 1, "inspections": rows, "dispositions": decisions}
-        envelope = signed("head", statement, signer)
+        envelope = signed("head", statement, signer, now)
         connection.execute(insert(_HEADS).values(**values, envelope=envelope))
     note_head(signer, str(history.address), number + 1, envelope)
     return True
@@ -187,8 +189,9 @@ def verify_heads(
         HistoryError: the history cannot be read.
         UsageError: the certificates cannot be read, or the extra for time stamps is not installed.
     """
-    problems: list[str] = []
-    covered, last, previous, count, name = 0, None, "", 0, None
+    problems, remarks = list[str](), list[str]()
+    last: Signed | None = None
+    covered, previous, count, name = 0, "", 0, None
     by: dict[str, list[int]] = {}
     with history.reading() as connection:
         rows = head(connection, schema.inspections)[0]
@@ -200,6 +203,7 @@ def verify_heads(
             if row["id"] != count:
                 problems.append(f"{where}: one before it is missing")
                 count = row["id"]
+            before = last
             try:
                 last = read_signed("head", row["envelope"])
             except ValueError as error:
@@ -207,6 +211,8 @@ def verify_heads(
                 previous = row["envelope"]
                 continue
             problems += [f"{where}: {line}" for line in _unlike(connection, row, last, previous)]
+            back = None if before is None else clock_set_back(before, last)
+            remarks += [] if back is None else [f"{where}: {back}"]
             wrong = None if trust is None else trust.distrust(last)
             problems += [] if wrong is None else [f"{where}: {wrong}"]
             covered, previous = max(covered, row["inspections"]), row["envelope"]
@@ -223,7 +229,14 @@ def verify_heads(
     )
     since = {station: covers[0] for station, covers in by.items()}
     return HeadsVerified(
-        len(found), covered, max(rows - covered, 0), name, moment, (*problems, *stamp_problems), since
+        len(found),
+        covered,
+        max(rows - covered, 0),
+        name,
+        moment,
+        (*problems, *stamp_problems),
+        since,
+        tuple(remarks),
     )
 
 

@@ -119,6 +119,7 @@ class HistoryVerified:
         disposition_head, covariate_head: the same of decisions and cycle data.
         signed: the signed heads.
         rows: the rows compared with their records.
+        remarks: what a clock that was set back signed, a line each: no damage, for a clock may have been wrong before.
     """
 
     intact: bool
@@ -129,6 +130,7 @@ class HistoryVerified:
     covariate_head: str
     signed: HeadsVerified
     rows: RowsCompared
+    remarks: tuple[str, ...] = ()
 
 
 def verify_history(
@@ -182,7 +184,9 @@ def verify_history(
     if count == 0:
         damage.append("the history holds no inspection: there is nothing to verify")
     ends = history.head(), history.disposition_head(), history.covariate_head()
-    return HistoryVerified(not damage, count, tuple(damage), *ends, signed, rows)
+    return HistoryVerified(
+        not damage, count, tuple(damage), *ends, signed, rows, (*signed.remarks, *rows.remarks)
+    )
 
 
 def export_history(

@@ -146,7 +146,7 @@ def print_verified(found: "HistoryVerified", *, json_: bool) -> None:
         print_json(found)
         return
     signed = found.signed
-    for line in found.damage:
+    for line in (*found.damage, *(f"note: {one}" for one in found.remarks)):
         write_line(line)
     if found.intact:
         write_line(f"{found.inspections} inspections are as they were written")

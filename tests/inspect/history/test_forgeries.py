@@ -22,11 +22,13 @@ import pytest
 from anisoscope.base import last_signed, signature
 from anisoscope.base.errors import AnisoscopeError
 from anisoscope.base.signature import TrustedKey, make_key, read_trust, signed
+from anisoscope.console.trail import Trail
 from anisoscope.history.adding import add_folders
 from anisoscope.history.chain import DISPOSITION_FIELDS, INSPECTION_FIELDS, START, hash_of
+from anisoscope.history.columns import to_us
 from anisoscope.history.heads import add_time_stamp, rows_to_head, sign_head, time_stamp_request
 from anisoscope.history.problems import HistoryError
-from anisoscope.history.rows import row_of
+from anisoscope.history.rows import row_of, seal_of
 from anisoscope.history.store import open_history
 from anisoscope.inspection.archive import archived, prove, push, push_all
 from anisoscope.inspection.archive_store import open_store
@@ -203,7 +205,7 @@ def rewrite_record(folder, **changes):
         (folder / name).write_bytes(content)
 
 
-def sign_record(folder, key, *, linked=True, **changes):
+def sign_record(folder, key, *, linked=True, now=None, **changes):
     """Sign record and report with a key, as who has it can; what links it to the others is copied."""
     content = json.loads((folder / "record.json").read_text())
     old = signature.read_signed("record", (folder / "record.signature.json").read_text()).content
@@ -213,9 +215,9 @@ def sign_record(folder, key, *, linked=True, **changes):
     said |= {name: content["particulars"][name] for name in ("lot", "station")}
     said |= {"record": sha256_of(folder / "record.json")}
     said |= {name: old[name] for name in ("number", "previous") if linked}
-    (folder / "record.signature.json").write_text(signed("record", said | changes, key))
+    (folder / "record.signature.json").write_text(signed("record", said | changes, key, now))
     hashes = {"record": said["record"], "report": sha256_of(folder / "report.html")}
-    (folder / "report.signature.json").write_text(signed("report", hashes, key))
+    (folder / "report.signature.json").write_text(signed("report", hashes, key, now))
 
 
 def chain_anew(world, change=lambda row: row, first=1):
@@ -247,10 +249,11 @@ def passed(row, number=BAD):
     return row | {"verdict": "PASS", "reasons": "[]"} if row["serial"] == f"A{number}" else row
 
 
-def seal_in_row(world, number):
+def seal_in_row(world, number, *, clock=False):
     """Give the row of a part what its record says now."""
     new = row_of(read_record(world.folder(number)), world.folder(number))
     own = {"verdict": new.verdict, "station": new.station, "seal": bytes.fromhex(new.seal)}
+    own |= {"created_us": to_us(new.created_at)} if clock else {}
     chain_anew(world, lambda row: row | own if row["serial"] == f"A{number}" else row, first=number)
 
 
@@ -406,6 +409,32 @@ def tables_of_an_earlier_version(world):
 
 def record_without_link(world):
     sign_record(world.folder(3), world.key("rig 1"), linked=False)
+
+
+def clock_set_back(world):
+    """The station inspected its last part with a clock of the day before."""
+    yesterday = datetime.now(UTC) - timedelta(days=1)
+    rewrite_record(world.folder(PARTS), created_at=yesterday.isoformat())
+    sign_record(world.folder(PARTS), world.key("rig 1"), now=yesterday)
+    seal_in_row(world, PARTS, clock=True)
+    note = Path(f"{world.key('rig 1').path}.last.json")
+    said = json.loads(note.read_text())
+    (last,) = said["records"].values()
+    last["seal"] = seal_of(world.folder(PARTS))
+    note.write_text(json.dumps(said))
+
+
+def clock_set_back_for_a_head(world):
+    with open_history(world.history) as history:
+        sign_head(history, world.key("rig 1"), always=True, now=datetime.now(UTC) - timedelta(days=1))
+
+
+def trail_cut(world):
+    trail = Trail(world.root / "out" / "console.audit.jsonl")
+    for what in ("golden part", "tolerance"):
+        trail.add("Q", what, "because")
+    trail.path.write_bytes(trail.path.read_bytes().splitlines(keepends=True)[0])
+    assert trail.damaged() == []
 
 
 def object_exchanged(world):
@@ -608,6 +637,21 @@ FORGERIES = (
         (NO, YES, NO),
         "the last ones: only if the history is there",
     ),
+    (
+        "inspection made with the clock of the station set back",
+        clock_set_back,
+        3,
+        (SAID, SAID, NO),
+        "by the record before it, from ten minutes on; an RFC 3161 stamp says until when, not since when",
+    ),
+    ("head signed with that clock", clock_set_back_for_a_head, 3, (SAID, SAID, NO), "by the head before it"),
+    (
+        "lines at the end of the console's trail of users removed",
+        trail_cut,
+        3,
+        (NO, NO, NO),
+        "the trail is chained, but no key signs it: a changed line shows, a cut end does not",
+    ),
     ("key file exchanged", key_exchanged, 3, (NO, YES, NO), "what the new key signs is not trusted"),
     ("history begun anew from the folders", older_copy, 3, (NO, YES, YES), ""),
     ("key stolen, and revoked in the trust file", revoked, 3, (NO, YES, YES), ""),
@@ -621,10 +665,6 @@ BEYOND = (
         ),
     ),
     (
-        "clock of the station set back",
-        (f"{OUT}; an RFC 3161 stamp says until when a head existed, not since when"),
-    ),
-    (
         "trust file, or the list of keys at the stranger's, exchanged",
         "who writes it says whose signatures count: keep a copy elsewhere",
     ),
@@ -635,10 +675,6 @@ BEYOND = (
             "it signs as the station; a record with a number that another one has "
             "shows only where both are in one history"
         ),
-    ),
-    (
-        "lines at the end of the console's trail of users removed",
-        ("the trail is chained, but no key signs it: a changed line shows, a cut end does not"),
     ),
     (
         "record judged anew by an older version with the station's key",
@@ -667,6 +703,19 @@ def test_a_forgery_is_noticed_or_the_table_says_that_it_is_not(world, what):
     outcomes, lines = seen(world, number)
     world.stranger_knows = known
     assert outcomes == tuple(NO if one == SAID else one for one in expected), lines
+
+
+def test_a_clock_that_was_set_back_is_named(world):
+    clock_set_back(world)
+    clock_set_back_for_a_head(world)
+    with open_history(world.history) as history:
+        found = verify_history(history)
+    assert found.intact
+    assert [line.split(":")[0] for line in found.remarks] == [
+        "signed head 3",
+        f"inspection {PARTS} (A{PARTS})",
+    ]
+    assert all("signed 24.0 h before the one before it" in line for line in found.remarks)
 
 
 def test_a_station_signs_no_tail_that_was_rewritten(world):
