@@ -47,18 +47,21 @@ def values_of(readings: Readings, number: str | None = None) -> tuple[str, Float
     return readings.number(name)
 
 
-def msa_gauge(readings: Readings, number: str | None = None, *, tolerance: float | None = None) -> GaugeStudy:
-    """Crossed gauge R&R (AIAG manual): every part measured equally often by every appraiser.
+def msa_gauge(
+    readings: Readings, number: str | None = None, *, tolerance: float | None = None, nested: bool = False
+) -> GaugeStudy:
+    """Gauge R&R (AIAG manual): parts measured by several appraisers, or nested, each part by one of them.
 
     Args:
         readings: with the columns part and appraiser, or of a history: serial number and operator.
         number: name of the measured number; the first one by default.
         tolerance: width between the limits of good parts.
+        nested: parts of the same name are others with every appraiser.
 
     Raises:
-        UsageError: the study is not crossed or too small.
+        UsageError: the study is too small.
     """
-    return gauge_study(gauge_data(readings, values_of(readings, number)[0]), tolerance)
+    return gauge_study(gauge_data(readings, values_of(readings, number)[0], nested=nested), tolerance)
 
 
 def msa_bias(

@@ -1,13 +1,16 @@
-"""Crossed gauge R&R study: variance components of gauge and parts, their confidence intervals, and the gauge's share.
+"""Gauge R&R study, crossed or nested: variances of gauge and parts, their intervals, and the gauge's share.
 
 Two-way analysis of variance with random parts and appraisers: AIAG, Measurement Systems Analysis, 4th edition
 (2010), chapter III-B; D. C. Montgomery and G. C. Runger, Quality Engineering 6 (1993) 115 and 289. With one appraiser,
-such as a machine that needs none, it is a one-way analysis.
+such as a machine that needs none, it is a one-way analysis. Where measurements are missing, each factor has the squares
+that remain after the others, and variances follow from the expected mean squares (C. R. Henderson, Biometrics 9 (1953)
+226, method 3). Nested is a study in which every part meets one appraiser only, because measuring destroys it.
 
 Intervals of the components are modified large-sample ones: sums after F. A. Graybill and C.-M. Wang, Journal of the
 American Statistical Association 75 (1980) 869; differences after N. Ting, R. K. Burdick, F. A. Graybill, S. Jeyaratnam
-and T.-F. C. Lu, Journal of Statistical Computation and Simulation 35 (1990) 135. For gauge studies see R. K. Burdick,
-C. M. Borror and D. C. Montgomery, Design and Analysis of Gauge R&R Studies (2005).
+and T.-F. C. Lu, Journal of Statistical Computation and Simulation 35 (1990) 135; of several differences, as unbalanced
+studies have them, generalised ones as below, for which the mean squares count as independent. For gauge studies see
+R. K. Burdick, C. M. Borror and D. C. Montgomery, Design and Analysis of Gauge R&R Studies (2005).
 
 The interval of the gauge's share of all variation is a generalised one: every mean square divided by a chi-square
 variable of its own stands for its expectation (a generalised pivotal quantity), and the quantiles of the ratio of these
@@ -23,12 +26,14 @@ from functools import lru_cache
 from itertools import combinations, product
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.quality.readings import Readings
 
+IntArray = npt.NDArray[np.int64]
 CONFIDENCE = 0.95
 
 
@@ -65,24 +70,6 @@ class MeanSquare:
         ratio = self.value / other.value
         p = float(fdtrc(self.freedom, other.freedom, ratio))
         return MeanSquare(self.source, self.freedom, self.sum_squares, ratio, p)
-
-
-def crossed_squares(values: FloatArray) -> tuple[MeanSquare, MeanSquare, MeanSquare, MeanSquare]:
-    """Parts, appraisers, their interaction, and repetition.
-
-    Args:
-        values: (P, O, R); R repeated measurements of every part by every appraiser.
-    """
-    p, o, r = values.shape
-    mean, cells = values.mean(), values.mean(axis=2)
-    by_part, by_whom = cells.mean(axis=1) - mean, cells.mean(axis=0) - mean
-    left = cells - mean - by_part[:, None] - by_whom[None, :]
-    return (
-        MeanSquare("part", p - 1, float(o * r * (by_part**2).sum())),
-        MeanSquare("appraiser", max(o - 1, 1), float(p * r * (by_whom**2).sum())),
-        MeanSquare("part x appraiser", max((p - 1) * (o - 1), 1), float(r * (left**2).sum())),
-        MeanSquare("repeatability", p * o * (r - 1), float(((values - cells[:, :, None]) ** 2).sum())),
-    )
 
 
 def joined(one: MeanSquare, other: MeanSquare) -> MeanSquare:
@@ -141,14 +128,18 @@ def component(name: str, terms: Terms, confidence: float = CONFIDENCE) -> Compon
 
     Args:
         name: what varies.
-        terms: weights and mean squares; at most one weight is negative.
+        terms: weights and mean squares.
         confidence: of the two-sided interval.
     """
     raw = sum(weight * square.value for weight, square in terms)
     tail = (1.0 - confidence) / 2.0
     plus = [(w * s.value, s.freedom) for w, s in terms if w > 0.0]
     minus = [(-w * s.value, s.freedom) for w, s in terms if w < 0.0]
-    assert len(minus) <= 1
+    if len(minus) > 1:
+        rng = np.random.default_rng(SEED)
+        summed = _summed(terms, {square: _drawn(square, rng) for _, square in terms})
+        ends = np.quantile(summed, (tail, 1.0 - tail))
+        return Component(name, raw, *(max(float(end), 0.0) for end in ends))
     below, above = 0.0, 0.0
     for size, freedom in plus:
         g, h = _chi_square_factors(freedom, tail)
@@ -245,17 +236,26 @@ ENOUGH_CATEGORIES = 5
 
 @dataclass(frozen=True, eq=False)
 class GaugeData:
-    """Measurements of a crossed study.
+    """Measurements of a study.
 
     Attributes:
         parts: P names.
         appraisers: O names.
-        values: (P, O, R); R repeated measurements of every part by every appraiser.
+        values: (P, O, R); R repeated measurements of every part by every appraiser, NaN is missing.
     """
 
     parts: tuple[str, ...]
     appraisers: tuple[str, ...]
     values: FloatArray
+
+    @property
+    def design(self) -> str:
+        """crossed, unbalanced, or nested: every part was measured by one appraiser only."""
+        missing = np.isnan(self.values)
+        if not missing.any():
+            return "crossed"
+        by = (~missing.all(axis=2)).sum(axis=1)
+        return "nested" if len(self.appraisers) > 1 and by.max() == 1 else "unbalanced"
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,6 +300,12 @@ class GaugeStudy:
 
     @property
     @in_json()
+    def design(self) -> str:
+        """crossed, unbalanced or nested."""
+        return self.data.design
+
+    @property
+    @in_json()
     def parts(self) -> int:
         """Measured parts."""
         return len(self.data.parts)
@@ -313,7 +319,7 @@ class GaugeStudy:
     @property
     @in_json()
     def trials(self) -> int:
-        """Measurements of every part by every appraiser."""
+        """Measurements of every part by every appraiser, at most."""
         return int(self.data.values.shape[2])
 
     @property
@@ -392,109 +398,165 @@ POOLING_ALPHA = 0.25
 def gauge_study(
     data: GaugeData, tolerance: float | None = None, confidence: float = CONFIDENCE
 ) -> GaugeStudy:
-    """Analyse a crossed study.
+    """Analyse a study.
 
     Args:
-        data: at least 2 parts and 2 trials; no value may be missing.
+        data: at least 2 parts, and 2 trials of one of them.
         tolerance: width between the limits of good parts.
         confidence: of the intervals of the variances.
 
     Raises:
-        UsageError: too little, unbalanced or constant data.
+        UsageError: too little or constant data.
     """
-    parts, appraisers, trials = data.values.shape
-    if parts < 2 or trials < 2:
+    parts, _, trials = data.values.shape
+    known = data.values[~np.isnan(data.values)]
+    if parts < 2 or trials < 2 or not len(known):
         raise UsageError(
             f"a gauge study needs 2 parts and 2 trials or more, not {parts} parts and {trials} trials"
         )
-    if np.isnan(data.values).any():
-        raise UsageError(
-            "a gauge study needs every part measured by every appraiser equally often: a value is missing"
-        )
-    if float(np.ptp(data.values)) == 0.0:
+    if float(np.ptp(known)) == 0.0:
         raise UsageError("all values of the gauge study are the same: nothing varies")
     if tolerance is not None and not 0.0 < tolerance < math.inf:
         raise UsageError(f"the tolerance must be a finite width above 0, not {tolerance:g}")
-    if appraisers == 1:
-        return _one_way(data, tolerance, confidence)
-    return _two_way(data, tolerance, confidence)
+    return _analysed(data, tolerance, confidence)
 
 
-def _two_way(data: GaugeData, tolerance: float | None, confidence: float) -> GaugeStudy:
-    p, o, r = data.values.shape
-    part, appraiser, interaction, repeat = crossed_squares(data.values)
-    interaction = interaction.against(repeat)
-    pooled = interaction.p is None or interaction.p > POOLING_ALPHA
-    error = joined(interaction, repeat) if pooled else interaction
-    noise = error if pooled else repeat
-    part, appraiser = part.against(error), appraiser.against(error)
-    by_whom, by_pair = 1.0 / (p * r), 0.0 if pooled else (p - 1.0) / (p * r)
+def _analysed(data: GaugeData, tolerance: float | None, confidence: float) -> GaugeStudy:
+    """Squares, the variances that they stand for, and intervals of these and of their sums."""
+    lines, repeat, expected, names = squares_of(data)
+    error, pooled = repeat, False
+    if "interaction" in names:
+        pair = lines[-1].against(repeat)
+        pooled = pair.p is None or pair.p > POOLING_ALPHA
+        table = (*lines[:-1], pair, repeat, *((error := joined(pair, repeat),) if pooled else ()))
+        lines = lines[:-1] if pooled else (*lines[:-1], pair)
+        expected, names = (expected[:-1, :-1], names[:-1]) if pooled else (expected, names)
+        table = (*(one.against(error if pooled else pair) for one in table[:2]), *table[2:])
+    elif data.design == "nested":
+        table = (lines[0].against(lines[1]), lines[1].against(repeat), repeat)
+    else:
+        table = (*(one.against(repeat) for one in lines), repeat)
+    sources = (*lines, error)
+    whole = np.eye(len(sources))
+    whole[:-1, :-1], whole[:, -1] = expected, 1.0
+    weights = dict(zip((*names, "repeatability"), np.round(np.linalg.inv(whole), 12), strict=True))
 
-    def of(name: str, *terms: tuple[float, MeanSquare]) -> Component:
-        return component(name, terms, confidence)
+    def terms(*of: str) -> Terms:
+        summed = sum((weights[one] for one in of), np.zeros(len(sources)))
+        return [(weight, one) for weight, one in zip(summed.tolist(), sources, strict=True) if weight != 0.0]
 
-    own = of("repeatability", (1.0, noise))
-    who = of("appraiser", (by_whom, appraiser), (-by_whom, error))
-    pair = None if pooled else of("interaction", (1.0 / r, interaction), (-1.0 / r, repeat))
-    share = 1.0 - by_whom - by_pair
-    measuring = ((by_whom, appraiser), (by_pair, interaction), (share, noise))
-    gauge = of("gauge R&R", *measuring)
-    both = of("reproducibility", (by_whom, appraiser), (by_pair, interaction), (share - 1.0, noise))
-    between = 1.0 / (o * r)
-    among = ((between, part), (-between, error))
-    parts = of("part", *among)
-    total = of("total", (between, part), (by_whom, appraiser), (by_pair - between, interaction), (share, noise)) \
-        if not pooled else of("total", (between, part), (by_whom, appraiser), (share - between, noise))  # fmt: skip
-    found = _components([own, who, *([pair] if pair else [])], parts, (gauge, both, total))
-    table = (part, appraiser, interaction, repeat, *((error,) if pooled else ()))
-    reach = share_interval(measuring, among, confidence)
-    notes = (*_notes(data, (own, who, pair, parts), pooled=pooled), *_undecided(reach, confidence))
+    measuring = [name for name in weights if name != "part"]
+    found = {name: component(name, terms(name), confidence) for name in weights}
+    sums = [
+        component(name, terms(*of), confidence)
+        for name, of in (("gauge R&R", measuring), ("reproducibility", measuring[:-1]), ("total", weights))
+        if of
+    ]
+    noise = [found[name] for name in measuring]
+    gauge, both, total = _components(noise[::-1], found["part"], (sums[0], sums[-2], sums[-1]))
+    reach = share_interval(terms(*measuring), terms("part"), confidence)
+    some = found["repeatability"], found.get("appraiser"), found.get("interaction"), found["part"]
+    notes = (*_notes(data, some, pooled=pooled), *_undecided(reach, confidence))
     return GaugeStudy(
         data,
         table,
         pooled,
-        own,
-        found[1],
-        who,
-        pair,
-        found[0],
-        parts,
-        found[2],
-        tolerance,
-        notes,
-        confidence,
-        reach,
-    )
-
-
-def _one_way(data: GaugeData, tolerance: float | None, confidence: float) -> GaugeStudy:
-    r = data.values.shape[2]
-    part, _, _, repeat = crossed_squares(data.values)
-    part = part.against(repeat)
-    own = component("repeatability", [(1.0, repeat)], confidence)
-    among = ((1.0 / r, part), (-1.0 / r, repeat))
-    parts = component("part", among, confidence)
-    gauge = component("gauge R&R", [(1.0, repeat)], confidence)
-    total = component("total", [(1.0 / r, part), (1.0 - 1.0 / r, repeat)], confidence)
-    (gauge, _, total) = _components([own], parts, (gauge, gauge, total))
-    reach = share_interval([(1.0, repeat)], among, confidence)
-    notes = (*_notes(data, (own, None, None, parts), pooled=False), *_undecided(reach, confidence))
-    return GaugeStudy(
-        data,
-        (part, repeat),
-        False,
-        own,
-        None,
-        None,
-        None,
+        found["repeatability"],
+        both if len(noise) > 1 else None,
+        found.get("appraiser"),
+        found.get("interaction"),
         gauge,
-        parts,
+        found["part"],
         total,
         tolerance,
         notes,
         confidence,
         reach,
     )
+
+
+LEAST = 1e-13
+"""Of all squares: what is less is the rounding of the fits."""
+MOST_CELLS = 4000
+
+
+def squares_of(data: GaugeData) -> tuple[tuple[MeanSquare, ...], MeanSquare, FloatArray, tuple[str, ...]]:
+    """Squares of each factor after the others, of repetition, and what they are made of.
+
+    Means of cells (a part and an appraiser) are fitted with the weights of their counts. The variance of a factor is
+    expected in a sum of squares as often as the columns that say its levels would have it.
+
+    Args:
+        data: of the study.
+
+    Returns:
+        K lines; that of repetition; (K, K) the variance of each factor in each mean square; K names of the factors.
+
+    Raises:
+        UsageError: too few measurements for one of them, or too many.
+    """
+    counts = (~np.isnan(data.values)).sum(axis=2)
+    part, whom = np.nonzero(counts)
+    if len(part) > MOST_CELLS:
+        raise UsageError(
+            f"a gauge study has {MOST_CELLS} pairs of part and appraiser at most, not {len(part)}"
+        )
+    known, count = data.values[part, whom], counts[part, whom].astype(np.float64)
+    root, means = np.sqrt(count), np.nansum(known, axis=1) / count
+    within = MeanSquare(
+        "repeatability", int(counts.sum()) - len(part), float(np.nansum((known - means[:, None]) ** 2))
+    )
+    y = root * (means - np.nansum(known) / counts.sum())
+    cell = np.arange(len(part))
+    plan = {
+        "part": ([whom], [part, whom]),
+        "appraiser": ([part], [part, whom]),
+        "interaction": ([part, whom], [cell]),
+    }
+    if len(data.appraisers) == 1:
+        plan = {"part": ([], [cell])}
+    elif data.design == "nested":
+        plan = {"appraiser": ([], [whom]), "part": ([whom], [cell])}
+    levels = {"part": part, "appraiser": whom, "interaction": cell}
+    if len(_basis(root, plan[next(reversed(plan))][0]).T) == len(cell) and "interaction" in plan:
+        del plan["interaction"]  # too few cells to tell it
+    lines, expected = list[MeanSquare](), list[FloatArray]()
+    for name, pair in plan.items():
+        fewer, more = (_basis(root, factors) for factors in pair)
+        freedom = more.shape[1] - fewer.shape[1]
+        if freedom == 0 or within.freedom == 0:
+            raise UsageError(
+                "a gauge study needs appraisers with several parts, and parts measured twice by one of them"
+            )
+        size = float((y @ more) @ (y @ more) - (y @ fewer) @ (y @ fewer))
+        words = {
+            "interaction": "part x appraiser",
+            "part": "part (appraiser)" if data.design == "nested" else "part",
+        }
+        lines.append(MeanSquare(words.get(name, name), freedom, size if size > LEAST * float(y @ y) else 0.0))
+        shares = [_held(more, root, levels[one]) - _held(fewer, root, levels[one]) for one in plan]
+        expected.append(np.array(shares) / freedom)
+    return tuple(lines), within, np.round(expected, 9), tuple(plan)
+
+
+def _basis(root: FloatArray, factors: Sequence[IntArray]) -> FloatArray:
+    """(C, r) orthonormal columns of a fit of additive factors; the levels of the first need no fit."""
+    if not factors:
+        return (root / np.linalg.norm(root))[:, None]
+    found = root[:, None] * np.eye(factors[0].max() + 1)[factors[0]]
+    found /= np.linalg.norm(found, axis=0)
+    for one in factors[1:]:
+        more = root[:, None] * np.eye(one.max() + 1)[one]
+        own, sizes, _ = np.linalg.svd(more - found @ (found.T @ more), full_matrices=False)
+        found = np.hstack([found, own[:, sizes > 1e-9 * sizes.max(initial=1.0)]])
+    return found
+
+
+def _held(basis: FloatArray, root: FloatArray, levels: IntArray) -> float:
+    """Squares of the columns of a factor that a fit holds."""
+    summed = np.zeros((levels.max() + 1, basis.shape[1]))
+    np.add.at(summed, levels, root[:, None] * basis)
+    return float((summed**2).sum())
 
 
 def _components(
@@ -517,6 +579,14 @@ def _notes(data: GaugeData, found: tuple[Component | None, ...], *, pooled: bool
         for one in found
         if one is not None and one.negative
     ]
+    if data.design == "nested":
+        notes.append(
+            "every part was measured by one appraiser: what appraisers see differently in the same part counts as a "
+            "difference of parts; parts of one batch have to be alike"
+        )
+    elif data.design == "unbalanced":
+        lost = int(np.isnan(data.values).sum())
+        notes.append(f"{lost} of {data.values.size} measurements are missing: intervals are approximate")
     if pooled:
         notes.append(
             f"part and appraiser do not interact (p above {POOLING_ALPHA:g}): their interaction is pooled with the "
@@ -546,16 +616,17 @@ def _undecided(reach: tuple[float, float], confidence: float) -> tuple[str, ...]
 ALONE = "(one)"
 
 
-def gauge_data(readings: Readings, number: str | None = None) -> GaugeData:
+def gauge_data(readings: Readings, number: str | None = None, *, nested: bool = False) -> GaugeData:
     """Sort readings by part and appraiser.
 
     Args:
         readings: the part stands in the column ``part`` or ``serial``, the appraiser in ``appraiser`` or ``operator``;
             where there is neither, one appraiser did all.
         number: which number; the first one for None.
+        nested: parts of the same name are others with every appraiser.
 
     Raises:
-        UsageError: no column of parts, a missing value, or a part that was not measured as often as the others.
+        UsageError: no column of parts.
     """
     _, values = readings.number(number)
     if not {"part", "serial"} & readings.texts.keys():
@@ -566,22 +637,16 @@ def gauge_data(readings: Readings, number: str | None = None) -> GaugeData:
     part = readings.column("part" if "part" in readings.texts else "serial")
     whom = next((readings.texts[name] for name in ("appraiser", "operator") if name in readings.texts), ())
     whom = tuple(name or ALONE for name in whom) or (ALONE,) * len(part)
+    if nested:
+        part = tuple(f"{one} of {by}" for one, by in zip(part, whom, strict=True))
     cells: dict[tuple[str, str], list[float]] = {}
     for key, value in zip(zip(part, whom, strict=True), values.tolist(), strict=True):
-        if np.isnan(value):
-            raise UsageError(
-                f"{readings.source}: part {key[0]} by {key[1]} has a missing value: measure it again"
-            )
-        cells.setdefault(key, []).append(value)
-    parts, appraisers = tuple(dict.fromkeys(part)), tuple(dict.fromkeys(whom))
-    trials = max(len(cell) for cell in cells.values())
-    for one in parts:
-        for by in appraisers:
-            found = len(cells.get((one, by), ()))
-            if found != trials:
-                raise UsageError(
-                    f"{readings.source}: part {one} was measured {found} times by {by}, others {trials} times: a gauge "
-                    "study needs every part equally often"
-                )
-    table = [[cells[one, by] for by in appraisers] for one in parts]
-    return GaugeData(parts, appraisers, np.array(table, dtype=np.float64))
+        if not np.isnan(value):
+            cells.setdefault(key, []).append(value)
+    appraisers = tuple(dict.fromkeys(by for _, by in cells))
+    order = sorted(cells, key=lambda key: appraisers.index(key[1])) if nested else cells
+    parts = tuple(dict.fromkeys(one for one, _ in order))
+    table = np.full((len(parts), len(appraisers), max(map(len, cells.values()), default=0)), np.nan)
+    for (one, by), found in cells.items():
+        table[parts.index(one), appraisers.index(by), : len(found)] = found
+    return GaugeData(parts, appraisers, table)

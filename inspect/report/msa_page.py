@@ -63,6 +63,10 @@ def share_picture(study: GaugeStudy) -> str:
 def crossing_picture(study: GaugeStudy) -> str:
     """Every measurement over its part, and the means of every appraiser, as a data URI."""
     data = study.data
+    counts = (~np.isnan(data.values)).sum(axis=2)
+    means = np.divide(
+        np.nansum(data.values, axis=2), counts, out=np.full(counts.shape, np.nan), where=counts > 0
+    )
     with new_figure(9.4, 3.6) as (figure, axes):
         at = np.arange(len(data.parts), dtype=np.float64)
         count = len(data.appraisers)
@@ -80,7 +84,7 @@ def crossing_picture(study: GaugeStudy) -> str:
             )
             axes.plot(
                 at + shift,
-                cells.mean(axis=1),
+                means[:, k],
                 marker=mark,
                 color=colour,
                 linewidth=1.2,
@@ -177,10 +181,12 @@ def write_gauge_page(path: Path, title: str, source: str, study: GaugeStudy) -> 
         ),
         Picture(
             crossing_picture(study),
-            f"{data.values.size} measurements of {p} parts by {o} appraisers, {r} times each, from "
-            f"{number(float(data.values.min()))} to {number(float(data.values.max()))}",
-            "Every measurement, and the means of every appraiser: lines that cross mean that appraisers treat parts "
-            "differently.",
+            f"{np.count_nonzero(~np.isnan(data.values))} measurements of {p} parts by {o} appraisers, {r} times each "
+            f"at most, from {number(float(np.nanmin(data.values)))} to {number(float(np.nanmax(data.values)))}",
+            "Every measurement, and the mean of every part."
+            if study.design == "nested"
+            else "Every measurement, and the means of every appraiser: lines that cross mean that appraisers treat "
+            "parts differently.",
         ),
     )
     good = study.share_of_study(gauge) <= 0.3 and (study.share_of_tolerance(gauge) or 0.0) <= 0.3
@@ -240,7 +246,7 @@ def anova(study: GaugeStudy) -> Grid:
     )
     columns = ("source", "degrees of freedom", "sum of squares", "mean square", "F", "p")
     return Grid(
-        "Analysis of variance", "Two-way analysis, parts and appraisers at random", columns, rows, "anova"
+        "Analysis of variance", f"Parts and appraisers at random, {study.design}", columns, rows, "anova"
     )
 
 

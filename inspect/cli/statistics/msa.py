@@ -30,10 +30,17 @@ def gauge(
         float | None,
         Parameter(help="Width between the limits of good parts, for the share of the tolerance."),
     ] = None,
+    nested: Annotated[
+        bool,
+        Parameter(
+            help="Parts of the same name are others with every appraiser (destroyed by measuring).",
+            negative=(),
+        ),
+    ] = False,
     html: Html = None,
     json_: Json = False,
 ) -> int:
-    """Crossed gauge R&R: every part measured equally often by every appraiser.
+    """Gauge R&R: parts measured by several appraisers, each equally often or not, or each by one of them (nested).
 
     Columns of the CSV file: part, appraiser, and a number. In the history, the serial number is the part and the
     operator the appraiser.
@@ -48,7 +55,7 @@ def gauge(
 
     readings = source.readings()
     name, _ = values_of(readings, source.number)
-    study = msa_gauge(readings, name, tolerance=tolerance)
+    study = msa_gauge(readings, name, tolerance=tolerance, nested=nested)
     if html is not None:
         write_gauge_page(html, f"Gauge R&R: {name}", readings.source, study)
     _show(study, (components(study), anova(study)), study.notes, html, json_=json_)

@@ -221,6 +221,31 @@ def test_no_history_is_one_line(done, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_msa_gauge_of_a_study_with_holes_and_of_a_nested_one(done, tmp_path):
+    rng = np.random.default_rng(5)
+    rows = [(f"P{p}", who, p + 0.1 * rng.normal()) for p in range(8) for who in "ABC" for _ in range(2)]
+    page = tmp_path / "gauge.html"
+    code, out, _ = done(
+        "msa", "gauge", "--csv", csv_of(tmp_path / "g.csv", "part,appraiser,x", rows[:-3]), "--html", page
+    )
+    assert (code, "3 of 48 measurements are missing" in " ".join(out.split())) == (0, True)
+    assert "45 measurements of 8 parts by 3 appraisers" in page.read_text(encoding="utf-8")
+    code, out, _ = done(
+        "msa",
+        "gauge",
+        "--csv",
+        csv_of(tmp_path / "n.csv", "part,appraiser,x", rows),
+        "--nested",
+        "--html",
+        page,
+    )
+    assert (code, "part (appraiser)" in out, "P0 of A" in page.read_text(encoding="utf-8")) == (
+        0,
+        True,
+        False,
+    )
+
+
 def test_msa_gauge(done, tmp_path):
     rng = np.random.default_rng(5)
     rows = [(p, a, 3.0 * p + 0.1 * rng.normal()) for _ in range(3) for a in "ABC" for p in range(10)]

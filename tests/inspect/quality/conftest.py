@@ -251,7 +251,16 @@ MIL_HIT_MISS = (
 )
 
 
-# the same, table 6.3: inside diameters of piston rings [mm], samples of 5; the last 15 were taken later
+# Davies and Goldsmith, Statistical Methods in Research and Production (1972), 6.6: strength of a paste, two analyses of
+# each of three casks of ten batches
+PASTES = numbers(
+    """
+    62.8 62.6 60.1 62.3 62.7 63.1 60.0 61.4 57.5 56.9 61.1 58.9 58.7 57.5 63.9 63.1 65.4 63.7 57.1 56.4 56.9 58.6
+    64.7 64.5 55.1 55.1 54.7 54.2 58.8 57.5 63.4 64.9 59.3 58.1 60.5 60.0 62.5 62.6 61.0 58.7 56.9 57.7 59.2 59.4
+    65.2 66.0 64.8 64.1 54.8 54.8 64.0 64.0 57.7 56.8 58.3 59.3 59.2 59.2 58.9 56.6
+    """
+).reshape(10, 3, 2)
+# Montgomery, as above, table 6.3: inside diameters of piston rings [mm], samples of 5; the last 15 were taken later
 PISTON_RINGS = numbers(
     """
     74.030 74.002 74.019 73.992 74.008 73.995 73.992 74.001 74.011 74.004 73.988 74.024 74.021 74.005 74.002
@@ -311,6 +320,7 @@ def published():
         montgomery_shift=MONTGOMERY_SHIFT,
         aiag_gauge=AIAG_GAUGE,
         montgomery_gauge=MONTGOMERY_GAUGE,
+        pastes=PASTES,
         piston_rings=PISTON_RINGS,
         orange_juice=ORANGE_JUICE,
         purchase_orders=PURCHASE_ORDERS,

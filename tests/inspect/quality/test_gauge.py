@@ -12,9 +12,12 @@ from anisoscope.quality.gauge import (
     MeanSquare,
     categories_of,
     component,
+    gauge_data,
     gauge_study,
     share_interval,
+    squares_of,
 )
+from anisoscope.quality.readings import Readings
 
 
 def data_of(values):
@@ -167,7 +170,9 @@ def test_a_gauge_without_noise_is_good():
         (np.zeros((1, 2, 2)), None, "2 parts"),
         (np.zeros((3, 2, 1)), None, "2 trials"),
         (np.ones((3, 2, 2)), None, "nothing varies"),
-        (np.full((3, 2, 2), np.nan), None, "a value is missing"),
+        (np.full((3, 2, 2), np.nan), None, "2 parts"),
+        (np.dstack([np.arange(4.0).reshape(2, 2), np.full((2, 2), np.nan)]), None, "measured twice"),
+        (np.array([[[1.0, 2.0], [np.nan, np.nan]], [[np.nan, np.nan], [4.0, 3.0]]]), None, "several parts"),
         (np.arange(12.0).reshape(3, 2, 2), -1.0, "width above 0"),
     ],
 )
@@ -226,3 +231,100 @@ def test_categories_go_with_the_share():
     assert categories_of(1.0) == 0
     gauge, part = 0.302373, 1.042327
     assert categories_of(gauge / np.hypot(gauge, part)) == 4
+
+
+def test_nested_casks_of_paste(published):
+    """Three casks of ten batches each: R's lme4 prints the variances 8.434 (cask), 1.657 (batch) and 0.678."""
+    rows = [
+        (f"cask {cask}", f"batch {batch}", value)
+        for batch, casks in enumerate(published.pastes)
+        for cask, values in enumerate(casks)
+        for value in values
+    ]
+    part, whom, values = zip(*rows, strict=True)
+    readings = Readings("pastes", {"part": part, "appraiser": whom}, {"strength": np.array(values)})
+    study = gauge_study(gauge_data(readings, nested=True))
+    assert (study.design, study.parts, study.appraisers) == ("nested", 30, 10)
+    assert [one.variance for one in (study.part, study.appraiser, study.repeatability)] == pytest.approx(
+        [8.434, 1.657, 0.678], abs=5e-4
+    )
+    assert [line.freedom for line in study.table] == [9, 20, 30]
+    casks = 2.0 * study.part.raw + study.repeatability.raw
+    assert study.table[0].f == pytest.approx(1.0 + 6.0 * study.appraiser.raw / casks)  # batches against casks
+    assert study.gauge.variance == pytest.approx(1.657 + 0.678, abs=1e-3)
+    assert study.interaction is None
+    assert "measured by one appraiser" in " ".join(study.notes)
+
+
+@pytest.fixture
+def holes(published):
+    """AIAG's study without six of its 90 measurements, one cell among them."""
+    values = published.aiag_gauge.transpose(2, 0, 1).copy()
+    values[2, 1, :], values[4, 0, 2], values[7, 2, 1:] = np.nan, np.nan, np.nan
+    return values
+
+
+def test_squares_of_a_study_with_holes_are_those_of_statsmodels(holes):
+    """statsmodels 0.15.0: anova_lm(ols("y ~ C(part) + C(appraiser)"), typ=2), and the residual with interaction."""
+    study = gauge_study(data_of(holes))
+    assert (study.design, study.pooled) == ("unbalanced", True)
+    part, appraiser, *_ = study.table
+    assert [line.sum_squares for line in study.table] == pytest.approx(
+        [83.175031, 3.026170, 0.345558, 2.671733, 3.017291], abs=1e-6
+    )
+    assert [line.freedom for line in study.table] == [9, 2, 17, 55, 72]
+    assert (part.f, appraiser.f) == pytest.approx((220.528996, 36.105929), abs=1e-5)
+    # its REML (mixedlm) has 1.0899, 0.0529 and 0.04191, which is another estimate of the same
+    found = [one.variance for one in (study.part, study.appraiser, study.repeatability)]
+    assert found == pytest.approx([1.0899, 0.0529, 0.04191], rel=0.03)
+    assert "6 of 90 measurements are missing" in " ".join(study.notes)
+
+
+def test_variances_of_factors_in_mean_squares_are_those_that_are_drawn(rng, holes):
+    """Means of many draws of one factor at a time, over the same holes."""
+    missing, shapes = np.isnan(holes), [(10, 1, 1), (1, 3, 1), (10, 3, 1)]
+    _, _, expected, names = squares_of(data_of(holes))
+    assert names == ("part", "appraiser", "interaction")
+    for factor, shape in enumerate(shapes):
+        drawn = [
+            [line.value for line in squares_of(data_of(np.where(missing, np.nan, rng.normal(size=shape))))[0]]
+            for _ in range(60)
+        ]
+        means, doubt = np.mean(drawn, axis=0), np.std(drawn, axis=0) / np.sqrt(60)
+        assert np.all(np.abs(means - expected[:, factor]) <= 4.0 * doubt + 1e-9)
+
+
+@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize(
+    ("studies", "least"), [(60, 0.82), pytest.param(600, 0.9, marks=pytest.mark.statistics)]
+)
+@pytest.mark.parametrize(("interaction", "nested"), [(0.6, False), (0.0, True)])
+def test_intervals_of_unbalanced_and_nested_studies_hold(rng, interaction, nested, studies, least):
+    """A fifth of the measurements is missing, or each appraiser has five parts; 95 % intervals, and that of %GRR."""
+    truth = {"repeatability": 0.0625, "part": 1.0, "appraiser": 0.09, "gauge": 0.1525 + interaction**2}
+    hits, share = dict.fromkeys(truth, 0), 0
+    for _ in range(studies):
+        values = random_data(rng, (20 if nested else 8, 4, 2), interaction=interaction).values
+        gone = np.arange(20)[:, None] // 5 != np.arange(4) if nested else rng.random(values.shape) < 0.2
+        values[gone] = np.nan
+        study = gauge_study(data_of(values[~np.isnan(values).all(axis=(1, 2))]))
+        for name, value in truth.items():
+            one = getattr(study, name)
+            hits[name] += one.low <= value <= one.high
+        share += study.share[0] <= np.sqrt(truth["gauge"] / (1.0 + truth["gauge"])) <= study.share[1]
+    assert {name: number / studies for name, number in hits.items() if number / studies < least} == {}
+    assert share / studies >= least
+
+
+def test_one_appraiser_who_measured_some_parts_more_often():
+    """Closed forms of the one-way analysis with unequal counts; S. R. Searle, Linear Models (1971), 11.4."""
+    values = np.array([[[1.0, 1.2, np.nan]], [[2.0, 2.1, 2.4]], [[3.3, 3.2, np.nan]]])
+    study = gauge_study(data_of(values))
+    groups = [one[0][~np.isnan(one[0])] for one in values]
+    counts = np.array([len(one) for one in groups])
+    every = np.concatenate(groups)
+    within = sum(((one - one.mean()) ** 2).sum() for one in groups) / (len(every) - 3)
+    between = sum(len(one) * (one.mean() - every.mean()) ** 2 for one in groups) / 2.0
+    size = (len(every) - (counts**2).sum() / len(every)) / 2.0
+    assert study.part.variance == pytest.approx((between - within) / size)
+    assert study.gauge.variance == pytest.approx(within)

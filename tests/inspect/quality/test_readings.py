@@ -101,18 +101,15 @@ def test_serials_and_operators_serve_as_parts_and_appraisers(made):
     assert (len(alone.appraisers), alone.values.shape) == (1, (2, 1, 2))
 
 
-@pytest.mark.parametrize(
-    ("text", "word"),
-    [
-        (GAUGE + "P1,B,9\n", "part P1 was measured 2 times by A, others 3"),
-        (GAUGE.replace("P2,B,4\n", "P2,B,\n"), "part P2 by B has a missing value"),
-        (GAUGE.replace("P2,B", "P3,B"), "part P2 was measured 0 times by B"),
-        ("x\n1\n2\n", "no column 'part'"),
-    ],
-)
-def test_a_gauge_study_with_holes_is_refused(made, text, word):
-    with pytest.raises(UsageError, match=word):
-        gauge_data(read_readings(made(text)))
+def test_a_gauge_study_with_holes_is_one_with_missing_values(made):
+    found = gauge_data(read_readings(made(GAUGE.replace("P2,B,4\n", "P2,B,\n") + "P1,B,9\n")))
+    np.testing.assert_array_equal(found.values[0, 1], [3, 7, 9])
+    np.testing.assert_array_equal(found.values[1, 1], [8, np.nan, np.nan])
+    assert found.design == "unbalanced"
+    nested = gauge_data(read_readings(made(GAUGE)), nested=True)
+    assert (nested.parts[0], len(nested.parts), nested.design) == ("P1 of A", 4, "nested")
+    with pytest.raises(UsageError, match="no column 'part'"):
+        gauge_data(read_readings(made("x\n1\n2\n")))
 
 
 def test_a_blank_line_of_one_column_is_a_missing_reading(tmp_path):
