@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, text
+from sqlalchemy import URL, Connection, Dialect, Engine, create_engine, event, text
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from anisoscope.history import schema
@@ -170,6 +170,19 @@ def _code(error: DBAPIError) -> str:
 
 def _sqlite(path: Path) -> Engine:
     engine = create_engine(_url(path), connect_args={"timeout": WAIT_S})
+
+    @event.listens_for(engine, "do_connect")
+    def connect(dialect: Dialect, _record: object, given: Any, named: Any) -> Any:  # noqa: ANN401
+        connection = dialect.connect(*given, **named)
+        try:
+            connection.execute("SELECT 1 FROM sqlite_master LIMIT 1").fetchone()
+        except sqlite3.Error as error:
+            if str(getattr(error, "sqlite_errorname", "")).startswith("SQLITE_IOERR_SHM"):
+                # a full disk has no room for the memory that several readers share: this one reads alone
+                connection.close()
+                connection = dialect.connect(*given, **named)
+                connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        return connection
 
     @event.listens_for(engine, "connect")
     def prepare(connection: sqlite3.Connection, _record: object) -> None:

@@ -65,8 +65,8 @@ class HeadsVerified:
 def sign_head(history: History, signer: Signer, *, always: bool = False, now: datetime | None = None) -> bool:
     """Sign the present heads if that is due: the first time, after 100 inspections, or after a day with something new.
 
-    Each station signs heads of its own. The rows that are new under the head are compared with their records first, and
-    the last head that this key signed, by the note beside it, has to be there.
+    Each station signs heads of its own. The rows that are new under the head are compared with their records first; the
+    last head has to be true, and the last one that this key signed, by the note beside it, has to be there.
 
     Args:
         history: open.
@@ -83,7 +83,8 @@ def sign_head(history: History, signer: Signer, *, always: bool = False, now: da
     """
     with history.writing() as connection:
         rows, after = _due(connection, signer, always, now or datetime.now(UTC))
-    problems = [*cut(history, signer)]
+        changed = [*_last_unlike(connection)]
+    problems = [*changed, *cut(history, signer)]
     if rows is None and not problems:
         return False
     rows = rows or 0
@@ -255,6 +256,21 @@ def _uncovered(connection: Connection, by: Mapping[str, list[int]]) -> Iterator[
                 f"{left} inspections of the station {station} came after its last signed head: `anisoscope history "
                 "sign` there covers them"
             )
+
+
+def _last_unlike(connection: Connection) -> Iterator[str]:
+    """How the last signed head differs from what the history holds now."""
+    rows = connection.execute(select(_HEADS).order_by(_HEADS.c.id.desc()).limit(2)).mappings().all()
+    if rows:
+        try:
+            said = read_signed("head", rows[0]["envelope"])
+        except ValueError as error:
+            yield f"signed head {rows[0]['id']}: {error}"
+            return
+        previous = rows[1]["envelope"] if len(rows) > 1 else ""
+        yield from (
+            f"signed head {rows[0]['id']}: {one}" for one in _unlike(connection, rows[0], said, previous)
+        )
 
 
 def _unlike(connection: Connection, row: Any, said: Signed, previous: str) -> list[str]:  # noqa: ANN401

@@ -4,7 +4,7 @@ import json
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
@@ -28,7 +28,7 @@ from anisoscope.history.export import (
     write_lines,
 )
 from anisoscope.history.filters import Filters
-from anisoscope.history.heads import HeadsVerified, cut, gone, rows_to_head, verify_heads
+from anisoscope.history.heads import MOST_COMPARED, HeadsVerified, cut, gone, rows_to_head, verify_heads
 from anisoscope.history.rows import Row, seal_of
 from anisoscope.history.store import History, find
 from anisoscope.inspection.archive import archived_verdicts, noted_heads
@@ -38,6 +38,7 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.past_pages import thumbnail_of
 from anisoscope.quality.capability import specification
 from anisoscope.quality.readings import history_readings, read_readings
+from anisoscope.record.schema import RECORD_NAME
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.past_pages import MOST_PICTURES, FlippedPart, RiskLine
 from anisoscope.report.past_pages import write_whatif_page as write_page
@@ -222,6 +223,27 @@ def export_history(
         if junit is not None:
             write_lines(junit, junit_lines(verdicts, selected.decided))
     return sum(sum(one.values()) for one in verdicts.values())
+
+
+def unlike_records(history: History, filters: Filters | None = None) -> list[str]:
+    """Inspections whose row is not that of the record in their folder, a line each; of the latest 1000 within reach.
+
+    Args:
+        history: open.
+        filters: which inspections; all by default.
+
+    Raises:
+        HistoryError: the history cannot be read.
+    """
+    chosen, found = filters or Filters(), list[str]()
+    most = MOST_COMPARED if chosen.limit is None else min(chosen.limit, MOST_COMPARED)
+    for row in history.rows(replace(chosen, limit=most)):
+        if (Path(row.folder) / RECORD_NAME).is_file():
+            try:
+                record_of(row)
+            except RecordError as error:
+                found.append(f"inspection {row.id} ({row.serial}): {error}")
+    return found
 
 
 def export_aqdef(place: str | Path, path: Path, filters: Filters | None = None) -> int:

@@ -5,6 +5,8 @@ import logging
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -33,6 +35,40 @@ def test_the_database_of_another_program_stays_as_it_is(tmp_path):
             open_history(path, create=create)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+FULL = """
+import resource, signal, sys
+from dataclasses import replace
+from pathlib import Path
+from anisoscope.history.problems import HistoryError
+from anisoscope.history.store import open_history
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # no file grows
+with open_history(Path(sys.argv[1])) as history:
+    print([row.serial for row in history.rows()])
+    try:
+        history.append(replace(history.rows()[0], seal="ab" * 32))
+    except HistoryError as error:
+        print(error)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs limits of a process")
+def test_on_a_full_disk_a_history_is_read(tmp_path, new_row):
+    path = tmp_path / "history.sqlite"
+    with open_history(path) as history:
+        history.append(new_row(1))
+    with open_history(path) as other:  # whose memory is shared as long as it reads
+        assert other.count() == 1
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+    said = subprocess.run(
+        [sys.executable, "-c", FULL, str(path)], capture_output=True, text=True, check=False
+    )
+    assert said.stdout.splitlines()[0] == "['A1']", said.stderr
+    assert "cannot write the history" in said.stdout
+    with open_history(path) as history:
+        assert history.count() == 1
 
 
 def test_an_empty_file_is_no_history_until_something_is_added(tmp_path):

@@ -725,6 +725,22 @@ def test_a_station_signs_no_tail_that_was_rewritten(world):
         sign_head(history, world.key("rig 1"), always=True)
 
 
+def test_an_export_names_rows_that_are_not_their_records(world, anisoscope, tmp_path):
+    asked = "export", "--history", str(world.history), "--csv-file", str(tmp_path / "all.csv")
+    assert anisoscope(*asked).code == 0
+    tail_rewritten(world)
+    done = anisoscope(*asked)
+    assert done.code == 1
+    assert f"inspection {BAD} (A{BAD}): its row says another reasons, verdict than its record" in done.out
+
+
+def test_a_station_signs_nothing_on_rows_that_were_rewritten_under_a_head(world):
+    rows_rewritten(world)
+    says = r"signed head 2: inspection 5 is another one now: the history was written anew.*nothing is signed"
+    with open_history(world.history) as history, pytest.raises(HistoryError, match=says):
+        sign_head(history, world.key("rig 1"))
+
+
 def test_a_station_signs_no_history_that_was_cut(world):
     tail_and_heads_cut(world)
     says = r"signed head 2 was noted.*nothing is signed"
