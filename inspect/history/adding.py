@@ -1,7 +1,7 @@
 """Inspections enter the history: as they are finished, or afterwards from their folders."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
@@ -23,11 +23,13 @@ class Added:
         added: how many inspections are new in the history.
         known: how many were there already.
         refused: what is wrong with each of the others, in a line.
+        repeated: inspections with frames of their own of each serial number that has several, and got one now.
     """
 
     added: int
     known: int
     refused: tuple[str, ...]
+    repeated: Mapping[str, int] = field(default_factory=dict)
 
 
 def finished_folders(places: Sequence[Path]) -> list[Path]:
@@ -73,7 +75,7 @@ def add_folders(history: History, places: Sequence[Path], advance: Advance = sil
         read += len(some)
         ids |= {row.id for row in history.append_all(some)}
     added = sum(row_id > before for row_id in ids)
-    return Added(added, read - added, tuple(refused))
+    return Added(added, read - added, tuple(refused), history.differing_frames(before) if added else {})
 
 
 def _rows(folders: Sequence[Path], refused: list[str], advance: Advance) -> Iterator[NewRow]:

@@ -269,6 +269,30 @@ def shown_by_others(keys: Sequence[int], serial: str) -> Select[Any]:
     return statement.order_by(inspections.c.id).limit(1)
 
 
+def differing_frames(connection: Connection, after: int) -> dict[str, int]:
+    """Serial numbers whose inspections show pictures of which none is the same, one of them added after an id.
+
+    Returns:
+        How many such inspections each has; those whose record does not say its pictures are not among them.
+    """
+    several = select(inspections.c.serial).group_by(inspections.c.serial)
+    several = several.having(func.count() > 1, func.max(inspections.c.id) > after)
+    joined = inspections.join(schema.pictures, schema.pictures.c.inspection == inspections.c.id)
+    wanted = select(inspections.c.serial, inspections.c.id, schema.pictures.c.pixels).select_from(joined)
+    groups: dict[str, dict[int, set[int]]] = {}
+    for serial, row_id, pixels in connection.execute(wanted.where(inspections.c.serial.in_(several))):
+        groups.setdefault(serial, {}).setdefault(row_id, set()).add(pixels)
+    found = {}
+    for serial, shown in groups.items():
+        seen, own = set[int](), 0
+        for _, pictures in sorted(shown.items()):
+            own += seen.isdisjoint(pictures)
+            seen |= pictures
+        if own > 1:
+            found[serial] = own
+    return found
+
+
 def layout_of(connection: Connection, labels: str) -> int:
     """Number of a list of labels; a new list is stored."""
     digest = digest_of(labels)

@@ -239,6 +239,20 @@ class History:
             found = statements.used_by_others(connection, pixels, storable(serial))
             return None if found is None else self._row(found)
 
+    def differing_frames(self, after: int = 0) -> dict[str, int]:
+        """Serial numbers of several inspections with frames of their own, and how many of these each has.
+
+        Args:
+            after: at least one of them was added after this id.
+
+        Raises:
+            HistoryError: the database cannot be read.
+        """
+        with self._database.reading() as connection:
+            if schema.version_of(connection) < schema.WITH_PICTURES:
+                return {}
+            return statements.differing_frames(connection, after)
+
     def _one(self, condition: Any) -> Row | None:  # noqa: ANN401 - SQLAlchemy's conditions have no common type
         with self._database.reading() as connection:
             found = statements.one(connection, condition)

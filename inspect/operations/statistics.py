@@ -29,7 +29,7 @@ from anisoscope.quality.measurement_process import (
 )
 from anisoscope.quality.readings import GROUPS, Readings
 from anisoscope.quality.stability import Stability, stability_study
-from anisoscope.quality.subgroups import COUNTED, charted_points
+from anisoscope.quality.subgroups import COUNTED, charted_points, repeated
 
 REFERENCE = "reference"
 """Column of known values."""
@@ -348,7 +348,7 @@ def _study(
     if not points.counted and not isinstance(limits, Specification):
         limits = specification(part, name, limits)
     study = control_study(title, points, own, limits if isinstance(limits, Specification) else None)
-    return stand, replace(study, notes=(*study.notes, *left))
+    return stand, replace(study, notes=(*study.notes, *left, *repeated(part, name)))
 
 
 def _known_of(known: Mapping[str, tuple[str, Limits]] | None, title: str, chart: str) -> Limits | None:

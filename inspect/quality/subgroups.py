@@ -1,5 +1,7 @@
 """Points of charts from readings: which of them form a subgroup, and counts of parts that fail or deviate."""
 
+from collections import Counter
+
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
@@ -60,11 +62,32 @@ def charted_points(
     return counted_points(totals[0], totals[1], labels, chart), stand, notes
 
 
+def repeated(readings: Readings, number: str) -> tuple[str, ...]:
+    """Note on serial numbers that several readings have; none where all have the same, as a check standard's."""
+    serials = readings.texts.get("serial", ())
+    if number in readings.numbers:
+        serials = tuple(
+            one for one, value in zip(serials, readings.numbers[number], strict=False) if value == value
+        )
+    serials = tuple(filter(None, serials))
+    several = [one for one, count in Counter(serials).items() if count > 1]
+    if not several or len(set(serials)) == 1:
+        return ()
+    what = "serial number has" if len(several) == 1 else "serial numbers have"
+    kept = "the last verdict counts" if number == COUNTED["p"] else "all of them are on the chart"
+    return (f"{len(several)} {what} several inspections, such as {several[0]}: {kept}",)
+
+
 def _counts(readings: Readings, number: str, of: str | None) -> tuple[FloatArray, FloatArray]:
     """Counts and parts of every reading."""
     if number == COUNTED["p"]:
         verdicts = readings.column("verdict")
-        counts = np.array([np.nan if one == INVALID else float(one == "FAIL") for one in verdicts])
+        judged = [place for place, one in enumerate(verdicts) if one != INVALID]
+        serials = readings.texts.get("serial", ())
+        if any(serials):  # a part that was inspected or judged again counts once
+            judged = list({serials[place] or place: place for place in judged}.values())
+        counts = np.full(len(verdicts), np.nan)
+        counts[judged] = [float(verdicts[place] == "FAIL") for place in judged]
     elif number == COUNTED["u"]:
         pairs = [
             (found, readings.numbers[TOLERANCE + name.removeprefix(DEVIATION)])

@@ -37,6 +37,8 @@ COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "
 _MAX_CELL = 24
 _VERDICT = 3
 """Column of the verdict in the table of inspections."""
+_SEVERAL = 5
+"""Serial numbers of several inspections that are named."""
 _SIDES = ("u ", "deviation ", "tolerance ")
 
 
@@ -120,6 +122,10 @@ def print_added(added: "Added", where: str, *, json_: bool) -> None:
         return
     for line in added.refused:
         write_line(f"not added: {line}")
+    for serial, count in list(added.repeated.items())[:_SEVERAL]:
+        write_line(f"{plain(serial)} has {count} inspections with different frames: all of them are kept")
+    if len(added.repeated) > _SEVERAL:
+        write_line(f"so have {len(added.repeated) - _SEVERAL} more serial numbers")
     write_line(f"{added.added} added, {added.known} there already: {where}")
 
 

@@ -8,7 +8,9 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
 
+from anisoscope.cli.history.history import print_added
 from anisoscope.history import statements
+from anisoscope.history.adding import Added
 from anisoscope.history.spool import deliver, wait
 from anisoscope.history.store import open_history
 
@@ -39,6 +41,32 @@ def test_pictures_are_found_by_an_index(history, new_row):
         plan = "\n".join(str(tuple(line)) for line in lines)
     assert "pictures" in plan
     assert not re.search(r"SCAN (pictures|inspections)|Seq Scan", plan), plan
+
+
+def test_a_serial_number_with_different_frames_is_found_and_all_are_kept(history, new_row):
+    """Two inspections with other pictures are; one that judged the same frames again is no second one."""
+    rows = [
+        ("A1", (ONE, TWO)),
+        ("A2", (OTHER,)),
+        ("A1", (ONE, TWO)),
+        ("A2", ("dd" * 32,)),
+        ("A3", ()),
+        ("A3", ()),
+    ]
+    news = [new_row(number, serial=serial, pixels=pixels) for number, (serial, pixels) in enumerate(rows)]
+    history.append_all(news[:3])
+    assert history.differing_frames() == {}
+    history.append_all(news[3:])
+    assert history.differing_frames(3) == {"A2": 2}
+    assert history.differing_frames(6) == {}
+    assert history.count() == 6
+
+
+def test_what_was_added_is_said_with_such_serial_numbers(capsys):
+    print_added(Added(2, 0, (), {"A2": 2, **{f"B{k}": 2 for k in range(6)}}), "here", json_=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "A2 has 2 inspections with different frames: all of them are kept"
+    assert lines[5:] == ["so have 2 more serial numbers", "2 added, 0 there already: here"]
 
 
 def picture(part, pose):

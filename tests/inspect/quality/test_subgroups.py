@@ -17,7 +17,7 @@ from anisoscope.quality.limits import (
     subgroup_points,
 )
 from anisoscope.quality.readings import read_readings
-from anisoscope.quality.subgroups import COUNTED, charted_points, subgroups
+from anisoscope.quality.subgroups import COUNTED, charted_points, repeated, subgroups
 
 
 def names(count):
@@ -254,3 +254,20 @@ def test_limits_without_sense_are_refused(published):
         study(np.arange(9.0)[:, None], "xbar-s")
     with pytest.raises(UsageError, match="--chart takes i-mr"):
         Settings(chart="cusum")
+
+
+def test_a_part_with_several_inspections_is_said_and_fails_or_passes_once(tmp_path):
+    path = tmp_path / "parts.csv"
+    rows = ["A1,PASS,1", "A2,INCONCLUSIVE,2", "A2,FAIL,3", "A1,INVALID,4", "A3,PASS,", "A3,PASS,5"]
+    path.write_text("\n".join(["serial,verdict,height", *rows]), encoding="utf-8")
+    found = read_readings(path)
+    points = charted_points(found, COUNTED["p"], "p", "6")[0]
+    assert (points.values.tolist(), points.sizes.tolist()) == ([1.0 / 3.0], [3.0])
+    assert (
+        "3 serial numbers have several inspections, such as A1: the last verdict"
+        in repeated(found, COUNTED["p"])[0]
+    )
+    assert repeated(found, "height") == (
+        "1 serial number has several inspections, such as A2: all of them are on the chart",
+    )
+    assert repeated(found.at([1, 2]), "height") == ()
