@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.resources import files
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 LANGUAGES = ("en", "de", "da")
 DOMAIN = "anisoscope"
@@ -108,6 +108,15 @@ def translated(text: str) -> str:
 def decimal(text: str) -> str:
     """A text whose numbers have the decimal mark of the present language."""
     return text if _present == "en" else _DECIMAL.sub(r"\1,\2", text)
+
+
+_PERCENT = re.compile(r"(?<=\d)%(?![0-9A-Fa-f]{2})")
+"""Not those of addresses, such as ``A1%20B``."""
+
+
+def shown(value: Any) -> Any:  # noqa: ANN401 - what templates show
+    """A text with a blank between a number and %, as pages have it; anything else, ready markup too, as it is."""
+    return _PERCENT.sub(" %", value) if type(value) is str else value
 
 
 def _in_place(name: str, text: str) -> str:

@@ -9,7 +9,7 @@ from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse
 
 from anisoscope.base.errors import RecordError
-from anisoscope.base.language import decimal, language, message, translated
+from anisoscope.base.language import decimal, language, message, shown, translated
 from anisoscope.console.access import Permission
 
 if TYPE_CHECKING:
@@ -68,7 +68,10 @@ def _environment() -> "jinja2.Environment":
     import jinja2  # noqa: PLC0415 - drawn once a page is asked for
 
     found = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.console"), autoescape=True, undefined=jinja2.StrictUndefined
+        loader=jinja2.PackageLoader("anisoscope.console"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=shown,
     )
     found.globals["_"] = message
     found.filters |= {"translated": translated, "decimal": decimal}

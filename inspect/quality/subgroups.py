@@ -67,7 +67,7 @@ def repeated(readings: Readings, number: str) -> tuple[str, ...]:
     serials = readings.texts.get("serial", ())
     if number in readings.numbers:
         serials = tuple(
-            one for one, value in zip(serials, readings.numbers[number], strict=False) if value == value
+            one for one, value in zip(serials, readings.numbers[number], strict=False) if not np.isnan(value)
         )
     serials = tuple(filter(None, serials))
     several = [one for one, count in Counter(serials).items() if count > 1]

@@ -145,7 +145,9 @@ def _draw_findings(axes: "Axes", found: FindingsMap) -> None:
     )
     axes.set_xlabel(r"roughness across the ridges $\alpha_v$")
     axes.set_ylabel(r"roughness along the ridges $\alpha_u$")
-    axes.set_title(f"tilt {found.setup.convention.tilt_plane}: {found.share:.1%}", fontsize=9, color=MUTED)
+    axes.set_title(
+        f"tilt {found.setup.convention.tilt_plane}: {100.0 * found.share:.1f} %", fontsize=9, color=MUTED
+    )
 
 
 def _edges(centres: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

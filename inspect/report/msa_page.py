@@ -155,7 +155,7 @@ def linearity_picture(study: GaugeLinearity) -> str:
         )
         axes.plot(x, line, color=RED, linewidth=1.4, label="line")
         axes.fill_between(
-            x, low, high, color=RED, alpha=0.18, linewidth=0, label=f"{1 - study.alpha:.0%} band"
+            x, low, high, color=RED, alpha=0.18, linewidth=0, label=f"{100 - 100 * study.alpha:.0f} % band"
         )
         axes.axhline(0.0, color=GREEN, linewidth=1.4, label="no bias")
         axes.set_xlabel("reference value")

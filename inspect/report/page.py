@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.atomic_write import write_text
-from anisoscope.base.language import decimal, language, message, translated
+from anisoscope.base.language import decimal, language, message, shown, translated
 
 if TYPE_CHECKING:
     import jinja2
@@ -106,7 +106,10 @@ def _environment(_template: str) -> "jinja2.Environment":
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
+        loader=jinja2.PackageLoader("anisoscope.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=shown,
     )
     environment.globals.update(_=message, said=translated, decimal=decimal, language=language)
     return environment

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.base.language import decimal, message, of_locale, speaking, translated, use
+from anisoscope.base.language import decimal, message, of_locale, shown, speaking, translated, use
 from anisoscope.prediction.part_scatter import named_defects
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -113,6 +113,17 @@ def test_what_the_catalogue_does_not_know_stays_as_it_is():
         assert message("Camera picture {name}, not judged", name="frame.0.5.tif").endswith(
             "frame.0.5.tif, ikke bedømt"
         )
+
+
+def test_pages_have_a_blank_before_a_percent_sign_and_addresses_none():
+    for text, wanted in (
+        ("28.3% of the study (95% interval)", "28.3 % of the study (95 % interval)"),
+        ("15.5 %, ±1%, 100%", "15.5 %, ±1 %, 100 %"),
+        ("parts/A1%20B/report.html?a=5%C3%A4", "parts/A1%20B/report.html?a=5%C3%A4"),
+        ("%", "%"),
+    ):
+        assert shown(text) == wanted
+    assert shown(0.5) == 0.5
 
 
 def test_decimal_marks_of_numbers_only():

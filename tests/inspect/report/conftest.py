@@ -397,11 +397,11 @@ def report_pictures():
 
 
 class Elements(HTMLParser):
-    """All elements of a page with their attributes, and its text."""
+    """All elements of a page with their attributes, its text, and what of it is read: neither style nor script."""
 
     def __init__(self, text):
         super().__init__()
-        self.found, self.text = [], ""
+        self.found, self.text, self.words = [], "", ""
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
@@ -409,6 +409,7 @@ class Elements(HTMLParser):
 
     def handle_data(self, data):
         self.text += data
+        self.words += "" if self.cdata_elem else data
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """What the report of an inspection says: rules, peers, provenance, words."""
 
+import re
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -70,6 +71,7 @@ def test_page_1_is_in_the_language_of_the_operator(make_report_record, tmp_path,
     assert marks["verdict"]["data-verdict"] == "FAIL"
     assert (marks["logo"]["src"], marks["logo"]["alt"]) == (LOGO, "logo")
     assert verdict in page.text
+    assert re.findall(r"\d%", page.words) == []
     assert "What to do next" not in page.text
     assert [
         attributes["lang"] for tag, attributes in page.found if tag == "div" and "lang" in attributes
