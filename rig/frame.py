@@ -92,6 +92,21 @@ class Frame:
         return float(np.mean(self.counts >= SATURATION * self.full_scale))
 
 
+def too_high(counts: npt.NDArray[np.generic], bit_depth: int) -> str:
+    """What is wrong with counts above full scale; "" where none is."""
+    full_scale, peak = (1 << bit_depth) - 1, int(counts.max())
+    if peak <= full_scale:
+        return ""
+    shift = 16 - bit_depth
+    if shift and not np.any(np.asarray(counts, np.uint16) & ((1 << shift) - 1)):
+        why = (
+            f"they look left-justified (all are multiples of {1 << shift}): shift them right by {shift} bits"
+        )
+    else:
+        why = "they are left-justified, or the bit depth is wrong"
+    return f"counts reach {peak}, above the {full_scale} of {bit_depth} bits: {why}"
+
+
 @dataclass(frozen=True)
 class Header:
     """Metadata of a frame, as in the file."""

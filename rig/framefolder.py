@@ -41,6 +41,7 @@ from anisoscope.rig.frame import (
     filters_in_header,
     header_of,
     quiet_tifffile,
+    too_high,
     unreadable_tiff,
     write_frame,
 )
@@ -100,14 +101,8 @@ def as_frame_counts(counts: Counts, bit_depth: int, path: Path) -> npt.NDArray[n
             f"{path}: an 8-bit file cannot hold counts of {bit_depth} bits; "
             "give the 16-bit original, or bit_depth 8 if the camera has no more"
         )
-    full_scale, peak = (1 << bit_depth) - 1, int(counts.max())
-    if peak > full_scale:
-        shift = 16 - bit_depth
-        if shift and not np.any(counts & ((1 << shift) - 1)):
-            why = f"they look left-justified (all are multiples of {1 << shift}): shift them right by {shift} bits"
-        else:
-            why = "they are left-justified, or the bit depth is wrong"
-        raise RecordError(f"{path}: counts reach {peak}, above the {full_scale} of {bit_depth} bits: {why}")
+    if problem := too_high(counts, bit_depth):
+        raise RecordError(f"{path}: {problem}")
     return counts.astype(np.uint16, copy=False)
 
 

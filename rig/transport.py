@@ -178,13 +178,15 @@ def _what_exists() -> str:
 __all__ = ["Transport", "available_ports", "register_handlers", "shared_ports"]
 
 MAX_BACKLOG = 65536
+ECHO_BYTES = 512  # of what came since the last command, to see it come back
 
 
 class Transport:
     """An open port. All reads and writes end by their deadline; all failures are `NotConnected`.
 
     ``lock`` is held for the whole of an exchange (a query and its answer) on the port. `write` does not
-    need it, so that a stop command goes out while another thread waits for the answer to a move.
+    need it, so that a stop command goes out while another thread waits for the answer to a move. ``echoes`` says
+    whether what was sent has come back as it was.
 
     Args:
         port: device name (``COM3``, ``/dev/ttyUSB0``), ``usb:SERIAL``, ``socket://host:port`` or ``sim://…``.
@@ -215,6 +217,8 @@ class Transport:
         }
         self._connection = connect(port, settings)
         self._closed = False
+        self.echoes = self._waited = False
+        self._sent = self._came = b""
         self.lock = self._connection.lock
         self._write_lock = self._connection.write_lock
         self._buffer = self._connection.buffer
@@ -252,6 +256,7 @@ class Transport:
             NotConnected: the port is closed, unplugged, or does not take bytes.
         """
         with self._write_lock:
+            self._sent, self._came = data, b""
             try:
                 self._serial.write(data)
             except PORT_ERRORS as problem:
@@ -285,6 +290,17 @@ class Transport:
             if not self._fill(deadline):
                 return None
         return self._take(end + len(terminator))
+
+    def comes_late(self, wait_s: float) -> float | None:
+        """Wait up to `wait_s` seconds for a byte after a time limit, once; seconds until it came, or None.
+
+        Raises:
+            NotConnected: the port is closed or unplugged.
+        """
+        if self._waited:
+            return None
+        self._waited, begun = True, self.clock()
+        return self.clock() - begun if self._fill(begun + wait_s) else None
 
     def discard(self) -> bytes:
         """Drop and return all bytes that have arrived so far.
@@ -323,6 +339,9 @@ class Transport:
             except PORT_ERRORS as problem:
                 self._lost(problem)
             self._buffer.extend(came)
+            self._came = (self._came + came)[-ECHO_BYTES:]
+            if came and (self._came == self._sent or (len(self._sent) > 1 and self._sent in self._came)):
+                self.echoes = True
             if came and not only_waiting:
                 return True
             if not came and (only_waiting or self.clock() >= deadline):

@@ -7,11 +7,12 @@ growth with the signal the gain of the camera (photon transfer).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import CalibrationError
+from anisoscope.base.errors import CalibrationError, CameraError
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, check_size, linearise
 from anisoscope.rig.brackets import Exposure, SensorNoise, merge_exposures
 from anisoscope.rig.frame import SATURATION
@@ -59,11 +60,14 @@ def radiance_of(
 
     Raises:
         CalibrationError: dark frames or white reference do not fit, or too few frames for the noise of a bracket.
+        CameraError: the light of its exposures is not in proportion to the times that the camera states.
     """
     if len(exposed) == 1:
         return linearise(exposed[0].sample, exposed[0].dark, white, full_scale)
     _check(exposed, white)
     ordered = sorted(exposed, key=lambda one: one.raw.exposure_s)
+    for shorter, longer in pairwise(ordered):
+        _check_times(shorter, longer, full_scale)
     gain = ordered[0].raw.gain
     exposures = [_exposure(one, full_scale, black_level) for one in ordered]
     merged = merge_exposures(exposures, noise_of(ordered, full_scale, black_level), gain)
@@ -118,6 +122,26 @@ def _check(exposed: Sequence[Exposed], white: WhiteReference) -> None:
                     f"a bracket needs {MIN_FRAMES} or more frames of every exposure, which tell the noise that weighs "
                     f"them; of {one.raw.exposure_s:g} s there is {found} {words} frame"
                 )
+
+
+MOST_OFF, LEAST_SIGNAL, LEAST_PIXELS = 0.05, 0.02, 100
+
+
+def _check_times(shorter: Exposed, longer: Exposed, full_scale: int) -> None:
+    """Check two exposures by what both saw, such as the white of the markers: a camera may state another time."""
+    short, long = (one.sample.mean - one.dark.mean for one in (shorter, longer))
+    seen = ~(shorter.raw.saturated | longer.raw.saturated | shorter.dark.hot | longer.dark.hot)
+    seen &= (short > LEAST_SIGNAL * full_scale) & (longer.raw.mean < CLEAR_OF_CLIPPING * full_scale)
+    if np.count_nonzero(seen) < LEAST_PIXELS:
+        return
+    stated = longer.raw.exposure_s / shorter.raw.exposure_s
+    found = float(np.median(long[seen] / short[seen]))
+    if abs(found / stated - 1.0) > MOST_OFF:
+        raise CameraError(
+            f"between the exposures {shorter.raw.exposure_s:g} s and {longer.raw.exposure_s:g} s the light grows "
+            f"{found:.3g} times, not {stated:.3g}: the camera exposed otherwise than it states; switch its automatic "
+            "functions off, and take the pictures again"
+        )
 
 
 def _exposure(one: Exposed, full_scale: int, black_level: float) -> Exposure:

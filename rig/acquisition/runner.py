@@ -28,7 +28,7 @@ from anisoscope.rig.acquisition.plan import (
 )
 from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, Shot
 from anisoscope.rig.camera import CameraSettings
-from anisoscope.rig.frame import Frame, FrameKind, check_compression
+from anisoscope.rig.frame import Frame, FrameKind, check_compression, too_high
 from anisoscope.rig.light import rest
 from anisoscope.rig.rigfile import RigFile, check_arm
 from anisoscope.rig.stage import SYMBOLS, RotationStage
@@ -455,6 +455,8 @@ class _Run:
                 f"{info.model} delivered {counts.dtype} counts of shape {counts.shape} instead of uint16 "
                 f"{(info.rows, info.cols)}"
             )
+        if problem := too_high(counts, info.bit_depth):
+            raise CameraError(f"{info.model}: {problem}")
         return Frame(
             counts=counts.copy(),  # a camera may fill the same memory again while this is written
             kind=kind,

@@ -121,6 +121,7 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "arv_buffer_get_timestamp": (c_uint64, [_P]),
     "arv_buffer_get_frame_id": (c_uint64, [_P]),
     "arv_stream_push_buffer": (None, [_P, _P]),
+    "arv_stream_get_statistics": (None, [_P, POINTER(c_uint64), POINTER(c_uint64), POINTER(c_uint64)]),
     "arv_stream_timeout_pop_buffer": (_P, [_P, c_uint64]),
     "g_object_unref": (None, [_P]),
     "g_free": (None, [_P]),
@@ -406,7 +407,7 @@ class Connection:
         self.features.execute("TriggerSoftware")
         buffer = self._call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * wait_s))
         if not buffer:
-            return None, f"nothing came in {round(1e3 * wait_s)} ms"
+            return None, f"nothing came in {round(1e3 * wait_s)} ms{self._no_packet()}"
         try:
             fault = self._fault(buffer)
             if fault:
@@ -422,6 +423,17 @@ class Connection:
             return counts_of(memoryview(view), self.shape, self.pixel_format), stamp
         finally:
             self._call("arv_stream_push_buffer", self._stream, buffer)
+
+    def _no_packet(self) -> str:
+        """What to look at where a network camera answers, and its stream brought not even a part of a frame."""
+        counts = [c_uint64() for _ in range(3)]
+        self._call("arv_stream_get_statistics", self._stream, *(byref(one) for one in counts))
+        if any(one.value for one in counts) or not self._call("arv_camera_is_gv_device", self._camera):
+            return ""
+        return (
+            ", no packet at all: a firewall holds them back, or the reverse-path filter of the network interface, or "
+            "their packet_size is too large (docs/cameras.md)"
+        )
 
     def _fault(self, buffer: int) -> str:
         status = self._call("arv_buffer_get_status", buffer)

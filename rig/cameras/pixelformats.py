@@ -77,7 +77,7 @@ def counts_of(data: bytes | memoryview, shape: tuple[int, int], name: str) -> np
     """(rows, cols) counts, right-justified, of the bytes of a picture.
 
     Raises:
-        CameraError: there are more or fewer bytes than the picture has.
+        CameraError: there are more or fewer bytes than the picture has, or the bytes of counts come in the other order.
     """
     form = FORMATS[name]
     rows, cols = shape
@@ -87,6 +87,11 @@ def counts_of(data: bytes | memoryview, shape: tuple[int, int], name: str) -> np
         raise CameraError(f"a picture of {cols} × {rows} in {name} has {expected} bytes; {raw.size} came")
     if form.packing == "":
         counts = raw if form.bits == 8 else raw.view("<u2")
+        if form.bits > 8 and _are_swapped(counts, shape):
+            raise CameraError(
+                f"the counts in {name} come with their high byte first: choose a packed pixel_format, such as "
+                "Mono12Packed or Mono12p, whose order is fixed, or set the camera to little-endian"
+            )
         return counts.astype(np.uint16).reshape(shape)
     out = np.empty(rows * cols, np.uint16)
     if form.packing == "Packed":
@@ -104,6 +109,22 @@ def counts_of(data: bytes | memoryview, shape: tuple[int, int], name: str) -> np
         byte, shift = divmod(start, 8)
         out[pixel::pixels] = (columns[byte] | columns[byte + 1] << 8) >> shift & ((1 << form.bits) - 1)
     return out.reshape(shape)
+
+
+_ROWS, _ROUGHER = 16, 4.0
+
+
+def _are_swapped(counts: npt.NDArray[np.uint16], shape: tuple[int, int]) -> bool:
+    """Whether neighbours differ far less with the bytes of each count swapped, in some rows of a picture.
+
+    Noise in the low byte becomes 256 times as large where it is taken for the high one. Counts whose low byte is always
+    0 (left-justified ones of 8 bits) say nothing.
+    """
+    few = counts.reshape(shape)[:: max(1, shape[0] // _ROWS)]
+    if not np.any(few & 0xFF) or not np.any(few >> 8):
+        return False
+    rough, smooth = (np.abs(np.diff(one.astype(np.int32), axis=1)).sum() for one in (few, few.byteswap()))
+    return bool(rough > _ROUGHER * smooth)
 
 
 def _bytes_of_a_group(bits: int) -> int:

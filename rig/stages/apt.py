@@ -16,7 +16,7 @@ import logging
 from dataclasses import dataclass
 from typing import ClassVar
 
-from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, NotHomed, RigError, Stalled
 from anisoscope.rig.stage import WRONG_UNIT, MotionRules, Unit
 from anisoscope.rig.stages.apt_wire import (
     ACK_DC_STATUS,
@@ -59,6 +59,7 @@ from anisoscope.rig.stages.apt_wire import (
 )
 from anisoscope.rig.stages.device_error import device_error
 from anisoscope.rig.stages.motion import POLL_S
+from anisoscope.rig.stages.no_answer import no_answer
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
@@ -313,14 +314,16 @@ class AptLine:
             self.send(Message(ACK_DC_STATUS))
 
     def _silence(self) -> RigError:
-        if self._stranger is not None:
-            return NotConnected(
-                f"{self.name} is silent at address {self.address:02X}, but {self._stranger:02X} answers; "
-                "correct the address"
-            )
-        if self._heard:
-            return ProtocolError(f"{self.name} sends bytes that are no APT message; check port and baud rate")
-        return NotConnected(f"{self.name} is silent; check the power, the cable and the port")
+        stranger = None if self._stranger is None else f"{self._stranger:02X}"
+        return no_answer(
+            self.name,
+            self.transport,
+            self._timeout_s,
+            "APT",
+            heard=self._heard,
+            stranger=stranger,
+            check="the power, the cable and the port",
+        )
 
 
 STOPS = {"profiled": STOP_PROFILED, "immediate": STOP_IMMEDIATE}

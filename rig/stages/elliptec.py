@@ -19,17 +19,17 @@ from typing import ClassVar, Self
 from anisoscope.base.errors import (
     LimitExceeded,
     MotionTimeout,
-    NotConnected,
     ProtocolError,
     RigError,
     Stalled,
 )
 from anisoscope.rig.stage import SYMBOLS, WRONG_UNIT, MotionRules, Unit
 from anisoscope.rig.stages.device_error import device_error
+from anisoscope.rig.stages.no_answer import SECOND_S, no_answer, two_devices
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
-TERMINATOR = b"\r\n"
+TERMINATOR = b"\n"
 ADDRESSES = "0123456789ABCDEF"
 OK = 0
 BUSY = 9
@@ -64,7 +64,7 @@ _STATUS_ERRORS: dict[int, type[RigError]] = {
     12: LimitExceeded,
     13: Stalled,
 }
-_ANSWER = re.compile(rb"([0-9A-F])([A-Z][A-Z12])([0-9A-F]*)$")
+_ANSWER = re.compile(rb"([0-9A-Fa-f])([A-Z][A-Z12])([0-9A-Fa-f]*)$")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Answer:
         if match is None:
             return None
         address, code, data = (group.decode("ascii") for group in match.groups())
-        return cls(address, code, data) if len(data) == DATA_LENGTHS.get(code) else None
+        return cls(address.upper(), code, data) if len(data) == DATA_LENGTHS.get(code) else None
 
     @property
     def status(self) -> int | None:
@@ -269,15 +269,25 @@ class ElliptecLine:
         return None
 
     def _silence(self) -> RigError:
-        if self._stranger:
-            return NotConnected(
-                f"{self.name} is silent, but address {self._stranger} answers; correct the address"
-            )
-        if self._heard or self.transport.pending:
-            return ProtocolError(
-                f"{self.name} sends bytes that are no Elliptec answer; check port and baud rate"
-            )
-        return NotConnected(f"{self.name} is silent; check the power, the cable and the address")
+        return no_answer(
+            self.name,
+            self.transport,
+            self._timeout_s,
+            "Elliptec",
+            heard=self._heard,
+            stranger=self._stranger or None,
+        )
+
+    def check_alone(self) -> None:
+        """Ask once more who is there, and refuse two answers; damaged ones are no second device.
+
+        Raises:
+            ProtocolError: two devices answer.
+        """
+        self.query("in", "IN")
+        answer = self.next_answer(SECOND_S)
+        if answer is not None and answer.code == "IN":
+            raise two_devices(self.name)
 
     def set(self, command: str, doing: str) -> None:
         """Send a command that the device acknowledges with its status; `doing` names it in error messages."""
@@ -401,6 +411,7 @@ class Elliptec(PortStage):
 
     def _identify(self) -> DeviceInfo:
         info = DeviceInfo.parse(self._line.query("in", "IN").data)
+        self._line.check_alone()
         if info.unit != self.unit:
             kind = "a linear" if info.unit == "mm" else "a rotation"
             raise ProtocolError(f"an ELL{info.model} is {kind} stage; {WRONG_UNIT[self.unit]}")

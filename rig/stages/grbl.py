@@ -145,6 +145,10 @@ class GrblAxis(PortStage):
     def _read_moving_deg(self) -> float | None:
         return None if self._searching else self._moving_deg  # a board that searches reports nothing
 
+    def _slowed(self) -> tuple[float, str]:
+        percent = self._board.feed_percent
+        return max(1.0, 100.0 / percent), f"the feed override of the board stands at {percent} %"
+
     def _lost(self) -> NotHomed:
         return NotHomed(f"{self.name} was reset or switched off, and its position is lost; home it again")
 

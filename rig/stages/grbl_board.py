@@ -4,7 +4,7 @@ import logging
 import weakref
 from collections.abc import Callable
 
-from anisoscope.base.errors import NotConnected, ProtocolError
+from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.stages.grbl_wire import (
     ACCELERATION,
     CRITICAL_ALARMS,
@@ -29,6 +29,7 @@ from anisoscope.rig.stages.grbl_wire import (
     error_of_refusal,
     parse,
 )
+from anisoscope.rig.stages.no_answer import no_answer
 from anisoscope.rig.transport import Transport
 
 _log = logging.getLogger(__name__)
@@ -48,6 +49,7 @@ class GrblTalk:
         name: how error messages call the board.
         zeros: for every axis that was homed since, the steps at which it stands at 0°.
         critical: whether the board answers nothing until it is reset.
+        feed_percent: its feed override, as last reported.
         alarm: the last alarm that was not dealt with, or None.
         answer: how the last line was acknowledged, or None.
     """
@@ -56,6 +58,7 @@ class GrblTalk:
         self.name = f"the Grbl board at {transport.port}"
         self.zeros: dict[str, int] = {}
         self.critical = False
+        self.feed_percent = 100
         self.alarm: int | None = None
         self.answer: Ok | Refused | None = None
         self._transports = [transport]
@@ -123,6 +126,7 @@ class GrblTalk:
             self.critical = self.critical or message.code in CRITICAL_ALARMS
         elif isinstance(message, Status):
             self._offset = message.offset or self._offset
+            self.feed_percent = message.feed_percent or self.feed_percent
             if message.state in {"Alarm", "Sleep"}:
                 self.zeros.clear()
         elif isinstance(message, Feedback):
@@ -151,13 +155,19 @@ class GrblTalk:
                 break
         raise self.silence()
 
-    def silence(self) -> NotConnected | ProtocolError:
+    def silence(self) -> RigError:
         """The error for an answer that did not come."""
         if self.critical:
             return NotConnected(f"{self.name} is locked by an alarm and answers nothing; home it again")
-        if self._damaged or (self._transport.pending and not self._heard):
-            return ProtocolError(f"{self.name} sends bytes that are no Grbl answer; check port and baud rate")
-        return NotConnected(f"{self.name} is silent; check the power, the cable and the port")
+        heard = bool(self._damaged or (self._transport.pending and not self._heard))
+        return no_answer(
+            self.name,
+            self._transport,
+            self._timeout_s,
+            "Grbl",
+            heard=heard,
+            check="the power, the cable and the port",
+        )
 
 
 # The offset of the work coordinates comes along with every 30th report at the latest.

@@ -133,6 +133,7 @@ class Status:
         free: moves and bytes that the board still accepts, if reported.
         feed: present rate.
         pins: letters of the switches that are closed.
+        feed_percent: feed override, if this report holds it; else 0.
     """
 
     state: str
@@ -143,6 +144,7 @@ class Status:
     free: tuple[float, ...] = ()
     feed: float = 0.0
     pins: str = ""
+    feed_percent: int = 0
 
     @classmethod
     def parse(cls, state: str, substate: str, fields: str) -> Self | None:
@@ -151,7 +153,7 @@ class Status:
         try:
             numbers = {
                 name: tuple(float(part) for part in values[name].split(","))
-                for name in ("MPos", "WPos", "WCO", "Bf", "FS", "F")
+                for name in ("MPos", "WPos", "WCO", "Bf", "FS", "F", "Ov")
                 if name in values
             }
         except ValueError:
@@ -166,6 +168,7 @@ class Status:
             numbers.get("Bf", ()),
             rates[0],
             values.get("Pn", ""),
+            int(numbers.get("Ov", (0.0,))[0]),
         )
 
 

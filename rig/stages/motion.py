@@ -8,6 +8,7 @@ needs a reference search first; stop works from another thread. Angles are in de
 
 import collections
 import contextlib
+import logging
 import math
 import threading
 from abc import ABC, abstractmethod
@@ -33,7 +34,11 @@ LOST_REFERENCE_TOLERANCES = 10.0
 READING_S = 0.05  # what a motion waits for a reading of another thread
 SAMPLE_S = 0.25
 # A stage that reports motion and gets on by less than this share of its speed for so long does not move.
+WORD_S = 8.0  # so long a motion goes on without a word of what is waited for
 STANDSTILL_S, STANDSTILL_SHARE, STANDSTILL_SAMPLES = 3.0, 0.001, 6
+
+
+_log = logging.getLogger(__name__)
 
 
 class _Underway(Exception):
@@ -91,6 +96,10 @@ class StageBase(ABC):
     def _read_moving_deg(self) -> float | None:
         """Query the angle in degrees during a motion; None where the device does not report it then."""
         return None
+
+    def _slowed(self) -> tuple[float, str]:
+        """By what factor somebody at the device has slowed it down, and what says so."""
+        return 1.0, ""
 
     @abstractmethod
     def _send_stop(self) -> None:
@@ -289,7 +298,22 @@ class StageBase(ABC):
 
     def _await(self, what: str, target_deg: float, deadline: float, timeout_s: float) -> float:
         short_since: float | None = None
+        begun = told = self._clock()
+        factor = 1.0
         while True:
+            if self._clock() - told >= WORD_S:
+                told = self._clock()
+                _log.warning(
+                    "%s: the %s goes on for %.0f s, and may take up to %.0f s",
+                    self.name,
+                    what,
+                    told - begun,
+                    deadline - begun,
+                )
+            if self._clock() >= deadline and self._slowed()[0] > factor:
+                factor, why = self._slowed()
+                deadline = begun + factor * timeout_s
+                _log.warning("%s: %s; the %s may take up to %.0f s", self.name, why, what, deadline - begun)
             left_s = deadline - self._clock()
             busy = self._is_busy(min(POLL_S, left_s)) if left_s > 0.0 else self._is_surely_busy()
             if self._stopping.is_set():
@@ -307,8 +331,8 @@ class StageBase(ABC):
                 raise self._off_target(what, at_deg, target_deg)
             if left_s <= 0.0:
                 raise MotionTimeout(
-                    f"{self.name}: the {what} did not end within {timeout_s:.1f} s, and was stopped; look for an "
-                    f"obstacle, or correct velocity_{self.unit}_s of the driver"
+                    f"{self.name}: the {what} did not end within {deadline - begun:.1f} s, and was stopped; look for "
+                    f"an obstacle, or correct velocity_{self.unit}_s of the driver"
                 )
 
     def _observe(self, what: str) -> None:

@@ -26,6 +26,7 @@ from anisoscope.base.errors import (
 )
 from anisoscope.rig.stage import SYMBOLS, MotionRules, Unit
 from anisoscope.rig.stages.device_error import device_error
+from anisoscope.rig.stages.no_answer import SECOND_S, no_answer, two_devices
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
@@ -160,10 +161,12 @@ class Smc100Line:
         self._timeout_s = timeout_s
         self._stranger: int | None = None
         self._heard = False
+        self._sent = b""
 
     def send(self, command: str) -> None:
         """Send a command, and wait for nothing."""
-        self._transport.write(f"{self._address}{command}".encode("ascii") + TERMINATOR)
+        self._sent = f"{self._address}{command}".encode("ascii")
+        self._transport.write(self._sent + TERMINATOR)
 
     def query(self, question: str) -> str:
         """Query a value; a damaged answer is queried again."""
@@ -214,10 +217,13 @@ class Smc100Line:
         if (letter := self.error()) != NO_ERROR:
             raise error_of_letter(self.name, letter, doing)
 
-    def _answer_to(self, code: str) -> str | None:
-        deadline = self._clock() + self._timeout_s
+    def _answer_to(self, code: str, wait_s: float | None = None) -> str | None:
+        deadline = self._clock() + (self._timeout_s if wait_s is None else wait_s)
         damaged = 0
-        while (line := self._transport.read_until(TERMINATOR, deadline - self._clock())) is not None:
+        while (line := self._transport.read_until(b"\n", deadline - self._clock())) is not None:
+            if line.strip() == self._sent:  # an echo
+                self._heard = True
+                continue
             answer = Answer.parse(line)
             if answer is None:
                 damaged += bool(line.strip(b"\r\n\0 "))
@@ -233,16 +239,20 @@ class Smc100Line:
                 self._heard = True
         return None
 
+    def check_alone(self) -> None:
+        """Ask for the state, and refuse two answers to one question.
+
+        Raises:
+            ProtocolError: two controllers answer.
+        """
+        self.query("TS")
+        if self._answer_to("TS", SECOND_S) is not None:
+            raise two_devices(self.name)
+
     def _silence(self) -> RigError:
-        if self._stranger is not None:
-            return NotConnected(
-                f"{self.name} is silent, but address {self._stranger} answers; correct the address"
-            )
-        if self._heard or self._transport.pending:
-            return ProtocolError(
-                f"{self.name} sends bytes that are no SMC100 answer; check port and baud rate"
-            )
-        return NotConnected(f"{self.name} is silent; check the power, the cable and the address")
+        return no_answer(
+            self.name, self._transport, self._timeout_s, "SMC100", heard=self._heard, stranger=self._stranger
+        )
 
 
 FIRST_POLL_S, BUSY_POLL_S = 0.002, 0.02
@@ -301,6 +311,7 @@ class Smc100(PortStage):
         self._searching = False
         with transport.lock:
             state = line.state()
+            line.check_alone()
             line.error()  # one of the past is kept until it is asked for
             name = line.query("ID?") or "SMC100"
             limits = line.query_number("SL?"), line.query_number("SR?")

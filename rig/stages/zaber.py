@@ -25,7 +25,6 @@ from typing import ClassVar, Self
 from anisoscope.base.errors import (
     LimitExceeded,
     MotionTimeout,
-    NotConnected,
     NotHomed,
     ProtocolError,
     RigError,
@@ -33,6 +32,7 @@ from anisoscope.base.errors import (
 )
 from anisoscope.rig.stage import SYMBOLS, WRONG_UNIT, MotionRules, Unit
 from anisoscope.rig.stages.device_error import device_error
+from anisoscope.rig.stages.no_answer import SECOND_S, no_answer, two_devices
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
@@ -86,7 +86,7 @@ _REJECTIONS: dict[str, tuple[type[RigError], str]] = {
 }
 _REPLY = re.compile(
     rb"@(?P<device>\d\d) (?P<axis>\d) (?P<number>\d\d) (?P<verdict>OK|RJ) (?P<state>IDLE|BUSY) "
-    rb"(?P<flag>--|[A-Z][A-Z0-9]) (?P<data>[^:]*):(?P<lrc>[0-9A-F]{2})"
+    rb"(?P<flag>--|[A-Z][A-Z0-9]) (?P<data>[^:]*):(?P<lrc>[0-9A-Fa-f]{2})"
 )
 _OTHER = re.compile(rb"(?P<kind>[#!])(?P<device>\d\d) (?P<axis>\d)(?: .*)?")
 
@@ -266,8 +266,8 @@ class ZaberLine:
             if line is not None and is_alert_of(line, self.device):
                 return
 
-    def _await_reply(self, number: int, axis: int) -> Reply | None:
-        deadline = self._clock() + self._timeout_s
+    def _await_reply(self, number: int, axis: int, wait_s: float | None = None) -> Reply | None:
+        deadline = self._clock() + (self._timeout_s if wait_s is None else wait_s)
         damaged = 0
         while (line := self.transport.read_until(TERMINATOR, deadline - self._clock())) is not None:
             reply = Reply.parse(line)
@@ -285,17 +285,26 @@ class ZaberLine:
                 return reply
         return None
 
+    def check_alone(self) -> None:
+        """Ask for the state, and refuse two answers to one question.
+
+        Raises:
+            ProtocolError: two devices answer.
+        """
+        if self._await_reply(self.query("", 0).number, 0, SECOND_S) is not None:
+            raise two_devices(self.name)
+
     def _silence(self) -> RigError:
-        if self._stranger is not None:
-            return NotConnected(
-                f"{self.name} is silent, but address {self._stranger} answers; correct the address"
-            )
-        if self._heard or self.transport.pending:
-            return ProtocolError(
-                f"{self.name} sends bytes that are no Zaber ASCII answer; check port and baud rate"
-            )
-        return NotConnected(
-            f"{self.name} is silent; check the power, the cable, the address and the baud rate"
+        check = "the power, the cable, the address and the baud rate"
+        heard, stranger = self._heard, self._stranger
+        return no_answer(
+            self.name,
+            self.transport,
+            self._timeout_s,
+            "Zaber ASCII",
+            heard=heard,
+            stranger=stranger,
+            check=check,
         )
 
 
@@ -463,6 +472,7 @@ class Zaber(PortStage):
         self._bus = transport.lock
         with self._bus:
             self._name = self._line.name = identify(self._line)
+            self._line.check_alone()
             self._counts_per_deg = read_counts_per_unit(self._line, unit, counts_per_turn, counts_per_deg)
             self._resolution_deg = 1.0 / self._counts_per_deg
             self._limits_deg = read_limits(self._line, self._counts_per_deg, unit, min_deg, max_deg)

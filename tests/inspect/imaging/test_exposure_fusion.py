@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import CalibrationError, RecordError
+from anisoscope.base.errors import CalibrationError, CameraError, RecordError
 from anisoscope.imaging.exposure_fusion import Exposed, noise_of, radiance_of
 from anisoscope.imaging.linearisation import WhiteReference, linearise, stack
 from anisoscope.inspection.integrity import verify
@@ -66,6 +66,15 @@ def test_four_decades_become_one_picture_with_its_noise(rng):
     short = radiance_of(bracket[1:2], WHITE, FULL, BLACK)
     dim = levels[0] == RATES
     assert found.noise[dim].mean() < 0.1 * short.noise[dim].mean()
+
+
+def test_exposures_that_are_not_as_stated_are_refused_by_the_light(rng):
+    bracket = [exposed(time_s, rng) for time_s in (0.002, 0.016)]
+    bracket[1] = replace(bracket[1], raw=replace(bracket[1].raw, exposure_s=0.012))
+    with pytest.raises(
+        CameraError, match=r"0\.002 s and 0\.012 s the light grows (7\.9|8)\S* times, not 6"
+    ):
+        radiance_of(bracket, WHITE, FULL, BLACK)
 
 
 def test_what_is_clipped_at_all_exposures_carries_no_value(rng):

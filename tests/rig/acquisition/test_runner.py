@@ -226,6 +226,13 @@ def test_readings_of_a_stage_that_turns_round_wrap(rig, log, tmp_path, stage, mo
     assert taken == pytest.approx([0.0, 90.0], abs=0.002)
 
 
+def test_counts_above_full_scale_are_refused_live(rig, log, tmp_path, monkeypatch):
+    monkeypatch.setattr(rig.camera, "grab", lambda: np.full((2, 3), 4096, dtype=np.uint16))
+    with pytest.raises(CameraError, match="fake: counts reach 4096, above the 4095 of 12 bits"):
+        run_plan(PLAN, rig, tmp_path)
+    assert log[-1] == "light off"
+
+
 def test_a_clockwise_stage(rig, log, tmp_path):
     rig = Rig(rig.stage, rig.camera, rig.light, rig_file(zero_deg=200.0, turns="cw"))
     records = run_plan(Plan(poses=(Pose(90.0),), exposure_s=0.01, return_to_first=False), rig, tmp_path)

@@ -188,6 +188,15 @@ def test_a_frame_that_is_not_right_is_taken_again(camera_process, opened, caplog
     assert camera.failed_buffers >= 1
 
 
+def test_a_stream_of_which_nothing_comes_names_what_holds_it_back(camera_process, opened):
+    camera = opened(camera_process("1=silent,2=silent")[1], retries=0, timeout_s=0.3)
+    camera.configure(0.01, 1.0)
+    with pytest.raises(
+        CameraError, match="no packet at all: a firewall holds them back, or the reverse-path filter"
+    ):
+        camera.grab()
+
+
 def test_too_many_lost_frames_are_an_error(camera_process, opened):
     faults = ",".join(f"{number}=lose:2" for number in range(1, 9))
     camera = opened(camera_process(faults)[1], retries=1, timeout_s=0.5)

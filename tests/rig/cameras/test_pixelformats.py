@@ -71,3 +71,21 @@ def test_colours_are_not_taken_for_grey():
         CameraError, match="the camera has no BayerRG12, only BayerGB12, Mono8; choose one of BayerGB12"
     ):
         choose("BayerRG12", ("BayerGB12", "Mono8"))
+
+
+@pytest.mark.parametrize(("name", "level"), [("Mono16", 9000.0), ("Mono12", 700.0), ("Mono16", 300.0)])
+def test_counts_with_their_high_byte_first_are_refused(name, level):
+    rng = np.random.default_rng(4)
+    counts = np.round(
+        level * (1.0 + 0.3 * np.sin(np.arange(96) / 9.0)) + rng.normal(0.0, 3.0, (64, 96))
+    ).astype("<u2")
+    assert np.array_equal(counts_of(counts.tobytes(), counts.shape, name), counts)
+    with pytest.raises(CameraError, match="high byte first: choose a packed pixel_format"):
+        counts_of(counts.byteswap().tobytes(), counts.shape, name)
+
+
+def test_a_dark_picture_and_one_of_eight_bits_to_the_left_are_no_swapped_ones():
+    rng = np.random.default_rng(5)
+    dark = np.round(rng.normal(64.0, 2.0, (64, 96))).astype("<u2")
+    for counts in (dark, dark << 8, np.full((64, 96), 0xFFFF, "<u2")):
+        assert np.array_equal(counts_of(counts.tobytes(), counts.shape, "Mono16"), counts)

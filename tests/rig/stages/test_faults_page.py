@@ -53,6 +53,22 @@ Grbl board answers nothing while it searches, and may search over 1.5 travels of
 stepper without an encoder (K10CR1) counts on while something holds it, until it has counted more than a turn. Every
 message ends with what to do, and every frame taken before is on disk.
 """
+WIRE = """## The line
+
+What lines do rather than devices, each with a fake in `tests/rig/stages/test_wire.py`, `tests/rig/test_stage.py`.
+A device that says nothing is waited for twice as long again, once, to tell a slow one from a silent one. A motion that
+takes more than 8 s says every 8 s what is waited for, and how long it may take.
+
+| fault | stages | what the driver does |
+|---|---|---|
+| two devices with one address | elliptec, smc100, zaber | ProtocolError 69, "answers one question twice" |
+| slow answers | all | NotConnected 69, "is slow: it begins to answer after … s", and names `timeout_s` |
+| lines that end with a line feed only, small hex digits (clones) | all | goes on |
+| echo of the adapter before every answer | all | goes on |
+| echo and no answer, or joined lines | all | NotConnected 69, "an echo of the adapter, or its two lines touch" |
+| feed override at the board | grbl | goes on, and says so; Grbl 1.1 spares jogs, some descendants do not |
+| readings a turn off: 359.997° at zero, 0 for 360 | all that turn | goes on |
+"""
 
 
 @dataclass(frozen=True)
@@ -234,6 +250,7 @@ def table_of(cases, outcomes, undisturbed):
             if not rows:
                 lines.append(f"| {case.protocol} | – | a device of this protocol cannot have it | | | |")
         lines.append("")
+    lines.append(WIRE)
     return "\n".join(lines)
 
 

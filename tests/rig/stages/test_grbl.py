@@ -264,7 +264,7 @@ def test_options_that_mean_nothing(in_process):
         (b"[MSG:'$H'|'$X' to unlock]\r\n", Feedback("MSG", "'$H'|'$X' to unlock")),
         (
             b"<Hold:1|WPos:1.000,-2.500|Bf:15,128|FS:500,8000|WCO:0.000,1.551|Pn:XYZ|Ov:100,100,100|A:SFM>\r\n",
-            Status("Hold", 1, (), (1.0, -2.5), (0.0, 1.551), (15.0, 128.0), 500.0, "XYZ"),
+            Status("Hold", 1, (), (1.0, -2.5), (0.0, 1.551), (15.0, 128.0), 500.0, "XYZ", 100),
         ),
         (b"<Idle|MPos:1.000,2.000,3.000|F:0>\r\n", Status("Idle", 0, (1.0, 2.0, 3.0))),
     ],

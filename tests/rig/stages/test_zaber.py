@@ -42,7 +42,7 @@ from anisoscope.sim.bench.firmware.zaber import (
 HURRY = {"timeout_s": 0.15, "margin_s": 0.15, "velocity_deg_s": 4000.0, "acceleration_deg_s2": 40000.0}
 COUNT_DEG = 360 / X_RSW60A.counts_per_turn
 
-MESSAGES = 15  # answers from connecting to having homed and moved
+MESSAGES = 16  # answers from connecting to having homed and moved
 
 
 def firmware_with(*faults, time_scale=0.0, **options):
