@@ -29,14 +29,16 @@ def main() -> NoReturn:
 
 
 def _stop_at_once(options: list[str]) -> None:
-    """Stop held rigs; what came of it, and everything else, is for the command itself, which stops again."""
+    """Stop held rigs, else interrupt who moves; what came of it is for the command itself, which stops again."""
     from anisoscope.base.errors import AnisoscopeError  # noqa: PLC0415
     from anisoscope.rig.holdline import stop_held  # noqa: PLC0415
+    from anisoscope.rig.portholder import interrupt_movers  # noqa: PLC0415
 
     named = [word.partition("=")[2] for word in options if word.startswith(("--rig=", "-g="))]
     named += [value for word, value in itertools.pairwise(options) if word in {"--rig", "-g"}]
     with contextlib.suppress(AnisoscopeError, OSError):
-        stop_held(Path(named[0]) if named else None)
+        if not stop_held(Path(named[0]) if named else None) and named:
+            interrupt_movers(Path(named[0]))
 
 
 if __name__ == "__main__":

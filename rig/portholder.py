@@ -15,6 +15,7 @@ import signal
 import sys
 import tempfile
 import time
+import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ class Holder:
         return _started(self.pid) == self.started != ""
 
     def interrupt(self) -> None:
-        """Request an orderly end, as Ctrl-C in its terminal does.
+        """Request an orderly end, as Ctrl-C in its terminal does; only once.
 
         Raises:
             RigError: this system or that process knows no such thing; the message says what to do instead.
@@ -67,13 +68,34 @@ class Holder:
                 f"port {self.port} is held by process {self.pid} ({self.program}), which cannot be interrupted from "
                 "here: press Ctrl-C in its window"
             )
+        if self in interrupted.values():
+            return
         try:
             os.kill(self.pid, signal.Signals[self.interrupt_by])
+            interrupted[self.port] = self
         except OSError as problem:
             raise RigError(
                 f"process {self.pid} ({self.program}) holds {self.port} and cannot be interrupted: "
                 f"{problem.strerror}; press Ctrl-C in its window"
             ) from problem
+
+
+AXES = ("stage", "tilt", "x", "y", "z")
+interrupted: dict[str, Holder] = {}
+"""Who was asked to end by this process, by port."""
+
+
+def interrupt_movers(rig: Path) -> None:
+    """Interrupt the processes that have a port of an axis of a rig file for themselves, before anything else is loaded.
+
+    A file that cannot be read and a process that cannot be interrupted are left for who reads and says that.
+    """
+    with contextlib.suppress(RigError, OSError, ValueError, AttributeError):
+        tables = tomllib.loads(bounded_text(rig))
+        for port in [tables[name].get("port") for name in AXES if name in tables]:
+            holder = holder_of(port) if isinstance(port, str) else None
+            if holder is not None and not holder.serves_at:
+                holder.interrupt()
 
 
 def claim(port: str, serves_at: str = "", token: str = "", rig: str = "") -> Path | None:

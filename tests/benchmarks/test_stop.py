@@ -82,3 +82,49 @@ def test_stop_of_a_held_rig(bench, tmp_path, monkeypatch):
     )
     assert not axis.busy()
     assert sending < 0.1
+
+
+BY_THE_COMMAND = "from anisoscope.cli import main; main()"
+RIG = """schema = 1
+[stage]
+driver = "zaber"
+port = "{port}"
+"""
+
+
+def test_stop_of_a_rig_that_another_process_moves(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    rig = tmp_path / "rig.toml"
+    stop = ["rig", "stop", "--rig", str(rig)]
+
+    def stop_by(program):
+        """Seconds from the start of a process to the stop at a stage that another process homes."""
+        axis = RotaryAxis(time_scale=60.0, start_deg=300.0)
+        firmware = build("zaber", [Mount(axis)])
+        with PtyServer(firmware) as server:
+            rig.write_text(RIG.format(port=server.port), encoding="utf-8")
+            home = [sys.executable, "-Im", "anisoscope", "rig", "home", "--rig", str(rig), "--yes"]
+            with subprocess.Popen(home, stderr=subprocess.DEVNULL):
+                while not axis.busy():
+                    time.sleep(0.01)
+                before, started = firmware.stops, time.monotonic()
+                with subprocess.Popen(
+                    [*program, *stop], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                ):
+                    while firmware.stops == before:
+                        time.sleep(0.001)
+                    return time.monotonic() - started
+
+    programs = {
+        "`anisoscope rig stop --rig` to the stop at the stage": [sys.executable, "-Im", "anisoscope"],
+        "the same after the command line is loaded, as before": [sys.executable, "-Ic", BY_THE_COMMAND],
+    }
+    spans = {name: [] for name in programs}
+    for _ in range(TRIALS):
+        for name, program in programs.items():
+            spans[name].append(stop_by(program))
+    for name, found in spans.items():
+        bench.note(f"{name}: median {1e3 * statistics.median(found):.0f} ms, least {1e3 * min(found):.0f} ms")
+    bench.note(f"{TRIALS} trials each in turn, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+    first, second = (statistics.median(found) for found in spans.values())
+    assert first < second

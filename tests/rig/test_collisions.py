@@ -1,6 +1,9 @@
 """Forbidden combinations of axes: read from the rig file, and refused by every command before anything moves."""
 
 import itertools
+import threading
+import tomllib
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -13,7 +16,9 @@ from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import check_plan, run_plan
 from anisoscope.rig.collisions import Collision, Guard
 from anisoscope.rig.rigfile import read_rig
-from anisoscope.sim.bench.bench import shared_bench
+from anisoscope.sim.bench.bench import Bench, shared_bench
+from anisoscope.sim.bench.benchfile import BenchFile
+from anisoscope.sim.bench.serving import serve_bench, write_rig_file
 
 ROWS = [{"tilt": "> 50", "z": "< 8", "why": "the lens touches the plate"}]
 BY_BENCH = {"driver": "simulated", "options": {"bench": "${here}/bench.toml"}}
@@ -273,3 +278,64 @@ def test_axes_of_a_row_come_together(rig):
     assert set(file.moved_with("tilt")) == {"tilt", "z"}
     assert set(file.moved_with("stage")) == {"stage"}
     assert list(itertools.chain(file.axes)) == ["stage", "tilt", "z"]
+
+
+class Onlooker(threading.Thread):
+    """Looks all the time where the axes of a bench truly stand, and counts how often a row was broken."""
+
+    def __init__(self, bench, forbidden):
+        super().__init__(daemon=True)
+        self.bench, self.forbidden = bench, forbidden
+        self.over, self.broken, self.tilts = threading.Event(), [], set()
+
+    def run(self):
+        while not self.over.wait(0.001):
+            at = self.bench.axis.position() % 360.0, self.bench.tilt_axis.position()
+            self.tilts.add(round(at[1]))
+            if self.forbidden(*at):
+                self.broken.append(at)
+
+
+def test_no_axis_of_a_running_rig_enters_what_is_forbidden(tmp_path, capsys):
+    """Commands and a plan over ptys while the axes truly move; the row lies across the zero of the stage."""
+    bench = Bench(
+        BenchFile(
+            schema=1,
+            sample={"kind": "none"},
+            sensor={"rows": 64, "cols": 64},
+            stage={"time_scale": 0.1, "zero_deg": 200.0, "turns": "cw"},
+            tilt={"zero_deg": 30.0},
+        )
+    )
+    path, row = tmp_path / "rig.toml", {"stage": "-20 .. 20", "tilt": "> 40"}
+    onlooker = Onlooker(bench, lambda stage, tilt: (stage > 340.05 or stage < 19.95) and tilt > 40.05)
+    with ExitStack() as stack:
+        _, urls = serve_bench(bench, 0, stack, pty=True)
+        write_rig_file(bench, urls, path)
+        table = tomllib.loads(path.read_text()) | {"collisions": [row], "home_order": ["tilt", "stage"]}
+        path.write_text(tomli_w.dumps(table), encoding="utf-8")
+        onlooker.start()
+
+        def move(table, place):
+            return run(["rig", "move", str(place), "--axis", table, "--rig", str(path), "--yes"])
+
+        with open_rig(read_rig(path)) as rig:
+            for axis in rig.unhomed():
+                axis.home()
+            rig.guard.guarded("stage").move_to(180.0)
+            rig.guard.guarded("tilt").move_to(60.0)
+            for reading in (10.0, 350.0, 360.0):
+                with pytest.raises(LimitExceeded, match=r"forbids stage -20 \.\. 20, tilt > 40"):
+                    rig.guard.guarded("stage").move_to(reading)
+            poses = (Pose(0.0, 30.0), Pose(180.0, 0.0), Pose(90.0, 25.0))
+            records = run_plan(Plan(poses, exposure_s=0.01, dark_frames=0), rig, tmp_path / "frames")
+            with pytest.raises(LimitExceeded, match="may collide"):
+                check_plan(Plan((Pose(190.0, 30.0),), exposure_s=0.01), rig)
+        assert [record.frame.stage_deg for record in records] == pytest.approx([0, 180, 90, 0], abs=0.05)
+        assert [record.frame.tilt_deg for record in records] == pytest.approx([30, 0, 25, 30], abs=0.05)
+        assert move("stage", 90.0) == 0
+        capsys.readouterr()
+        onlooker.over.set()
+        onlooker.join()
+    assert onlooker.broken == []
+    assert {30, 45, 55} <= onlooker.tilts, "the arm did move all the way"

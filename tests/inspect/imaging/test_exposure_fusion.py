@@ -71,9 +71,7 @@ def test_four_decades_become_one_picture_with_its_noise(rng):
 def test_exposures_that_are_not_as_stated_are_refused_by_the_light(rng):
     bracket = [exposed(time_s, rng) for time_s in (0.002, 0.016)]
     bracket[1] = replace(bracket[1], raw=replace(bracket[1].raw, exposure_s=0.012))
-    with pytest.raises(
-        CameraError, match=r"0\.002 s and 0\.012 s the light grows (7\.9|8)\S* times, not 6"
-    ):
+    with pytest.raises(CameraError, match=r"0\.002 s and 0\.012 s the light grows (7\.9|8)\S* times, not 6"):
         radiance_of(bracket, WHITE, FULL, BLACK)
 
 
