@@ -62,8 +62,10 @@ def read_lines(table: Path) -> tuple[list[Line], tuple[str, ...]]:
     try:
         text = bounded_bytes(table).decode("utf-8-sig")
     except FileNotFoundError:
-        what = f"there is no {table.name} in it" if table.parent.is_dir() else "there is no such folder"
-        raise RecordError(f"{table.parent}: {what}; it lists the frames of a folder") from None
+        there = table.parent.is_dir()
+        what = f"there is no {table.name} in it" if there else "there is no such folder"
+        advice = f"; `anisoscope inspect --frames {table.parent} --init` begins one" if there else ""
+        raise RecordError(f"{table.parent}: {what}; it lists the frames of a folder{advice}") from None
     except UnicodeDecodeError:
         raise RecordError(f"{table}: not a text file in UTF-8; save it as 'CSV UTF-8'") from None
     except OSError as problem:

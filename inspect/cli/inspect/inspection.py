@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 )
 def inspect(
     *,
-    recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
+    recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")] = None,
     rig: Annotated[
         Path | None,
         Parameter(
@@ -52,6 +52,12 @@ def inspect(
     frames: Annotated[
         Path | None, Parameter(help="Judge the frames of this folder (frames.csv) instead of taking any.")
     ] = None,
+    init: Annotated[
+        bool,
+        Parameter(
+            negative="", help="With --frames: write a first frames.csv for the pictures there, and end."
+        ),
+    ] = False,
     reflectance: Annotated[
         float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
     ] = 0.99,
@@ -81,6 +87,7 @@ def inspect(
 
     Examples:
         anisoscope inspect --recipe recipe.toml --rig rig.toml --serial A-0001
+        anisoscope inspect --frames photographed --init
         anisoscope inspect --recipe recipe.toml --frames photographed --serial A-0002 --lot L42 --json
     """
     from anisoscope.inspection.reports import Reports
@@ -88,6 +95,10 @@ def inspect(
     from anisoscope.operations.remembering import history_place, lot_mates, used_before
     from anisoscope.record.schema import Particulars
 
+    if init:
+        return _draft(frames, json_=json_)
+    if recipe is None:
+        raise UsageError("name the recipe with --recipe FILE")
     if rig is None and frames is None:
         raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
     if serial is None:
@@ -115,6 +126,20 @@ def inspect(
                 on_progress=advance,
             )
         return _concluded(inspected, reports, place, json_=json_)
+
+
+def _draft(frames: Path | None, *, json_: bool) -> int:
+    """Write a first table of frames; print what is still to be filled in, and what each column means."""
+    from anisoscope.rig.framefolderdraft import MEANINGS, draft_table
+
+    if frames is None:
+        raise UsageError("--init writes the table of a folder of pictures: name it with --frames")
+    draft = draft_table(frames)
+    lines = [f"{draft.table}: {draft.frames} frames, in the order of their names; look at every line"]
+    lines += [f"  {name}: {words}" for name, words in MEANINGS.items()]
+    lines += [f"fill in {name} of {', '.join(files)}" for name, files in draft.missing.items()]
+    answer(draft, lines, json_=json_)
+    return 0
 
 
 def _concluded(inspected: "Inspected", reports: "Reports", place: str | Path | None, *, json_: bool) -> int:

@@ -87,3 +87,16 @@ def test_folders_that_are_none(anisoscope, tmp_path):
         assert done.code == 74
         assert done.err.count("\n") == 1
         assert "none" in done.err
+
+
+def test_a_folder_of_pictures_gets_its_first_table(anisoscope, inspected, tmp_path):
+    folder = tmp_path / "photographed"
+    shutil.copytree(inspected / "frames", folder)
+    done = anisoscope("inspect", "--frames", folder, "--init")
+    assert done.code == 0, done.err
+    assert "black_level: counts of a pixel without light" in done.out
+    assert "fill in" not in done.out, "frames of ours tell everything"
+    assert len((folder / "frames.csv").read_text().splitlines()) == 1 + len(list(folder.glob("*.tif")))
+    again = anisoscope("inspect", "--frames", folder, "--init", "--json")
+    assert (again.code, "exists already" in again.err) == (64, True)
+    assert anisoscope("inspect", "--init").code == 64

@@ -487,3 +487,15 @@ def test_a_tilt_set_by_hand(virtual_rig, undiagnosed, monkeypatch):
     record = rig.inspect(methods=undiagnosed).record
     assert record.verdict == "PASS", record.reasons
     assert asked == [f"set the tilt to {tilt}°" for tilt in (0, 10, 0)]
+
+
+def test_eight_bits_do_as_well_as_twelve(virtual_rig, inspected_part, tmp_path):
+    coarse = {"sensor": {"bit_depth": 8, "gain_e_per_dn": 120.0, "black_level": 4.0}}
+    tile = virtual_rig("tile", bench={**coarse, "sample": {"kind": "white-tile"}}, rig={"calibration": None})
+    take_flat(tile.rig, tmp_path / "flat.tif", exposure_s=0.0015, frames=8)
+    own = {"calibration": {"flat": str(tmp_path / "flat.tif")}}
+    fine, rough = inspected_part[1].record, virtual_rig("8", bench=coarse, rig=own).inspect().record
+    assert (fine.verdict, rough.verdict) == ("PASS", "PASS")
+    for one, other in zip(fine.details.contrasts, rough.details.contrasts, strict=True):
+        assert other.measured == pytest.approx(one.measured, abs=0.1 * one.u)
+        assert other.u == pytest.approx(one.u, rel=0.01)
