@@ -82,7 +82,7 @@ class Holder:
 
 AXES = ("stage", "tilt", "x", "y", "z")
 interrupted: dict[str, Holder] = {}
-"""Who was asked to end by this process, by port."""
+"""Processes that this one has interrupted, by port."""
 
 
 def interrupt_movers(rig: Path) -> None:

@@ -86,8 +86,10 @@ def counts_of(data: bytes | memoryview, shape: tuple[int, int], name: str) -> np
     if raw.size != expected:
         raise CameraError(f"a picture of {cols} × {rows} in {name} has {expected} bytes; {raw.size} came")
     if form.packing == "":
-        counts = raw if form.bits == 8 else raw.view("<u2")
-        if form.bits > 8 and _are_swapped(counts, shape):
+        if form.bits == 8:
+            return raw.astype(np.uint16).reshape(shape)
+        counts = raw.view("<u2")
+        if _are_swapped(counts, shape):
             raise CameraError(
                 f"the counts in {name} come with their high byte first: choose a packed pixel_format, such as "
                 "Mono12Packed or Mono12p, whose order is fixed, or set the camera to little-endian"

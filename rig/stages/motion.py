@@ -98,7 +98,7 @@ class StageBase(ABC):
         return None
 
     def _slowed(self) -> tuple[float, str]:
-        """By what factor somebody at the device has slowed it down, and what says so."""
+        """Factor by which a setting at the device makes motions longer, and the words for it."""
         return 1.0, ""
 
     @abstractmethod

@@ -4,9 +4,9 @@ from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.transport import Transport
 
 PATIENCE = 2.0
-"""So many times the time of an answer it is waited for longer, to tell a slow device from a silent one."""
+"""Further time for an answer, by which a slow device differs from a silent one, as a multiple of the first."""
 SECOND_S = 0.1
-"""So long a second answer to one question is waited for."""
+"""Time for a second answer to one question, in seconds."""
 
 
 def no_answer(

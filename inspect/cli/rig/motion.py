@@ -152,7 +152,7 @@ def _holders(axes: "dict[str, MotorPart]") -> "list[Holder]":
     from anisoscope.rig.portholder import holder_of, interrupted
 
     ports = [part.port for part in axes.values() if part.port is not None]
-    found = [interrupted.get(port) or holder_of(port) for port in ports]
+    found = [holder_of(port) or interrupted.get(port) for port in ports]
     return list(
         {holder.pid: holder for holder in found if holder is not None and not holder.serves_at}.values()
     )

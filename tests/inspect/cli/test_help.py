@@ -99,7 +99,10 @@ def test_the_first_page_names_every_command_and_the_options_of_all(capsys):
             "write --tilts=-10,0,10 (see anisoscope predict --help)",
         ),
         (["inspect", "--rig", "rig.toml"], "--recipe is missing (see anisoscope inspect --help)"),
-        (["inspect", "--recip", "r.toml"], "--recipe is missing. Did you mean --recipe instead of --recip?"),
+        (
+            ["inspect", "--recip", "r.toml"],
+            "Unknown option: --recip. Did you mean --recipe? (see anisoscope inspect --help)",
+        ),
         (["predict", "--ridge-angle", "--json"], "--ridge-angle needs a value, and --json is an option"),
         (["inspect", "--at", "wide"], "--at needs 2 values, not 1 (see anisoscope inspect --help)"),
         (["verify"], "FOLDER is missing (see anisoscope verify --help)"),

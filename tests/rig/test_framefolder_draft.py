@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.rig.framefolder import read_frame_folder
-from anisoscope.rig.framefolderdraft import draft_table, told_by_name
+from anisoscope.rig.framefolder import draft_table, read_frame_folder, told_by_name
 
 
 @pytest.mark.parametrize(
