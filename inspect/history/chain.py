@@ -106,9 +106,14 @@ def unpack_rows(rows: Sequence[bytes], count: int) -> npt.NDArray[np.float64]:
     found = np.full((len(rows), count), np.nan)
     lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
     for size in (4, 8) if count else ():
-        at = np.flatnonzero(lengths == size * count)
-        block = np.frombuffer(b"".join(rows[k] for k in at.tolist()), dtype=f"<f{size}").reshape(-1, count)
-        found[at] = block if size == 8 else _written(block.astype(np.float64))
+        every = np.flatnonzero(lengths == size * count)
+        for at in np.array_split(
+            every, len(every) // 10_000 + 1
+        ):  # rounding takes ten times the memory of the numbers
+            block = np.frombuffer(b"".join(rows[k] for k in at.tolist()), dtype=f"<f{size}").reshape(
+                -1, count
+            )
+            found[at] = block if size == 8 else _written(block.astype(np.float64))
     return found
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from sys import intern
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +17,9 @@ from anisoscope.history.schema import inspections, layouts
 from anisoscope.history.statements import chosen
 
 TEXTS = ("serial", "verdict", "product", "recipe", "lot", "cavity", "station", "operator", "folder")
+
+
+_AT_ONCE = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +48,21 @@ def read_columns(connection: Connection, filters: Filters, base: Path = Path()) 
     table = inspections.c
     words = (func.coalesce(table[name], "") if name != "recipe" else _recipe() for name in TEXTS)
     selection = (table.created_us, *words, table.layout, table.numbers)
-    found = connection.execute(chosen(connection, select(*selection), filters)).all()[::-1]
-    moments, *texts, kinds, data = zip(*found, strict=True) if found else ((),) * len(selection)
+    found = connection.execute(
+        chosen(connection, select(*selection), filters),
+        execution_options={"stream_results": True, "yield_per": _AT_ONCE},
+    )
+    columns: list[list[Any]] = [[] for _ in selection]
+    for some in found.partitions(_AT_ONCE):
+        for place, values in enumerate(zip(*some, strict=True)):
+            # of a word that many rows have, one copy is enough
+            columns[place] += map(intern, values) if 0 < place <= len(TEXTS) else values
+    for column in columns:
+        column.reverse()
+    moments, *texts, kinds, data = columns
     return Columns(
         np.array(moments, dtype=np.int64).astype("datetime64[us]"),
-        dict(zip(TEXTS, texts, strict=True)),
+        dict(zip(TEXTS, map(tuple, texts), strict=True)),
         _numbers(connection, kinds, data),
         base,
     )

@@ -94,3 +94,9 @@ def test_nothing_to_chart_is_said(place, tmp_path):
     with pytest.raises(HistoryError, match="there is no history"):
         history_readings(tmp_path / "other.sqlite", Filters())
     assert not (tmp_path / "other.sqlite").exists()
+
+
+def test_words_that_many_readings_have_are_kept_once(place):
+    texts = history_readings(place, Filters()).texts
+    assert texts["lot"][0] is texts["lot"][1]
+    assert len({id(one) for one in texts["recipe"]}) == 1
