@@ -117,7 +117,7 @@ def subgroups(readings: Readings, how: str) -> tuple[list[tuple[str, list[int]]]
         UsageError: it is none of these.
     """
     count = len(readings)
-    if how.isdigit() or how == "cavities":
+    if (how.isdecimal() and len(how) < 10) or how == "cavities":
         found = _in_a_row(readings, how)
     else:
         words = _days(readings) if how == "day" else readings.column(how)

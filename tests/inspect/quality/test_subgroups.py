@@ -237,6 +237,8 @@ def test_what_is_counted(readings):
         ("xbar-s", "height", "1", None, "2 readings or more"),
         ("xbar-s", "height", "9", None, "no reading belongs"),
         ("xbar-s", "height", "colour", None, "no column 'colour'"),
+        ("xbar-s", "height", "²", None, "no column"),
+        ("xbar-s", "height", "9" * 5000, None, "no column"),
         ("xbar-s", "height", "lot", "looked", "--of goes with"),
     ],
 )
