@@ -2,7 +2,8 @@
 
 F-operation on the map, then S- and L-filter along every line (ISO 16610-21 of order 0, -31 or -22). Parameters of the
 evaluation length (Ra, Rq, Rt, Rsk, Rku, Rdq, Rsm) use a line as a whole, Rz, Rp and Rv are means over sections of
-λc, or over five sections without an L-filter.
+λc, or over five sections without an L-filter. Rz, Rp and Rv take the highest and lowest points of a section, as
+ISO 4287 does; Rz_hills takes its hills and dales, as ISO 21920-2 does.
 """
 
 from dataclasses import dataclass
@@ -42,7 +43,7 @@ class LineParameters:
         l_filter_um: nesting index λc; None where not applied.
         s_filter: kind of the S-filter.
         l_filter: kind of the L-filter.
-        values: Ra, Rq, Rz, Rp, Rv, Rt, Rsm in µm, Rsk, Rku, Rdq.
+        values: Ra, Rq, Rz, Rz_hills, Rp, Rv, Rt, Rsm in µm, Rsk, Rku, Rdq.
         spread: standard deviation of each between the lines.
     """
 
@@ -155,6 +156,7 @@ def profile_parameters(height_um: FloatArray, pixel_um: float, sections: int = S
         "Ra": float(np.mean(np.abs(values))),
         "Rq": rq,
         "Rz": rz,
+        "Rz_hills": _by_hills(z, sections),
         "Rp": float(np.mean(peaks)) if peaks.size else float("nan"),
         "Rv": float(np.mean(pits)) if pits.size else float("nan"),
         "Rt": float(values.max() - values.min()),
@@ -175,6 +177,31 @@ def _sections(z: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     if not len(parts):
         return np.empty(0), np.empty(0)
     return np.nanmax(parts, axis=1), -np.nanmin(parts, axis=1)
+
+
+def _by_hills(z: FloatArray, count: int) -> float:
+    """Mean over sections of the highest hill and the deepest dale whose extreme points lie there.
+
+    A hill is a part of the line above its mean, a dale one below; gaps part them. A flank that reaches into the next
+    section does not count there. Sections without a hill, or without a dale, stay out of the mean.
+    """
+    size = z.size // count
+    if size < 2:
+        return float("nan")
+    side = np.sign(np.nan_to_num(z[: size * count]))
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(side)) + 1])
+    height = np.abs(np.nan_to_num(z[: size * count]))
+    most = np.maximum.reduceat(height, starts)
+    part = np.repeat(np.arange(starts.size), np.diff(starts, append=side.size))
+    at = np.flatnonzero(height == most[part])
+    section = at[np.unique(part[at], return_index=True)[1]] // size
+    total = 0.0
+    for way in (1.0, -1.0):
+        found, these = np.full(count, -np.inf), side[starts] == way
+        np.maximum.at(found, section[these], most[these])
+        known = found[np.isfinite(found)]
+        total += float(np.mean(known)) if known.size else float("nan")
+    return total
 
 
 def mean_spacing(z: FloatArray, pixel_um: float, discrimination_um: float) -> float:

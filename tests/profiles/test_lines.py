@@ -17,7 +17,7 @@ PHASE = 2 * np.pi * (X + 0.1) / PERIOD
 def test_sine():
     found = profile_parameters(2.0 * np.sin(PHASE), 0.25)
     expected = {
-        "Ra": 4.0 / np.pi, "Rq": np.sqrt(2.0), "Rz": 4.0, "Rp": 2.0, "Rv": 2.0, "Rt": 4.0, "Rsk": 0.0, "Rku": 1.5,
+        "Ra": 4.0 / np.pi, "Rq": np.sqrt(2.0), "Rz": 4.0, "Rz_hills": 4.0, "Rp": 2.0, "Rv": 2.0, "Rt": 4.0, "Rsk": 0.0, "Rku": 1.5,
         "Rdq": 2.0 * 2 * np.pi / PERIOD / np.sqrt(2.0), "Rsm": PERIOD,
     }  # fmt: skip
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-6)
@@ -46,6 +46,18 @@ def test_sections_are_means_and_the_whole_is_not():
     found = profile_parameters(z, 0.25, 5)
     assert found["Rt"] == pytest.approx(10.0, rel=0.01)
     assert found["Rz"] == pytest.approx((4 * 2.0 + 10.0) / 5.0, rel=0.01)
+
+
+def test_a_flank_does_not_count_in_the_next_section():
+    z = 0.5 * np.sin(2 * np.pi * np.arange(500) / 20.0)
+    z[90:111] = 8.0 - np.abs(np.arange(90, 111) - 102) * 0.6  # its summit lies in the second of five sections
+    z[290:310] = -6.0  # a dale whose first point lies in the third
+    mean = z.mean()
+    found = profile_parameters(z, 1.0, 5)
+    top, flank, bottom = 8.0 - mean, 8.0 - 3 * 0.6 - mean, 6.0 + mean
+    hill, dale = 0.5 - mean, 0.5 + mean
+    assert found["Rz"] == pytest.approx((top + flank + 3 * hill + 2 * bottom + 3 * dale) / 5.0, rel=2e-3)
+    assert found["Rz_hills"] == pytest.approx((top + 4 * hill + bottom + 4 * dale) / 5.0, rel=2e-3)
 
 
 def test_gaps_stay_out():

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 MEANINGS = {
     "Ra": ("µm", "arithmetic mean height"),
     "Rq": ("µm", "root mean square height"),
-    "Rz": ("µm", "maximum height, mean over sections"),
+    "Rz": ("µm", "maximum height, mean over sections (points, ISO 4287)"),
+    "Rz_hills": ("µm", "the same of hills and dales (ISO 21920-2)"),
     "Rp": ("µm", "maximum peak height, mean over sections"),
     "Rv": ("µm", "maximum pit depth, mean over sections"),
     "Rt": ("µm", "total height of a line"),
@@ -60,6 +61,8 @@ def lines(
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
     """Profile parameters (ISO 21920-2) on parallel lines of height maps: Ra, Rq, Rz, Rp, Rv, Rt, Rsm, Rsk, Rku, Rdq.
+
+    Rz takes the points of each section (ISO 4287), Rz_hills its hills and dales (ISO 21920-2).
 
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
