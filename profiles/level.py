@@ -246,12 +246,17 @@ class _Normal:
         return float(away @ self.gram[: away.size, : away.size] @ away)
 
 
-def periodic_form(surface: HeightMap, period: Period) -> PeriodicForm:
+def periodic_form(surface: HeightMap, period: Period, highest: float = FORM_ORDERS[-1]) -> PeriodicForm:
     """Form of a ridged map, from points at equal places of different ridges: waviness, curvature, warp.
 
     Heights are modelled as a profile that repeats and a polynomial of order 2 to 12, fitted together; the shape
     of the ridges does not pull at the form. The order counts whose form, fitted to every second piece of ridge,
     predicts the others best, if it leaves 0.5 % less than a tilt.
+
+    Args:
+        surface: the map, (rows, cols) in µm.
+        period: of its ridges.
+        highest: order above which none is tried.
     """
     folded = _Folded(surface, period)
     if folded.z.size < 4 * (len(folded.lines) - 1):
@@ -265,7 +270,7 @@ def periodic_form(surface: HeightMap, period: Period) -> PeriodicForm:
         return sum(one.left(other.factors(order)) for one, other in (halves, halves[::-1]))
 
     best, least = 1, FORM_GAIN * missed(1)
-    for order in FORM_ORDERS:
+    for order in (one for one in FORM_ORDERS if one <= highest):
         left = missed(order)
         if left < least:
             best, least = order, FORM_GAIN * left

@@ -296,8 +296,8 @@ def measure_crest(
     of height on position between 20 % and 80 % of its height. Where the wall is narrower than two pixels it may be
     anything between upright and what is seen. The crest is fitted twice, cut level and rounded; the better one
     counts, if it leaves clearly less than a sharp edge does. Where the point spread function is known, or rounding
-    leaves no straight wall, the whole outline is fitted (:mod:`.ridgeoutline`). Where it is not known and both ends
-    are rounded, the outline is fitted as blurred too, and what that changes is the width of a rectangular distribution.
+    leaves no straight wall, the whole outline is fitted (:mod:`.ridgeoutline`). Where it is not known, the outline is
+    fitted as blurred too: the numbers are those seen or those of a sharp outline, and u is their distance over √2.
 
     Args:
         parts: (ridges, bins, 3) from ``profile_sums``.
@@ -328,10 +328,8 @@ def measure_crest(
     if fit is not None and fit.straight > LEAST_STRAIGHT:
         about = parts[use][:, _about(total)]
         value, u = jackknife(about, lambda one: fit.shape(fit.moved(*_places(one, p))), weight[use])
-        other = replace(outline, level=fit.outline.level, sigma=(1.0 + SIGMA_KNOWN) * outline.sigma).fitted(
-            step_um
-        )
-        u, doubt = np.hypot(u, fit.misfit()), other.shape(other.found) - value
+        wider = replace(fit.outline, sigma=(1.0 + SIGMA_KNOWN) * outline.sigma).fitted(step_um)
+        u, doubt = np.hypot(u, fit.misfit()), wider.shape(wider.found) - value
         middle, width = fit.found[:2]
         wall = replace(wall, low=middle - 0.3 * width, high=middle + 0.3 * width, resolved=True)
         bend = 0.0
@@ -347,7 +345,7 @@ def measure_crest(
         if blurred.found[-1] > BLURRED_PIXELS * step_um:
             blur, doubt = float(blurred.found[-1]), (blurred.shape(blurred.found) - value) / np.sqrt(2.0)
             u = np.hypot(u, blurred.misfit())
-    return _crest(value, u, doubt, wall, angle, pitch, step_um, bend, blur)
+    return _crest(value, u, doubt, wall, angle, pitch, step_um, max(step_um, sigma_um or 0.0), bend, blur)
 
 
 def _blurred(outline: Outline, step: float) -> Fit:
@@ -396,10 +394,14 @@ def _crest(
     angle: Quantity,
     pitch: Quantity,
     step: float,
+    finest: float,
     bend: float,
     blur_um: float,
 ) -> Crest:
-    """The crest with the uncertainties that the ridges do not show between them; ``doubt`` is one for all numbers."""
+    """The crest with the uncertainties that the ridges do not show between them.
+
+    ``doubt`` is one for all numbers; radii below two of ``finest`` (pixel or σ) are bounds.
+    """
     assert angle.value is not None
     assert angle.u is not None
     assert pitch.value is not None
@@ -434,10 +436,10 @@ def _crest(
     actual = Quantity(left * full, float(np.linalg.norm(parts)))
     u_full, u_loss, u_filled = np.hypot((u_full, u_loss, u_filled), doubt[[1, 2, 5]]).tolist()
     u = np.hypot(u, doubt)
-    radius = _radius(float(value[3]), float(u[3]), step, plateau=flat)
+    radius = _radius(float(value[3]), float(u[3]), step, finest, plateau=flat)
     return Crest(
         inclination, wall.width, actual, Quantity(full, u_full), Quantity(loss, u_loss), radius, flat,
-        Quantity(filled, u_filled), _radius(float(value[6]), float(u[6]), step, plateau=level), blur_um,
+        Quantity(filled, u_filled), _radius(float(value[6]), float(u[6]), step, finest, plateau=level), blur_um,
     )  # fmt: skip
 
 
@@ -462,10 +464,10 @@ def against_the_surface(wall: Quantity, removed: float, tilt: float) -> Quantity
     return replace(wall, value=turned(wall.value), at_least=turned(wall.at_least))
 
 
-def _radius(radius: float, u: float, step_um: float, *, plateau: bool) -> Quantity:
+def _radius(radius: float, u: float, step_um: float, finest_um: float, *, plateau: bool) -> Quantity:
     if plateau:
         return Quantity(None)
     u = float(np.hypot(u, step_um / np.sqrt(3.0)))
-    if radius > RESOLVED_PIXELS * step_um and radius > 3.0 * u:
+    if radius > RESOLVED_PIXELS * finest_um and radius > 3.0 * u:
         return Quantity(radius, u)
-    return Quantity(None, at_most=max(radius + 2.0 * u, RESOLVED_PIXELS * step_um))
+    return Quantity(None, at_most=max(radius + 2.0 * u, RESOLVED_PIXELS * finest_um))

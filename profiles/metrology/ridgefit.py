@@ -343,7 +343,7 @@ SAMPLED_ROWS = 60
 MANY_POINTS = 500_000
 COUNTS = 0.02
 MOST_DISTINCT = 0.5
-CROSSED = 4
+CROSSED = 1.5
 LINE_POINTS = 400
 LINE_LEAST = 20
 OF_LINES = 0.1
@@ -539,8 +539,8 @@ def _line_steps(
     """(lags,) mean squared height differences that whole lines of the scan share, and their uncertainty.
 
     Steps between lines are told from roughness by the covariance of the mean steps of the first and the last third
-    of each line. Lines that do not cross four ridges are the third number: along a ridge a step may be a part of its
-    profile.
+    of each line. Lines that do not cross a ridge and a half are the third number: along a ridge a step may be a part of
+    its profile, so that it is in u.
     """
     found, error, lay = np.zeros(len(LAGS)), np.zeros(len(LAGS)), 0.0
     ex, ey = course.downhill()
@@ -565,12 +565,15 @@ def _line_steps(
                 continue
             shared = float(np.mean(product))
             u = float(np.std(product)) * float(np.sqrt(2.0 * lag / product.size))
-            if shared > 3.0 * u and not crossing:
-                lay = max(lay, shared) if lag == 1 else lay
-            elif shared > 3.0 * u:
-                down = np.abs(LAGS[:, axis]) == lag
+            down = np.abs(LAGS[:, axis]) == lag
+            if shared <= 3.0 * u:
+                error[down] += u
+            elif crossing:
                 found[down] += shared
                 error[down] += np.hypot(u, OF_LINES * shared)
+            else:
+                error[down] += shared / np.sqrt(2.0)
+                lay = max(lay, shared) if lag == 1 else lay
     return found, error, lay
 
 

@@ -222,6 +222,9 @@ INTERPOLATED = 0.1
 GAP_PASSES = 3
 FINEST = 0.01
 CLIP = 4.0
+STRIPS = 6
+LEAST_OF_STRIP = 4
+CLEAR = 6.0
 
 
 @dataclass(frozen=True)
@@ -234,6 +237,7 @@ class Positions:
         direction_deg: its direction.
         shift_um: (ridges,) distance of every wall from its place in the course, NaN where unknown.
         shift_u_um: (ridges,) standard uncertainties, from the scatter along the ridge.
+        strip_um: rms shift between strips of the map, such as stitched fields; 0 where tiles explain it.
     """
 
     course: Course
@@ -241,6 +245,7 @@ class Positions:
     direction_deg: Quantity
     shift_um: FloatArray
     shift_u_um: FloatArray
+    strip_um: float
 
 
 def _shifts(sums: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -305,6 +310,13 @@ def refine(grid: Grid, course: Course, folded: Folded, wall_um: float) -> Positi
     left = shift - design[..., :3] @ _solve(parts.sum(axis=0))
     used = parts[:, 0, 0] > LEAST_INFORMATION * parts[:, 0, 0].max()
     (start, by_r, by_v), u = jackknife(parts[used], _solve, parts[used, 0, 0], fitted=2)
+    ex, ey = course.downhill()
+    across, along = design[..., 1], design[..., 2]
+    strip = 0.0
+    for place in (across * ex - along * ey, across * ey + along * ex):
+        rms, u_strips = _strips(place, weight, left, design, FINEST * step)
+        if rms > 0.0:
+            strip, u = max(strip, rms), np.maximum(u, u_strips)
     gap = _hidden_gap(grid, course, int(used.sum()))
     # lines between places that far apart are not quite the wall, even where several of them lie on it
     dead = max(gap - wall_um, INTERPOLATED * gap, FINEST * step) / np.sqrt(6.0)
@@ -325,7 +337,47 @@ def refine(grid: Grid, course: Course, folded: Folded, wall_um: float) -> Positi
         Quantity(corrected.direction_deg, float(np.degrees(turn))),
         mean,
         np.where(count > 2, error, np.nan),
+        strip,
     )
+
+
+def _strips(
+    place: FloatArray, weight: FloatArray, left: FloatArray, design: FloatArray, least_um: float
+) -> tuple[float, FloatArray]:
+    """Rms shift in µm of strips of the map against its plane, and (3,) uncertainties of the plane by leaving each out.
+
+    0 where the ridges in the strips scatter as much. Strips of fewer than four ridges are not looked at: what is
+    between groups of ridges is between ridges.
+
+    Args:
+        place: (ridges, tiles) place of the tiles, along which the strips follow each other.
+        weight: (ridges, tiles) weight of the tiles.
+        left: (ridges, tiles) their shifts against the plane in µm.
+        design: (ridges, tiles, 4) rows of the plane's least squares.
+        least_um: least standard uncertainty of a strip.
+    """
+    on = weight > 0.0
+    edges = np.linspace(float(place[on].min()), float(place[on].max()) + 1e-9, STRIPS + 1)
+    strip = np.digitize(place, edges[1:-1])
+    parts, means, errors = [], [], []
+    for k in range(STRIPS):
+        w = weight * (strip == k)
+        ridges = int(np.count_nonzero(w.any(axis=1)))
+        if ridges < LEAST_OF_STRIP:
+            continue
+        means.append(float((w * left).sum() / w.sum()))
+        each = (w * (left - means[-1])).sum(axis=1) / w.sum()
+        errors.append(float(each @ each) * ridges / (ridges - 1))
+        parts.append(_normal(w, design).sum(axis=0))
+    freedom = len(parts) - 3
+    if freedom < 1:
+        return 0.0, np.zeros(3)
+    squares, variance = np.square(means), np.maximum(errors, least_um**2)
+    if float(np.sum(squares / variance)) < freedom + CLEAR * np.sqrt(2.0 * freedom):
+        return 0.0, np.zeros(3)
+    normal = np.stack(parts)
+    _, u = jackknife(normal, _solve, normal[:, 0, 0], fitted=3)
+    return float(np.sqrt(np.mean(squares))), np.sqrt(2.0) * u  # neighbouring strips may be of one field
 
 
 def _corrected(course: Course, start: float, by_r: float, by_v: float) -> Course:

@@ -30,6 +30,20 @@ OF_STRAIGHT_FACETS = (
     "along_variation_deg",
     "height_variation_um",
 )
+OF_ALL_RIDGES = {
+    "line_drift_um": "lines of the scan differ in height by {:.2g} µm from one to the next (rms); alpha is without "
+    "these steps and has the wider u",
+    "lay_um": "heights step by {:.2g} µm (rms) from line to line along the ridges: marks of machining, or drift of the "
+    "instrument; alpha across holds them and has the wider u",
+    "strip_um": "strips of the map are out of place by {:.2g} µm (rms), as stitched fields and lateral drift are: "
+    "pitch and direction have the wider u",
+    "height_step_um": "heights are rounded to steps of {:.3g} µm, which alpha feels: save the map with finer steps",
+    "short_share": "{:.0%} of what looks like noise may be roughness shorter than three pixels; alpha has the wider u: "
+    "measure with smaller pixels",
+    "seen_limit_um": "an instrument with a lateral period limit of {:.3g} µm would round sharp crests and feet like "
+    "these; wall angle, height, losses, radii and alpha have the wider u: give --period-limit",
+}
+"""Remarks on what all ridges share, by the field that holds its amount."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +141,7 @@ class RidgeMeasurement:
         short_share: share of the noise that is roughness shorter than three pixels, where alpha feels it; else 0.
         lay_um: rms step across that whole ridges share, where alpha across holds it; else 0.
         period_limit_um: lateral period limit of the instrument that was given, and its blur taken off; else None.
+        strip_um: rms shift between strips of the map, where that is more than tiles scatter; else 0.
         seen_limit_um: one that alone would round crest and foot as they are, where none was given; else 0.
     """
 
@@ -166,6 +181,7 @@ class RidgeMeasurement:
     lay_um: float = 0.0
     period_limit_um: float | None = None
     seen_limit_um: float = 0.0
+    strip_um: float = 0.0
 
     @property
     def varies_along(self) -> bool:
@@ -207,32 +223,8 @@ class RidgeMeasurement:
                 f"the ridge angle is not the same along the ridges: {min(angles):.2f}° to {max(angles):.2f}° in "
                 f"{len(angles)} lengths; the ridge angle is their mean, and its u is not the spread"
             )
-        if self.line_drift_um > 0.0:
-            found.append(
-                f"lines of the scan differ in height by {self.line_drift_um:.2g} µm from one to the next (rms); alpha "
-                "is without these steps and has the wider u"
-            )
-        if self.lay_um > 0.0:
-            found.append(
-                f"heights step by {self.lay_um:.2g} µm (rms) from line to line along the ridges: marks of machining, "
-                "or drift of the instrument; alpha across holds them"
-            )
-        if self.height_step_um > 0.0:
-            found.append(
-                f"heights are rounded to steps of {self.height_step_um:.3g} µm, which alpha feels: save the map with "
-                "finer steps"
-            )
-        if self.short_share > 0.0:
-            found.append(
-                f"{self.short_share:.0%} of what looks like noise may be roughness shorter than three pixels; alpha "
-                "has the wider u: measure with smaller pixels"
-            )
-        if self.seen_limit_um > 0.0:
-            found.append(
-                f"an instrument with a lateral period limit of {self.seen_limit_um:.3g} µm would round sharp crests "
-                "and feet like these; wall angle, height, losses, radii and alpha have the wider u: give --period-limit"
-            )
-        return tuple(found)
+        shared = ((text, getattr(self, name)) for name, text in OF_ALL_RIDGES.items())
+        return (*found, *(text.format(amount) for text, amount in shared if amount > 0.0))
 
     def stated(self) -> Self:
         """Numbers for table, page and JSON: none of straight facets where there are none."""

@@ -54,7 +54,7 @@ from anisoscope.profiles.metrology.ridgefold import (
     orient,
     refine,
 )
-from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, Ridge, RidgeMeasurement
+from anisoscope.profiles.metrology.ridgemeasurement import MOST_BOW, MeanRidge, Ridge, RidgeMeasurement
 from anisoscope.profiles.metrology.ridgeoutline import SIGMA_OF_LIMIT
 from anisoscope.profiles.metrology.ridgesums import profile_sums, wall_sums
 from anisoscope.profiles.period import MIN_SCORE, Period, find_period
@@ -64,6 +64,7 @@ SLOPE_ROWS = 200
 COURSE_PASSES = 4
 SETTLED = 0.03
 FORM_PASSES = 2
+LESS_ALIKE = 0.01
 SECOND_POINTS = 400
 SECOND_DEG = 5.0
 MIN_QUARTER = 16
@@ -157,16 +158,27 @@ def _second_direction(surface: HeightMap, grid: Grid, course: Course, folded: Fo
 
 
 def _without_form(surface: HeightMap, period: Period) -> tuple[HeightMap, Period, float]:
-    """The map without form (waviness, curvature), its period, and the rms of the form in µm."""
+    """The map without form (waviness, curvature), its period, and the rms of the form in µm.
+
+    A form of high order can follow ridges that differ in turn. Without a true form the ridges are more alike; if they
+    are less, only orders are tried that cannot follow them, or none.
+    """
     rms = 0.0
+    slow = 0.5 * float(np.abs(period.across()[::-1]) @ surface.extent_um) / period.pitch_um
     for _ in range(FORM_PASSES):
-        form = periodic_form(surface, period)
-        if form.order == 1:
-            break
-        height = form.height_um(surface.shape)
+        for highest in (np.inf, slow):
+            form = periodic_form(surface, period, highest)
+            if form.order == 1:
+                return surface, period, rms
+            height = form.height_um(surface.shape)
+            flat = surface.with_height(surface.height_um - height)
+            after = find_period(flat)
+            if after.score > period.score - LESS_ALIKE:
+                break
+        else:
+            return surface, period, rms
         rms = float(np.hypot(rms, np.std(height)))
-        surface = surface.with_height(surface.height_um - height)
-        period = _checked(find_period(surface))
+        surface, period = flat, _checked(after)
     return surface, period, rms
 
 
@@ -299,6 +311,7 @@ class _Fit:
         ridges = self._ridges(singles, crest)
         span = (self.facet.begin * self.course.pitch_um, self.facet.end * self.course.pitch_um)
         lean_x, lean_y = course.downhill()
+        bow = facet_bow(self.folded, self.facet, self.course.pitch_um)
         return RidgeMeasurement(
             pitch, self._surface_pitch(removed), self.positions.direction_deg, angle, wall_angle, crest.height_um,
             crest.height_loss, crest.edge_radius_um, crest.foot_loss, crest.foot_radius_um,
@@ -309,9 +322,10 @@ class _Fit:
             tuple(ridges), self.burrs, self.surface.missing_share,
             (span[1] - span[0]) / self.course.pitch_um, crest.plateau, self.period.score,
             self._mean_ridge(x_um, height_um, span), self.form_um,
-            facet_bow(self.folded, self.facet, self.course.pitch_um), self.second_deg, slopes.line_drift_um,
+            bow, self.second_deg, slopes.line_drift_um,
             slopes.height_step_um, slopes.short_share, slopes.lay_um,
-            None if self.sigma_um is None else self.sigma_um / SIGMA_OF_LIMIT, crest.blur_um / SIGMA_OF_LIMIT,
+            None if self.sigma_um is None else self.sigma_um / SIGMA_OF_LIMIT,
+            crest.blur_um / SIGMA_OF_LIMIT if bow <= MOST_BOW else 0.0, self.positions.strip_um,
         )  # fmt: skip
 
     def _surface_pitch(self, removed: float) -> Quantity:

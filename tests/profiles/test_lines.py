@@ -17,8 +17,8 @@ PHASE = 2 * np.pi * (X + 0.1) / PERIOD
 def test_sine():
     found = profile_parameters(2.0 * np.sin(PHASE), 0.25)
     expected = {
-        "Ra": 4.0 / np.pi, "Rq": np.sqrt(2.0), "Rz": 4.0, "Rz_hills": 4.0, "Rp": 2.0, "Rv": 2.0, "Rt": 4.0, "Rsk": 0.0, "Rku": 1.5,
-        "Rdq": 2.0 * 2 * np.pi / PERIOD / np.sqrt(2.0), "Rsm": PERIOD,
+        "Ra": 4.0 / np.pi, "Rq": np.sqrt(2.0), "Rz": 4.0, "Rp": 2.0, "Rv": 2.0, "Rt": 4.0, "Rsk": 0.0, "Rku": 1.5,
+        "Rz_hills": 4.0, "Rdq": 2.0 * 2 * np.pi / PERIOD / np.sqrt(2.0), "Rsm": PERIOD,
     }  # fmt: skip
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-6)
 

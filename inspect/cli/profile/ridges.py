@@ -82,6 +82,7 @@ def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
         "lay_um": found.lay_um,
         "period_limit_um": found.period_limit_um,
         "seen_limit_um": found.seen_limit_um,
+        "strip_um": found.strip_um,
         "varies_along": found.varies_along,
         "segments": [
             {"place_um": one.place_um, "angle_deg": _number(one.angle_deg)} for one in found.segments

@@ -164,8 +164,9 @@ ridges.angle_deg ridges.angle_deg.u ridges.angle_deg.value ridges.height_um ridg
 ridges.height_um.value ridges.number ridges.points ridges.position_um ridges.shift_um ridges.shift_um.u
 ridges.shift_um.value second_direction_deg seen_limit_um segments segments.angle_deg segments.angle_deg.u
 segments.angle_deg.value segments.place_um shift_variation_um shift_variation_um.u
-shift_variation_um.value short_share straight surface_pitch_um surface_pitch_um.u surface_pitch_um.value
-varies_along wall_angle_deg wall_angle_deg.at_least wall_angle_deg.u wall_angle_deg.value
+shift_variation_um.value short_share straight strip_um surface_pitch_um surface_pitch_um.u
+surface_pitch_um.value varies_along wall_angle_deg wall_angle_deg.at_least wall_angle_deg.u
+wall_angle_deg.value
 """
 TEXTURE = """
 bearing bearing.smc_10_um bearing.smc_80_um bearing.smr_mean core core.sk_um core.smr1 core.smr2

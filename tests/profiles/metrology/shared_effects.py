@@ -31,7 +31,7 @@ class Case:
     vertical: float = 1.0
     shear: float = 0.0
     bow: float = 0.0
-    lower: float = 0.0  # of every second ridge
+    lower: float = 0.0  # every second ridge, in µm
     missing: float = 0.0
     lost_columns: float = 0.0
     fields: int = 1
@@ -95,11 +95,12 @@ def draw(case):
     xx, yy = j * case.lateral + np.radians(case.shear) * i, i * case.lateral
     which = np.minimum(i * case.fields // rows, case.fields - 1).astype(int)
     xx = xx + case.field_shift * rng.standard_normal(case.fields)[which]
+    yy = yy + case.field_shift * rng.standard_normal(case.fields)[which]
     d = np.radians(case.direction)
     across = xx * np.cos(d) + yy * np.sin(d) + pitch * rng.random()
     heights = np.interp(np.mod(across, pitch), even, z, period=pitch)
     if case.lower:
-        heights *= 1.0 - case.lower * (np.floor(across / pitch) % 2)
+        heights -= case.lower * (np.floor(across / pitch) % 2)
     heights += across * np.tan(t) + np.tan(np.radians(case.tilt_along)) * (yy * np.cos(d) - xx * np.sin(d))
     fy, fx = np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None, :]
     f2, sigma = fx**2 + fy**2, case.slope * case.length / np.sqrt(2.0)
@@ -160,7 +161,7 @@ def usual(seed, **more):
         slope=float(rng.uniform(0.04, 0.1)),
         length=float(rng.uniform(4.0, 8.0)),
         noise=float(rng.uniform(0.01, 0.04)),
-        shape=(420, 600),
+        shape=(480, 720),
     )
     case = replace(case, **more)
     return replace(case, **{end: largest_radius(case, getattr(case, end)) for end in ("crest", "foot")})

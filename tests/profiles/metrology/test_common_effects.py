@@ -1,6 +1,8 @@
 """What all ridges of a map share: effects that no scatter between ridges shows."""
 
 import importlib.util
+import os
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +31,179 @@ def measured(case, period_limit_um=None):
 
 def remarks(found, words):
     return any(words in one for one in found.remarks())
+
+
+def some(low, high):
+    return lambda rng: float(rng.uniform(low, high))
+
+
+def either(low, high):
+    return lambda rng: float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
+
+
+# what is drawn, words of the remark that tells of it, what covers it, and results that nothing on a map can cover
+EFFECTS = {
+    "none": ({}, None, "scatter between ridges, and the grid", ()),
+    "tilt": (
+        {"tilt": either(0.5, 3.0), "tilt_along": either(0.0, 1.0)},
+        None,
+        "angles are against the surface; `surface_pitch_um`",
+        (),
+    ),
+    "drift along rows": (
+        {"row_step": some(0.01, 0.1)},
+        "lines of the scan|along the ridges",
+        "`line_drift_um` is taken off alpha; `lay_um`, where rows run along the ridges, is in its u",
+        (),
+    ),
+    "drift along columns": (
+        {"column_step": some(0.01, 0.05)},
+        "lines of the scan|along the ridges",
+        "the same",
+        (),
+    ),
+    "rounded heights": (
+        {"rounded": some(0.02, 1.5)},
+        "rounded to",
+        "`height_step_um`; u of angle and alpha, or alpha withheld",
+        (),
+    ),
+    "lateral scale": (
+        {"lateral": lambda rng: 1.0 + either(0.001, 0.005)(rng)},
+        None,
+        "calibration of the axes",
+        ("pitch", "angle"),
+    ),
+    "height scale": (
+        {"vertical": lambda rng: 1.0 + either(0.005, 0.02)(rng)},
+        None,
+        "calibration of the axes",
+        ("angle", "height", "wall", "alpha"),
+    ),
+    "orthogonality": (
+        {"shear": either(0.1, 0.5)},
+        None,
+        "calibration of the axes",
+        ("pitch", "direction", "angle"),
+    ),
+    "form": ({"bow": either(0.3, 3.0)}, "form of", "`form_um` is taken off", ()),
+    "foot radius": ({"foot": some(0.2, 0.8)}, None, "`foot_radius_um`, `foot_loss`", ()),
+    "crest radius": ({"crest": some(0.2, 0.8)}, None, "`edge_radius_um`, `height_loss`", ()),
+    "lateral resolution": (
+        {"blur": some(0.4, 2.0)},
+        "period limit",
+        "`seen_limit_um`; u of what it changes",
+        (),
+    ),
+    "the same, given": ({"blur": some(0.4, 2.0)}, None, "`--period-limit` is taken off", ()),
+    "period ambiguity": (
+        {"lower": some(0.1, 0.7)},
+        None,
+        "half, third and double pitch are tried; ridges that alternate by a tenth of their height are pairs",
+        (),
+    ),
+    "gaps": (
+        {"missing": some(0.1, 0.3), "lost_columns": some(0.1, 0.4)},
+        None,
+        "missing points have no weight",
+        (),
+    ),
+    "stitching": (
+        {"fields": lambda _: 3, "field_step": some(0.1, 0.5), "field_shift": some(0.1, 0.5)},
+        "strips of the map",
+        "`strip_um`; u of pitch and direction",
+        (),
+    ),
+}
+RESULTS = {
+    "pitch": ("pitch_um",),
+    "direction": ("direction_deg",),
+    "angle": ("ridge_angle_deg",),
+    "height": ("height_um",),
+    "wall": ("wall_angle_deg",),
+    "radii": ("edge_radius_um", "foot_radius_um"),
+    "alpha": ("alpha_along", "alpha_across"),
+}
+MAPS = 20
+PAGE = Path(__file__).parents[3] / "docs" / "ridges.md"
+BEGIN, END = (
+    "<!-- common effects: written by the soak test of this name -->\n",
+    "<!-- end of common effects -->",
+)
+NOT_COVERED = "not covered"
+
+
+def statements(name, seed):
+    """Which numbers of one map hold the truth, by result, and whether the effect is told; (values, held) each."""
+    what, words, _, _ = EFFECTS[name]
+    rng = np.random.default_rng([seed, list(EFFECTS).index(name)])
+    case = usual(100 * list(EFFECTS).index(name) + seed, **{key: value(rng) for key, value in what.items()})
+    heights, truth = draw(case)
+    limit = OF_SIGMA * case.blur if name == "the same, given" else None
+    found = measure_ridges(HeightMap(heights, 1.0, 1.0), limit).stated()
+    held = {
+        result: [within(getattr(found, number), truth[number]) for number in numbers]
+        for result, numbers in RESULTS.items()
+    }
+    return held, words is not None and any(re.search(words, one) for one in found.remarks())
+
+
+def table_of_page():
+    """(effects) cells of the table of the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    rows = text[text.index(BEGIN) + len(BEGIN) : text.index(END)].splitlines()
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+
+
+def test_the_page_says_of_every_effect_and_result_how_it_is_covered():
+    head, _, *rows = table_of_page()
+    assert head == ["effect", "covered by", *RESULTS]
+    assert [row[:2] for row in rows] == [[name, how] for name, (_, _, how, _) in EFFECTS.items()]
+    for row in rows:
+        _, _, _, hopeless = EFFECTS[row[0]]
+        for result, cell in zip(RESULTS, row[2:], strict=True):
+            assert (cell == NOT_COVERED) == (result in hopeless), (row[0], result)
+            assert cell == NOT_COVERED or re.fullmatch(r"\d+ %(, told)?", cell)
+
+
+@pytest.mark.parametrize("name", ["period ambiguity", "stitching", "the same, given"])
+def test_a_map_of_an_effect_holds_what_the_page_says(name):
+    held, told = statements(name, 0)
+    for result, each in held.items():
+        assert all(each) or told, result
+
+
+@pytest.mark.soak
+def test_common_effects_on_three_hundred_maps():
+    """Writes the table of the page with ANISOSCOPE_WRITE_DOCS: shares of numbers within 2 u."""
+    rows = [["effect", "covered by", *RESULTS], ["---"] * (2 + len(RESULTS))]
+    short = []
+    for name, (_, _, how, hopeless) in EFFECTS.items():
+        count = {result: [0, 0, 0] for result in RESULTS}  # numbers, those held, those held or told
+        for seed in range(MAPS):
+            try:
+                held, told = statements(name, seed)
+            except HeightMapError:  # too rough for its ridges, or too coarse: nothing is stated
+                continue
+            for result, each in held.items():
+                count[result][0] += len(each)
+                count[result][1] += sum(each)
+                count[result][2] += len(each) if told else sum(each)
+        row = [name, how]
+        for result, (numbers, good, known) in count.items():
+            assert numbers > 0.8 * MAPS
+            due, share = int(0.95 * numbers), f"{good / numbers:.0%}".replace("%", " %")
+            row.append(NOT_COVERED if result in hopeless else share if good >= due else f"{share}, told")
+            if known < due and result not in hopeless:
+                short.append((name, result, good, known, numbers))
+        rows.append(row)
+    if "ANISOSCOPE_WRITE_DOCS" in os.environ and not short:
+        text = PAGE.read_text(encoding="utf-8")
+        table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
+        PAGE.write_text(
+            text[: text.index(BEGIN) + len(BEGIN)] + table + text[text.index(END) :], encoding="utf-8"
+        )
+    assert not short, rows
 
 
 @pytest.mark.parametrize("step_um", [0.02, 0.1])
