@@ -427,7 +427,8 @@ def _limits(study: ControlStudy) -> Grid:
         if isinstance(line, Ewma):
             name, shown = f"EWMA at the end (λ {line.weight:g}, L {line.width:g})", slice(-1, None)
         rows.append((name, *(_span(one[shown]) for one in (line.lower, line.center, line.upper))))
-    sigma = "" if study.points.chart in ("p", "u") else f"; sigma {number(study.basis.sigma)}"
+    of = " of z" if study.points.counted else ""
+    sigma = "" if study.points.chart in ("p", "u") else f"; sigma{of} {number(study.basis.sigma)}"
     title = f"Limits {_origin(study)}{sigma}"
     sizes = "" if study.unit == "values" else f"Subgroups of {_span(study.points.sizes)}"
     return Grid("Limits", title, ("chart", "lower", "center", "upper"), tuple(rows), "limits", note=sizes)
@@ -490,7 +491,8 @@ def _flags(study: ControlStudy, listed: int) -> Grid:
     )
     more = len(study.flags) - listed
     note = f"{more} more are marked in the chart and listed by --json." if more > 0 else ""
-    columns = ("rule", "what was seen", "where", "measurements", "often means")
+    unit = "measurements" if study.unit == "values" else study.unit
+    columns = ("rule", "what was seen", "where", unit, "often means")
     return Grid("Patterns", "Patterns after Nelson (1984)", columns, rows, "flags", (1, 2, 4), note)
 
 
