@@ -18,6 +18,7 @@ from anisoscope.console.live import Live
 from anisoscope.console.pages import render, report_at
 from anisoscope.console.station import Named, Start, Station
 from anisoscope.inspection.recipe_store import RecipeEntry
+from anisoscope.operations.rigging import question_of
 from anisoscope.rig.jogging import Jogger, Step
 
 
@@ -73,6 +74,7 @@ def _add_pages(router: APIRouter, station: Station) -> None:
             calibrations=station.calibrations(),
             resumable=station.resumable(),
             places=station.has_places(),
+            question=question_of(station.place.rig),
             guides=[one for one in described(station.place.rig) if session.may(one["needs"])],
             name=station.name or "",
             words=_words(),

@@ -56,22 +56,20 @@ def is_taught(rig: Path, file: RigAxes) -> bool:
     return named or default_record_path(rig).exists()
 
 
-def may_turn(rig: Path, confirm: Confirm) -> None:
-    """Ask once before the first motion of a rig that was never taught, unless all its axes are set by hand.
+def question_of(rig: Path) -> str:
+    """What is asked before the first motion of a rig that was never taught; "" of others, and where all is set by hand.
 
     Raises:
-        UsageError: the motion was not allowed.
         RigFileError: the rig file.
     """
     file = read_axes(rig)
     driven = [table for table, part in file.axes.items() if part.driver != BY_HAND]
-    if driven and not is_taught(rig, file):
-        names = ", ".join(driven)
-        confirm(
-            message(
-                "this rig was never commissioned; {names} home and turn: keep their paths free", names=names
-            )
-        )
+    if not driven or is_taught(rig, file):
+        return ""
+    names = ", ".join(driven)
+    return message(
+        "this rig was never commissioned; {names} home and turn: keep their paths free", names=names
+    )
 
 
 def home_axes(

@@ -44,7 +44,7 @@ def finding_row(finding: Finding) -> tuple[str, str, str, str, str, str, str]:
     note = (
         finding.remark
         if known or finding.value is None
-        else f"perhaps {text_of(finding.value, finding.u)}{finding.unit}: {finding.remark}"
+        else f"{text_of(finding.value, finding.u)}{finding.unit} ± {u_text(finding.u)}{finding.unit}: {finding.remark}"
     )
     return (
         finding.words,

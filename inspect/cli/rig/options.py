@@ -152,7 +152,7 @@ def asking(rig: Path | None, *, yes: bool) -> "Confirm":
 
 def ask_to_turn(*rigs: Path, yes: bool) -> None:
     """Ask before the first motion of rigs that were never taught; errors as for `confirm`, and of the rig file."""
-    from anisoscope.operations.rigging import may_turn
+    from anisoscope.operations.rigging import question_of
 
-    for rig in rigs:
-        may_turn(rig, partial(confirm, yes=yes))
+    for what in filter(None, map(question_of, rigs)):
+        confirm(what, yes=yes)

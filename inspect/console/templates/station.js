@@ -118,7 +118,13 @@ $("start").addEventListener("submit", async event => {
   if (!await post("/api/v1/start", asked)) return;
   for (const name of ["serial", "x_mm", "y_mm"]) if (fields[name]) fields[name].value = "";  // these are of one part
 });
-const ask = (id, path, content) => { if ($(id)) $(id).addEventListener("click", () => post(path, content ? content() : {})); };
+// A rig that was never commissioned asks once before it moves.
+const ask = (id, path, content) => { if ($(id)) $(id).addEventListener("click", event => {
+  const data = event.currentTarget.dataset;
+  if (data.question && !confirm(data.question)) return;
+  delete data.question;
+  post(path, content ? content() : {});
+}); };
 ask("take", "/api/v1/take");
 ask("release", "/api/v1/release");
 ask("check", "/api/v1/check", () => ({ name: new FormData($("start")).get("recipe") || "" }));

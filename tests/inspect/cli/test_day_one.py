@@ -2,15 +2,20 @@
 
 import io
 import json
+import os
 import re
 import shlex
+import shutil
 import sys
+import textwrap
 import tomllib
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tomli_w
+from PIL import Image, ImageDraw
 
 from anisoscope.cli import run
 from anisoscope.inspection import run as inspection
@@ -20,7 +25,8 @@ from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import BenchFile, SamplePart
 from anisoscope.sim.bench.serving import serve_bench, write_rig_file
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "day-one.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+PAGE, FILM = (DOCS / "day-one.md").read_text(encoding="utf-8"), DOCS / "pictures" / "day-one.gif"
 STEP = re.compile(
     r"\*\*(the known part|the white tile|a part that must fail)\*\*|^```(sh|toml)\n(.*?)^```",
     re.MULTILINE | re.DOTALL,
@@ -90,13 +96,15 @@ def rig_of(page, bench, urls, path):
     )
 
 
-def walk(folder, monkeypatch, stage, turns, zero_deg, *, quick):
+def walk(folder, monkeypatch, stage, turns, zero_deg, *, quick, film=None):
     """Do what the page says, from top to bottom; exit codes by command. Quick: fewer pictures, no causes."""
     if quick:
         monkeypatch.setattr(inspection, "USUAL", inspection.Methods(diagnose=lambda *_: Explanation()))
     monkeypatch.chdir(folder)
     bench, codes = bench_of(fixture_of_page(), stage, turns, zero_deg), {}
     monkeypatch.setattr(sys, "stdin", Operator(bench))
+    if film is not None:
+        monkeypatch.setattr(bench, "photograph", film.watched(bench.photograph))
     with ExitStack() as stack:
         _, urls = serve_bench(bench, 0, stack, pty=True)
         for laid, language, text in STEP.findall(PAGE):
@@ -109,8 +117,53 @@ def walk(folder, monkeypatch, stage, turns, zero_deg, *, quick):
                 if NOT_HERE.match(line) or (quick and words[1:3] == ["recipe", "check"]):
                     continue
                 more = ["--step", "45"] if quick and words[2] == "commission" else []
+                if film is not None:
+                    film.scene(" ".join(words))
                 codes[" ".join(words)] = run([*words[1:], *more])
     return codes
+
+
+class Film:
+    """What the camera sees on day one: a few pictures of every command, below its words."""
+
+    SIDE, BAR, SHOWN = 288, 40, 6
+
+    def __init__(self):
+        self.scenes = []
+
+    def scene(self, words):
+        self.scenes.append((words, []))
+
+    def watched(self, photograph):
+        def take(exposure_s, gain):
+            counts = photograph(exposure_s, gain)
+            if counts.mean() > 80.0:  # the light is on
+                self.scenes[-1][1].append(np.sqrt(np.clip(counts / 2400.0, 0.0, 1.0)))
+            return counts
+
+        return take
+
+    def write(self, path, verdicts):
+        pictures, spans_ms = [], []
+        for words, seen in self.scenes:
+            serial = next((one for one in verdicts if one in words), "")
+            some = seen[:: max(1, len(seen) // self.SHOWN)][: self.SHOWN] or [np.zeros((8, 8))]
+            for number, one in enumerate(some):
+                picture = Image.new("L", (self.SIDE, self.SIDE + self.BAR), 255)
+                picture.paste(
+                    Image.fromarray((255 * one).astype(np.uint8)).resize((self.SIDE, self.SIDE)),
+                    (0, self.BAR),
+                )
+                last = serial and number == len(some) - 1
+                text = f"$ {words}\n{verdicts[serial]}" if last else f"$ {words}"
+                lines = [line for part in text.split("\n") for line in textwrap.wrap(part, 48)]
+                ImageDraw.Draw(picture).multiline_text(
+                    (4, 2), "\n".join(lines[:2] + lines[2:][-1:]), 0, spacing=1
+                )
+                pictures.append(picture.quantize(48))
+                spans_ms.append(2500 if last else 450 if seen else 1200)
+        first, *others = pictures
+        first.save(path, save_all=True, append_images=others, duration=spans_ms, loop=0, optimize=True)
 
 
 def verdicts(folder):
@@ -137,6 +190,17 @@ def test_day_one_ends_with_a_part_that_passes_and_one_that_fails(tmp_path, monke
     assert re.search(r"never commissioned; stage home and turn.*Go on\?", said.err)
     printed = re.search(r"^\[fixture\]\n.*?^greys = .*?\]$", said.out, re.MULTILINE | re.DOTALL)[0]
     assert tomllib.loads(printed)["fixture"] == fixture_of_page()
+
+
+@pytest.mark.soak
+def test_the_film_of_the_page_is_written(tmp_path, monkeypatch):
+    film = Film()
+    walk(tmp_path, monkeypatch, "zaber", "ccw", 37.0, quick=True, film=film)
+    film.write(tmp_path / FILM.name, verdicts(tmp_path))
+    with Image.open(tmp_path / FILM.name) as found:
+        assert found.n_frames > 20
+    if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
+        shutil.copy(tmp_path / FILM.name, FILM)
 
 
 @pytest.mark.soak

@@ -403,3 +403,13 @@ def test_the_client_of_the_docs_inspects_a_part(address, capsys):
     client = runpy.run_path(str(Path(__file__).parents[3] / "docs/examples/console/client.py"))
     client["main"](address, "plate", "C-1")
     assert capsys.readouterr().out.splitlines()[-1] == "PASS"
+
+
+def test_a_rig_that_was_never_commissioned_is_a_question_on_the_page(station_at, served, app_of):
+    for name, changes, asked in (("untaught", {"rig": {"calibration": None}}, True), ("taught", {}, False)):
+        with served(app_of(station_at(name, **changes)[0])) as address:
+            page = httpx.get(
+                f"{address}/station", headers={"Accept": "text/html"}, follow_redirects=True
+            ).text
+        assert ('data-question="this rig was never commissioned; stage home and turn' in page) == asked
+        assert "Check the rig (it moves)" in page
