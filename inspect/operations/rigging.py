@@ -57,7 +57,7 @@ def is_taught(rig: Path, file: RigAxes) -> bool:
 
 
 def question_of(rig: Path) -> str:
-    """What is asked before the first motion of a rig that was never taught; "" of others, and where all is set by hand.
+    """Question before the first motion of a rig that was never taught; "" of others, and where all is set by hand.
 
     Raises:
         RigFileError: the rig file.
