@@ -2,11 +2,13 @@
 
 The difference B − A stands on the points of the first map A, after the second map B was registered and its plane
 brought to that of what has not changed. It is negative where material was lost. Its uncertainty has the noise of both
-maps, the uncertainty of the position times the slope, what interpolation between points does not know, and that of
-the plane.
+maps, the uncertainty of the position and the scale times the slope, what interpolation between points does not know,
+and that of the plane; what all points share adds up in volumes. A difference at an edge that a displacement by 0.07
+pixels makes is no change.
 
 A tool is turned over first: A is then the part that it would mould, and material that is lost was not filled. Moulded
-parts shrink as they cool; where the scales differ, B is stretched to that of A, and the shrinkage stated.
+parts shrink as they cool, and two instruments differ; where the maps show that the scales differ, B is stretched to
+that of A, and by how much is stated.
 """
 
 from collections.abc import Sequence
@@ -32,6 +34,8 @@ Mask = npt.NDArray[np.bool_]
 SEED, GROW = 5.0, 1.5
 MARGIN_POINTS = 3
 LEAST_SHRINKAGE, MOST_SHRINKAGE = 1e-4, 0.05
+MOST_FITS = 6
+EDGE_POINTS, EDGE_REACH, NOISE_STEPS = 0.07, 5, 5.0
 SMOOTH_POINTS = 3
 SEGMENTS = 8
 LEAST_SEGMENTS = 3
@@ -104,7 +108,7 @@ class Replication:
     Attributes:
         relief: least-squares factor of the heights of the second map on those of the first, 1 for a faithful copy.
         height: ratio of the ridge heights, mean over the ridges; without value where there are no ridges.
-        shrinkage: by how much a part of a tool is smaller, a share; without value where it was not stretched.
+        shrinkage: by how much the second map is smaller, a share; without value where it was not stretched.
     """
 
     relief: Quantity
@@ -183,18 +187,16 @@ def compare_maps(first: HeightMap, second: HeightMap, *, mirrored: bool = False)
             raise UsageError(f"compare_maps takes two HeightMaps, not {type(surface).__name__}")
     if mirrored:
         first = turned_over(first)
-        shrinkage, placed = _shrinkage(first, second)
-        second = _stretched(second, 1.0 - (shrinkage.value or 0.0))
-    else:
-        shrinkage, placed = Quantity(None), register(first, second)
+    shrinkage, placed = _shrinkage(first, second, _start(first, second) if mirrored else 1.0)
+    second = _stretched(second, 1.0 - (shrinkage.value or 0.0))
     on_grid = registered(first, second, placed)
     difference = first.with_height(on_grid.height_um - first.height_um)
-    u_um, u_plane = _uncertainty(first, second, placed, on_grid)
-    lost, gained, changed = _volumes(difference, u_um, u_plane)
+    doubt = _Doubt.of(first, second, placed, on_grid)
+    u_um = doubt.u_um
+    lost, gained, changed = _volumes(difference, doubt)
     area = first.pixel_x_um * first.pixel_y_um
     known = np.isfinite(difference.height_um)
-    u_net = area * float(np.hypot(np.count_nonzero(known) * u_plane, np.sqrt(np.sum(u_um[known] ** 2))))
-    net = Quantity(area * float(np.sum(difference.height_um[known])), u_net)
+    net = Quantity(area * float(np.sum(difference.height_um[known])), area * doubt.of_sum(known))
     factor, tiles = _relief(first, on_grid)
     ridges, note, cells = _ridges(first, on_grid, mirrored=mirrored)
     return Comparison(
@@ -203,22 +205,35 @@ def compare_maps(first: HeightMap, second: HeightMap, *, mirrored: bool = False)
     )  # fmt: skip
 
 
-def _shrinkage(first: HeightMap, second: HeightMap) -> tuple[Quantity, Placed]:
-    """By how much a part is smaller than its tool, without value where it is not, and where it lies, stretched by that.
-
-    The scale of the registration, to which the pitches of ridges lead.
-    """
+def _start(first: HeightMap, second: HeightMap) -> float:
+    """Ratio of the pitches of a part and its tool, 1 where it says no shrinkage of a mould."""
     try:
         pitches = [measure_ridges(one).pitch_um.value or 1.0 for one in (first, second)]
-        start = pitches[1] / pitches[0]
     except HeightMapError:
-        start = 1.0
-    start = start if LEAST_SHRINKAGE < abs(1.0 - start) < MOST_SHRINKAGE else 1.0
-    placed = register(first, _stretched(second, start))
-    short = 1.0 - start * placed.scale
-    if max(LEAST_SHRINKAGE, 3.0 * placed.u_scale) < abs(short) < MOST_SHRINKAGE:
-        return Quantity(short, placed.u_scale), register(first, _stretched(second, 1.0 - short))
-    return Quantity(None), placed if start == 1.0 else register(first, second)
+        return 1.0
+    start = pitches[1] / pitches[0]
+    return start if LEAST_SHRINKAGE < abs(1.0 - start) < MOST_SHRINKAGE else 1.0
+
+
+def _shrinkage(first: HeightMap, second: HeightMap, scale: float) -> tuple[Quantity, Placed]:
+    """By how much the second map is smaller, without value where the maps do not show it; its place, stretched by that.
+
+    Args:
+        first: map A.
+        second: map B.
+        scale: where the fit of the scale begins; one fit goes part of the way only.
+    """
+    placed = register(first, _stretched(second, scale))
+    if scale == 1.0 and abs(1.0 - placed.scale) <= max(LEAST_SHRINKAGE, 3.0 * placed.u_scale):
+        return Quantity(None), placed
+    for _ in range(MOST_FITS):
+        scale *= placed.scale
+        if not max(LEAST_SHRINKAGE, 3.0 * placed.u_scale) < abs(1.0 - scale) < MOST_SHRINKAGE:
+            return Quantity(None), register(first, second)
+        placed = register(first, _stretched(second, scale))
+        if abs(1.0 - placed.scale) <= 0.3 * placed.u_scale:
+            break
+    return Quantity(1.0 - scale, placed.u_scale), placed
 
 
 def _stretched(surface: HeightMap, scale: float) -> HeightMap:
@@ -227,28 +242,61 @@ def _stretched(surface: HeightMap, scale: float) -> HeightMap:
     return HeightMap(surface.height_um, *pixels, surface.origin)
 
 
-def _uncertainty(
-    first: HeightMap, second: HeightMap, placed: Placed, on_grid: HeightMap
-) -> tuple[FloatArray, float]:
-    """Standard uncertainty of the difference (rows, cols), and of its plane alone."""
-    y, x = np.meshgrid(*centred_axes(first), indexing="ij")
-    noise = float(np.hypot(white_noise(first), white_noise(second)))
-    smooth = continued(on_grid.height_um)
-    slope_y, slope_x = np.gradient(smooth, first.pixel_y_um, first.pixel_x_um)
-    linear = Interpolated(second).at(*placed.positions(y, x, second)) - placed.plane_um(y, x)
-    between = np.nan_to_num(linear - on_grid.height_um)
-    turn = np.radians(placed.u_angle_deg)
-    by_x = slope_x * np.hypot(placed.u_x_um or 0.0, turn * y)
-    by_y = slope_y * np.hypot(placed.u_y_um or 0.0, turn * x)
-    u = np.sqrt(noise**2 + by_x**2 + by_y**2 + between**2 + placed.u_offset_um**2)
-    return np.where(
-        np.isfinite(on_grid.height_um) & np.isfinite(first.height_um), u, np.nan
-    ), placed.u_offset_um
+@dataclass(frozen=True, eq=False)
+class _Doubt:
+    """What is not known of the difference B − A.
+
+    Attributes:
+        u_um: (rows, cols) standard uncertainty of each point, NaN where not common.
+        edge_um: (rows, cols) bound of what a displacement by a quarter of a pixel does at edges.
+        noise_um: (rows, cols) the part of ``u_um`` that is independent from point to point.
+        common_um: (k, rows, cols) height that each of what all points share changes by one standard uncertainty:
+            shift along x and y, turn, scale, offset, interpolation.
+    """
+
+    u_um: FloatArray
+    edge_um: FloatArray
+    noise_um: float
+    common_um: FloatArray
+
+    @classmethod
+    def of(cls, first: HeightMap, second: HeightMap, placed: Placed, on_grid: HeightMap) -> "_Doubt":
+        """That of two registered maps."""
+        from scipy import ndimage  # noqa: PLC0415 - slow to import
+
+        y, x = np.meshgrid(*centred_axes(first), indexing="ij")
+        noise = float(np.hypot(white_noise(first), white_noise(second)))
+        smooth = continued(on_grid.height_um)
+        slope_y, slope_x = np.gradient(smooth, first.pixel_y_um, first.pixel_x_um)
+        linear = Interpolated(second).at(*placed.positions(y, x, second)) - placed.plane_um(y, x)
+        between = np.nan_to_num(linear - on_grid.height_um)
+        turn = np.radians(placed.u_angle_deg)
+        common = np.stack([
+            slope_x * (placed.u_x_um or 0.0), slope_y * (placed.u_y_um or 0.0),
+            (slope_y * x - slope_x * y) * turn, (slope_x * x + slope_y * y) * placed.u_scale,
+            np.full_like(x, placed.u_offset_um), between,
+        ])  # fmt: skip
+        u = np.sqrt(noise**2 + np.sum(common**2, axis=0))
+        known = np.isfinite(on_grid.height_um) & np.isfinite(first.height_um)
+        edge = np.zeros(first.shape)
+        for axis in (0, 1):
+            step = np.diff(continued(first.height_um), axis=axis, append=0.0)
+            step = np.delete(step, -1, axis)
+            high, low = (
+                f(step, EDGE_REACH, mode="nearest") for f in (ndimage.maximum_filter, ndimage.minimum_filter)
+            )
+            pad = [(0, int(axis == 0)), (0, int(axis == 1))]
+            edge = np.maximum(edge, np.pad(high - low, pad, mode="edge"))
+        edge = EDGE_POINTS * np.maximum(edge - NOISE_STEPS * noise, 0.0)
+        return cls(np.where(known, u, np.nan), edge, noise, common)
+
+    def of_sum(self, where: Mask) -> float:
+        """Standard uncertainty of the sum of the difference over some points."""
+        common = self.common_um[:, where].sum(axis=1)
+        return float(np.sqrt(np.count_nonzero(where) * self.noise_um**2 + np.sum(common**2)))
 
 
-def _volumes(
-    difference: HeightMap, u_um: FloatArray, u_plane: float
-) -> tuple[Volume, Volume, npt.NDArray[np.int8]]:
+def _volumes(difference: HeightMap, doubt: _Doubt) -> tuple[Volume, Volume, npt.NDArray[np.int8]]:
     """Volumes lost and gained where the change stands out of its uncertainty, and around it; and where that is."""
     from scipy import ndimage  # noqa: PLC0415 - slow to import
     from skimage.filters import apply_hysteresis_threshold  # noqa: PLC0415
@@ -259,7 +307,8 @@ def _volumes(
     change = np.where(inside, filled, 0.0)
     weight = ndimage.uniform_filter(inside.astype(np.float64), SMOOTH_POINTS, mode="constant")
     mean = ndimage.uniform_filter(change, SMOOTH_POINTS, mode="constant") / np.maximum(weight, 1e-9)
-    u_here = continued(u_um)
+    u_here = np.hypot(continued(doubt.u_um), doubt.edge_um)
+    u_plane = float(doubt.common_um[4, 0, 0])
     # noise falls by the points of the window; the rest of the uncertainty does not, and is small away from walls
     u_mean = np.maximum(u_here / SMOOTH_POINTS + u_plane, 1e-12)
     # what interpolation does not know at edges is not a change
@@ -278,10 +327,9 @@ def _volumes(
         far = ndimage.distance_transform_edt(~core)
         nearer = far <= ndimage.distance_transform_edt(~other) if other.any() else inside
         wide = (far <= MARGIN_POINTS) & nearer & inside
-        volume = sign * area * float(np.sum(change[wide]))
+        volume = max(sign * area * float(np.sum(change[wide])), 0.0)
         in_gaps = sign * area * float(np.sum(change[wide & ~measured]))
-        noise = area * float(np.sqrt(np.sum(u_here[wide] ** 2)))
-        u = float(np.hypot(noise, area * np.count_nonzero(wide) * u_plane))
+        u = area * doubt.of_sum(wide)
         depth = float((sign * mean[core]).max())
         found.append(
             Volume(

@@ -252,9 +252,9 @@ def comparison_notes(found: Comparison) -> list[str]:
     if found.mirrored:
         notes.append("A, the tool, was negated and mirrored along x first; what is lost was not filled")
     if found.replication.shrinkage.value is not None:
-        notes.append(
-            f"B is smaller by {100.0 * found.replication.shrinkage.value:.3g} %, and was stretched to the size of A"
-        )
+        short = 100.0 * found.replication.shrinkage.value
+        size = "smaller" if short > 0.0 else "larger"
+        notes.append(f"B is {size} by {abs(short):.3g} %, and was stretched to the size of A")
     if placed.u_x_um is None or placed.u_y_um is None:
         notes.append("the shift along the ridges is not determined: they carry nothing to tell it by")
     if placed.ambiguity > 0.9:

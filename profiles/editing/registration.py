@@ -32,6 +32,8 @@ ROUNDS, TRIAL_ROUNDS = 40, 6
 CANDIDATES = 10
 RIDGES_AGREE = 0.1
 SETTLED_PIXELS = 5e-4
+INTERPOLATED = 0.015
+"""Standard deviation of the shift in pixels that comes of interpolation."""
 BETWEEN_POINTS, FAR_BETWEEN_POINTS, NO_EDGES = 0.1, 0.6, 10.0
 STEEP = 1.5
 CLEAR_PIXELS = 0.03
@@ -582,6 +584,11 @@ class _Fit:
         u = np.sqrt(np.maximum(np.diag(covariance), 0.0) + by_interpolation**2)
         # what has changed may pull at the fit by anything between nothing and the whole
         u[:3] = np.hypot(u[:3], self.unrejected_step(edges=False)[:3] / np.sqrt(12.0))
+        # between the points of a surface with walls no interpolation is right, whatever the noise
+        beside = INTERPOLATED * np.array([self.two.pixel_x_um, self.two.pixel_y_um])
+        leaning = np.abs(weight @ design[:, :2]) / np.sum(weight)
+        u[:2], u[4] = np.hypot(u[:2], beside), float(np.hypot(u[4], np.hypot(*(leaning * beside))))
+        u[3] = np.hypot(u[3], beside.max())  # at the border, a length away
         first, second = planes
         cos, sin = np.cos(self.motion[2]), np.sin(self.motion[2])
         # slopes of the second map's plane, along the axes of the first

@@ -36,13 +36,18 @@ def texture(y, x, seed=5, count=60):
     return 0.02 * sum(np.cos(a * x + b * y + c) for a, b, c in zip(kx, ky, phase, strict=True))
 
 
-def ridged(shape, moved=(0.0, 0.0), radius=0.0, seed=1, noise=0.03, missing=0.02, scale=1.0, facet=FACET):
-    """Means over pixels of 1 µm of a ridged, textured surface moved by (x, y)."""
+def ridged(
+    shape, moved=(0.0, 0.0), radius=0.0, seed=1, noise=0.03, missing=0.02, scale=1.0, facet=FACET,
+    size=1.0, change=lambda y, x: 0.0,
+):  # fmt: skip
+    """Means over pixels of 1 µm of a ridged, textured surface moved by (x, y), ``size`` times as large."""
     rng = np.random.default_rng(seed)
+    rows, cols = (0.5 * (number - 1) for number in shape)
     places = (np.arange(shape[1] * PARTS) + 0.5) / PARTS - 0.5 - moved[0]
-    line = profile(places, radius, scale, facet).reshape(-1, PARTS).mean(axis=1)
+    line = profile((places - cols) / size + cols, radius, scale, facet).reshape(-1, PARTS).mean(axis=1)
     y, x = np.mgrid[: shape[0], : shape[1]] * 1.0
-    z = line + texture(y - moved[1], x - moved[0]) + noise * rng.standard_normal(shape)
+    y, x = (y - moved[1] - rows) / size + rows, (x - moved[0] - cols) / size + cols
+    z = line + texture(y, x) + change(y, x) + noise * rng.standard_normal(shape)
     z[rng.random(shape) < missing] = np.nan
     return HeightMap(z, 1.0, 1.0)
 
@@ -106,6 +111,40 @@ def test_nothing_has_changed():
     ratio = found.difference.height_um / found.u_um
     assert 0.7 < np.nanstd(ratio) < 1.1
     assert found.replication.relief.value == pytest.approx(1.0, abs=4.0 * found.replication.relief.u + 0.003)
+
+
+@pytest.mark.parametrize(
+    ("size", "moved"), [(1.001, (3.4, -2.7)), pytest.param(0.9985, (-5.2, 1.1), marks=pytest.mark.soak)]
+)
+def test_another_scale_is_no_wear(size, moved):
+    """Of an unchanged part whose scale differs by 0.1 %, hundreds of µm³ were called lost."""
+    found = compare_maps(ridged((120, 400)), ridged((120, 400), moved, seed=2, size=size))
+    assert found.replication.shrinkage.value == pytest.approx(1.0 - size, abs=4e-4)
+    assert found.lost.volume_um3.value + found.gained.volume_um3.value < 15.0
+    assert abs(found.net_um3.value) < 3.0 * found.net_um3.u < 2000.0
+    assert found.placed.x_um == pytest.approx(moved[0], abs=2.5 * found.placed.u_x_um)
+
+
+def test_pits_on_ridges():
+    """Six Gaussian pits of 1 µm on facets and walls; nothing is gained."""
+    rng = np.random.default_rng(9)
+    middles = [(rng.uniform(60.0, 340.0), rng.uniform(40.0, 160.0)) for _ in range(6)]
+
+    def pits(y, x):
+        return -sum(np.exp(-((x - a) ** 2 + (y - b) ** 2) / 72.0) for a, b in middles)
+
+    found = compare_maps(ridged((200, 400)), ridged((200, 400), (3.4, -2.7), seed=2, change=pits))
+    lost = found.lost.volume_um3
+    assert abs(lost.value - 6.0 * 2.0 * np.pi * 36.0) < 2.0 * lost.u < 100.0
+    assert found.gained.volume_um3.value == 0.0
+    assert found.replication.shrinkage.value is None
+
+
+def test_small_wear_at_sharp_walls_is_in_the_sum_of_all_differences():
+    found = compare_maps(ridged((120, 330)), ridged((120, 330), (3.4, -2.7), 1.5, 2))
+    expected = lost_over(found, 1.5)
+    assert found.lost.volume_um3.value < 0.5 * expected
+    assert abs(found.net_um3.value + expected) < 2.0 * found.net_um3.u
 
 
 def test_a_shallow_pit_in_a_rough_surface():
