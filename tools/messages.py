@@ -118,6 +118,7 @@ SENTENCES = {
     "inspect/diagnosis/signatures.py": {"advance"},
     "rig/acquisition/runner.py": {"_report"},
     "rig/stages/manual.py": {"_prompt"},
+    "rig/stages/motion.py": {"message"},
     "rig/lights/manual.py": {"_prompt"},
 }
 """File -> names of definitions whose texts, or of functions whose first argument, are messages."""

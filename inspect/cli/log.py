@@ -107,22 +107,23 @@ def chosen_language() -> str | None:
 def listening(options: LogOptions) -> Iterator[None]:
     """Send log messages where the options of every command want them, for the duration of one command.
 
-    Compilation of kernels goes to stderr always; with --verbose device messages too, with --debug everything.
+    Compilation of kernels and long motions go to stderr always; with --verbose device messages too, with --debug all.
 
     Raises:
         UsageError: the log file cannot be written.
     """
     global _present  # noqa: PLW0603 - one command a process
     _present = options
-    compiled = logging.getLogger("anisoscope.compiled")
-    for log in (LOG, compiled):
+    always = [logging.getLogger(f"anisoscope.{name}") for name in ("compiled", "waiting")]
+    for log in (LOG, *always):
         log.handlers.clear()
     everything = options.debug or options.verbose
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("anisoscope: %(message)s"))
     handler.setLevel(logging.DEBUG if options.debug else logging.INFO if options.verbose else logging.WARNING)
     handler.addFilter(lambda record: record.name != PROGRESS.name)
-    (LOG if everything else compiled).addHandler(handler)
+    for log in [LOG] if everything else always:
+        log.addHandler(handler)
     if not everything:
         LOG.addHandler(logging.NullHandler())
     LOG.setLevel(

@@ -18,6 +18,7 @@ from typing import Self
 
 from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
+from anisoscope.base.language import message
 from anisoscope.rig.stage import (
     SYMBOLS,
     MotionRules,
@@ -38,7 +39,7 @@ WORD_S = 8.0  # so long a motion goes on without a word of what is waited for
 STANDSTILL_S, STANDSTILL_SHARE, STANDSTILL_SAMPLES = 3.0, 0.001, 6
 
 
-_log = logging.getLogger(__name__)
+_waiting = logging.getLogger("anisoscope.waiting")  # which every command prints
 
 
 class _Underway(Exception):
@@ -303,17 +304,21 @@ class StageBase(ABC):
         while True:
             if self._clock() - told >= WORD_S:
                 told = self._clock()
-                _log.warning(
-                    "%s: the %s goes on for %.0f s, and may take up to %.0f s",
-                    self.name,
-                    what,
-                    told - begun,
-                    deadline - begun,
+                spent, limit = f"{told - begun:.0f}", f"{deadline - begun:.0f}"
+                _waiting.warning(
+                    message(
+                        "{name} has moved for {time} s; it may take {limit} s",
+                        name=self.name,
+                        time=spent,
+                        limit=limit,
+                    )
                 )
             if self._clock() >= deadline and self._slowed()[0] > factor:
                 factor, why = self._slowed()
                 deadline = begun + factor * timeout_s
-                _log.warning("%s: %s; the %s may take up to %.0f s", self.name, why, what, deadline - begun)
+                _waiting.warning(
+                    "%s: %s; the %s may take up to %.0f s", self.name, why, what, deadline - begun
+                )
             left_s = deadline - self._clock()
             busy = self._is_busy(min(POLL_S, left_s)) if left_s > 0.0 else self._is_surely_busy()
             if self._stopping.is_set():

@@ -1,5 +1,6 @@
 """Progress without a terminal: lines of the steps that last, and the steps in the log file."""
 
+import logging
 import time
 
 from anisoscope.cli import log
@@ -35,3 +36,10 @@ def test_the_log_file_gets_the_steps_of_a_quiet_command(tmp_path, capsys):
     text = (tmp_path / "run.log").read_text()
     assert text.count("part: frames") == 1
     assert capsys.readouterr().err == ""
+
+
+def test_a_long_motion_is_told_by_every_command(capsys):
+    for quiet in ((), ("-v",)):
+        with log.listening(log.options_of(quiet)[1]):
+            logging.getLogger("anisoscope.waiting").warning("the stage has moved for 8 s")
+        assert capsys.readouterr().err == "anisoscope: the stage has moved for 8 s\n"

@@ -140,7 +140,7 @@ def test_a_long_motion_says_every_eight_seconds_what_is_waited_for(all_cases, in
     line = in_process(device(case, start_deg=200.0, time_scale=1.0))
     with open_stage("apt", port=line) as stage, caplog.at_level(logging.WARNING):
         stage.home()
-    said = [record.message for record in caplog.records if "goes on for" in record.message]
+    said = [record.message for record in caplog.records if "has moved for" in record.message]
     assert [re.search(r"for (\d+) s", line)[1] for line in said] == ["8", "16"], said
 
 
