@@ -343,6 +343,7 @@ SAMPLED_ROWS = 60
 MANY_POINTS = 500_000
 COUNTS = 0.02
 MOST_DISTINCT = 0.5
+LEAST_EQUAL = 0.05
 CROSSED = 1.5
 LINE_POINTS = 400
 LINE_LEAST = 20
@@ -515,6 +516,17 @@ def height_step(height_um: FloatArray) -> float:
     step = float(np.median(gaps[gaps > 1e-3 * gaps.max()]))
     left = np.abs(gaps / step - np.rint(gaps / step))
     return step if float(np.mean(left < 0.05)) > 0.9 else 0.0
+
+
+def shows_stairs(height_um: FloatArray) -> bool:
+    """Whether neighbours along x and along y are often equal, as on facets of few heights.
+
+    Roughness hides finer steps, and ideal facets, which have few heights too, fall from pixel to pixel.
+    """
+    rows = np.unique(np.linspace(0, height_um.shape[0] - 2, SAMPLED_ROWS).astype(np.intp))
+    here, below = height_um[rows], height_um[rows + 1]
+    known = int(np.isfinite(here).sum())
+    return bool(min(np.sum(here == below), np.sum(here[:, 1:] == here[:, :-1])) > LEAST_EQUAL * known)
 
 
 def _rounding_variance(squares: FloatArray, step: float) -> float:

@@ -27,7 +27,7 @@ BLURRED_ENDS = 1.5
 class Grid:
     """Levelled heights (rows, cols) in µm, NaN where missing, points to leave out, and the pixel (y, x) in µm.
 
-    ``rounded_um`` is the step to which heights are rounded, 0 where they are not.
+    ``rounded_um`` is the step to which heights are rounded, 0 where facets show no stairs.
     """
 
     z: FloatArray

@@ -39,6 +39,7 @@ from anisoscope.profiles.metrology.ridgefit import (
     measure_slopes,
     ridge_angle,
     segments_along,
+    shows_stairs,
     single_ridges,
     slope_of_ends,
     slope_of_steps,
@@ -101,10 +102,10 @@ def _fitted(surface: HeightMap, sigma_um: float | None) -> "_Fit":
             f"a lateral period limit of {sigma_um / SIGMA_OF_LIMIT:.4g} µm leaves no facet of ridges "
             f"{period.pitch_um:.4g} µm apart; it may be half of the pitch"
         )
-    rounded_um = height_step(surface.height_um)
+    rounded_um, stairs = height_step(surface.height_um), shows_stairs(surface.height_um)
     surface, period, form_um = _without_form(surface, period)
     tilt = periodic_tilt(surface, period)
-    grid = replace(_levelled(surface, tilt), rounded_um=rounded_um)
+    grid = replace(_levelled(surface, tilt), rounded_um=rounded_um if stairs else 0.0)
     course, facet, folded = orient(grid, Course(period.pitch_um, period.direction_deg), sigma_um or 0.0)
     for _ in range(COURSE_PASSES):
         before, course = course, refine(grid, course, folded, 0.0).course
@@ -136,6 +137,7 @@ def _fitted(surface: HeightMap, sigma_um: float | None) -> "_Fit":
         form_um,
         second.result(),
         sigma_um,
+        rounded_um,
     )
 
 
@@ -282,6 +284,7 @@ class _Fit:
     form_um: float
     second_deg: float | None
     sigma_um: float | None
+    rounded_um: float
 
     def measured(self) -> RidgeMeasurement:
         """The measurement."""
@@ -302,7 +305,7 @@ class _Fit:
             self.course,
             self.planes.weight.size,
             slow,
-            self.grid.rounded_um,
+            self.rounded_um,
             self.sigma_um or 0.0,
             crest.blur_um,
         )

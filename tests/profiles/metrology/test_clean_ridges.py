@@ -112,6 +112,13 @@ def test_a_crest_rounded_down_to_the_foot_has_no_wall_to_measure():
         assert ratio <= 3.0, name
 
 
+@pytest.mark.parametrize("seed", [49, 87])
+def test_ideal_facets_of_few_heights_are_not_rounded_ones(seed):
+    truth = drawn(seed)
+    found = statements(truth, measure_ridges(truth.surface(seed)))
+    assert max(abs(ratio) for _, ratio in found) < 3.0
+
+
 @pytest.mark.soak
 def test_three_hundred_clean_surfaces():
     """Statements are right within 3u, bounds hold, and nothing is stated with an uncertainty of 0."""
