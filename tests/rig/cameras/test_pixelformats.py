@@ -87,5 +87,9 @@ def test_counts_with_their_high_byte_first_are_refused(name, level):
 def test_a_dark_picture_and_one_of_eight_bits_to_the_left_are_no_swapped_ones():
     rng = np.random.default_rng(5)
     dark = np.round(rng.normal(64.0, 2.0, (64, 96))).astype("<u2")
-    for counts in (dark, dark << 8, np.full((64, 96), 0xFFFF, "<u2")):
+    ramp = (255 * ((np.arange(96) + np.arange(64)[:, None]) % 256)).astype(
+        "<u2"
+    )  # without noise, with an edge
+    pattern = ((7 + 256 * (np.arange(96) + np.arange(64)[:, None])) % 65535).astype("<u2")
+    for counts in (dark, dark << 8, np.full((64, 96), 0xFFFF, "<u2"), ramp, pattern):
         assert np.array_equal(counts_of(counts.tobytes(), counts.shape, "Mono16"), counts)
