@@ -349,12 +349,17 @@ def measure_crest(
 
 
 def _blurred(outline: Outline, step: float) -> Fit:
-    """The outline with the widest point spread function that rounds its ends, or the sharper one of them."""
+    """The outline with the widest point spread function that rounds both ends, or one beside a round or level end."""
     both = outline.fitted(step, free=(False, False, True))
     if both.found[-1] <= BLURRED_PIXELS * step:
         return both
+    ends = ((False, True), (True, False))
     one = min(
-        (outline.fitted(step, free=(*ends, True)) for ends in ((False, True), (True, False))),
+        (
+            replace(outline, level=level).fitted(step, free=(*end, True))
+            for end in ends
+            for level in ((False, False), end)
+        ),
         key=lambda fit: fit.square,
     )
     return both if both.square < MOST_BLUR * one.square else one
