@@ -13,7 +13,7 @@ for the user, K4273. Times have no zone: those of this computer.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -79,8 +79,13 @@ def description_lines(found: AqdefFile) -> Iterator[str]:
             yield _line(f"{key}/{number}", word)
 
 
-def value_lines(found: AqdefFile) -> Iterator[str]:
-    """The values: a line an inspection, before it its serial number and verdict; `MARK` goes before a file of them."""
+def value_lines(found: AqdefFile, time_of: Callable[[str], str] = str) -> Iterator[str]:
+    """The values: a line an inspection, before it its serial number and verdict; `MARK` goes before a file of them.
+
+    Args:
+        found: the values.
+        time_of: makes of a time of ``found`` what stands in the file, as `TIME` has it.
+    """
     catalogues = {
         column: {word: k for k, word in enumerate(_catalogue(found, column), 1)} for column in CATALOGUES
     }
@@ -94,7 +99,7 @@ def value_lines(found: AqdefFile) -> Iterator[str]:
             yield _line("K0014/0", serial)
         if verdict:
             yield _line("K0061/0", number("verdict", place))
-        rest = [_word(found, "time", place), "", _word(found, "lot", place)]
+        rest = [time_of(_word(found, "time", place)), "", _word(found, "lot", place)]
         rest += [str(number(column, place)) for column in ("cavity", "operator", "station")]
         fields = []
         for values in found.numbers.values():

@@ -267,8 +267,6 @@ def export_aqdef(place: str | Path, path: Path, filters: Filters | None = None) 
             f"{readings.source}: {len(kinds)} recipes ({', '.join(kinds[:3])} …): an AQDEF file holds one, choose it "
             "with --recipe"
         )
-    times = [datetime.fromisoformat(one).replace(tzinfo=UTC).astimezone() for one in readings.column("time")]
-    texts = dict(readings.texts) | {"time": tuple(f"{one:{TIME}}" for one in times)}
     pairs = {}
     numbers = {name: readings.numbers[name] for name in characteristics(readings.numbers)}
     for name in numbers:
@@ -284,14 +282,19 @@ def export_aqdef(place: str | Path, path: Path, filters: Filters | None = None) 
         if low is not None and high is not None
     }
     units = {name: unit_of(name) for name in numbers}
-    content = AqdefFile(readings.column("product")[0], texts, numbers, pairs, middle, units)
+    content = AqdefFile(readings.column("product")[0], readings.texts, numbers, pairs, middle, units)
     if path.suffix.lower() == ".dfq":
-        write_lines(path, chain(description_lines(content), aqdef_values(content)))
+        write_lines(path, chain(description_lines(content), aqdef_values(content, _local_time)))
     else:
         values = path.with_suffix(".DFX" if path.suffix.isupper() else ".dfx")
-        write_lines(values, chain((MARK,), aqdef_values(content)))
+        write_lines(values, chain((MARK,), aqdef_values(content, _local_time)))
         write_lines(path, description_lines(content))
     return len(readings)
+
+
+def _local_time(moment: str) -> str:
+    """A time of the history, UTC, as AQDEF has those of this computer."""
+    return f"{datetime.fromisoformat(moment).replace(tzinfo=UTC).astimezone():{TIME}}"
 
 
 def bundle(history: History, inspection: str, path: Path) -> Row:
