@@ -349,7 +349,7 @@ def measure_crest(
 
 
 def _blurred(outline: Outline, step: float) -> Fit:
-    """The outline with the widest point spread function that rounds both ends, or one beside a round or level end."""
+    """Fit of the outline under the widest point spread function: both ends rounded by it, or one of them."""
     both = outline.fitted(step, free=(False, False, True))
     if both.found[-1] <= BLURRED_PIXELS * step:
         return both
