@@ -12,7 +12,6 @@ import math
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -34,7 +33,7 @@ _AGAIN_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 _LOOK_S = 1.0
 _REALS = (ua.VariantType.Double, ua.VariantType.Float)
 
-Take = Callable[[Sequence[CycleData]], str]
+Take = Callable[[Sequence[CycleData]], str | None]
 
 
 def cycle_of(event: Event, wanted: Sequence[str], source: str) -> tuple[CycleData, list[str]]:
@@ -86,7 +85,7 @@ class PressReader:
 
     Args:
         address: ``opc.tcp://host:port/…``.
-        take: receives cycles and returns a line for the operator; where it raises they are given to it again.
+        take: receives cycles and returns a line for the operator, or None; where it raises they are given to it again.
         say: takes a line for the operator.
         wanted: browse names of the fields to take; none: all that are real numbers.
         again_s: waiting times before the next tries to connect.
@@ -193,11 +192,12 @@ class PressReader:
             self._hear(self._heard.get_nowait())
         if not self._waiting:
             return
-        said = await asyncio.to_thread(self._steady, partial(self._take, tuple(self._waiting)), None)
-        if said is not None:  # else they wait for the next try
-            self.taken += len(self._waiting)
+        news = tuple(self._waiting)
+        said = await asyncio.to_thread(self._steady, lambda: (self._take(news),), ())
+        if said:  # else they wait for the next try
+            self.taken += len(news)
             self._waiting.clear()
-            self._tell(said)
+            self._tell(said[0])
 
     def _hear(self, event: Event) -> None:
         cycle, lacking = cycle_of(event, self._wanted, self._source)
@@ -219,7 +219,9 @@ class PressReader:
             self._said.add(text)
             self._tell(text)
 
-    def _tell(self, text: str) -> None:
+    def _tell(self, text: str | None) -> None:
+        if text is None:
+            return
         with contextlib.suppress(Exception):  # nobody hears
             self._say(text)
 

@@ -97,7 +97,7 @@ def test_wrong_recipe(anisoscope, job, old, new, words):
         ('driver = "elliptec"', 'driver = "eliptec"', ("eliptec", "elliptec")),
         ('port = "sim://elliptec', 'port = "/dev/ttyNOTHING?', ("/dev/ttyNOTHING",)),
         ('driver = "simulated"', 'driver = "kodak"', ("kodak",)),
-        ("zero_deg = 10.0", "zero_deg = 0.0", ("zero_deg",)),
+        ("zero_deg = 10.0", "zero_deg = 90000.0", ("zero_deg",)),
         ('name = "virtual rig"', 'name = "virtual rig"\ncolour = "red"', ("colour",)),
     ],
 )

@@ -8,6 +8,7 @@ from typing import get_args
 import pytest
 import tomli_w
 
+from anisoscope.base.language import shown as as_shown
 from anisoscope.base.notation import true_minus
 from anisoscope.base.progress import silent
 from anisoscope.cli.demo.demo import SCENES, Kind
@@ -87,7 +88,7 @@ def test_page_1_of_its_reports_has_finding_action_and_pictures(demo_folder):
             1
         ]
         shown = [html.unescape(text) for text in (finding, action)]
-        assert shown == [true_minus(conclusion[key]) for key in ("finding", "action")]
+        assert shown == [as_shown(true_minus(conclusion[key])) for key in ("finding", "action")]
         if "DEMO-angle" in path.parent.name:
             assert re.match(r"Ridges are about \d\.\d° (flatter|steeper) than designed \(", finding)
         pictures = re.search(r'<section class="poses" id="pictures">.*?</section>', page_1, re.DOTALL)[0]

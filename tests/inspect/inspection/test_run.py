@@ -264,9 +264,9 @@ def test_the_height_map_of_the_part_itself_is_a_match_whichever_way_it_was_measu
 BEFORE = {
     "tilt": ({"recipe": {"poses": {"tilts_deg": [5.0]}}}, RigError, "a tilt of 5°"),
     "out of reach": (
-        {"recipe": {"poses": {"angles_deg": [0.0, -90.0]}}},
+        {"rig": {"stage": {"zero_deg": 90000.0}}},
         RigFileError,
-        "a sample angle of -90°",
+        "a sample angle of 0°",
     ),
     "other camera": (
         {"bench": {"optics": {"pixel_um": 8.2}}},

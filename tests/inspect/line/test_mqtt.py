@@ -491,7 +491,7 @@ REFUSED = [
     ("NCMD", b"", "it has no metrics"),
     ("NCMD", command("NCMD", ("Node Control/Reboot", True))[1], "there is no command 'Node Control/Reboot'"),
     ("NCMD", command("NCMD", ("Node Control/Rebirth", "yes"))[1], "takes a truth value"),
-    ("DCMD", command("DCMD", ("Command/Order", "{}"))[1], "job: Field required"),
+    ("DCMD", command("DCMD", ("Command/Order", "{}"))[1], "job: missing; expected a text"),
     ("DCMD", command("DCMD", ("Command/Order", "[" * 100))[1], "an order is a JSON object"),
     ("DCMD", b"\x12\x04\x0a\x01x\x20", "it is no Sparkplug B payload"),
     ("DCMD", b"\x12\x05\x0a\x01x\x20\x10", "the data type 16"),
