@@ -83,9 +83,8 @@ def measure_ridges(surface: HeightMap, period_limit_um: float | None = None) -> 
             height, radii and alpha. None: not known.
 
     Raises:
-        HeightMapError: no ridges are found, fewer than four of them, fewer than eight pixels a pitch, or a period
-            limit of more than half a pitch.
-        UsageError: a period limit that is no length.
+        HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch.
+        UsageError: a period limit that is no length, or of more than half a pitch.
     """
     if period_limit_um is not None and not 0.0 <= period_limit_um < float("inf"):
         raise UsageError(f"the lateral period limit is a length in µm, at least 0, not {period_limit_um:g}")
@@ -98,7 +97,7 @@ def _fitted(surface: HeightMap, sigma_um: float | None) -> "_Fit":
     """All steps up to the sums over the ridges."""
     period = _checked(find_period(surface), surface)
     if sigma_um is not None and sigma_um > MOST_SIGMA * period.pitch_um:
-        raise HeightMapError(
+        raise UsageError(
             f"a lateral period limit of {sigma_um / SIGMA_OF_LIMIT:.4g} µm leaves no facet of ridges "
             f"{period.pitch_um:.4g} µm apart; it may be half of the pitch"
         )

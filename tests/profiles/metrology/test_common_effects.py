@@ -288,7 +288,7 @@ def test_blur_is_taken_off_where_the_period_limit_is_given_and_else_told(blur):
 
 def test_a_period_limit_that_leaves_no_ridges_is_refused():
     heights, _ = draw(Case(10))
-    with pytest.raises(HeightMapError, match="half of the pitch"):
+    with pytest.raises(UsageError, match="half of the pitch"):
         measure_ridges(HeightMap(heights, 1.0, 1.0), 40.0)
     with pytest.raises(UsageError, match="at least 0"):
         measure_ridges(HeightMap(heights, 1.0, 1.0), -1.0)
