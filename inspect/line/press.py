@@ -20,7 +20,7 @@ from asyncua.common.events import Event, get_filter_from_event_type
 from asyncua.ua.uaerrors import UaError
 
 from anisoscope.base.crash import Steady, as_foreseen
-from anisoscope.base.errors import UsageError
+from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.history.covariates import CycleData
 from anisoscope.history.store import History
 from anisoscope.line.opcua_security import Security
@@ -134,8 +134,8 @@ class PressReader:
         """Take cycles, until so many are taken, or until cancelled.
 
         Raises:
-            UsageError: before the first cycle: the server is none of OPC 40077, or its cycles do not have a field that
-                is wanted.
+            UsageError: before the first connection: the server is none of OPC 40077, or its cycles do not have a field
+                that is wanted. Later that is tried again.
         """
         logging.getLogger("asyncua").setLevel(
             logging.CRITICAL
@@ -154,7 +154,7 @@ class PressReader:
                         await client.check_connection()
                         await self._follow()
             except Exception as problem:  # a machine that is off for a night is followed again
-                if isinstance(problem, UsageError) and not was_connected:
+                if isinstance(problem, AnisoscopeError) and not was_connected:
                     raise
                 foreseen = OSError, UaError, TimeoutError, asyncio.IncompleteReadError
                 own = problem if isinstance(problem, foreseen) else as_foreseen(problem, "line press")
