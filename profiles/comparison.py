@@ -249,7 +249,8 @@ class _Doubt:
     Attributes:
         u_um: (rows, cols) standard uncertainty of each point, NaN where not common.
         edge_um: (rows, cols) bound of what a displacement by a quarter of a pixel does at edges.
-        noise_um: (rows, cols) the part of ``u_um`` that is independent from point to point.
+        noise_um: the part of ``u_um`` that is independent from point to point.
+        plane_um: standard uncertainty of the plane.
         common_um: (k, rows, cols) height that each of what all points share changes by one standard uncertainty:
             shift along x and y, turn, scale, offset, interpolation.
     """
@@ -257,6 +258,7 @@ class _Doubt:
     u_um: FloatArray
     edge_um: FloatArray
     noise_um: float
+    plane_um: float
     common_um: FloatArray
 
     @classmethod
@@ -288,7 +290,7 @@ class _Doubt:
             pad = [(0, int(axis == 0)), (0, int(axis == 1))]
             edge = np.maximum(edge, np.pad(high - low, pad, mode="edge"))
         edge = EDGE_POINTS * np.maximum(edge - NOISE_STEPS * noise, 0.0)
-        return cls(np.where(known, u, np.nan), edge, noise, common)
+        return cls(np.where(known, u, np.nan), edge, noise, placed.u_offset_um, common)
 
     def of_sum(self, where: Mask) -> float:
         """Standard uncertainty of the sum of the difference over some points."""
@@ -308,7 +310,7 @@ def _volumes(difference: HeightMap, doubt: _Doubt) -> tuple[Volume, Volume, npt.
     weight = ndimage.uniform_filter(inside.astype(np.float64), SMOOTH_POINTS, mode="constant")
     mean = ndimage.uniform_filter(change, SMOOTH_POINTS, mode="constant") / np.maximum(weight, 1e-9)
     u_here = np.hypot(continued(doubt.u_um), doubt.edge_um)
-    u_plane = float(doubt.common_um[4, 0, 0])
+    u_plane = doubt.plane_um
     # noise falls by the points of the window; the rest of the uncertainty does not, and is small away from walls
     u_mean = np.maximum(u_here / SMOOTH_POINTS + u_plane, 1e-12)
     # what interpolation does not know at edges is not a change
