@@ -185,6 +185,7 @@ def compare_maps(first: HeightMap, second: HeightMap, *, mirrored: bool = False)
     for surface in (first, second):
         if not isinstance(surface, HeightMap):
             raise UsageError(f"compare_maps takes two HeightMaps, not {type(surface).__name__}")
+    first, second = first.measured(), second.measured()
     if mirrored:
         first = turned_over(first)
     shrinkage, placed = _shrinkage(first, second, _start(first, second) if mirrored else 1.0)

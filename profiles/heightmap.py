@@ -71,7 +71,8 @@ def _owned(height_um: FloatArray) -> FloatArray:
     return np.array(given, dtype=np.float64, order="C")
 
 
-INTENSITY, COLOUR = "intensity", "colour"
+INTENSITY, COLOUR, INTERPOLATED = "intensity", "colour", "interpolated"
+MOST_INTERPOLATED = 0.5
 
 
 def _layers(given: Mapping[str, Layer], shape: tuple[int, ...]) -> dict[str, Layer]:
@@ -79,9 +80,11 @@ def _layers(given: Mapping[str, Layer], shape: tuple[int, ...]) -> dict[str, Lay
     found: dict[str, Layer] = {}
     for name, values in given.items():
         layer = np.asarray(values)
-        due = {INTENSITY: shape, COLOUR: (*shape, 3)}.get(name)
+        due = {INTENSITY: shape, COLOUR: (*shape, 3), INTERPOLATED: shape}.get(name)
         if due is None:
-            raise HeightMapError(f"a height map has no layer {name!r}; it has {INTENSITY} and {COLOUR}")
+            raise HeightMapError(
+                f"a height map has no layer {name!r}; it has {INTENSITY}, {COLOUR} and {INTERPOLATED}"
+            )
         if layer.shape != due:
             raise HeightMapError(f"the {name} layer has shape {layer.shape} where {due} is due")
         if layer.dtype != np.float32 or layer.flags.writeable:
@@ -106,7 +109,8 @@ class HeightMap:
         origin: where the map comes from (file, instrument, date, what was corrected, ...), as plain
             JSON-compatible data that travels with the map.
         layers: what the instrument stored besides the heights, in its own numbers, float32, NaN where missing:
-            ``"intensity"`` (rows, cols), ``"colour"`` (rows, cols, 3) red, green, blue.
+            ``"intensity"`` (rows, cols), ``"colour"`` (rows, cols, 3) red, green, blue. ``"interpolated"`` (rows, cols)
+            is 1 where scattered points were interpolated further than half a step from any of them, else 0.
 
     Raises:
         HeightMapError: the array is not two-dimensional with at least 2 × 2 points, a pixel size is
@@ -152,6 +156,24 @@ class HeightMap:
         """(along y, along x): size of the sampled field in µm, one pixel per point."""
         rows, cols = self.shape
         return rows * self.pixel_y_um, cols * self.pixel_x_um
+
+    def measured(self) -> Self:
+        """The map without interpolated points, which become missing: what is measured on a map leaves them out.
+
+        Raises:
+            HeightMapError: more than half of the heights are interpolated.
+        """
+        guessed = self.layers.get(INTERPOLATED)
+        guessed = None if guessed is None else ~(guessed < 0.5) & np.isfinite(self.height_um)
+        if guessed is None or not guessed.any():
+            return self
+        share = np.count_nonzero(guessed) / np.count_nonzero(np.isfinite(self.height_um))
+        if share > MOST_INTERPOLATED:
+            raise HeightMapError(
+                f"{self.origin.get('file', 'the map')}: grid: {share:.0%} of the heights are interpolated, further "
+                "than half a step from any measured point; take a larger step with --grid"
+            )
+        return self.with_height(sealed(np.where(guessed, np.nan, self.height_um)))
 
     def with_height(self, height_um: FloatArray, **origin: Any) -> Self:  # noqa: ANN401 - free-form provenance
         """The same grid with other heights; ``origin`` entries are added to the provenance.

@@ -87,6 +87,7 @@ def line_parameters(
     """
     if direction not in ("across", "along", "x", "y"):
         raise UsageError(f"lines run across, along, x or y, not {direction!r}")
+    surface = surface.measured()
     turn = _turn(surface, direction)
     flat = surface.with_height(without_form(surface, form))
     if abs(turn) > STRAIGHT_DEG:

@@ -42,6 +42,8 @@ MaterialOption = Annotated[
     ),
 ]
 PITCH = quantity("pitch_um", LIKELY_PITCH)
+LENGTH = quantity("um")
+"""Parameter of an option that takes µm, or a number with another unit of length."""
 OF_RIDGES = Options(RidgeDesign, RIDGES, default=RidgeDesign(100.0, 10.0))
 OF_PLASTIC = Options(Material, PLASTIC)
 OF_LIGHT = Options(Convention, LIGHT)
@@ -137,14 +139,26 @@ def extra_packages(what: str, extra: str) -> Iterator[None]:
         ) from problem
 
 
-def parse_numbers(text: str, option: str, example: str = "0,90,180") -> tuple[float, ...]:
-    """Numbers of a comma-separated option.
+def number(text: str, option: str, unit: str = "") -> float:
+    """Number of an option, in its unit or with its own.
+
+    Raises:
+        UsageError: the text is no number, or its unit is no unit of it.
+    """
+    try:
+        return read_number(text, option, unit)
+    except ValueError as problem:
+        raise UsageError(str(problem)) from None
+
+
+def parse_numbers(text: str, option: str, example: str = "0,90,180", unit: str = "") -> tuple[float, ...]:
+    """Numbers of a comma-separated option, each in the unit of the option or with its own.
 
     Raises:
         UsageError: the text is not a list of finite numbers.
     """
     try:
-        numbers = tuple(float(part) for part in text.split(","))
+        numbers = tuple(read_number(part, option, unit) if unit else float(part) for part in text.split(","))
     except ValueError:
         raise UsageError(
             f"{option} takes numbers separated by commas, such as {example}, not {text!r}"

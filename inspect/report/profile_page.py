@@ -11,7 +11,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.profiles.heightmap import INTENSITY, HeightMap
+from anisoscope.profiles.heightmap import COLOUR, INTERPOLATED, HeightMap
 from anisoscope.profiles.level import level
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import as_text
@@ -62,7 +62,7 @@ NUMBERS = (
 
 
 def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
-    """Levelled map in false colours, missing points grey, outstanding ones circled, as a data URI.
+    """Levelled map in false colours, as a data URI: missing points grey, interpolated hatched, outstanding circled.
 
     Args:
         surface: the map; heights in µm.
@@ -81,6 +81,12 @@ def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
             np.ma.masked_invalid(heights), origin="lower", cmap="viridis", extent=(0.0, width, 0.0, height),
             vmin=low, vmax=max(high, low + 1e-9), interpolation="nearest",
         )  # fmt: skip
+        if (guessed := surface.layers.get(INTERPOLATED)) is not None:
+            part = guessed[::step, ::step]
+            y, x = (
+                (np.arange(n) + 0.5) * size / n for n, size in zip(part.shape, (height, width), strict=True)
+            )
+            axes.contourf(x, y, part, levels=[0.5, 1.5], colors="none", hatches=["////"])
         for kind, colour in COLOURS.items():
             marked = [one for one in burrs[:MARKED] if one.kind == kind]
             if marked:
@@ -278,6 +284,7 @@ def write_profile_page(
     on_progress: Advance = silent,
     *,
     period_limit_um: float | None = None,
+    tip_radius_um: float | None = None,
 ) -> None:
     """Write the page of a height map, atomically.
 
@@ -287,6 +294,7 @@ def write_profile_page(
         path: file to write.
         on_progress: told what is done.
         period_limit_um: of the instrument, as of ``measure_ridges``.
+        tip_radius_um: of the instrument, the same.
 
     Raises:
         HeightMapError: nothing was measured.
@@ -298,7 +306,7 @@ def write_profile_page(
     try:
         on_progress("ridges", 1, 3)
         try:
-            found, reason = measure_ridges(surface, period_limit_um), ""
+            found, reason = measure_ridges(surface, period_limit_um, tip_radius_um=tip_radius_um), ""
         except HeightMapError as error:
             found, reason = None, str(error)
         on_progress("pictures", 2, 3)
@@ -338,7 +346,7 @@ def layer_colours(surface: HeightMap, name: str) -> npt.NDArray[np.uint8]:
         raise HeightMapError(
             f"{source}: layer: there is no {name}" + (f"; there is {known}" if known else "")
         )
-    if name == INTENSITY:
+    if name != COLOUR:
         low, high = np.nanpercentile(layer, [0.5, 99.5])
         layer = np.repeat(255.0 * (layer - low)[..., None] / max(float(high - low), 1e-9), 3, axis=2)
     return np.where(np.isfinite(layer), np.clip(layer, 0.0, 255.0), MISSING_GREY).astype(np.uint8)

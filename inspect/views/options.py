@@ -227,7 +227,10 @@ def quantity(name: str, likely: Likely | None = None) -> Parameter:
     """Parameter of an option that takes a number with or without the unit at the end of a field's name."""
     unit = unit_of(name)
     return Parameter(
-        converter=_converter(lambda text, option: read_number(text, option, unit, likely)), n_tokens=1
+        converter=_converter(
+            lambda text, option: read_number(text, option or _UNIT.sub("", name), unit, likely)
+        ),
+        n_tokens=1,
     )
 
 

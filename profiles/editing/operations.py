@@ -15,6 +15,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.base.quantity import read_number
 from anisoscope.profiles.editing.gaps import (
     FillMethod,
     fill_gaps,
@@ -39,6 +40,8 @@ Result = tuple[HeightMap, dict[str, Any]]
 Kind = Literal["number", "count", "text", "flag", "map"]
 
 ROUNDING = 1e-9
+UNITS = {"µm": "um", "°": "deg"}
+"""Unit of a parameter -> that of numbers with a unit, as texts may have it."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,8 @@ class Parameter:
 
     def _number(self, where: str, value: object) -> float | int:
         try:
-            number = float(cast("float", value))
+            read = read_number(value, where, UNITS.get(self.unit, "")) if isinstance(value, str) else value
+            number = float(cast("float", read))
         except (TypeError, ValueError, OverflowError):
             number = float("nan")
         whole = "whole " if self.kind == "count" else ""
@@ -372,7 +376,7 @@ def _facts(placed: Placed) -> dict[str, Any]:
 
 
 def _stitch(surface: HeightMap, values: Values, read: Read) -> Result:
-    other = _other(values, read)
+    surface, other = surface.measured(), _other(values, read).measured()
     (m1, n1), (m2, n2) = (
         (0.5 * (one.shape[0] - 1) * one.pixel_y_um, 0.5 * (one.shape[1] - 1) * one.pixel_x_um)
         for one in (surface, other)

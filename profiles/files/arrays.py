@@ -22,11 +22,11 @@ from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
 from anisoscope.profiles.files.x3p import DAMAGED, ZIP_TROUBLE
-from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap
+from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, HeightMap
 
 MAX_ENTRY_BYTES = 2**31
 HEIGHT = "height_um.npy"
-LAYERS: dict[str, tuple[int, ...]] = {INTENSITY: (), COLOUR: (3,)}
+LAYERS: dict[str, tuple[int, ...]] = {INTENSITY: (), COLOUR: (3,), INTERPOLATED: ()}
 HEADER_TROUBLE = (*ZIP_TROUBLE, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
 
 

@@ -20,11 +20,11 @@ from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
-from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap, Layer
+from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, HeightMap, Layer
 
 MAGIC = b"\x76\x2f\x31\x01"
 NOTE = re.compile(r"heights in um; pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
-LAYERS = {INTENSITY: ("Y",), COLOUR: ("R", "G", "B")}
+LAYERS = {INTENSITY: ("Y",), COLOUR: ("R", "G", "B"), INTERPOLATED: (INTERPOLATED,)}
 
 
 def _require_library(name: str) -> None:

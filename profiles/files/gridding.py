@@ -6,7 +6,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import MAX_POINTS, check_claim, checked_map, refuse
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import INTERPOLATED, HeightMap
 
 LONGEST = 4.0
 """Longest side of a triangle of neighbours over their usual distance: a longer one spans a gap."""
@@ -21,7 +21,7 @@ def gridded(name: str, points_um: FloatArray, step_um: float, origin: dict[str, 
         points_um: (n, 3) x, y, z in µm; points without a height are left out.
         step_um: step of the grid.
         origin: provenance of the map; ``gridded`` is added: step, share of the grid points that are further than half
-            a step from any measured point, and the usual distance of the points.
+            a step from any measured point, and the usual distance of the points. The layer ``interpolated`` marks them.
 
     Raises:
         HeightMapError: a step that is not positive, or that makes too many or too few points; points on a line, or two
@@ -57,15 +57,22 @@ def gridded(name: str, points_um: FloatArray, step_um: float, origin: dict[str, 
     usual = float(np.median(sides.min(axis=1)))
     wide = sides.max(axis=1) > LONGEST * max(usual, float(np.median(sides)))
     linear, tree = LinearNDInterpolator(triangles, points[where, 2]), cKDTree(triangles.points)
-    height, far = np.empty(rows * cols), 0
+    height, far = np.empty(rows * cols), np.zeros(rows * cols, dtype=np.float32)
     for start in range(0, rows * cols, _CHUNK):
         k = np.arange(start, min(start + _CHUNK, rows * cols))
         nodes = np.stack([k % cols, k // cols], axis=1) * step_um
         found = linear(nodes)
         found[wide[triangles.find_simplex(nodes)]] = np.nan
         distance, _ = tree.query(nodes, distance_upper_bound=step_um)
-        far += int(np.count_nonzero((distance > 0.5 * step_um) & np.isfinite(found)))
+        far[k] = (distance > 0.5 * step_um) & np.isfinite(found)
         height[k] = found
     measured = max(int(np.count_nonzero(np.isfinite(height))), 1)
-    said = {"step_um": step_um, "interpolated_share": far / measured, "usual_distance_um": usual}
-    return checked_map(name, height.reshape(rows, cols), (step_um, step_um), {**origin, "gridded": said})
+    said = {
+        "step_um": step_um,
+        "interpolated_share": float(far.sum(dtype=np.float64)) / measured,
+        "usual_distance_um": usual,
+    }
+    layers = {INTERPOLATED: far.reshape(rows, cols)} if far.any() else {}
+    return checked_map(
+        name, height.reshape(rows, cols), (step_um, step_um), {**origin, "gridded": said}, layers=layers
+    )

@@ -20,13 +20,14 @@ from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, Given, chosen_channel
-from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap, Layer
+from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, HeightMap, Layer
 
 MAGIC = b"GWYP"
 SIZES = {"b": 1, "c": 1, "i": 4, "q": 8, "d": 8}
 NUMBERS = {"i": "<i4", "q": "<i8", "d": "<f8", "c": "u1"}
 MOST_DEPTH = 16
 MOST_ITEMS = 20_000
+GREY = (INTENSITY, INTERPOLATED)
 COLOURS = ("colour, red", "colour, green", "colour, blue")
 CHANNEL = re.compile(r"/(\d{1,6})/data")
 
@@ -186,7 +187,7 @@ def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
     factor = STATED_MICROMETRES_PER[_unit(field, "si_unit_z") or ""]
     pixel = _length(name, field, "yreal") / rows * lateral, _length(name, field, "xreal") / cols * lateral
     origin: dict[str, Any] = {"format": "gwy", "first_row": "top", "channel": titles.pop(number)}
-    read = (INTENSITY, *COLOURS)
+    read = (*GREY, *COLOURS)
     if others := [title for title in titles.values() if title.casefold() not in read]:
         origin["other_channels"] = others
     missing = None
@@ -216,9 +217,9 @@ def _layers(
             return found
         return np.where(marked > 0.5, np.nan, found)
 
-    grey, colours = channel(INTENSITY), [channel(title) for title in COLOURS]
+    colours = [channel(title) for title in COLOURS]
     known = [one for one in colours if one is not None]
-    found = {} if grey is None else {INTENSITY: grey}
+    found = {title: grey for title in GREY if (grey := channel(title)) is not None}
     return found | ({COLOUR: np.stack(known, axis=2)} if len(known) == len(COLOURS) else {})
 
 
@@ -249,7 +250,7 @@ def _field(values: FloatArray, surface: HeightMap, unit: str) -> bytes:
 
 def _channels(surface: HeightMap) -> list[tuple[str, Layer]]:
     """Layers as channels with their titles."""
-    found = [(INTENSITY, surface.layers[INTENSITY])] if INTENSITY in surface.layers else []
+    found = [(title, surface.layers[title]) for title in GREY if title in surface.layers]
     if COLOUR in surface.layers:
         found += [(title, surface.layers[COLOUR][..., k]) for k, title in enumerate(COLOURS)]
     return found

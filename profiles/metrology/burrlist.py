@@ -113,7 +113,7 @@ def find_outliers(
         starts = np.flatnonzero(np.diff(labels, prepend=-1))
         height = sign * above_um.ravel()[where]
         peak = np.maximum.reduceat(height, starts)
-        listed = np.maximum.reduceat(height / peak_um[place.ravel()[where]], starts) >= 1.0
+        listed = np.logical_or.reduceat(height >= peak_um[place.ravel()[where]], starts)
         count = np.diff(np.append(starts, labels.size))
         volume = np.add.reduceat(height, starts)
         i, j = np.divmod(where, above_um.shape[1])

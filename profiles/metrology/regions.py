@@ -185,6 +185,7 @@ def direction_regions(surface: HeightMap) -> DirectionRegions:
         The regions; none where no part of the map has a direction, or where its slopes are those of a texture or of
         hills.
     """
+    surface = surface.measured()
     found = _found(surface)
     return found if _ridged(found) else _none(surface)
 

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife
 from anisoscope.profiles.metrology.ridgeoutline import Fit, Outline, best_fit
 
@@ -26,6 +27,7 @@ BLURRED_PIXELS = 0.3
 SIGMA_KNOWN = 0.05
 MOST_BLUR = 2.0
 LEAST_STRAIGHT = 0.1
+TIP_KNOWN = 0.05
 
 
 @dataclass(frozen=True)
@@ -446,6 +448,63 @@ def _crest(
         inclination, wall.width, actual, Quantity(full, u_full), Quantity(loss, u_loss), radius, flat,
         Quantity(filled, u_filled), _radius(float(value[6]), float(u[6]), step, finest, plateau=level), blur_um,
     )  # fmt: skip
+
+
+def without_tip(crest: Crest, tip_um: float, angle: Quantity) -> Crest:
+    """The crest and foot of a surface that a ball of a known radius R has scanned.
+
+    The image is the dilation of the surface by the ball (Villarrubia 1997, J. Res. NIST 102, 425). Facet and wall are
+    moved along their normals, so that angles and full height stay and every corner of both is k·R higher, with
+    k = cos ½(ψ − θ)/cos ½(ψ + θ) − 1. A crest radius is larger by R. A foot is seen smaller by R: one below R is not
+    seen, and fills 0 to k·R. R is taken as known within 5 %.
+
+    Raises:
+        HeightMapError: the crest is clearly sharper than the ball.
+    """
+    assert angle.value is not None
+    assert crest.full_height_um.value is not None
+    wall = crest.wall_angle_deg
+    psi = np.radians(wall.value if wall.value is not None else 0.5 * (UPRIGHT_DEG + (wall.at_least or 0.0)))
+    theta, full = np.radians(angle.value), crest.full_height_um.value
+    raised = float(np.cos(0.5 * (psi - theta)) / np.cos(0.5 * (psi + theta)) - 1.0) * tip_um
+    edge, foot, u_tip = crest.edge_radius_um, crest.foot_radius_um, TIP_KNOWN * tip_um
+    loss, filled, height = crest.height_loss, crest.foot_loss, crest.height_um
+    assert loss.value is not None
+    assert filled.value is not None
+    assert height.value is not None
+    widest = edge.at_most if edge.value is None else edge.value + 2.0 * (edge.u or 0.0)
+    if widest is not None and widest < tip_um - 2.0 * u_tip:
+        raise HeightMapError(
+            f"a crest radius of at most {widest:.3g} µm was seen, less than that of the tip, {tip_um:g} µm: no tip "
+            "shows a crest sharper than itself; give the radius of the tip that measured the map"
+        )
+    if edge.value is not None:
+        edge = _clear(edge.value - tip_um, float(np.hypot(edge.u or 0.0, u_tip)))
+    elif edge.at_most is not None:
+        edge = Quantity(None, at_most=edge.at_most - tip_um + 2.0 * u_tip)
+    seen = foot.value is not None
+    if foot.value is not None:
+        foot = Quantity(foot.value + tip_um, float(np.hypot(foot.u or 0.0, u_tip)))
+    elif foot.at_most is not None:
+        foot = Quantity(None, at_most=foot.at_most + tip_um)
+    below, open_um = (raised, 0.0) if seen else (0.5 * raised, raised / float(np.sqrt(12.0)))
+    share, known = raised / full, TIP_KNOWN * raised
+    return replace(
+        crest,
+        height_loss=Quantity(max(loss.value - share, 0.0), float(np.hypot(loss.u or 0.0, known / full))),
+        edge_radius_um=edge,
+        foot_loss=Quantity(
+            filled.value + below / full, float(np.hypot(filled.u or 0.0, max(open_um, known) / full))
+        ),
+        foot_radius_um=foot,
+        height_um=Quantity(
+            height.value + raised - below, float(np.linalg.norm((height.u or 0.0, known, open_um)))
+        ),
+    )
+
+
+def _clear(radius: float, u: float) -> Quantity:
+    return Quantity(radius, u) if radius > 3.0 * u else Quantity(None, at_most=max(radius, 0.0) + 2.0 * u)
 
 
 def against_the_surface(wall: Quantity, removed: float, tilt: float) -> Quantity:

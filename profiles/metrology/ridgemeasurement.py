@@ -142,6 +142,7 @@ class RidgeMeasurement:
         lay_um: rms step across that whole ridges share, where alpha across holds it; else 0.
         period_limit_um: lateral period limit of the instrument that was given, and its blur taken off; else None.
         strip_um: rms shift between strips of the map, where that is more than tiles scatter; else 0.
+        tip_radius_um: radius of the instrument's tip that was given, and taken off crest, foot and height; else None.
         seen_limit_um: one that alone would round crest and foot as they are, where none was given; else 0.
     """
 
@@ -182,6 +183,7 @@ class RidgeMeasurement:
     period_limit_um: float | None = None
     seen_limit_um: float = 0.0
     strip_um: float = 0.0
+    tip_radius_um: float | None = None
 
     @property
     def varies_along(self) -> bool:

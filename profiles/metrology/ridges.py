@@ -28,6 +28,7 @@ from anisoscope.profiles.metrology.ridgecrest import (
     core_of_wall,
     mean_profile,
     measure_crest,
+    without_tip,
 )
 from anisoscope.profiles.metrology.ridgefit import (
     Planes,
@@ -71,9 +72,12 @@ SECOND_DEG = 5.0
 MIN_QUARTER = 16
 SECOND_SHARE = 0.03
 MOST_SIGMA = 0.5 * SIGMA_OF_LIMIT
+MOST_TIP = 0.25
 
 
-def measure_ridges(surface: HeightMap, period_limit_um: float | None = None) -> RidgeMeasurement:
+def measure_ridges(
+    surface: HeightMap, period_limit_um: float | None = None, *, tip_radius_um: float | None = None
+) -> RidgeMeasurement:
     """Measure the ridges of a map, (rows, cols) in µm, in any direction.
 
     Args:
@@ -81,16 +85,25 @@ def measure_ridges(surface: HeightMap, period_limit_um: float | None = None) -> 
         period_limit_um: lateral period limit of the instrument, the period at which its transfer function is 50 %
             (ISO 25178-600): the blur of a Gaussian point spread function with σ = 0.187 of it is taken off wall,
             height, radii and alpha. None: not known.
+        tip_radius_um: radius of the ball at the tip of a stylus or probe, in place of a period limit: taken off crest,
+            foot and height (:func:`.ridgecrest.without_tip`). Roughness is that of the scanned surface.
 
     Raises:
-        HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch.
-        UsageError: a period limit that is no length, or of more than half a pitch.
+        HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch; a crest
+            sharper than the tip; more than half of the map interpolated.
+        UsageError: a period limit that is no length, or of more than half a pitch; a tip radius of more than a quarter
+            of the pitch, or beside a period limit.
     """
+    surface = surface.measured()
     if period_limit_um is not None and not 0.0 <= period_limit_um < float("inf"):
         raise UsageError(f"the lateral period limit is a length in µm, at least 0, not {period_limit_um:g}")
     sigma = None if period_limit_um is None else SIGMA_OF_LIMIT * period_limit_um
+    if tip_radius_um is not None:
+        if period_limit_um is not None or not 0.0 < tip_radius_um < float("inf"):
+            raise UsageError("the tip radius is a length in µm above 0, in place of a lateral period limit")
+        sigma = 0.0
     with one_blas_thread():
-        return _fitted(surface, sigma).measured()
+        return replace(_fitted(surface, sigma), tip_um=tip_radius_um).measured()
 
 
 def _fitted(surface: HeightMap, sigma_um: float | None) -> "_Fit":
@@ -284,6 +297,7 @@ class _Fit:
     second_deg: float | None
     sigma_um: float | None
     rounded_um: float
+    tip_um: float | None = None
 
     def measured(self) -> RidgeMeasurement:
         """The measurement."""
@@ -326,8 +340,8 @@ class _Fit:
             self._mean_ridge(x_um, height_um, span), self.form_um,
             bow, self.second_deg, slopes.line_drift_um,
             slopes.height_step_um, slopes.short_share, slopes.lay_um,
-            None if self.sigma_um is None else self.sigma_um / SIGMA_OF_LIMIT,
-            crest.blur_um / SIGMA_OF_LIMIT if bow <= MOST_BOW else 0.0, self.positions.strip_um,
+            None if self.sigma_um is None or self.tip_um is not None else self.sigma_um / SIGMA_OF_LIMIT,
+            crest.blur_um / SIGMA_OF_LIMIT if bow <= MOST_BOW else 0.0, self.positions.strip_um, self.tip_um,
         )  # fmt: skip
 
     def _surface_pitch(self, removed: float) -> Quantity:
@@ -357,6 +371,13 @@ class _Fit:
         walls = wall_sums(self.above, frame, profile, core, limit)
         line = Line(height - slope * facet.middle * course.pitch_um, slope)
         crest = measure_crest(parts, walls, line, angle, self.positions.pitch_um, step, sigma, self.sigma_um)
+        if self.tip_um is not None:
+            if self.tip_um > MOST_TIP * course.pitch_um:
+                raise UsageError(
+                    f"a tip radius of {self.tip_um:g} µm leaves no facet of ridges {course.pitch_um:.4g} µm apart; it "
+                    "may be a quarter of the pitch"
+                )
+            crest = without_tip(crest, self.tip_um, angle)
         return crest, x_um, height_um
 
     def _ridges(self, singles: list[Single | None], crest: Crest) -> list[Ridge]:

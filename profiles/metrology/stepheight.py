@@ -64,6 +64,7 @@ def step_height(
     Raises:
         HeightMapError: no step or several, edges outside the map, or too few points on a plateau.
     """
+    surface = surface.measured()
     lines = surface.height_um if direction == "x" else surface.height_um.T
     pixel = surface.pixel_x_um if direction == "x" else surface.pixel_y_um
     place = np.arange(lines.shape[1], dtype=np.float64) * pixel

@@ -340,7 +340,7 @@ def texture(
     if not isinstance(surface, HeightMap):
         raise UsageError(f"texture takes a HeightMap, not {type(surface).__name__}")
     limited = scale_limited(
-        surface,
+        surface.measured(),
         form=form,
         s_filter_um=s_filter_um,
         l_filter_um=l_filter_um,

@@ -156,7 +156,7 @@ def _seconds(first: Path, others: Sequence[Path]) -> list[Path]:
 def _line(text: str | None) -> tuple[float, float, float, float] | None:
     if text is None:
         return None
-    ends = parse_numbers(text, "--line", "0,50,400,50")
+    ends = parse_numbers(text, "--line", "0,50,400,50", "um")
     if len(ends) != 4:
         raise UsageError(f"--line takes X0,Y0,X1,Y1 in µm, not {text!r}")
     return ends[0], ends[1], ends[2], ends[3]

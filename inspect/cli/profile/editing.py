@@ -23,6 +23,7 @@ from anisoscope.cli.profile.many import (
 from anisoscope.cli.profile.profile import AS_STATED, Scales, note_lost_layers
 from anisoscope.cli.tables import print_table
 from anisoscope.profiles.editing import operations
+from anisoscope.views.options import quantity
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
@@ -198,11 +199,16 @@ def _argument(one: operations.Parameter, *, first: bool) -> Argument:
         help=f"{one.meaning[0].upper()}{one.meaning[1:]}{unit}.",
         negative="" if one.kind == "flag" and not one.default else None,
     )
+    notes = (
+        (quantity(f"{one.name}_{operations.UNITS.get(one.unit, '')}".rstrip("_")), note)
+        if one.kind == "number"
+        else (note,)
+    )
     return Argument(
         one.name,
         Argument.POSITIONAL_ONLY if first else Argument.KEYWORD_ONLY,
         default=Argument.empty if one.required else one.default,
-        annotation=Annotated[kind, note],
+        annotation=Annotated[kind, *notes],
     )
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import LENGTH, Json
 from anisoscope.cli.profile.many import (
     NONE,
     ManyOptions,
@@ -44,10 +44,11 @@ def lines(
     ] = "across",
     s_filter: Annotated[
         float | None,
+        LENGTH,
         Parameter(help="Nesting index λs of the S-filter in µm; removes shorter waves."),
     ] = None,
     l_filter: Annotated[
-        float | None, Parameter(help="Nesting index λc of the L-filter in µm; removes longer waves.")
+        float | None, LENGTH, Parameter(help="Nesting index λc of the L-filter in µm; removes longer waves.")
     ] = None,
     s_filter_type: Annotated[
         FilterType, Parameter(help="S-filter of ISO 16610: gaussian (-21), robust (-31) or spline (-22).")

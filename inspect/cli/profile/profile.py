@@ -9,7 +9,7 @@ from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import LENGTH, Json, parse_numbers
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     NONE,
@@ -65,12 +65,20 @@ Layout = Literal["auto", "matrix", "xyz"]
 Role = Literal["part", "tool"]
 Rows = Literal["auto", "up", "down"]
 FilterType = Literal["gaussian", "robust", "spline"]
-Layer = Literal["intensity", "colour"]
+Layer = Literal["intensity", "colour", "interpolated"]
 Trust = Literal["checksum", "pixel-size", "heights"]
 PeriodLimit = Annotated[
     float | None,
+    LENGTH,
     Parameter(
         help="Lateral period limit of the instrument in µm (ISO 25178-600), whose blur is taken off the ridges."
+    ),
+]
+TipRadius = Annotated[
+    float | None,
+    LENGTH,
+    Parameter(
+        help="Radius of the tip of a stylus or probe in µm, which is taken off crest, foot and height."
     ),
 ]
 VIEW_SUFFIX, MOST_EXAGGERATION = "-view.html", 1e6
@@ -84,7 +92,7 @@ def parse_pixel(text: str | None) -> tuple[float, float] | None:
     """
     if text is None:
         return None
-    numbers = parse_numbers(text, "--pixel")
+    numbers = parse_numbers(text, "--pixel", "0.5,0.5", "um")
     if len(numbers) not in (1, 2) or min(numbers) <= 0:
         raise UsageError(f"--pixel takes one or two positive numbers of µm, SIZE or Y,X, not {text!r}")
     return numbers[0], numbers[-1]
@@ -126,6 +134,7 @@ class Scales:
     ] = None
     grid: Annotated[
         float | None,
+        LENGTH,
         Parameter(
             help="Step in µm of a grid onto which scattered points of a text or a mesh are interpolated."
         ),
@@ -333,6 +342,7 @@ def report(
     *files: Path,
     out: Annotated[Path | None, Parameter(help="HTML file to write, of one map.")] = None,
     period_limit: PeriodLimit = None,
+    tip_radius: TipRadius = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -355,7 +365,9 @@ def report(
 
         def run(path: Path, target: Path) -> Values:
             surface = scales.read(path)
-            write_profile_page(surface, path.name, target, period_limit_um=period_limit)
+            write_profile_page(
+                surface, path.name, target, period_limit_um=period_limit, tip_radius_um=tip_radius
+            )
             return map_values(surface)
 
         return write_each(chosen, run, several, ".html", to_json=json_)
@@ -369,7 +381,9 @@ def report(
     with progress(chosen[0].name) as advance:
         advance("reading", 0, 3)
         surface = scales.read(chosen[0])
-        write_profile_page(surface, chosen[0].name, out, advance, period_limit_um=period_limit)
+        write_profile_page(
+            surface, chosen[0].name, out, advance, period_limit_um=period_limit, tip_radius_um=tip_radius
+        )
     sys.stdout.write(f"{out}\n")
     return 0
 

@@ -16,7 +16,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     print_sheet,
 )
-from anisoscope.cli.profile.profile import AS_STATED, PeriodLimit, Scales
+from anisoscope.cli.profile.profile import AS_STATED, PeriodLimit, Scales, TipRadius
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -81,6 +81,7 @@ def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
         "short_share": found.short_share,
         "lay_um": found.lay_um,
         "period_limit_um": found.period_limit_um,
+        "tip_radius_um": found.tip_radius_um,
         "seen_limit_um": found.seen_limit_um,
         "strip_um": found.strip_um,
         "varies_along": found.varies_along,
@@ -99,6 +100,7 @@ def ridges(
         Path | None, Parameter(help="PNG of a map of several directions, its regions outlined and numbered.")
     ] = None,
     period_limit: PeriodLimit = None,
+    tip_radius: TipRadius = None,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -118,17 +120,18 @@ def ridges(
     """
     from anisoscope.operations.map_series import expanded
     from anisoscope.profiles.limits import sheet_of
-    from anisoscope.profiles.metrology.ridges import measure_ridges
+    from anisoscope.profiles.metrology.ridges import measure_ridges as measured
+
+    def measure(surface: "HeightMap") -> "RidgeMeasurement":
+        return measured(surface, period_limit, tip_radius_um=tip_radius)
 
     chosen = expanded(files)
     if len(chosen) > 1 or many.table is not None:
-        return measure_each(
-            chosen, lambda path: _values(measure_ridges(scales.read(path), period_limit)), many, to_json=json_
-        )
+        return measure_each(chosen, lambda path: _values(measure(scales.read(path))), many, to_json=json_)
     check_table(many)
     surface = scales.read(chosen[0])
     try:
-        found = measure_ridges(surface, period_limit)
+        found = measure(surface)
     except HeightMapError:
         if not many.limits and _regions(chosen[0].name, surface, picture, as_json=json_):
             return 0
@@ -223,6 +226,7 @@ def _print(name: str, found: "RidgeMeasurement") -> None:
         caption=f"facets fall toward {found.lean_deg:.1f}° from +x and take {found.facet_share:.0%} of the pitch; "
         f"roughness from {low:.3g} to {high:.3g} µm; {found.missing_share:.2%} missing; periodicity {found.score:.2f}"
         + (f"; lateral period limit {limit:.4g} µm" if (limit := found.period_limit_um) is not None else "")
+        + (f"; tip radius {tip:.4g} µm" if (tip := found.tip_radius_um) is not None else "")
         + "".join(f"\n{remark}" for remark in found.remarks()),
     )
     ridge_rows = []

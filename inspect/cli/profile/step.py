@@ -39,7 +39,7 @@ def step(
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.metrology.stepheight import step_height
 
-    places = () if edges is None else parse_numbers(edges, "--edges", "40,90")
+    places = () if edges is None else parse_numbers(edges, "--edges", "40,90", "um")
 
     def measure(path: Path) -> "StepHeight":
         return step_height(scales.read(path), along, places)

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.options import OF_RIDGES, Json, parse_numbers
+from anisoscope.base.quantity import unit_of
+from anisoscope.cli.options import LENGTH, OF_RIDGES, Json, number, parse_numbers
 from anisoscope.cli.profile.profile import AS_STATED, Scales, parse_pixel
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, with_options
+from anisoscope.views.options import Given, quantity, with_options
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
@@ -35,9 +36,9 @@ class LineOptions:
     second_lay: Annotated[
         float, Parameter(help="Direction of the ridges in every second square of a checkerboard.")
     ] = -90.0
-    square: Annotated[float, Parameter(help="Side of a square of a checkerboard in µm.")] = 250.0
+    square: Annotated[float, LENGTH, Parameter(help="Side of a square of a checkerboard in µm.")] = 250.0
     flank: Annotated[float, Parameter(help="Slope of both flanks of V-grooves in degrees.")] = 45.0
-    land: Annotated[float, Parameter(help="Flat land between V-grooves in µm.")] = 0.0
+    land: Annotated[float, LENGTH, Parameter(help="Flat land between V-grooves in µm.")] = 0.0
 
 
 @Parameter(name="*")
@@ -46,12 +47,16 @@ class StairOptions:
     """Staircases."""
 
     levels: Annotated[int, Parameter(help="Number of levels, evenly spaced.")] = 2
-    step_height: Annotated[float, Parameter(help="Height between two levels in nm.")] = 127.3
+    step_height: Annotated[
+        float, quantity("step_height_nm"), Parameter(help="Height between two levels in nm.")
+    ] = 127.3
     passes: Annotated[
         str | None,
         Parameter(help="Depths of etch passes in nm, comma-separated: 2ⁿ levels instead of --levels."),
     ] = None
-    width: Annotated[float, Parameter(help="Width of a step in µm, the least width if --random.")] = 2.0
+    width: Annotated[float, LENGTH, Parameter(help="Width of a step in µm, the least width if --random.")] = (
+        2.0
+    )
     random: Annotated[
         bool, Parameter(negative="", help="Rectangles of random width and level instead of stairs.")
     ] = False
@@ -68,7 +73,7 @@ class RoughOptions:
         Parameter(help="Beckmann roughness along the ridges or grooves (along +y where there are none)."),
     ] = 0.0
     alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges or grooves.")] = 0.0
-    correlation: Annotated[float, Parameter(help="Mean correlation length in µm.")] = 8.0
+    correlation: Annotated[float, LENGTH, Parameter(help="Mean correlation length in µm.")] = 8.0
 
 
 LINES, STAIRS, SMOOTH = LineOptions(), StairOptions(), RoughOptions()
@@ -129,7 +134,7 @@ def make(
 
 def _grid(size: str, pixel: str) -> tuple[tuple[int, int], tuple[float, float]]:
     pixel_um = parse_pixel(pixel)
-    field = parse_numbers(size, "--size")
+    field = parse_numbers(size, "--size", "300,600", "um")
     if pixel_um is None or len(field) not in (1, 2) or min(field) <= 0:
         raise UsageError(f"--size takes one or two positive numbers of µm, SIZE or Y,X, not {size!r}")
     rows, cols = (round(length / step) for length, step in zip((field[0], field[-1]), pixel_um, strict=True))
@@ -176,7 +181,9 @@ def _staircase(
     if stairs.passes is None:
         levels = patterns.even_levels(stairs.levels, 1e-3 * stairs.step_height)
     else:
-        levels = patterns.etched_levels([1e-3 * depth for depth in parse_numbers(stairs.passes, "--passes")])
+        levels = patterns.etched_levels(
+            [1e-3 * depth for depth in parse_numbers(stairs.passes, "--passes", "127,254", "nm")]
+        )
     if stairs.random:
         both = (stairs.width, stairs.width)
         return patterns.random_steps(levels, shape, pixel_um, both, rng, spread=stairs.spread)
@@ -197,7 +204,7 @@ def spoil(
     overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
     json_: Json = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
-    **parameters: float,
+    **parameters: str,
 ) -> int:
     """Add a defect to a height map: by its severity, or by its dimensions.
 
@@ -221,7 +228,10 @@ def spoil(
     _check_target(out, overwrite)
     _check_seed(seed)
     surface = scales.read(file)
-    given = {name.replace("-", "_"): value for name, value in parameters.items()}
+    given = {
+        (key := name.replace("-", "_")): number(text, f"--{name}", unit_of(key))
+        for name, text in parameters.items()
+    }
     spoiled = defect_injection.inject_defect(
         surface, defect, np.random.default_rng(seed), severity=severity, values=given, seed=seed
     )

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import LENGTH, Json, parse_numbers
 from anisoscope.cli.profile.many import (
     NONE,
     ManyOptions,
@@ -42,7 +42,7 @@ class UncertaintyOptions:
         ),
     ] = None
     u_height_noise: Annotated[
-        float, Parameter("--u-height-noise", help="Noise of a height, standard deviation in µm.")
+        float, LENGTH, Parameter("--u-height-noise", help="Noise of a height, standard deviation in µm.")
     ] = 0.0
     u_height_scale: Annotated[
         float, Parameter("--u-height-scale", help="Of the scale of the heights, relative.")
@@ -96,10 +96,10 @@ CERTAIN = UncertaintyOptions()
 def texture(
     *files: Path,
     s_filter: Annotated[
-        float | None, Parameter(help="Nesting index of the S-filter in µm; removes shorter waves.")
+        float | None, LENGTH, Parameter(help="Nesting index of the S-filter in µm; removes shorter waves.")
     ] = None,
     l_filter: Annotated[
-        float | None, Parameter(help="Nesting index of the L-filter in µm; removes longer waves.")
+        float | None, LENGTH, Parameter(help="Nesting index of the L-filter in µm; removes longer waves.")
     ] = None,
     s_filter_type: Annotated[
         FilterType,
@@ -247,7 +247,7 @@ def _free(ratios: str | None, heights: str | None) -> tuple[tuple[float, ...], t
     shares = () if ratios is None else parse_numbers(ratios, "--ratios", "2,50")
     if any(not 0.0 <= share <= 100.0 for share in shares):
         raise UsageError(f"--ratios takes material ratios from 0 to 100 %, not {ratios!r}")
-    return shares, () if heights is None else parse_numbers(heights, "--heights", "-0.5,0.5")
+    return shares, () if heights is None else parse_numbers(heights, "--heights", "-0.5,0.5", "um")
 
 
 def _bound(found: "Texture") -> str:

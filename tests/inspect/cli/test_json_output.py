@@ -165,7 +165,7 @@ ridges.height_um.value ridges.number ridges.points ridges.position_um ridges.shi
 ridges.shift_um.value second_direction_deg seen_limit_um segments segments.angle_deg segments.angle_deg.u
 segments.angle_deg.value segments.place_um shift_variation_um shift_variation_um.u
 shift_variation_um.value short_share straight strip_um surface_pitch_um surface_pitch_um.u
-surface_pitch_um.value varies_along wall_angle_deg wall_angle_deg.at_least wall_angle_deg.u
+surface_pitch_um.value tip_radius_um varies_along wall_angle_deg wall_angle_deg.at_least wall_angle_deg.u
 wall_angle_deg.value
 """
 TEXTURE = """

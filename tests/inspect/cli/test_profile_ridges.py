@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.editing.steps import Step
+from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
 
 KEYS = (
@@ -43,6 +44,21 @@ def test_json(anisoscope, folder):
     (burr,) = [one for one in found["burrs"] if one["kind"] == "burr"]
     assert (burr["x_um"], burr["y_um"]) == pytest.approx((213, 200), abs=2.0)
     assert burr["height_um"] == pytest.approx(6.0, abs=1.0)
+
+
+def test_lengths_may_have_a_unit(anisoscope, folder, tmp_path):
+    done = anisoscope("profile", "ridges", folder / "ridged.x3p", "--json", "--tip-radius", "0.5um")
+    assert done.json["tip_radius_um"] == 0.5
+    done = anisoscope("profile", "ridges", folder / "ridged.x3p", "--period-limit", "10kg")
+    assert (done.code, done.err.count("\n")) == (64, 1)
+    assert "--period-limit 10kg: 'kg' is no unit of it; it takes nm, um" in done.err
+    cut = tmp_path / "cut.npz"
+    done = anisoscope("profile", "crop", folder / "ridged.x3p", "0.1mm", "--x1", "200um", "--out", cut)
+    assert done.code == 0, done.err
+    assert read_height_map(cut).shape == (400, 101)
+    assert Step.parse("crop=0.1mm,0,200um").values["x1"] == 200.0
+    done = anisoscope("profile", "crop", folder / "ridged.x3p", "far", "--out", cut)
+    assert "x0 takes a number of µm, not 'far'" in done.err
 
 
 def test_table_has_units_and_uncertainties(anisoscope, folder):

@@ -1,5 +1,6 @@
 """Meshes read back, and scattered points on a grid, against a surface that is known everywhere."""
 
+import base64
 import contextlib
 import struct
 
@@ -9,6 +10,8 @@ import pytest
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.textures.texture import texture
+from anisoscope.report.profile_page import map_picture
 
 
 def surface(x, y):
@@ -107,6 +110,31 @@ def test_scattered_points_are_interpolated(tmp_path, scattered):
     assert (
         0.2 < said["interpolated_share"] < 0.9
     )  # with 1.7 points per µm²: of random points within .25 µm 28 %
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".gwy", ".exr"])
+def test_interpolated_points_are_marked_and_left_out_of_measurements(tmp_path, scattered, suffix):
+    path = points_file(tmp_path / "a.xyz", scattered, surface(*scattered.T))
+    found = read_height_map(path, grid_um=1.0)
+    write_height_map(found, tmp_path / f"b{suffix}")
+    kept = read_height_map(tmp_path / f"b{suffix}")
+    marked = kept.layers["interpolated"] == 1.0
+    known = np.isfinite(found.height_um)
+    assert np.count_nonzero(marked) / np.count_nonzero(known) == pytest.approx(
+        found.origin["gridded"]["interpolated_share"]
+    )
+    np.testing.assert_array_equal(np.isnan(kept.measured().height_um), marked | ~known)
+    with pytest.raises(HeightMapError, match="larger step with --grid"):
+        read_height_map(path, grid_um=0.5).measured()
+    if suffix == ".npz":
+        raised = kept.with_height(kept.height_um + np.where(marked, 5.0, 0.0))
+        assert texture(raised).heights == texture(kept).heights
+        assert "<pattern" in map_picture_text(kept)
+        assert "<pattern" not in map_picture_text(HeightMap(kept.height_um, 1.0, 1.0))
+
+
+def map_picture_text(found):
+    return base64.b64decode(map_picture(found).partition(",")[2]).decode()
 
 
 def test_a_gap_stays_a_gap(tmp_path, scattered):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from anisoscope.profiles.metrology.burrlist import find_outliers
 from anisoscope.profiles.metrology.ridges import measure_ridges
 
 SPEC = importlib.util.spec_from_file_location("ridgesurfaces", Path(__file__).with_name("ridgesurfaces.py"))
@@ -130,3 +131,14 @@ def test_three_hundred_clean_surfaces():
     lines = [f"{name}: {np.mean(np.array(all_) <= 3.0):.2%} of {len(all_)}" for name, all_ in ratios.items()]
     sys.stdout.write("\n" + "\n".join(lines) + "\n")
     assert min(np.mean(np.array(all_) <= 3.0) for all_ in ratios.values()) >= 0.99, lines
+
+
+def test_what_stands_out_where_nothing_scatters():
+    """No limit at all, as of a map without scatter: every height above it stands out, and nothing is divided."""
+    above = np.zeros((20, 30))
+    above[5:8, 5:8], above[12, 20] = 2.0, -1.0
+    limit = np.zeros(4)
+    found, out = find_outliers(above, np.zeros(above.shape, dtype=np.int16), limit, limit, (1.0, 1.0))
+    assert [(one.kind, one.height_um, one.points) for one in found] == [("burr", 2.0, 9), ("spike", -1.0, 1)]
+    assert out[6, 6]
+    assert out[12, 20]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import grey_dilation
 
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.heightmap import HeightMap
@@ -292,6 +293,44 @@ def test_a_period_limit_that_leaves_no_ridges_is_refused():
         measure_ridges(HeightMap(heights, 1.0, 1.0), 40.0)
     with pytest.raises(UsageError, match="at least 0"):
         measure_ridges(HeightMap(heights, 1.0, 1.0), -1.0)
+
+
+def under_tip(monkeypatch, tip):
+    """Outlines as a disk of a radius scans them: their dilation, at steps of a fiftieth of a pixel."""
+    plain = effects.outline
+
+    def outline(case):
+        x, z, height = plain(case)
+        reach = int(tip / (step := case.pitch / effects.FINE))
+        ball = np.sqrt(np.maximum(tip**2 - (np.arange(-reach, reach + 1) * step) ** 2, 0.0)) - tip
+        return x, grey_dilation(z, footprint=np.ones(ball.shape), structure=ball, mode="wrap"), height
+
+    monkeypatch.setattr(effects, "outline", outline)
+
+
+@pytest.mark.parametrize(
+    ("tip", "crest", "foot"),
+    [
+        (4.0, 0.0, 5.0),
+        (6.0, 3.0, 9.0),
+        *(pytest.param(tip, crest, foot, marks=pytest.mark.soak)
+          for tip in (2.0, 4.0, 6.0) for crest in (0.0, 3.0, 6.0) for foot in (0.0, 4.0, 10.0)),
+    ],
+)  # fmt: skip
+def test_a_round_tip_is_taken_off(monkeypatch, tip, crest, foot):
+    under_tip(monkeypatch, tip)
+    heights, truth = draw(Case(11, direction=17.0, wall=72.0, crest=crest, foot=foot))
+    found = measure_ridges(HeightMap(heights, 1.0, 1.0), tip_radius_um=tip)
+    for name in ("ridge_angle_deg", "wall_angle_deg", "height_um", "edge_radius_um", "foot_radius_um"):
+        assert within(getattr(found, name), truth[name], 2.5), name
+    if foot > tip + 2.0 and crest:
+        assert found.height_um.u < 0.2
+        assert found.foot_radius_um.known
+        assert found.edge_radius_um.known
+    with pytest.raises(HeightMapError, match="no tip shows a crest sharper than itself"):
+        measure_ridges(HeightMap(heights, 1.0, 1.0), tip_radius_um=tip + 10.0)
+    with pytest.raises(UsageError, match="in place of a lateral period limit"):
+        measure_ridges(HeightMap(heights, 1.0, 1.0), 4.0, tip_radius_um=tip)
 
 
 def test_ridges_that_change_along_their_length_are_told():
