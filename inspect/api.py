@@ -121,6 +121,7 @@ if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import open_rig
     from anisoscope.rig.discovery import find_ports
     from anisoscope.rig.drivers import open_camera, open_light, open_stage
+    from anisoscope.rig.framefolder import draft_table as draft_frame_table
     from anisoscope.rig.rigfile import RigFile
     from anisoscope.sim.design.antimirror import AntiMirror
     from anisoscope.sim.design.lobe import LobeTask, design_lobe
@@ -278,6 +279,7 @@ _HOME = {
     "open_camera": "anisoscope.rig.drivers",
     "open_light": "anisoscope.rig.drivers",
     "open_stage": "anisoscope.rig.drivers",
+    "draft_frame_table": "anisoscope.rig.framefolder:draft_table",
     "AntiMirror": "anisoscope.sim.design.antimirror",
     "LobeTask": "anisoscope.sim.design.lobe",
     "design_lobe": "anisoscope.sim.design.lobe",
@@ -416,6 +418,7 @@ __all__ = [
     "detection_of_parts",
     "direction_regions",
     "dot_pattern",
+    "draft_frame_table",
     "drift_study",
     "drivers",
     "edit_map",

@@ -163,9 +163,10 @@ class HeightMap:
         Raises:
             HeightMapError: more than half of the heights are interpolated.
         """
-        guessed = self.layers.get(INTERPOLATED)
-        guessed = None if guessed is None else ~(guessed < 0.5) & np.isfinite(self.height_um)
-        if guessed is None or not guessed.any():
+        if (layer := self.layers.get(INTERPOLATED)) is None:
+            return self
+        guessed = ~(layer < 0.5) & np.isfinite(self.height_um)
+        if not guessed.any():
             return self
         share = np.count_nonzero(guessed) / np.count_nonzero(np.isfinite(self.height_um))
         if share > MOST_INTERPOLATED:

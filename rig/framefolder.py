@@ -349,6 +349,7 @@ def write_frame_folder(
     """
     if not frames or (again is not None and len(again) != len(frames)):
         raise UsageError(f"{folder}: {len(frames)} frames and {len(again or ())} marks cannot be written")
+    folder = Path(folder)
     table = folder / TABLE
     if table.exists():
         raise RecordError(f"{table}: is there already; write into an empty folder")
@@ -491,6 +492,7 @@ def _check_marks(entries: list[FrameEntry], lines: list[Line], table: Path) -> N
             )
 
 
+MOST_NAMED = 4
 SUFFIXES = frozenset({".tif", ".tiff", ".png"})
 KINDS = {
     "dark": r"dark|black|closed|lightoff",
@@ -531,7 +533,7 @@ class Draft:
     missing: dict[str, tuple[str, ...]]
 
 
-def draft_table(folder: Path) -> Draft:
+def draft_table(folder: Path | str) -> Draft:
     """Write a first ``frames.csv`` for the pictures in a folder, in the order of their names.
 
     Cells of which nothing tells the value stay empty; the reader of the table names each of them. Pictures of ours
@@ -542,13 +544,11 @@ def draft_table(folder: Path) -> Draft:
         UsageError: there is a table, or no picture.
         RecordError: a picture cannot be read, or the table not be written.
     """
+    folder = Path(folder)
     table = folder / TABLE
     if table.exists():
         raise UsageError(f"{table} exists already: change it with an editor, or move it away")
-    paths = sorted(
-        (path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES),
-        key=lambda path: _natural(path.name),
-    )
+    paths = _pictures(folder)
     if not paths:
         raise UsageError(f"{folder}: there is no TIFF or PNG in it")
     rows, peak, darks = [], 0, []
@@ -575,6 +575,30 @@ def draft_table(folder: Path) -> Draft:
     except OSError as problem:
         raise RecordError(f"{table}: cannot be written: {problem.strerror}") from problem
     return Draft(table, len(rows), {name: files for name, files in missing.items() if files})
+
+
+def _pictures(folder: Path) -> list[Path]:
+    found = (path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
+    return sorted(found, key=lambda path: _natural(path.name))
+
+
+def frames_to_add(folder: FrameFolder, kind: FrameKind, like: FrameEntry) -> str:
+    """Advice which pictures of a folder may be the frames that its table lacks, and which cells list them.
+
+    Args:
+        folder: the folder.
+        kind: kind of frame that is missing.
+        like: a frame whose exposure and gain they need.
+    """
+    listed = {entry.path.name for entry in folder.entries}
+    unlisted = (path for path in _pictures(folder.folder) if path.name not in listed)
+    names = [path.name for path in unlisted if told_by_name(path.stem)["kind"] == kind]
+    cells = f"with kind {kind}, exposure_s {like.exposure_s:g}, gain {like.gain:g}"
+    if names:
+        return f"{', '.join(names[:MOST_NAMED])} may be some: list them in {TABLE} {cells}, if they were exposed so"
+    what = {"dark": "the light off", "flat": "the white tile in place of the part"}
+    what |= {"stray": "a light trap in place of the part", "reference": "the reference patch"}
+    return f"photograph some with {what[kind]}, save them as {kind}-1.tif and so on, and list them in {TABLE} {cells}"
 
 
 def told_by_name(name: str) -> dict[str, str]:

@@ -16,7 +16,7 @@ from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.cameras.response import LINEAR_BITS, LINEAR_BLACK, ResponseCurve
 from anisoscope.rig.frame import FrameKind
-from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder
+from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder, frames_to_add
 from anisoscope.sim.light.geometry import directions
 
 
@@ -118,7 +118,7 @@ def _check_exposures(folder: FrameFolder) -> None:
         if entry.kind in {"sample", "flat", "stray"} and (entry.exposure_s, entry.gain) not in dark:
             raise RecordError(
                 f"{folder.folder}: there is no dark frame of {entry.exposure_s:g} s at gain {entry.gain:g}, as the "
-                f"{entry.kind} frame {entry.path.name} was exposed: take some with the light off"
+                f"{entry.kind} frame {entry.path.name} was exposed: {frames_to_add(folder, 'dark', entry)}"
             )
 
 

@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from anisoscope.base.atomic_write import write_bytes
-from anisoscope.base.errors import CalibrationError, CameraError, MeasurementError, RecordError, UsageError
+from anisoscope.base.errors import (
+    CalibrationError,
+    CameraError,
+    MeasurementError,
+    RecordError,
+    RigFileError,
+    UsageError,
+)
 from anisoscope.base.parallel import for_each
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.corrections import Calibrations, calibrations_of
@@ -62,7 +69,7 @@ from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.cameras.response import read_response
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import header_of
-from anisoscope.rig.framefolder import TABLE, FrameFolder, HeldFile, read_frame_folder
+from anisoscope.rig.framefolder import TABLE, FrameFolder, HeldFile, frames_to_add, read_frame_folder
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
 RIG_NAME = "rig.toml"
@@ -238,7 +245,7 @@ def read_given(
         read = replace(read, entries=linear_entries(read.entries, curve))
     replay = arrange(read, recipe)
     white_of_frames = white_of(replay, reflectance, rig.light.angle_deg)
-    white = None if white_of_frames is not None else _white_of_rig(rig, rig_path, replay)
+    white = None if white_of_frames is not None else _white_of_rig(rig, rig_path, replay, read)
     camera = camera_of(replay) or (None if white is None else white.camera)
     reference = reference_on(kind, recipe_path, recipe, rig, camera)
     sources = (
@@ -354,7 +361,12 @@ def _rig_in(frames: Path) -> Path:
     return path
 
 
-def _white_of_rig(rig: RigFile, rig_path: Path, replay: Replay) -> WhiteReference:
+def _white_of_rig(rig: RigFile, rig_path: Path, replay: Replay, read: FrameFolder) -> WhiteReference:
+    if rig.calibration is None:
+        raise RigFileError(
+            f"{rig_path} names no flat ([calibration] flat), and {read.folder} lists no flat frame, so that radiances "
+            f"have no scale: {frames_to_add(read, 'flat', read.entries[-1])}"
+        )
     white = read_reference(flat_of(rig, rig_path))
     camera = camera_of(replay)
     if camera is not None and not camera.endswith(white.camera):

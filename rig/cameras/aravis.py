@@ -316,6 +316,7 @@ class Wanted:
     size: tuple[int, int]
     features: str
     packet_size: int
+    big_endian: bool = False
 
 
 class Connection:
@@ -332,7 +333,7 @@ class Connection:
         self._library, self._call = library, library.call
         self._stream: int | None = None
         self._parser: int | None = None
-        self._last_ns = 0
+        self._last_ns, self._big_endian = 0, wanted.big_endian
         self._camera: int | None = self._call("arv_camera_new", device_id.encode())
         if not self._camera:
             raise NotConnected(f"{device_id} does not answer")
@@ -420,7 +421,9 @@ class Connection:
             size = c_size_t()
             data = self._call("arv_buffer_get_data", buffer, byref(size))
             view = (ctypes.c_ubyte * self._bytes).from_address(data)
-            return counts_of(memoryview(view), self.shape, self.pixel_format), stamp
+            return counts_of(
+                memoryview(view), self.shape, self.pixel_format, big_endian=self._big_endian
+            ), stamp
         finally:
             self._call("arv_stream_push_buffer", self._stream, buffer)
 
@@ -540,6 +543,7 @@ class AravisCamera(GenicamCamera):
         packet_size: int = 0,
         reconnect_s: float = 10.0,
         library: str = "",
+        big_endian: bool = False,
     ) -> "AravisCamera":
         """Connect to a camera.
 
@@ -557,6 +561,7 @@ class AravisCamera(GenicamCamera):
             packet_size: bytes of a GigE packet; 0 leaves what fits.
             reconnect_s: seconds in which a camera that went away is looked for; 0 for not at all.
             library: file of the library, if it has another name or place.
+            big_endian: counts of 16 bits come with their high byte first.
 
         Raises:
             RigFileError: an option that makes no sense, or that the camera does not have.
@@ -570,7 +575,7 @@ class AravisCamera(GenicamCamera):
         return cls(
             loaded,
             address or _find(loaded, serial),
-            Wanted(pixel_format, (height, width), features, packet_size),
+            Wanted(pixel_format, (height, width), features, packet_size, big_endian),
             black_level=black_level,
             retries=retries,
             timeout_s=timeout_s,

@@ -173,6 +173,7 @@ class GentlCamera(GenicamCamera):
         pixel_format: str,
         triggered: bool,
         exposure_s: float,
+        big_endian: bool,
         retries: int,
         timeout_s: float,
     ) -> None:
@@ -180,7 +181,7 @@ class GentlCamera(GenicamCamera):
         super().__init__(features, info, retries=retries, timeout_s=timeout_s)
         self._producer: Producer | None = producer
         self._acquirer, self._triggered, self._exposure_s = acquirer, triggered, exposure_s
-        self._pixel_format = pixel_format
+        self._pixel_format, self._big_endian = pixel_format, big_endian
 
     @classmethod
     def open(
@@ -197,6 +198,7 @@ class GentlCamera(GenicamCamera):
         features: str = "",
         triggered: bool = True,
         exposure_s: float = 0.0,
+        big_endian: bool = False,
     ) -> "GentlCamera":
         """Connect to a camera.
 
@@ -212,6 +214,7 @@ class GentlCamera(GenicamCamera):
             features: further features by name, as ``ReverseX=1``.
             triggered: False for a camera without a software trigger; it takes frames as soon as it is started.
             exposure_s: the exposure of a camera whose exposure cannot be set.
+            big_endian: as for the driver aravis.
 
         Raises:
             RigFileError: an option that makes no sense.
@@ -252,6 +255,7 @@ class GentlCamera(GenicamCamera):
             pixel_format=used,
             triggered=triggered,
             exposure_s=exposure_s,
+            big_endian=big_endian,
             retries=retries,
             timeout_s=timeout_s,
         )
@@ -307,7 +311,8 @@ class GentlCamera(GenicamCamera):
         if (part.height, part.width) != shape:
             return None, f"a picture of {part.width} × {part.height} came"
         size = shape[0] * FORMATS[self._pixel_format].size(shape[1])
-        return counts_of(memoryview(buffer.raw_buffer)[start : start + size], shape, self._pixel_format), ""
+        data = memoryview(buffer.raw_buffer)[start : start + size]
+        return counts_of(data, shape, self._pixel_format, big_endian=self._big_endian), ""
 
 
 def _acquirer_of(harvester: Any, device: Any) -> Any:

@@ -73,11 +73,16 @@ def choose(wanted: str, offered: tuple[str, ...]) -> str:
     )
 
 
-def counts_of(data: bytes | memoryview, shape: tuple[int, int], name: str) -> npt.NDArray[np.uint16]:
+def counts_of(
+    data: bytes | memoryview, shape: tuple[int, int], name: str, *, big_endian: bool = False
+) -> npt.NDArray[np.uint16]:
     """(rows, cols) counts, right-justified, of the bytes of a picture.
 
+    Counts of 10 to 14 bits in two bytes show their order: in the other one they exceed their bits, or all are whole
+    multiples of 256. Those of 16 bits do not: ``big_endian`` states that their high byte comes first.
+
     Raises:
-        CameraError: there are more or fewer bytes than the picture has, or the bytes of counts come in the other order.
+        CameraError: there are more or fewer bytes than the picture has, or counts of 16 bits come in the other order.
     """
     form = FORMATS[name]
     rows, cols = shape
@@ -88,11 +93,17 @@ def counts_of(data: bytes | memoryview, shape: tuple[int, int], name: str) -> np
     if form.packing == "":
         if form.bits == 8:
             return raw.astype(np.uint16).reshape(shape)
-        counts = raw.view("<u2")
-        if _are_swapped(counts, shape):
+        counts = raw.view(">u2" if big_endian else "<u2")
+        if form.bits < 16:
+            swapped = counts.byteswap()
+            if int(swapped.max()) < 1 << form.bits and (
+                int(counts.max()) >> form.bits or not np.any(counts & 0xFF)
+            ):
+                counts = swapped
+        elif _are_swapped(counts, shape):
             raise CameraError(
-                f"the counts in {name} come with their high byte first: choose a packed pixel_format, such as "
-                "Mono12Packed or Mono12p, whose order is fixed, or set the camera to little-endian"
+                f"the counts in {name} come with their {'low' if big_endian else 'high'} byte first: state "
+                f"big_endian = {str(not big_endian).lower()} in [camera.options]"
             )
         return counts.astype(np.uint16).reshape(shape)
     out = np.empty(rows * cols, np.uint16)

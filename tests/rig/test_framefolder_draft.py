@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.rig.framefolder import draft_table, read_frame_folder, told_by_name
+from anisoscope.rig.framefolder import draft_table, frames_to_add, read_frame_folder, told_by_name
 
 
 @pytest.mark.parametrize(
@@ -62,3 +62,21 @@ def test_what_nothing_tells_stays_empty_and_is_named(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match="no TIFF or PNG"):
         draft_table(tmp_path / "empty")
+
+
+def test_pictures_that_a_table_lacks_are_named(tmp_path):
+    names = ["dark_6ms.png", "part-0_6ms.png", "white tile 6ms.png", "dark_9ms.png"]
+    folder = pictures(tmp_path / "frames", names)
+    draft_table(folder)
+    table = folder / "frames.csv"
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text("".join(line for line in lines if "tile" not in line and "9ms" not in line))
+    read = read_frame_folder(folder)
+    cells = "exposure_s 0.006, gain 1"
+    assert frames_to_add(read, "flat", read.entries[-1]) == (
+        f"white tile 6ms.png may be some: list them in frames.csv with kind flat, {cells}, if they were exposed so"
+    )
+    assert "dark_9ms.png may be some" in frames_to_add(read, "dark", read.entries[-1])
+    assert frames_to_add(read, "stray", read.entries[-1]).startswith(
+        "photograph some with a light trap in place of"
+    )

@@ -228,7 +228,9 @@ def add(folder, kind, pictures):
 def test_flats_in_the_folder_fix_the_scale(taken, replay):
     rig, live, folder = taken
     geometry = bare(rig)
-    with pytest.raises(RigFileError, match="names no flat"):
+    with pytest.raises(
+        RigFileError, match=r"names no flat .* photograph some with the white tile in place of the part"
+    ):
         replay(rig, folder, rig_path=geometry)
     add(folder, "flat", photographs(rig, "flat", 'kind = "white-tile"', 4))
     found = replay(rig, folder, rig_path=geometry)

@@ -73,15 +73,23 @@ def test_colours_are_not_taken_for_grey():
         choose("BayerRG12", ("BayerGB12", "Mono8"))
 
 
-@pytest.mark.parametrize(("name", "level"), [("Mono16", 9000.0), ("Mono12", 700.0), ("Mono16", 300.0)])
-def test_counts_with_their_high_byte_first_are_refused(name, level):
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [("Mono16", 9000.0), ("Mono16", 300.0), ("Mono12", 700.0), ("Mono12", 4.0), ("Mono10", 64.0)],
+)
+def test_counts_with_their_high_byte_first(name, level):
     rng = np.random.default_rng(4)
     counts = np.round(
-        level * (1.0 + 0.3 * np.sin(np.arange(96) / 9.0)) + rng.normal(0.0, 3.0, (64, 96))
+        level * (1.0 + 0.3 * np.sin(np.arange(96) / 9.0)) + rng.normal(0.0, 0.01 * level + 0.5, (64, 96))
     ).astype("<u2")
+    swapped = counts.byteswap().tobytes()
     assert np.array_equal(counts_of(counts.tobytes(), counts.shape, name), counts)
-    with pytest.raises(CameraError, match="high byte first: choose a packed pixel_format"):
-        counts_of(counts.byteswap().tobytes(), counts.shape, name)
+    assert np.array_equal(counts_of(swapped, counts.shape, name, big_endian=name == "Mono16"), counts)
+    if name == "Mono16":
+        with pytest.raises(CameraError, match="high byte first: state big_endian = true in"):
+            counts_of(swapped, counts.shape, name)
+        with pytest.raises(CameraError, match="low byte first: state big_endian = false in"):
+            counts_of(counts.tobytes(), counts.shape, name, big_endian=True)
 
 
 def test_a_dark_picture_and_one_of_eight_bits_to_the_left_are_no_swapped_ones():

@@ -52,6 +52,8 @@ they take {durations}. The error comes at most {limit:.0f} s after the fault, bu
 Grbl board answers nothing while it searches, and may search over 1.5 travels of Z and of the slower of X and Y; a
 stepper without an encoder (K10CR1) counts on while something holds it, until it has counted more than a turn. Every
 message ends with what to do, and every frame taken before is on disk.
+
+The table has {devices} faults of devices, {lines} of [lines](#the-line) and {cameras} of [cameras](#the-camera).
 """
 WIRE = """## The line
 
@@ -69,6 +71,32 @@ takes more than 8 s says every 8 s what is waited for, and how long it may take.
 | feed override at the board | grbl | goes on, and says so; Grbl 1.1 spares jogs, some descendants do not |
 | readings a turn off: 359.997° at zero, 0 for 360 | all that turn | goes on |
 """
+CAMERA = """
+## The camera
+
+What cameras and their lines do, each with a fake in the test that the last column names (`tests/rig`).
+
+| fault | drivers | what the driver does | test |
+|---|---|---|---|
+| packets of a frame are lost, or come twice | aravis | takes the frame again, `retries` times; then CameraError 69 | \
+`test_a_frame_that_is_not_right_is_taken_again` |
+| no packet of the stream arrives | aravis | CameraError 69, "no packet at all", names firewall, \
+reverse-path filter, packet size | `test_a_stream_of_which_nothing_comes_names_what_holds_it_back` |
+| the camera goes away and comes back | aravis | within `reconnect_s` goes on with its settings; \
+else NotConnected 69 | `test_a_camera_that_went_away_and_came_back_has_its_settings_again` |
+| another camera comes in its place | aravis | NotConnected 69 | \
+`test_another_camera_in_its_place_is_not_taken` |
+| high byte first | aravis, gentl | goes on; of 16 bits CameraError 69, names `big_endian` | \
+`test_counts_with_their_high_byte_first` |
+| counts above full scale | all | CameraError 69, "left-justified" | \
+`test_counts_above_full_scale_are_refused_live` |
+| automatic exposure goes on | all | `rig check`, `rig commission`: exit code 3 | \
+`test_cameras_that_adjust_themselves` |
+"""
+
+
+def rows_below(text):
+    return len(re.findall(r"^\| (?!fault |---)", text, re.MULTILINE))
 
 
 @dataclass(frozen=True)
@@ -240,7 +268,9 @@ def table_of(cases, outcomes, undisturbed):
         f"{name} {', '.join(f'{found[action].seconds:.1f} s' for action in ACTIONS)}"
         for name, found in undisturbed.items()
     )
-    lines = [HEAD.format(durations=durations, limit=LIMIT_S)]
+    count = sum(len(case.faults) for case in cases.values())
+    own = {"devices": count, "lines": rows_below(WIRE), "cameras": rows_below(CAMERA)}
+    lines = [HEAD.format(durations=durations, limit=LIMIT_S, **own)]
     head = ["| stage | fault | message has | home | move | inspect |", "|---|---|---|---|---|---|"]
     for kind in FaultKind:
         lines += [f"## {kind}", "", sentences[kind], "", *head]
@@ -250,7 +280,7 @@ def table_of(cases, outcomes, undisturbed):
             if not rows:
                 lines.append(f"| {case.protocol} | – | a device of this protocol cannot have it | | | |")
         lines.append("")
-    lines.append(WIRE)
+    lines.append(WIRE + CAMERA)
     return "\n".join(lines)
 
 
@@ -275,6 +305,25 @@ def test_a_third_of_the_page_of_faults_is_true_and_errors_come_in_time(all_cases
     assert missing == [], (
         f"{PAGE.name} is out of date: run the next test with ANISOSCOPE_WRITE_DOCS=1 and -m soak"
     )
+
+
+def test_the_page_counts_its_faults_and_names_a_test_of_each(all_cases):
+    text = PAGE.read_text(encoding="utf-8")
+    assert text.endswith(WIRE + CAMERA)
+    devices, line, camera = (
+        int(one) for one in re.search(r"(\d+) faults of devices, (\d+) of .*? and (\d+) of", text).groups()
+    )
+    kinds = {fault for case in all_cases.values() for fault in case.faults}
+    assert (
+        devices
+        == len(re.findall(r"^\| \w+ \| `", text, re.MULTILINE))
+        == sum(len(case.faults) for case in all_cases.values())
+    )
+    assert len(kinds) >= 48
+    assert (line, camera) == (7, 7) == (rows_below(WIRE), rows_below(CAMERA))
+    tests = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parents[1].rglob("test_*.py"))
+    for name in re.findall(r"`(test_\w+)` \|", CAMERA):
+        assert f"def {name}(" in tests, name
 
 
 @pytest.mark.soak
