@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from anisoscope.base.errors import AnisoscopeError, UsageError
     from anisoscope.base.progress import Advance
     from anisoscope.calibration.corrections import list_calibrations
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.linearity import calibrate_linearity, calibrate_response
     from anisoscope.calibration.pictures import calibrate_dark, calibrate_flat, calibrate_stray
     from anisoscope.calibration.rotation import calibrate_rotation
@@ -97,6 +96,7 @@ if TYPE_CHECKING:
     from anisoscope.parameters.microscope import Microscope
     from anisoscope.parameters.optics import Optics
     from anisoscope.parameters.ridges import RidgeDesign
+    from anisoscope.parameters.taking import Taking
     from anisoscope.prediction.predicted import Predicted
     from anisoscope.profiles.comparison import Comparison, compare_maps
     from anisoscope.profiles.editing.steps import edit_map
@@ -207,7 +207,7 @@ _HOME = {
     "calibrate_stray": "anisoscope.calibration.pictures",
     "calibrate_dark": "anisoscope.calibration.pictures",
     "calibrate_flat": "anisoscope.calibration.pictures",
-    "Taking": "anisoscope.calibration.frames",
+    "Taking": "anisoscope.parameters.taking",
     "watch": "anisoscope.operations.series",
     "batch": "anisoscope.operations.series",
     "retention_rule": "anisoscope.inspection.archive:parse_rule",

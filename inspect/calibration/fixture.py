@@ -12,7 +12,7 @@ from pathlib import Path
 from anisoscope.base.errors import CalibrationError, RigFileError, Saturated, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.corrections import read_calibrations
-from anisoscope.calibration.frames import Bed, Taking
+from anisoscope.calibration.frames import Bed
 from anisoscope.calibration.record import (
     CalibrationRecord,
     Value,
@@ -28,6 +28,7 @@ from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.imaging.rig_monitor import read_markers, teach
 from anisoscope.imaging.views import Viewing, views_of
 from anisoscope.parameters.geometry import Pose as LightPose
+from anisoscope.parameters.taking import Taking
 from anisoscope.recipe.base import LimitsPart
 from anisoscope.rig.acquisition.runner import Progress, open_rig, run_plan
 from anisoscope.rig.rigfile import read_rig

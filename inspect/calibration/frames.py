@@ -10,48 +10,14 @@ from typing import Any
 import numpy as np
 
 from anisoscope.base.atomic_write import write_bytes
-from anisoscope.base.errors import CameraError, RecordError, UsageError
-from anisoscope.base.printable import check_printable
+from anisoscope.base.errors import CameraError, RecordError
 from anisoscope.base.progress import Advance
 from anisoscope.calibration.record import CameraRecord
 from anisoscope.imaging.linearisation import Image, Stack, stack
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.acquisition.runner import Rig, open_rig
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.rigfile import RigFile, read_rig
-
-MIN_FRAMES, MAX_FRAMES = 2, 1024
-
-
-@dataclass(frozen=True)
-class Taking:
-    """Acquisition settings of a calibration, and entries for its record.
-
-    Attributes:
-        exposure_s: exposure in seconds.
-        gain: gain of the camera, as a factor.
-        frames: frames to average, of every kind.
-        valid_days: validity of the calibration in days; None for the default.
-        operator: name of the operator.
-        temperature_c: ambient temperature.
-        light_channel: of the rig file; None for the one that it uses by default.
-    """
-
-    exposure_s: float
-    gain: float = 1.0
-    frames: int = 16
-    valid_days: float | None = None
-    operator: str | None = None
-    temperature_c: float | None = None
-    light_channel: str | None = None
-
-    def __post_init__(self) -> None:
-        if not MIN_FRAMES <= self.frames <= MAX_FRAMES:
-            raise UsageError(
-                f"a calibration needs at least {MIN_FRAMES} frames and at most {MAX_FRAMES}, not {self.frames}"
-            )
-        if not (self.exposure_s > 0.0 and self.gain > 0.0):
-            raise UsageError("exposure and gain must be more than 0")
-        check_printable({"operator": self.operator})
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.calibration.frames import Bed, Taking, calibration_bed
+from anisoscope.calibration.frames import Bed, calibration_bed
 from anisoscope.calibration.record import (
     CalibrationRecord,
     Value,
@@ -28,6 +28,7 @@ from anisoscope.calibration.record import (
     record_path,
     write_calibration,
 )
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.cameras.response import ResponseCurve, fit_response, write_response
 from anisoscope.rig.frame import Frame
 

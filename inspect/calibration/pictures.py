@@ -7,7 +7,7 @@ import numpy as np
 
 from anisoscope.base.errors import CalibrationError, RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.calibration.frames import Bed, Taking, calibration_bed, write_picture
+from anisoscope.calibration.frames import Bed, calibration_bed, write_picture
 from anisoscope.calibration.record import (
     CalibrationRecord,
     Kind,
@@ -27,6 +27,7 @@ from anisoscope.calibration.white_reference import (
 )
 from anisoscope.imaging.linearisation import Stack, WhiteReference, check_size
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.geometry import directions
 

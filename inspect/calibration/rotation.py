@@ -11,7 +11,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.calibration.frames import Bed, Taking
+from anisoscope.calibration.frames import Bed
 from anisoscope.calibration.record import (
     CalibrationRecord,
     CameraRecord,
@@ -32,6 +32,7 @@ from anisoscope.imaging.registration.placement import (
     marker_corners_mm,
     place_markers,
 )
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.acquisition.plan import Plan, Pose, Seat
 from anisoscope.rig.acquisition.runner import FrameRecord, Progress, open_rig, run_plan
 from anisoscope.rig.bayer import grey_of

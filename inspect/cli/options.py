@@ -1,7 +1,7 @@
 """Options that the commands share."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -182,3 +182,47 @@ def parse_range(text: str, option: str) -> tuple[float, ...]:
         raise UsageError(f"{option} takes from:to:step with a step above 0, such as -20:20:5, not {text!r}")
     first, last, step = numbers
     return tuple(first + step * k for k in range(int((last - first) / step + 1e-9) + 1))
+
+
+def check_suffix(path: Path | None, option: str, *suffixes: str) -> None:
+    """Refuse a file of another kind before the work begins.
+
+    Raises:
+        UsageError: the name ends in none of the suffixes.
+    """
+    if path is not None and path.suffix.lower() not in suffixes:
+        raise UsageError(f"{option} writes {' or '.join('*' + one for one in suffixes)}, not {path.name}")
+
+
+def check_target(path: Path | None, option: str, inputs: Iterable[Path | None], *suffixes: str) -> None:
+    """As :func:`check_suffix`, and refuse to overwrite an input.
+
+    Raises:
+        UsageError: the name ends in none of the suffixes, or is that of an input.
+    """
+    check_suffix(path, option, *suffixes)
+    if path is not None and path.resolve() in {one.resolve() for one in inputs if one is not None}:
+        raise UsageError(f"{option} {path} is an input: write to another file")
+
+
+def check_new(paths: Iterable[Path | None], *, overwrite: bool) -> None:
+    """Refuse existing output files before the work begins, unless overwriting is allowed.
+
+    Raises:
+        UsageError: one of them exists.
+    """
+    for path in paths:
+        if path is not None and path.exists() and not overwrite:
+            raise UsageError(f"{path} exists; give another name, or --overwrite")
+
+
+def check_map(path: Path | None, option: str) -> None:
+    """Refuse a height map of a format that is not written.
+
+    Raises:
+        UsageError: an unknown extension.
+    """
+    from anisoscope.profiles.files.load import WRITERS  # the first import of numpy
+
+    if path is not None and path.suffix.lower() not in WRITERS:
+        raise UsageError(f"{option} {path}: unknown extension; written are {', '.join(WRITERS)}")

@@ -21,7 +21,6 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.toml_edits import with_values
 from anisoscope.calibration.fixture import calibrate_fixture
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.record import CalibrationRecord
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.commissioning.angles import Angles, Assumed, evaluate
@@ -39,6 +38,7 @@ from anisoscope.commissioning.record import (
 from anisoscope.commissioning.series import PictureSet, Series, take
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
+from anisoscope.parameters.taking import Taking
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.recipe.base import RecipeBase

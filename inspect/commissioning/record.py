@@ -12,7 +12,6 @@ from anisoscope.base.errors import CalibrationError
 from anisoscope.base.json_file import parsed_json
 from anisoscope.base.regular_file import bounded_bytes
 
-KIND = "anisoscope commissioning"
 _UNSEALED = "0" * 64
 
 Status = Literal["found", "not identifiable", "not measured"]

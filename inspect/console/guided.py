@@ -542,7 +542,7 @@ def find_focus(place: Workplace, advance: Advance, *, entry: RecipeEntry, low: f
 
 
 def _taking(asked: Entered, frames: int) -> Any:  # noqa: ANN401
-    from anisoscope.calibration.frames import Taking  # noqa: PLC0415
+    from anisoscope.parameters.taking import Taking  # noqa: PLC0415
 
     entry = asked.entry
     return Taking(entry.exposure_s, entry.gain, frames, operator=asked.who, light_channel=entry.channel)

@@ -12,27 +12,33 @@ MOST_IDS = 5000
 
 @dataclass(frozen=True)
 class Filters:
-    """Conditions that must all hold; texts are compared whole and case-sensitively.
+    """Conditions that must all hold; texts are compared whole and case-sensitively, moments have a time zone.
 
     Attributes:
-        since: not earlier than this; with a time zone.
-        until: earlier than this; with a time zone.
-        lot, cavity, product, station, operator, serial, verdict: equal to this.
-        recipe: identity of a recipe as rows bear it, or the first digits of its SHA-256 (four or more).
+        since: not earlier than 2026-11-01, 2026-11-01T14:30, today, or how long ago: 12h, 7d, 2w.
+        until: not later than this; a date includes its day.
+        serial: of the part with this serial number.
+        product: of this product.
+        recipe: by this recipe: as the history shows it, or four or more digits of its SHA-256.
+        lot: of this lot.
+        cavity: of this cavity.
+        verdict: PASS, FAIL, INCONCLUSIVE or INVALID.
+        station: of this station.
+        operator: of this operator.
         limit: at most so many, the latest ones.
         ids: only those with one of these ids, `MOST_IDS` at most.
     """
 
     since: datetime | None = None
     until: datetime | None = None
-    lot: str | None = None
-    cavity: str | None = None
+    serial: str | None = None
     product: str | None = None
     recipe: str | None = None
+    lot: str | None = None
+    cavity: str | None = None
+    verdict: str | None = None
     station: str | None = None
     operator: str | None = None
-    serial: str | None = None
-    verdict: str | None = None
     limit: int | None = None
     ids: tuple[int, ...] | None = None
 

@@ -17,7 +17,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
-from anisoscope.calibration.frames import Bed, Taking
+from anisoscope.calibration.frames import Bed
 from anisoscope.calibration.record import (
     CalibrationRecord,
     Value,
@@ -26,6 +26,7 @@ from anisoscope.calibration.record import (
     write_calibration,
 )
 from anisoscope.live_view.view import FocusMeasure, focus_of, signal_of
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import check_plan, ways_to

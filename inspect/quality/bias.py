@@ -11,7 +11,6 @@ from anisoscope.base.json_fields import in_json
 
 ALPHA = 0.05
 MIN_COUNT = 3
-USUAL_COUNT = 10
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ this version reads every record of schema 1 and 2, whichever version wrote it, a
 what it does not know. Fields that came later are optional, and their defaults stand for "not recorded".
 """
 
-import json
 from contextlib import suppress
 from typing import Any
 
@@ -43,8 +42,3 @@ def record_schema() -> dict[str, Any]:
     schema["properties"]["seal"] = seal
     schema["$defs"] = dict(sorted(schema["$defs"].items()))
     return {"$schema": DIALECT} | schema | {"title": TITLE}
-
-
-def record_schema_text() -> str:
-    """The schema as published in the documentation."""
-    return json.dumps(record_schema(), indent=2, ensure_ascii=False) + "\n"

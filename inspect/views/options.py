@@ -11,6 +11,7 @@ An option is named as its field without the unit: ``pitch_um`` is ``--pitch``. A
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass, replace
+from datetime import datetime
 from types import NoneType, UnionType
 from typing import (
     Annotated,
@@ -67,6 +68,10 @@ class Given(Generic[M]):
         except AnisoscopeError as problem:
             raise self._named(problem, base) from None
 
+    def made(self) -> M:
+        """The model of the options, where these are `whole`; errors are the model's own."""
+        return cast("M", self.model(**{name: getattr(self, name) for name in self.option}))
+
     def refuse(self, names: Sequence[str], why: str) -> None:
         """Refuse stated fields.
 
@@ -92,30 +97,35 @@ class Options:
 
     Attributes:
         model: a frozen dataclass whose docstring has a section ``Attributes:``.
-        group: panel of the help page.
-        names: field -> option, where the rule of names does not hold.
+        group: panel of the help page; None for the usual one.
+        names: field -> option, or several, where the rule of names does not hold.
         prefix: put before the names that follow the rule, such as "u-".
         help: field -> text in place of the model's.
-        default: the model whose values are shown as defaults; None shows none.
+        default: the model whose values are shown as defaults, or these by field; None shows those of the fields.
         without: field -> reason why this command has no option for it.
         readers: field -> function of the text and the option that makes its value.
-        required: fields without which the command does not run.
+        groups: field -> panel, where it is not ``group``.
+        whole: the command takes the whole model (`Given.made`): what is not stated has its default, and a field without
+            one must be stated.
         flags: whether fields that are true or false have one option each, which makes them true.
     """
 
     model: type
-    group: Group
-    names: Mapping[str, str] = field(default_factory=dict)
+    group: Group | None = None
+    names: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
     prefix: str = ""
     help: Mapping[str, str] = field(default_factory=dict)
     default: object = None
     without: Mapping[str, str] = field(default_factory=dict)
     readers: Mapping[str, Callable[[str, str], Any]] = field(default_factory=dict)
     flags: bool = False
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    whole: bool = False
 
     def option(self, name: str) -> str:
         """Option of a field."""
-        return self.names.get(name) or plain(name).replace("--", f"--{self.prefix}", 1)
+        own = self.names.get(name) or plain(name).replace("--", f"--{self.prefix}", 1)
+        return own if isinstance(own, str) else own[0]
 
 
 def with_options(**models: Options) -> Callable[[F], F]:
@@ -127,17 +137,19 @@ def with_options(**models: Options) -> Callable[[F], F]:
 
     def mark(command: F) -> F:
         for parameter, options in models.items():
-            kind = _class_of(options)
-            command.__annotations__[parameter] = Annotated[kind, Parameter(name="*", group=options.group)]
-            command.__kwdefaults__ = (command.__kwdefaults__ or {}) | {parameter: kind()}
+            kind = options_class(options)
+            panel: dict[str, Any] = {} if options.group is None else {"group": options.group}
+            command.__annotations__[parameter] = Annotated[kind, Parameter(name="*", **panel)]
+            if not any(one.default is MISSING for one in fields(kind)):
+                command.__kwdefaults__ = (command.__kwdefaults__ or {}) | {parameter: kind()}
         vars(command)["options_of_models"] = models
         return command
 
     return mark
 
 
-def _class_of(options: Options) -> type:
-    """A frozen dataclass of optional fields, which are the options."""
+def options_class(options: Options) -> type:
+    """A frozen dataclass whose fields are the options: `Given` of the model, or a part of other classes of options."""
     assert is_dataclass(options.model)
     texts = _texts(options.model)
     hints = get_type_hints(options.model, include_extras=True)
@@ -145,19 +157,25 @@ def _class_of(options: Options) -> type:
     for one in fields(options.model):
         if one.name in options.without:
             continue
-        default = one.default if options.default is None else getattr(options.default, one.name)
+        default = _default(options.default, one.name, one.default)
         kind, likely = _taken_apart(hints[one.name])
-        name = options.option(one.name)
+        kind = str if kind is datetime else kind  # people write it in words, which the command reads
         reader = options.readers.get(one.name) or _reader(kind, one.name, likely)
+        more: dict[str, Any] = {"group": options.groups[one.name]} if one.name in options.groups else {}
+        if not options.whole:
+            more["show_default"] = False if default in (MISSING, None) else _shown(default)
         parameter = Parameter(
-            name=name,
+            name=options.names.get(one.name) or options.option(one.name),
             negative=() if kind is not bool or options.flags else None,
             help=options.help.get(one.name, texts.get(one.name, "")),
-            show_default=False if default in (MISSING, None) else _shown(default),
             converter=None if reader is None else _converter(reader),
             n_tokens=None if reader is None else 1,
+            **more,
         )
-        stated.append((one.name, Annotated[kind | None, parameter], field(default=None)))
+        optional = kind | None if not options.whole or default is None else kind
+        stated.append(
+            (one.name, Annotated[optional, parameter], field(default=default if options.whole else None))
+        )
     space = {
         "model": options.model,
         "option": {name: options.option(name) for name, _, _ in stated},
@@ -165,8 +183,14 @@ def _class_of(options: Options) -> type:
         "__module__": __name__,
     }
     return make_dataclass(
-        f"{options.model.__name__}Options", stated, bases=(Given,), frozen=True, namespace=space
+        f"{options.model.__name__}Options", stated, bases=(Given,), frozen=True, kw_only=True, namespace=space
     )
+
+
+def _default(of: object, name: str, own: object) -> Any:  # noqa: ANN401
+    if isinstance(of, Mapping):
+        return of.get(name, own)
+    return own if of is None else getattr(of, name)
 
 
 def _texts(model: type) -> dict[str, str]:

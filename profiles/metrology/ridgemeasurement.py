@@ -1,11 +1,12 @@
 """What is measured on the ridges of a map."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import Quantity, as_text
@@ -171,8 +172,8 @@ class RidgeMeasurement:
     missing_share: float
     facet_share: float
     plateau: bool
-    score: float
-    mean_ridge: MeanRidge
+    score: float = field(metadata=json_field("periodicity"))
+    mean_ridge: MeanRidge = field(metadata=LEFT_OUT)
     form_um: float = 0.0
     facet_bow: float = 0.0
     second_direction_deg: float | None = None
@@ -186,6 +187,7 @@ class RidgeMeasurement:
     tip_radius_um: float | None = None
 
     @property
+    @in_json()
     def varies_along(self) -> bool:
         """Whether ridge angles differ along the ridges by more than the ridges of each length explain."""
         known = [one.angle_deg for one in self.segments]
@@ -198,6 +200,7 @@ class RidgeMeasurement:
         return bool(away > freedom + CLEAR * np.sqrt(2.0 * freedom))
 
     @property
+    @in_json()
     def straight(self) -> bool:
         """Whether the facets are straight, within 1 % of their rise; else a ridge angle describes no facet."""
         return self.facet_bow <= MOST_BOW

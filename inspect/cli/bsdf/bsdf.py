@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.ink.options import InksOption, OverwriteOption, check_new, check_suffix, printed_inks
+from anisoscope.cli.ink.options import InksOption, OverwriteOption, printed_inks
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_PLASTIC, Json, parse_numbers
+from anisoscope.cli.options import OF_PLASTIC, Json, check_new, check_suffix, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 from anisoscope.parameters.material import Material

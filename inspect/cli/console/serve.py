@@ -53,9 +53,7 @@ def serve(
     ] = None,
     name: Annotated[
         tuple[str, ...],
-        Parameter(
-            name="--name", negative="", help="Name by which other computers call this one; may be repeated."
-        ),
+        Parameter(negative="", help="Name by which other computers call this one; may be repeated."),
     ] = (),
     certificate: Annotated[Path | None, Parameter(help="TLS certificate (PEM).")] = None,
     key: Annotated[Path | None, Parameter(help="Its key (PEM).")] = None,

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json, check_new, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
@@ -226,7 +226,11 @@ def _check_written(out: Path | None, *others: Path | None) -> None:
     """Check the output paths before the search: results that cannot be written would be lost."""
     if out is not None and out.suffix.lower() != ".npz":
         raise UsageError(f"a layout is written as *.npz, not {out.name}")
-    for path in (out, *others):
+    _check_folders(out, *others)
+
+
+def _check_folders(*paths: Path | None) -> None:
+    for path in paths:
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{path}: there is no folder {path.parent}; make it first")
 
@@ -309,10 +313,8 @@ def height(
     """
     from anisoscope.operations.design.etched import check_seed, layout_of, write_heights
 
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists; give another name, or --overwrite")
-    if not out.parent.is_dir():
-        raise UsageError(f"{out}: there is no folder {out.parent}; make it first")
+    check_new((out,), overwrite=overwrite)
+    _check_folders(out)
     check_seed(seed)
     at = parse_numbers(corner, "--corner")
     extent = None if window_size is None else parse_numbers(window_size, "--window-size")

@@ -70,7 +70,6 @@ def plate(
     field_count: Annotated[
         int | None,
         Parameter(
-            "--field-count",
             help="Field count along the longer side; one a pixel of the picture if not given.",
         ),
     ] = None,
@@ -80,7 +79,7 @@ def plate(
     ridges: Given[RidgeDesign],
     class_count: Annotated[
         int,
-        Parameter("--class-count", help="Most classes of fields: directions and ridge angles that differ."),
+        Parameter(help="Most classes of fields: directions and ridge angles that differ."),
     ] = 64,
     tone: Annotated[
         Literal["linear", "srgb"],

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from anisoscope.fit.fitting import Fit
     from anisoscope.fit.table import BrdfTable, Reciprocity
 from dataclasses import dataclass, replace
+from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Group, Parameter
@@ -384,23 +385,13 @@ def brdf(
     return show(_fit(problem, json_), f"BRDF of {table.name}", json_, html, (read, reciprocity(read)))
 
 
-@with_options(ridges=OF_RIDGES_AND_ANGLE, plastic=OF_PLASTIC)
-def reflectance(
-    table: Path,
-    /,
-    *,
-    ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees; 0 is a flat surface.")],
-    fit: Annotated[bool, Parameter(negative="", help="Fit; otherwise only compare.")] = False,
-    free: Annotated[str | None, Parameter(help="Free parameters with --fit, as in fit ridges.")] = None,
-    wavelength: Annotated[float | None, Parameter(help="Wavelength in nm, of a file with several.")] = None,
-    ridges: Given[RidgeDesign],
-    plastic: Given[Material],
-    file: MaterialOption = None,
-    options: ModelOptions = MODEL_DEFAULTS,
-    json_: Json = False,
-    html: HtmlOption = None,
-) -> int:
-    """Compare a reflectance file or table with a model, and fit material and ridge angle to it, as fit brdf.
+@wraps(brdf)
+def reflectance(*args: Any, **options: Any) -> int:  # noqa: ANN401, D103 - those of the wrapped command
+    return brdf(*args, **options)
+
+
+reflectance.__doc__ = """\
+Compare a reflectance file or table with a model, and fit material and ridge angle to it, as fit brdf.
 
     Args:
         table: file of bsdf import, or RGL .bsdf, MERL, Klems XML, Zemax.
@@ -408,19 +399,6 @@ def reflectance(
     Examples:
         anisoscope bsdf fit table.csv --ridge-angle 0 --fit
     """
-    return brdf(
-        table,
-        ridge_angle=ridge_angle,
-        fit=fit,
-        free=free,
-        wavelength=wavelength,
-        ridges=ridges,
-        plastic=plastic,
-        file=file,
-        options=options,
-        json_=json_,
-        html=html,
-    )
 
 
 def _at_most_one(json_: bool, html: Path | None) -> None:

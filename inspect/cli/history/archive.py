@@ -47,7 +47,6 @@ def push(
     remove: Annotated[
         bool,
         Parameter(
-            name="--remove",
             negative="",
             help="Remove local folders whose files were all read back with right hashes.",
         ),

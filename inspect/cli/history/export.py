@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.history.history import write_line
-from anisoscope.cli.history.options import ALL, Place, Selection, meant, opened
+from anisoscope.cli.history.options import ALL, Place, Selection, filters_of, meant, opened
 
 
 def export(
@@ -57,14 +57,14 @@ def export(
             "name a file: --csv-file, --values-file, --json-file, --junit, --aqdef or --bundle FILE"
         )
     if bundle is not None:
-        if which.serial is None:
+        if "serial" not in which:
             raise UsageError(
                 "--bundle takes one inspection: name it with --serial, or its id as --serial id:7"
             )
         with opened(place) as found:
-            row = bundled(found, which.serial, bundle)
+            row = bundled(found, which.values["serial"], bundle)
         write_line(f"inspection {row.id} of {row.serial}: {bundle}")
-    filters = which.filters(limit)
+    filters = filters_of(which, limit)
     if aqdef is not None:
         write_line(f"{export_aqdef(meant(place), aqdef, filters)} inspections: {aqdef}")
     if not files and aqdef is None:

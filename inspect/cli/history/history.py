@@ -30,7 +30,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import number_name, number_text
-from anisoscope.cli.history.options import ALL, Place, Selection, opened
+from anisoscope.cli.history.options import ALL, Place, Selection, filters_of, opened
 from anisoscope.cli.progress import progress
 
 COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
@@ -307,7 +307,7 @@ def history(
         anisoscope history --lot L42 --cavity 3 --limit 0
         anisoscope history --since 7d --html week.html
     """
-    filters = which.filters(limit)
+    filters = filters_of(which, limit)
     with opened(place) as found:
         if html is not None and (count := min(limit or math.inf, found.count(filters))) > MOST_ON_PAGE:
             raise UsageError(
@@ -357,7 +357,7 @@ def dispose(
     decision: Annotated[str, Parameter(help="accept, reject, rework, remeasure or hold.")],
     /,
     *,
-    reviewer: Annotated[str, Parameter(name="--reviewer", help="Who decides.")],
+    reviewer: Annotated[str, Parameter(help="Who decides.")],
     comment: Annotated[str, Parameter(name=["--comment", "-m"], help="Why; required.")] = "",
     place: Place = None,
     json_: Json = False,

@@ -1,15 +1,16 @@
 """Options that the commands about the history share."""
 
-from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.history.filters import Filters, parse_moment
+from anisoscope.views.options import Given, Options, options_class
 
 if TYPE_CHECKING:
-    from anisoscope.history.filters import Filters
     from anisoscope.history.store import History
 
 DEFAULT_OUT = Path("inspections")
@@ -23,78 +24,42 @@ Place = Annotated[
         "ANISOSCOPE_HISTORY says, else inspections/history.sqlite.",
     ),
 ]
-_MOMENT = "2026-11-01, 2026-11-01T14:30, today, or how long ago: 12h, 7d, 2w."
 
 
 SELECTION = Group("Which inspections", sort_key=20)
-
-
-@Parameter(group=SELECTION)
-@dataclass(frozen=True)
-class Which:
-    """Selection of inspections."""
-
-    since: Annotated[str | None, Parameter(name="--since", help=f"Not earlier than {_MOMENT}")] = None
-    until: Annotated[
-        str | None, Parameter(name="--until", help="Not later than this; a date includes its day.")
-    ] = None
-    serial: Annotated[
-        str | None, Parameter(name=["--serial", "-s"], help="Of the part with this serial number.")
-    ] = None
-    product: Annotated[str | None, Parameter(name="--product", help="Of this product.")] = None
-    recipe: Annotated[
-        str | None,
-        Parameter(
-            name="--recipe",
-            help="By this recipe: as the history shows it, or four or more digits of its SHA-256.",
-        ),
-    ] = None
-    lot: Annotated[str | None, Parameter(name="--lot", help="Of this lot.")] = None
-    cavity: Annotated[str | None, Parameter(name="--cavity", help="Of this cavity.")] = None
-    verdict: Annotated[
-        str | None, Parameter(name="--verdict", help="PASS, FAIL, INCONCLUSIVE or INVALID.")
-    ] = None
-    station: Annotated[str | None, Parameter(name="--station", help="Of this station.")] = None
-    operator: Annotated[str | None, Parameter(name="--operator", help="Of this operator.")] = None
-
-    def filters(self, limit: int | None = None) -> "Filters":
-        """Selection as filters.
-
-        Args:
-            limit: at most so many; None or 0 for all of them.
-
-        Raises:
-            UsageError: a time, a verdict or a limit that is none.
-        """
-        from datetime import UTC, datetime
-
-        from anisoscope.history.filters import Filters, parse_moment
-
-        now = datetime.now(UTC)
-        verdict = None if self.verdict is None else self.verdict.upper()
-        if verdict is not None and verdict not in VERDICTS:
-            raise UsageError(f"--verdict takes {', '.join(VERDICTS)}, not {self.verdict!r}")
-        if limit is not None and limit < 0:
-            raise UsageError(f"--limit takes a positive whole number, or 0 for no limit, not {limit}")
-        return Filters(
-            since=None if self.since is None else parse_moment(self.since, "--since", now=now),
-            until=None if self.until is None else parse_moment(self.until, "--until", now=now, at_end=True),
-            lot=self.lot,
-            cavity=self.cavity,
-            product=self.product,
-            recipe=self.recipe,
-            station=self.station,
-            operator=self.operator,
-            serial=self.serial,
-            verdict=verdict,
-            limit=limit or None,
-        )
-
-
+OF_FILTERS = Options(
+    Filters,
+    names={"serial": ("--serial", "-s")},
+    without={"limit": "an option of its own", "ids": "no words of people"},
+)
+if TYPE_CHECKING:
+    Which = Given[Filters]
+else:
+    Which = options_class(OF_FILTERS)
 ALL = Which()
+Selection = Annotated[Which, Parameter(name="*", group=SELECTION)]
 
 
-Selection = Annotated[Which, Parameter(name="*")]
+def filters_of(which: Which, limit: int | None = None) -> Filters:
+    """Selection as filters.
+
+    Args:
+        which: the options.
+        limit: at most so many; None or 0 for all of them.
+
+    Raises:
+        UsageError: a moment, a verdict or a limit that is none.
+    """
+    if limit is not None and limit < 0:
+        raise UsageError(f"--limit takes a positive whole number, or 0 for no limit, not {limit}")
+    now, stated = datetime.now(UTC), which.values
+    for name in {"since", "until"} & stated.keys():
+        stated[name] = parse_moment(stated[name], f"--{name}", now=now, at_end=name == "until")
+    if "verdict" in stated:
+        if stated["verdict"].upper() not in VERDICTS:
+            raise UsageError(f"--verdict takes {', '.join(VERDICTS)}, not {stated['verdict']!r}")
+        stated["verdict"] = stated["verdict"].upper()
+    return Filters(**stated, limit=limit or None)
 
 
 def meant(place: str | None) -> "str | Path":

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.history.history import write_line
-from anisoscope.cli.history.options import Place, Which, opened
+from anisoscope.cli.history.options import Place, Which, filters_of, opened
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -19,7 +19,7 @@ from anisoscope.record.verdict import Verdict
 if TYPE_CHECKING:
     from anisoscope.study.whatif import WhatIf
 
-KEYS = tuple(Which.__dataclass_fields__)
+KEYS = tuple(Which.option)
 MOST_LINES = 20
 
 
@@ -64,7 +64,7 @@ def whatif(
         result = judged(
             found,
             recipe,
-            which.filters(limit),
+            filters_of(which, limit),
             costs=costs,
             workers=Workers(jobs, scheduler),
             html=html,

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
+from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 

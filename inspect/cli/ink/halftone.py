@@ -11,12 +11,10 @@ from anisoscope.cli.ink.options import (
     IlluminantOption,
     InksOption,
     OverwriteOption,
-    check_new,
-    check_target,
     printed_inks,
 )
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_new, check_target
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
+from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json, check_new, check_suffix, parse_numbers
 from anisoscope.cli.tables import console, print_lines, print_table
 
 if TYPE_CHECKING:

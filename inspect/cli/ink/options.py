@@ -1,7 +1,5 @@
 """Common options of the commands on prints: inks, separation, size."""
 
-from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -49,35 +47,3 @@ def printed_inks(text: str | None) -> tuple["Ink", ...]:
             f"--inks takes three inks or four separated by commas, not {len(names)}: {', '.join(SYNTHETIC)}"
         )
     return tuple(find_ink(name) for name in names)
-
-
-def check_suffix(path: Path | None, option: str, *suffixes: str) -> None:
-    """Refuse a file of another kind before the work begins.
-
-    Raises:
-        UsageError: the name ends in none of the suffixes.
-    """
-    if path is not None and path.suffix.lower() not in suffixes:
-        raise UsageError(f"{option} writes {' or '.join('*' + one for one in suffixes)}, not {path.name}")
-
-
-def check_target(path: Path | None, option: str, inputs: Iterable[Path | None], *suffixes: str) -> None:
-    """As :func:`check_suffix`, and refuse to overwrite an input.
-
-    Raises:
-        UsageError: the name ends in none of the suffixes, or is that of an input.
-    """
-    check_suffix(path, option, *suffixes)
-    if path is not None and path.resolve() in {one.resolve() for one in inputs if one is not None}:
-        raise UsageError(f"{option} {path} is an input: write to another file")
-
-
-def check_new(paths: Iterable[Path | None], *, overwrite: bool) -> None:
-    """Refuse existing output files before the work begins, unless overwriting is allowed.
-
-    Raises:
-        UsageError: one of them exists.
-    """
-    for path in paths:
-        if path is not None and path.exists() and not overwrite:
-            raise UsageError(f"{path} exists; give another name, or --overwrite")

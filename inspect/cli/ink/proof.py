@@ -8,17 +8,9 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.ink.options import (
-    AngleOption,
-    GainOption,
-    InksOption,
-    OverwriteOption,
-    check_new,
-    check_target,
-    printed_inks,
-)
+from anisoscope.cli.ink.options import AngleOption, GainOption, InksOption, OverwriteOption, printed_inks
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_new, check_target
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.proof import ProofView

@@ -236,7 +236,6 @@ def certificate(
     name: Annotated[
         tuple[str, ...],
         Parameter(
-            name="--name",
             negative="",
             help="Name or address by which others call this computer; may be repeated.",
         ),

@@ -46,17 +46,15 @@ class UseOptions:
 
     uncertainty: Annotated[
         bool,
-        Parameter(
-            "--uncertainty", negative="--no-uncertainty", help="Compute uncertainties; takes some time."
-        ),
+        Parameter(negative="--no-uncertainty", help="Compute uncertainties; takes some time."),
     ] = True
     monte_carlo: Annotated[
         int | None,
-        Parameter("--monte-carlo", help="Number of draws of all inputs; u is then their standard deviation."),
+        Parameter(help="Number of draws of all inputs; u is then their standard deviation."),
     ] = None
-    seed: Annotated[int, Parameter("--seed", help="Seed of the Monte Carlo.")] = 0
+    seed: Annotated[int, Parameter(help="Seed of the Monte Carlo.")] = 0
     covariance: Annotated[
-        bool, Parameter("--covariance", negative="", help="JSON: covariances of radiances and contrasts too.")
+        bool, Parameter(negative="", help="JSON: covariances of radiances and contrasts too.")
     ] = False
 
 
@@ -74,13 +72,11 @@ class WaveOptions:
 
     wavelengths: Annotated[
         str | None,
-        Parameter("--wavelengths", help="Of the light in nm, comma-separated: NM or NM:WEIGHT. Default 550."),
+        Parameter(help="Of the light in nm, comma-separated: NM or NM:WEIGHT. Default 550."),
     ] = None
     interpolate: Annotated[
         int,
-        Parameter(
-            "--interpolate", help="Points per original point along each axis, for waves on smooth maps."
-        ),
+        Parameter(help="Points per original point along each axis, for waves on smooth maps."),
     ] = 1
 
 

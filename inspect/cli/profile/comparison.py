@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json, check_map, check_new, parse_numbers
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     OutOptions,
@@ -163,15 +163,10 @@ def _line(text: str | None) -> tuple[float, float, float, float] | None:
 
 
 def _check_targets(out: Path | None, difference: Path | None, plot: Path | None, *, overwrite: bool) -> None:
-    from anisoscope.profiles.files.load import WRITERS
-
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: a page is named *.html")
-    if difference is not None and difference.suffix.lower() not in WRITERS:
-        raise UsageError(f"--difference {difference}: unknown extension; written are {', '.join(WRITERS)}")
-    for target in (out, difference, plot):
-        if target is not None and target.exists() and not overwrite:
-            raise UsageError(f"{target} exists; give another name, or --overwrite")
+    check_map(difference, "--difference")
+    check_new((out, difference, plot), overwrite=overwrite)
 
 
 def _values(found: "Comparison") -> Values:

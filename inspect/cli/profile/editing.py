@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_map, check_new
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     OutOptions,
@@ -85,14 +85,10 @@ def _files_and_steps(words: Sequence[str]) -> tuple[list[Path], Sequence[str]]:
 
 
 def _check_target(out: Path, sources: list[Path], *, overwrite: bool) -> None:
-    from anisoscope.profiles.files.load import WRITERS
-
-    if out.suffix.lower() not in WRITERS:
-        raise UsageError(f"--out {out}: unknown extension; written are {', '.join(WRITERS)}")
+    check_map(out, "--out")
     if any(out.resolve() == source.resolve() for source in sources):
         raise UsageError(f"--out {out} is a file that is read; a map is never edited in place")
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists; give another name, or --overwrite")
+    check_new((out,), overwrite=overwrite)
 
 
 def _run(

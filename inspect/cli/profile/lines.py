@@ -5,16 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import LENGTH, Json
-from anisoscope.cli.profile.many import (
-    NONE,
-    ManyOptions,
-    Values,
-    check_table,
-    measure_each,
-    print_sheet,
-)
+from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
 from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales
 from anisoscope.cli.tables import print_table
 
@@ -71,8 +63,6 @@ def lines(
     Examples:
         anisoscope profile lines part.x3p --direction across --l-filter 250
     """
-    from anisoscope.operations.map_series import expanded
-    from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.lines import line_parameters
 
     def measure(path: Path) -> "LineParameters":
@@ -86,25 +76,19 @@ def lines(
             l_filter=l_filter_type,
         )
 
-    chosen = expanded(files)
-    if len(chosen) > 1 or many.table is not None:
-        return measure_each(chosen, lambda path: _values(measure(path)), many, to_json=json_)
-    check_table(many)
-    found = measure(chosen[0])
-    sheet = sheet_of(many.limits, _values(found))
-    if json_:
-        print_json({**fields_of(found), "sheet": sheet} if sheet else found)
-    else:
-        print_table(
-            chosen[0].name,
-            ["parameter", "mean", "between lines (s)", "unit", "meaning"],
-            [
-                [name, _cell(found.values[name]), _cell(found.spread[name]), unit, meaning]
-                for name, (unit, meaning) in MEANINGS.items()
-            ],
-            caption=_caption(found),
-        )
-    return print_sheet(sheet, silent=json_)
+    return measure_maps(files, many, measure, _values, _print, to_json=json_)
+
+
+def _print(name: str, found: "LineParameters") -> None:
+    print_table(
+        name,
+        ["parameter", "mean", "between lines (s)", "unit", "meaning"],
+        [
+            [name, _cell(found.values[name]), _cell(found.spread[name]), unit, meaning]
+            for name, (unit, meaning) in MEANINGS.items()
+        ],
+        caption=_caption(found),
+    )
 
 
 def _values(found: "LineParameters") -> Values:

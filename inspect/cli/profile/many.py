@@ -4,12 +4,13 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.options import check_new
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from anisoscope.operations.map_series import MapRow
     from anisoscope.profiles.limits import Judged, Limit
 
+T = TypeVar("T")
 Values = Mapping[str, tuple[float, str]]
 FAILED, BROKEN = 1, 65
 SHOWN_COLUMNS = 8
@@ -94,6 +96,43 @@ class OutOptions(TableOptions):
 
 NONE = ManyOptions()
 NO_TABLE = OutOptions()
+
+
+def measure_maps(
+    files: Sequence[Path],
+    many: ManyOptions,
+    measure: Callable[[Path], T],
+    values: Callable[[T], Values],
+    show: Callable[[str, T], None],
+    *,
+    to_json: bool,
+    content: Callable[[Any], Mapping[str, object]] = fields_of,
+) -> int:
+    """Measure one map and show it in full, or every one of several as a row of a table; errors as of `measure_each`.
+
+    Args:
+        files: maps, or patterns.
+        many: table, jobs, limits.
+        measure: result of a file.
+        values: its values and units by name, for tables and limits.
+        show: prints the result of one map, by its name.
+        to_json: print JSON instead.
+        content: of the JSON of one map.
+    """
+    from anisoscope.operations.map_series import expanded
+    from anisoscope.profiles.limits import sheet_of
+
+    chosen = expanded(files)
+    if len(chosen) > 1 or many.table is not None:
+        return measure_each(chosen, lambda path: values(measure(path)), many, to_json=to_json)
+    check_table(many)
+    found = measure(chosen[0])
+    sheet = sheet_of(many.limits, values(found))
+    if to_json:
+        print_json({**content(found), **({"sheet": sheet} if sheet else {})})
+    else:
+        show(chosen[0].name, found)
+    return print_sheet(sheet, silent=to_json)
 
 
 def measure_each(
@@ -196,8 +235,7 @@ def check_table(options: TableOptions, alone: str = "") -> None:
         return
     if options.table.suffix.lower() not in FORMATS:
         raise UsageError(f"--table {options.table}: a table is {', '.join(FORMATS)}")
-    if options.table.exists() and not options.overwrite:
-        raise UsageError(f"{options.table} exists; give another name, or --overwrite")
+    check_new((options.table,), overwrite=options.overwrite)
 
 
 def _print(rows: "Sequence[MapRow]", table: Path | None) -> None:

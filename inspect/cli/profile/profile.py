@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import LENGTH, Json, parse_numbers
+from anisoscope.cli.options import LENGTH, Json, check_new, parse_numbers
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     NONE,
@@ -17,8 +16,7 @@ from anisoscope.cli.profile.many import (
     OutOptions,
     Values,
     check_table,
-    measure_each,
-    print_sheet,
+    measure_maps,
     write_each,
     written_suffix,
 )
@@ -167,20 +165,11 @@ class Scales:
         """Read a height map with these scales."""
         from anisoscope.profiles.files.load import read_height_map
 
+        given = dict(vars(self))
+        pixel_um, mask = parse_pixel(given.pop("pixel")), given.pop("mask_from_x3p") or ""
+        regions = [part.strip() for part in mask.split(",") if part.strip()]
         return read_height_map(
-            file,
-            pixel_um=parse_pixel(self.pixel),
-            z_unit=self.z_unit,
-            role=self.role,
-            xy_unit=self.xy_unit,
-            layout=self.layout,
-            missing=self.missing,
-            channel=self.channel,
-            grid_um=self.grid,
-            height_per_count=self.height_per_count,
-            rows=self.rows,
-            trust=self.trust,
-            mask_regions=[part.strip() for part in (self.mask_from_x3p or "").split(",") if part.strip()],
+            file, pixel_um=pixel_um, grid_um=given.pop("grid"), mask_regions=regions, **given
         )
 
 
@@ -204,36 +193,35 @@ def info(
         anisoscope profile info part.x3p
         anisoscope profile info 'lot/*.x3p' --table lot.csv
     """
-    from anisoscope.operations.map_series import expanded, map_values
-    from anisoscope.profiles.limits import sheet_of
+    from anisoscope.operations.map_series import map_values
+
+    return measure_maps(files, many, scales.read, map_values, _print_info, to_json=json_, content=_info)
+
+
+def _info(surface: "HeightMap") -> dict[str, object]:
     from anisoscope.profiles.textures.amplitude import amplitude
 
-    chosen = expanded(files)
-    if len(chosen) > 1 or many.table is not None:
-        return measure_each(chosen, lambda path: map_values(scales.read(path)), many, to_json=json_)
-    check_table(many)
-    surface = scales.read(chosen[0])
-    rows, cols = surface.shape
-    found = amplitude(surface)
-    sheet = sheet_of(many.limits, map_values(surface))
-    if json_:
-        result = {
-            "rows": rows,
-            "cols": cols,
-            "pixel_um": [surface.pixel_y_um, surface.pixel_x_um],
-            "missing_share": surface.missing_share,
-            "sa_um": found.sa_um,
-            "sq_um": found.sq_um,
-            "sz_um": found.sz_um,
-            "field_um": list(surface.extent_um),
-            "layers": list(surface.layers),
-            "origin": surface.origin,
-        }
-        print_json(result | ({"sheet": sheet} if sheet else {}))
-        return print_sheet(sheet, silent=True)
-    field_y, field_x = surface.extent_um
+    found, (rows, cols) = amplitude(surface), surface.shape
+    return {
+        "rows": rows,
+        "cols": cols,
+        "pixel_um": [surface.pixel_y_um, surface.pixel_x_um],
+        "missing_share": surface.missing_share,
+        "sa_um": found.sa_um,
+        "sq_um": found.sq_um,
+        "sz_um": found.sz_um,
+        "field_um": list(surface.extent_um),
+        "layers": list(surface.layers),
+        "origin": surface.origin,
+    }
+
+
+def _print_info(name: str, surface: "HeightMap") -> None:
+    from anisoscope.profiles.textures.amplitude import amplitude
+
+    found, (rows, cols), (field_y, field_x) = amplitude(surface), surface.shape, surface.extent_um
     print_table(
-        chosen[0].name,
+        name,
         ["quantity", "value", "unit"],
         [
             ["rows", str(rows), ""],
@@ -247,7 +235,6 @@ def info(
         ],
         caption=_caption(surface),
     )
-    return print_sheet(sheet)
 
 
 def _caption(surface: "HeightMap") -> str:
@@ -317,8 +304,7 @@ def convert(
         raise UsageError("profile convert takes SOURCE and TARGET, or any number of maps and --out-dir")
     check_table(several, alone="--out-dir")
     source, target = files
-    if target.exists() and not several.overwrite:
-        raise UsageError(f"{target} exists; give another name, or --overwrite")
+    check_new((target,), overwrite=several.overwrite)
     if layer is not None and target.suffix.lower() != ".png":
         raise UsageError(f"{target}: a layer is written as PNG; name it *.png")
     run(source, target)
@@ -376,8 +362,7 @@ def report(
     check_table(several, alone="--out-dir")
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: a page is named *.html")
-    if out.exists() and not several.overwrite:
-        raise UsageError(f"--out {out} exists already; choose another name, or say --overwrite")
+    check_new((out,), overwrite=several.overwrite)
     with progress(chosen[0].name) as advance:
         advance("reading", 0, 3)
         surface = scales.read(chosen[0])
@@ -440,8 +425,7 @@ def view(
     target = out or source.with_name(source.stem + VIEW_SUFFIX)
     if target.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {target}: a page is named *.html")
-    if target.exists() and not several.overwrite:
-        raise UsageError(f"{target} exists; give another --out, or --overwrite")
+    check_new((target,), overwrite=several.overwrite)
     with progress(source.name) as advance:
         advance("drawing", 0, 1)
         drawn = write_view_page(scales.read(source), source.name, target, exaggerate, layer)

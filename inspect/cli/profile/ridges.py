@@ -1,5 +1,6 @@
 """``anisoscope profile ridges``: pitch, angles, heights, roughness and burrs of a ridged height map."""
 
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +23,6 @@ from anisoscope.cli.tables import print_table
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.metrology.burrlist import Outlier
-    from anisoscope.profiles.metrology.quantity import Quantity
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
 
 LISTED_BURRS = 12
@@ -47,50 +47,23 @@ NAMES = (
 )
 
 
-def _number(quantity: "Quantity") -> dict[str, float | None]:
-    bounds = {"at_least", "at_most"}
-    return {name: one for name, one in fields_of(quantity).items() if one is not None or name not in bounds}
-
-
 def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
     """The measurement as plain data; a number is {value, u}, with at_least or at_most where only a bound is known.
 
     Numbers of straight facets are null where there are none.
     """
     found = found.stated()
-    numbers = {name: _number(getattr(found, name)) for name, _, _ in NAMES}
-    ridges = [
-        fields_of(ridge)
-        | {name: _number(getattr(ridge, name)) for name in ("angle_deg", "height_um", "shift_um")}
-        for ridge in found.ridges
-    ]
+    return {**_plain(found), "remarks": found.remarks()}
+
+
+def _plain(value: object) -> Any:  # noqa: ANN401 - of any field
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    shown = fields_of(value).items()
     return {
-        **numbers,
-        "bandwidth_um": found.bandwidth_um,
-        "lean_deg": found.lean_deg,
-        "facet_share": found.facet_share,
-        "plateau": found.plateau,
-        "periodicity": found.score,
-        "missing_share": found.missing_share,
-        "form_um": found.form_um,
-        "facet_bow": found.facet_bow,
-        "straight": found.straight,
-        "second_direction_deg": found.second_direction_deg,
-        "line_drift_um": found.line_drift_um,
-        "height_step_um": found.height_step_um,
-        "short_share": found.short_share,
-        "lay_um": found.lay_um,
-        "period_limit_um": found.period_limit_um,
-        "tip_radius_um": found.tip_radius_um,
-        "seen_limit_um": found.seen_limit_um,
-        "strip_um": found.strip_um,
-        "varies_along": found.varies_along,
-        "segments": [
-            {"place_um": one.place_um, "angle_deg": _number(one.angle_deg)} for one in found.segments
-        ],
-        "remarks": found.remarks(),
-        "ridges": ridges,
-        "burrs": found.burrs,
+        name: _plain(one) for name, one in shown if one is not None or name not in {"at_least", "at_most"}
     }
 
 
@@ -167,7 +140,7 @@ def _regions(name: str, surface: "HeightMap", picture: Path | None, *, as_json: 
                 "number": one.number,
                 "direction_deg": one.direction_deg,
                 "facet_azimuth_deg": one.azimuth_deg,
-                "ridge_angle_deg": _number(ridges.ridge_angle_deg),
+                "ridge_angle_deg": _plain(ridges.ridge_angle_deg),
                 "pitch_um": ridges.pitch_um,
                 "share": one.share,
                 "centre_um": one.centre_um,

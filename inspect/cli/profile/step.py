@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json, parse_numbers
-from anisoscope.cli.profile.many import NONE, ManyOptions, Values, check_table, measure_each, print_sheet
+from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.tables import print_lines
 
@@ -35,8 +34,6 @@ def step(
         anisoscope profile step groove.x3p
         anisoscope profile step 'lot/*.x3p' --along y --edges 40,90 --table depths.csv
     """
-    from anisoscope.operations.map_series import expanded
-    from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.metrology.stepheight import step_height
 
     places = () if edges is None else parse_numbers(edges, "--edges", "40,90", "um")
@@ -44,22 +41,15 @@ def step(
     def measure(path: Path) -> "StepHeight":
         return step_height(scales.read(path), along, places)
 
-    chosen = expanded(files)
-    if len(chosen) > 1 or many.table is not None:
-        return measure_each(chosen, lambda path: _values(measure(path)), many, to_json=json_)
-    check_table(many)
-    found = measure(chosen[0])
-    sheet = sheet_of(many.limits, _values(found))
-    if json_:
-        print_json({**fields_of(found), "sheet": sheet} if sheet else found)
-    else:
+    def show(name: str, found: "StepHeight") -> None:
         at = " and ".join(f"{one:.4g}" for one in found.edges_um)
         print_lines(
-            f"{chosen[0].name}: height of the {found.kind} {found.height_um:.5g} ± {2.0 * found.u_um:.2g} µm (k = 2, "
+            f"{name}: height of the {found.kind} {found.height_um:.5g} ± {2.0 * found.u_um:.2g} µm (k = 2, "
             f"scatter of {found.lines} lines; that of the height scale is not in it)",
             f"edges at {at} µm along {along}, width {found.width_um:.4g} µm, tilt {found.slope_deg:+.3f}°",
         )
-    return print_sheet(sheet, silent=json_)
+
+    return measure_maps(files, many, measure, _values, show, to_json=json_)
 
 
 def _values(found: "StepHeight") -> Values:

@@ -8,7 +8,7 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.quantity import unit_of
-from anisoscope.cli.options import LENGTH, OF_RIDGES, Json, number, parse_numbers
+from anisoscope.cli.options import LENGTH, OF_RIDGES, Json, check_map, check_new, number, parse_numbers
 from anisoscope.cli.profile.profile import AS_STATED, Scales, parse_pixel
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
 from anisoscope.parameters.ridges import RidgeDesign
@@ -116,7 +116,8 @@ def make(
     from anisoscope.profiles.ideal import add_facet_roughness
     from anisoscope.profiles.patterns import second_fields
 
-    _check_target(out, overwrite)
+    check_map(out, "--out")
+    check_new((out,), overwrite=overwrite)
     _check_seed(seed)
     rng = np.random.default_rng(seed)
     design = ridges.over(USUAL)
@@ -225,7 +226,8 @@ def spoil(
         return list_defects(as_json=json_)
     if file is None or defect is None or out is None:
         raise UsageError("spoil needs a height map, a defect and --out FILE; --list shows the defects")
-    _check_target(out, overwrite)
+    check_map(out, "--out")
+    check_new((out,), overwrite=overwrite)
     _check_seed(seed)
     surface = scales.read(file)
     given = {
@@ -244,15 +246,6 @@ def spoil(
         "share_changed": float(np.mean(changed != 0.0)),
     }
     return deliver(spoiled, out, as_json=json_, deviation=deviation)
-
-
-def _check_target(out: Path, overwrite: bool) -> None:
-    from anisoscope.profiles.files.load import WRITERS
-
-    if out.suffix.lower() not in WRITERS:
-        raise UsageError(f"--out {out}: unknown extension; written are {', '.join(WRITERS)}")
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists; give another name, or --overwrite")
 
 
 def _check_seed(seed: int) -> None:

@@ -42,14 +42,10 @@ class UncertaintyOptions:
         ),
     ] = None
     u_height_noise: Annotated[
-        float, LENGTH, Parameter("--u-height-noise", help="Noise of a height, standard deviation in µm.")
+        float, LENGTH, Parameter(help="Noise of a height, standard deviation in µm.")
     ] = 0.0
-    u_height_scale: Annotated[
-        float, Parameter("--u-height-scale", help="Of the scale of the heights, relative.")
-    ] = 0.0
-    u_pixel_size: Annotated[
-        float, Parameter("--u-pixel-size", help="Of the pixel size, relative, both axes together.")
-    ] = 0.0
+    u_height_scale: Annotated[float, Parameter(help="Of the scale of the heights, relative.")] = 0.0
+    u_pixel_size: Annotated[float, Parameter(help="Of the pixel size, relative, both axes together.")] = 0.0
     seed: Annotated[int, Parameter(help="Seed of the draws.")] = 0
 
     def check(self) -> None:

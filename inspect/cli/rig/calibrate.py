@@ -1,6 +1,6 @@
 """``anisoscope calibrate``: calibrations of the rig."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -8,17 +8,18 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.printable import check_printable
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
-from anisoscope.cli.rig.options import Yes, ask_to_turn, asked_to_seat_fixture
+from anisoscope.cli.rig.options import RigPath, Yes, ask_to_turn, asked_to_seat_fixture
 from anisoscope.cli.tables import print_lines, print_table
+from anisoscope.parameters.taking import Taking
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.record import CalibrationRecord
     from anisoscope.inspection.material_calibration import ScanPlan
     from anisoscope.recipe.material_file import MaterialFile
@@ -27,47 +28,35 @@ app = App(
     name="calibrate", help="Calibrate the rig: white tile, dark frames, linearity, rotation centre, material."
 )
 
-_Rig = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 _Out = Annotated[Path, Parameter(help="File to write; picture (.tif) and record (.json) share its name.")]
-_Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
-_Gain = Annotated[float, Parameter(help="Gain of the camera, as a factor.")]
-_Frames = Annotated[int, Parameter(name="--count", help="Frames to average.")]
 _Days = Annotated[float | None, Parameter(help="Days of validity; else the usual number for its kind.")]
 _Operator = Annotated[str | None, Parameter(help="Operator, for the record.")]
-_Channel = Annotated[
-    str | None,
-    Parameter(name="--channel", help="Light channel of the rig file; its light.channel by default."),
-]
-_Temperature = Annotated[float | None, Parameter(help="Temperature in °C, for the record.")]
-
-
-@dataclass(frozen=True)
-@everyday("valid_days", "channel")
-class Entries:
-    """Validity and origin of a record, and the light."""
-
-    valid_days: _Days = None
-    operator: _Operator = None
-    temperature: _Temperature = None
-    channel: _Channel = None
-
-
+OF_TAKING = Options(
+    Taking,
+    names={"frames": "--count", "light_channel": "--channel", "temperature_c": "--temperature"},
+    groups={"operator": MORE, "temperature_c": MORE},
+    whole=True,
+)
 FIXTURE_FRAMES = 4
-_Entries = Annotated[Entries, Parameter(name="*")]
-NO_ENTRIES = Entries()
+
+
+def _of(frames: int, exposure: str = "", count: str = "") -> Options:
+    """Options of a command that averages so many frames; with texts of its own for exposure and count."""
+    texts = {"exposure_s": exposure, "frames": count}
+    own = {name: text for name, text in texts.items() if text}
+    return replace(OF_TAKING, default={"frames": frames}, help=own)
 
 
 @app.command
+@with_options(taking=_of(16))
 def flat(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: Annotated[
         Path, Parameter(help="File to write, such as flat.tif; its record is written next to it.")
     ],
-    exposure: _Exposure,
-    gain: _Gain = 1.0,
+    taking: Given[Taking],
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile, 0 to 1.")] = 0.99,
-    frames: _Frames = 16,
     write: Annotated[
         bool,
         Parameter(
@@ -75,7 +64,6 @@ def flat(
             help="Write it into the rig file; then the terminal asks for the fixture, whose markers are taught.",
         ),
     ] = False,
-    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile: shading of the picture and scale of the radiances.
@@ -89,11 +77,11 @@ def flat(
     from anisoscope.calibration.pictures import calibrate_flat
     from anisoscope.commissioning.commissioning import name_in_rig
 
-    taking = _taking((exposure, gain, frames), entries)
+    settings = taking.made()
     with progress("flat", quiet=json_) as advance:
-        meta, record = calibrate_flat(rig, out, taking, reflectance=reflectance, on_progress=advance)
+        meta, record = calibrate_flat(rig, out, settings, reflectance=reflectance, on_progress=advance)
     if write:
-        name_in_rig(rig, "flat", out, taking.light_channel)
+        name_in_rig(rig, "flat", out, settings.light_channel)
     if json_:
         print_json({"file": str(out), **meta, "record": record})
         return 0
@@ -102,13 +90,11 @@ def flat(
         f"radiance of the tile {meta['radiance']:.4f} 1/sr"
     )
     code = _show(record, out, json_=False)
-    return max(code, _fixture_after_tile(rig, taking, write=write))
+    return max(code, _fixture_after_tile(rig, settings, write=write))
 
 
 def _fixture_after_tile(rig: Path, taking: "Taking", *, write: bool) -> int:
     """Ask for the fixture and teach its markers, which the tile hid; without an answer print the command."""
-    from dataclasses import replace
-
     from anisoscope.commissioning.commissioning import teach_fixture
     from anisoscope.rig.rigfile import read_rig
 
@@ -127,14 +113,12 @@ def _fixture_after_tile(rig: Path, taking: "Taking", *, write: bool) -> int:
 
 
 @app.command
+@with_options(taking=_of(32))
 def dark(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: _Out,
-    exposure: _Exposure,
-    gain: _Gain = 1.0,
-    frames: _Frames = 32,
-    entries: _Entries = NO_ENTRIES,
+    taking: Given[Taking],
     json_: Json = False,
 ) -> int:
     """Photograph with the light off: dark level, noise and hot pixels at an exposure and gain.
@@ -147,21 +131,19 @@ def dark(
     """  # fmt: skip
     from anisoscope.calibration.pictures import calibrate_dark
 
-    return _taken("dark", calibrate_dark, rig, out, (exposure, gain, frames), entries, json_=json_)
+    return _taken("dark", calibrate_dark, rig, out, taking, json_=json_)
 
 
 @app.command
+@with_options(taking=_of(32))
 def stray(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: _Out,
-    exposure: _Exposure,
-    gain: _Gain = 1.0,
-    frames: _Frames = 32,
+    taking: Given[Taking],
     target_reflectance: Annotated[
         float, Parameter(help="Largest diffuse reflectance that the black target may have.")
     ] = 1e-4,
-    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph black glass or a light trap under the lit lamp: stray light, which inspections then subtract.
@@ -178,27 +160,26 @@ def stray(
         calibrate_stray,
         rig,
         out,
-        (exposure, gain, frames),
-        entries,
+        taking,
         json_=json_,
         target_reflectance=target_reflectance,
     )
 
 
 @app.command
+@with_options(
+    taking=_of(
+        16,
+        "Exposure in seconds at which the tile is neither dark nor clipped.",
+        "Frames of the stacks for the fixed pattern.",
+    )
+)
 def linearity(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: _Out,
-    exposure: Annotated[
-        float, Parameter(help="Exposure in seconds at which the tile is neither dark nor clipped.")
-    ],
-    gain: _Gain = 1.0,
+    taking: Given[Taking],
     steps: Annotated[int, Parameter(help="Number of exposures of the series.")] = 24,
-    frames: Annotated[
-        int, Parameter(name="--count", help="Frames of the stacks for the fixed pattern.")
-    ] = 16,
-    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile with many exposures: gain, read noise, linearity and saturation after EMVA 1288.
@@ -215,23 +196,30 @@ def linearity(
         calibrate_linearity,
         rig,
         out,
-        (exposure, gain, frames),
-        entries,
+        taking,
         json_=json_,
         steps=steps,
     )
 
 
 @app.command
+@with_options(
+    taking=replace(
+        _of(
+            4,
+            "Longest exposure in seconds: the brightest places just clip at it.",
+            "Frames to average, at every exposure.",
+        ),
+        without=dict.fromkeys(
+            ("valid_days", "operator", "temperature_c", "light_channel"), "a curve has no record"
+        ),
+    )
+)
 def response(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: Annotated[Path, Parameter(help="File of the curve, such as response.json.")],
-    exposure: Annotated[
-        float, Parameter(help="Longest exposure in seconds: the brightest places just clip at it.")
-    ],
-    gain: _Gain = 1.0,
-    frames: Annotated[int, Parameter(name="--count", help="Frames to average, at every exposure.")] = 4,
+    taking: Given[Taking],
     white_level: Annotated[
         int | None, Parameter(help="Counts at which the camera clips, such as 235; else full scale.")
     ] = None,
@@ -245,13 +233,10 @@ def response(
     Examples:
         anisoscope calibrate response --rig rig.toml --exposure 0.02 --out response.json
     """
-    from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.linearity import calibrate_response
 
     with progress("response", quiet=json_) as advance:
-        curve = calibrate_response(
-            rig, out, Taking(exposure, gain, frames), white_level=white_level, on_progress=advance
-        )
+        curve = calibrate_response(rig, out, taking.made(), white_level=white_level, on_progress=advance)
     if json_:
         print_json({"file": str(out), **curve.model_dump(by_alias=True)})
         return 0
@@ -264,17 +249,15 @@ def response(
 
 
 @app.command
+@with_options(taking=_of(4, count="Frames in every pose."))
 def fixture(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: _Out,
-    exposure: _Exposure,
-    gain: _Gain = 1.0,
+    taking: Given[Taking],
     angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 8,
     tilts: Annotated[str, Parameter(help="Tilts of the arm of your recipes, in degrees; usually 0.")] = "",
-    frames: Annotated[int, Parameter(name="--count", help="Frames in every pose.")] = 4,
     write: Annotated[bool, Parameter(negative="", help="Write it into the rig file.")] = False,
-    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Photograph the markers of the fixture all round: the grey card by which inspections watch the rig.
@@ -295,26 +278,24 @@ def fixture(
         calibrate_fixture,
         rig,
         out,
-        (exposure, gain, frames),
-        entries,
+        taking,
         json_=json_,
         angles=angles,
         tilts=parse_numbers(tilts, "--tilts") if tilts else (),
     )
     if write and code == 0:
-        name_in_rig(rig, "fixture", out, entries.channel)
+        name_in_rig(rig, "fixture", out, taking.made().light_channel)
     return code
 
 
 @app.command
+@with_options(taking=_of(2, count="Frames at every angle."))
 def rotation(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: _Out,
-    exposure: _Exposure,
-    gain: _Gain = 1.0,
+    taking: Given[Taking],
     angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 12,
-    frames: Annotated[int, Parameter(name="--count", help="Frames at every angle.")] = 2,
     at: Annotated[
         tuple[float, float],
         Parameter(
@@ -322,7 +303,6 @@ def rotation(
         ),
     ] = (0.0, 0.0),
     yes: Yes = False,
-    entries: _Entries = NO_ENTRIES,
     json_: Json = False,
 ) -> int:
     """Turn the fixture by a full turn: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
@@ -341,8 +321,7 @@ def rotation(
         calibrate_rotation,
         rig,
         out,
-        (exposure, gain, frames),
-        entries,
+        taking,
         json_=json_,
         angles=angles,
         at_mm=at,
@@ -352,7 +331,7 @@ def rotation(
 @app.command
 def check(
     *,
-    rig: _Rig,
+    rig: RigPath,
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe of the check standard.")],
     out: Annotated[Path, Parameter(help="Record of the check standard, such as check.json.")],
     teach: Annotated[
@@ -419,7 +398,7 @@ def check(
 )
 def material(
     *,
-    rig: _Rig,
+    rig: RigPath,
     out: Annotated[Path | None, Parameter(help="Material file to write, such as abs.toml.")] = None,
     coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
     part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
@@ -562,7 +541,7 @@ def _show_material(file: "MaterialFile", out: Path) -> None:
 
 
 @app.command(name="list")
-def list_(*, rig: _Rig, json_: Json = False) -> int:
+def list_(*, rig: RigPath, json_: Json = False) -> int:
     """List the calibrations of a rig: which exist, until when they are valid, and which are missing.
 
     Exit code 0: inspections can use them; 3: one of the rig file is invalid or expired, or the flat is missing.
@@ -586,25 +565,18 @@ def list_(*, rig: _Rig, json_: Json = False) -> int:
     return 3 if invalid else 0
 
 
-def _taking(picture: tuple[float, float, int], entries: Entries) -> "Taking":
-    from anisoscope.calibration.frames import Taking
-
-    return Taking(*picture, entries.valid_days, entries.operator, entries.temperature, entries.channel)
-
-
 def _taken(
     label: str,
     calibrate: "Callable[..., CalibrationRecord]",
     rig: Path,
     out: Path,
-    picture: tuple[float, float, int],
-    entries: Entries,
+    taking: Given[Taking],
     *,
     json_: bool,
     **settings: object,
 ) -> int:
     with progress(label, quiet=json_) as advance:
-        record = calibrate(rig, out, _taking(picture, entries), on_progress=advance, **settings)
+        record = calibrate(rig, out, taking.made(), on_progress=advance, **settings)
     return _show(record, out, json_=json_)
 
 

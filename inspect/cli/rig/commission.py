@@ -15,10 +15,10 @@ from anisoscope.cli.rig.options import Channel, Yes, ask_to_turn
 from anisoscope.cli.tables import console, print_lines, print_table
 
 if TYPE_CHECKING:
-    from anisoscope.calibration.frames import Taking
     from anisoscope.commissioning.part import RidgedPart
     from anisoscope.commissioning.record import Commissioning
     from anisoscope.commissioning.selftest_record import SelfTest
+    from anisoscope.parameters.taking import Taking
 
 _RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 
@@ -101,13 +101,13 @@ def commission(
         anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html
         anisoscope rig commission --rig rig.toml --ridge-angle 10 --pitch 100 --spot-mm 1.5 --exposure 0.006
     """  # fmt: skip
-    from anisoscope.calibration.frames import Taking
     from anisoscope.commissioning.angles import Assumed
     from anisoscope.commissioning.commissioning import commission as find
     from anisoscope.commissioning.commissioning import lacks_reference, tilts_of, write_to_rig_file
     from anisoscope.commissioning.record import default_record_path, write_commissioning
     from anisoscope.commissioning.series import Series
     from anisoscope.kinds.registry import read_recipe
+    from anisoscope.parameters.taking import Taking
     from anisoscope.rig.rigfile import read_rig
 
     if bounces != "all" and bounces < 1:
@@ -241,9 +241,9 @@ def check(
     Examples:
         anisoscope rig check --rig rig.toml --exposure 0.006 --out selftests
     """  # fmt: skip
-    from anisoscope.calibration.frames import Taking
     from anisoscope.commissioning.selftest import self_test
     from anisoscope.commissioning.selftest_record import Settings, write_self_test
+    from anisoscope.parameters.taking import Taking
 
     if teach and tile:
         raise UsageError("--teach photographs the markers, which the white tile hides: leave --tile out")

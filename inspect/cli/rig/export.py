@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_new
 
 
 def export(
@@ -33,8 +33,7 @@ def export(
 
     if out.suffix.lower() not in {".nxs", ".h5", ".hdf5"}:
         raise UsageError(f"--out {out}: the file is NeXus; name it .nxs")
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists; name another file, or say --overwrite")
+    check_new((out,), overwrite=overwrite)
     reflectance = None
     if (folder / TABLE).is_file():
         table = read_table(folder / TABLE, (COLUMNS,), OPTIONAL)

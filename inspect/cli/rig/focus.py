@@ -77,10 +77,10 @@ def _map(
     yes: bool,
     json_: bool,
 ) -> int:
-    from anisoscope.calibration.frames import Taking
     from anisoscope.cli.progress import progress
     from anisoscope.inspection.batch.tray import read_tray
     from anisoscope.live_view.autofocus import LEAST_SEATS, map_focus
+    from anisoscope.parameters.taking import Taking
 
     seats = [slot.place_mm for slot in read_tray(tray).slots if slot.place_mm is not None]
     asking(rig, yes=yes)(

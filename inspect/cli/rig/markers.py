@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import RigFileError, UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_new
 from anisoscope.cli.rig.options import write_line
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ def markers(
 
     if pdf.suffix.lower() != ".pdf":
         raise UsageError(f"--pdf {pdf}: the page is a PDF file; name it .pdf")
-    if pdf.exists() and not overwrite:
-        raise UsageError(f"{pdf} exists; name another file, or say --overwrite")
+    check_new((pdf,), overwrite=overwrite)
     fixture, title = _fixture(rig, field_mm, dpi)
     page = marker_sheet(fixture, title=title)
     dots = dots_per_module(fixture, dpi)

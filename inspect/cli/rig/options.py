@@ -42,15 +42,11 @@ class Which:
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file (TOML) that names the devices.")
     ] = None
-    driver: Annotated[
-        str | None, Parameter(name="--driver", help="Instead of a rig file: driver of a stage.")
-    ] = None
-    port: Annotated[str | None, Parameter(name="--port", help="With --driver: its port.")] = None
+    driver: Annotated[str | None, Parameter(help="Instead of a rig file: driver of a stage.")] = None
+    port: Annotated[str | None, Parameter(help="With --driver: its port.")] = None
     option: Annotated[
         tuple[str, ...],
-        Parameter(
-            name="--option", negative="", help="With --driver: its option as KEY=VALUE; may be repeated."
-        ),
+        Parameter(negative="", help="With --driver: its option as KEY=VALUE; may be repeated."),
     ] = ()
 
     def read(self) -> "tuple[RigAxes | None, dict[str, MotorPart]]":

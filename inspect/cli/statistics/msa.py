@@ -95,7 +95,7 @@ def bias(
 @app.command
 def linearity(
     *,
-    csv: Annotated[Path, Parameter(name="--csv", help="CSV file with the columns reference and a number.")],
+    csv: Annotated[Path, Parameter(help="CSV file with the columns reference and a number.")],
     number: Number = None,
     alpha: Alpha = 0.05,
     html: Html = None,
@@ -166,7 +166,6 @@ def attribute(
     csv: Annotated[
         Path | None,
         Parameter(
-            name="--csv",
             help="CSV file of decisions: part, appraiser, decision, reference and, if measured, value.",
         ),
     ] = None,

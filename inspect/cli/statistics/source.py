@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Place, Selection, Which
+from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Place, Selection, Which, filters_of
 
 if TYPE_CHECKING:
     from anisoscope.quality.readings import Readings
@@ -73,20 +73,19 @@ def readings_from(
         found = chosen(place, DEFAULT_OUT)
         if found is None:
             raise UsageError("name the readings: --csv FILE or --history PLACE")
-        readings = history_readings(found, which.filters(limit))
+        readings = history_readings(found, filters_of(which, limit))
         return with_machine(readings, found) if machine else readings
     from anisoscope.quality.readings import read_readings
 
     if place is not None:
         raise UsageError("--csv and --history are two sources: name one of them")
-    if which.since is not None or which.until is not None:
+    if "since" in which or "until" in which:
         raise UsageError(
             "--since and --until go with the history: leave out the lines of the CSV file instead"
         )
     if limit < 0:
         raise UsageError(f"--limit takes a positive whole number, or 0 for all, not {limit}")
-    columns = ("serial", "product", "recipe", "lot", "cavity", "verdict", "station", "operator")
-    return read_readings(csv).only({name: getattr(which, name) for name in columns}).latest(limit)
+    return read_readings(csv).only(which.values).latest(limit)
 
 
 def print_grid(grid: "Grid") -> None:

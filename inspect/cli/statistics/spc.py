@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from cyclopts import Parameter
 
@@ -30,7 +30,6 @@ class Charting:
     chart: Annotated[
         str | None,
         Parameter(
-            name="--chart",
             help="i-mr: single values; xbar-r, xbar-s: means of subgroups and their range or standard deviation; p: "
             "share of parts that FAIL; u: deviations of a part; p-laney, u-laney: where lots differ. By default i-mr, "
             "with --subgroup xbar-s.",
@@ -39,40 +38,34 @@ class Charting:
     subgroup: Annotated[
         str | None,
         Parameter(
-            name="--subgroup",
             help="What a subgroup is: lot, day, cavities (one part of each), or how many readings in a row, such as 5.",
         ),
     ] = None
     of: Annotated[
         str | None,
-        Parameter(
-            name="--of", help="Number that says how many parts a count of --number is of, in p and u charts."
-        ),
+        Parameter(help="Number that says how many parts a count of --number is of, in p and u charts."),
     ] = None
     by: Annotated[
         str | None,
-        Parameter(name="--by", help="A chart for each product, recipe, lot, cavity, station or operator."),
+        Parameter(help="A chart for each product, recipe, lot, cavity, station or operator."),
     ] = None
     baseline: Annotated[
         int | None,
-        Parameter(
-            name="--baseline", help="Limits from this many measured values at the start; else from all."
-        ),
+        Parameter(help="Limits from this many measured values at the start; else from all."),
     ] = None
     period: Annotated[
         str | None,
         Parameter(
-            name="--period",
             help="Limits from the values of this reference period, such as 2026-11-01..2026-11-07 or 14d..7d.",
         ),
     ] = None
     limits_from: Annotated[
         Path | None,
-        Parameter(name="--limits-from", help="Limits of earlier data from this file, for later data."),
+        Parameter(help="Limits of earlier data from this file, for later data."),
     ] = None
     limits_to: Annotated[
         Path | None,
-        Parameter(name="--limits-to", help="Write the limits of these charts to this file (TOML)."),
+        Parameter(help="Write the limits of these charts to this file (TOML)."),
     ] = None
     weight: Annotated[float, Parameter(name="--lambda", help="Weight of the newest value in the EWMA.")] = 0.2
     width: Annotated[float, Parameter(name="--ewma-limit", help="Limits of the EWMA, in its sigma (L).")] = (
@@ -86,12 +79,11 @@ class Charting:
         float | None,
         Parameter(name="--known-sigma", help="Known short-term standard deviation; with --known-mean."),
     ] = None
-    lower: Annotated[float | None, Parameter(name="--lower", help="Lower limit of good parts.")] = None
-    upper: Annotated[float | None, Parameter(name="--upper", help="Upper limit of good parts.")] = None
+    lower: Annotated[float | None, Parameter(help="Lower limit of good parts.")] = None
+    upper: Annotated[float | None, Parameter(help="Upper limit of good parts.")] = None
     rules: Annotated[
         str | None,
         Parameter(
-            name="--rules",
             help="Nelson's rules that count, such as 1,2,5,6; all eight by default (on average a false alarm in 73 "
             "values), of p and u charts 1 to 4.",
         ),
@@ -99,7 +91,6 @@ class Charting:
     distribution: Annotated[
         str | None,
         Parameter(
-            name="--distribution",
             help="Capability by the quantiles of a distribution too: best, lognormal, weibull, rayleigh, "
             "folded-normal, logistic or normal.",
         ),
@@ -108,14 +99,12 @@ class Charting:
     drift: Annotated[
         bool,
         Parameter(
-            name="--drift",
             help="Test for a drift, with false alarms of 1 % in total, and name the cycle data that it came with.",
         ),
     ] = False
     against: Annotated[
         str | None,
         Parameter(
-            name="--against",
             help="With --drift: the cycle data, or other numbers, to compare with, separated by commas.",
         ),
     ] = None
@@ -166,8 +155,8 @@ def spc(
     from anisoscope.quality.control import Settings
 
     compared = charting.compared()
-    tolerances = _tolerances(which.recipe)
-    chosen = which if tolerances is None else replace(which, recipe=None)
+    tolerances = _tolerances(which.values.get("recipe"))
+    chosen = which if tolerances is None else replace(cast("Any", which), recipe=None)
     readings = readings_from(csv, place, chosen, limit, machine=charting.drift)
     limits = None
     if charting.lower is not None or charting.upper is not None:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.ink.options import check_suffix
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 

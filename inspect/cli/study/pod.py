@@ -30,7 +30,6 @@ def pod_command(
     csv: Annotated[
         Path | None,
         Parameter(
-            name="--csv",
             help="CSV file of master parts instead: size,hit (1 or 0) or size,signal.",
         ),
     ] = None,

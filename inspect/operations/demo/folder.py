@@ -11,8 +11,8 @@ import tomli_w
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.fixture import calibrate_fixture
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.pictures import take_flat
+from anisoscope.parameters.taking import Taking
 
 FIXTURE = {
     "marker_mm": 0.52,

@@ -9,7 +9,6 @@ from pydantic import ValidationError
 import anisoscope.api as an
 from anisoscope.base.errors import AnisoscopeError
 from anisoscope.base.printable import LONGEST, check_printable
-from anisoscope.calibration.frames import Taking
 from anisoscope.console.station import Start
 from anisoscope.history.aqdef import AqdefFile, description_lines, value_lines
 from anisoscope.history.signs import Beacon
@@ -19,6 +18,7 @@ from anisoscope.inspection.check_standard import teach_check
 from anisoscope.inspection.job import check_serial
 from anisoscope.line.jobs import order_of
 from anisoscope.operations.project import read_project
+from anisoscope.parameters.taking import Taking
 from anisoscope.record.schema import Particulars
 
 BAD = ("L\n7", "L\x1b[31m7", "L\u202e7", "L\x007", "L\u2028" + "7")

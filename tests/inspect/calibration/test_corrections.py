@@ -8,7 +8,6 @@ import pytest
 from anisoscope.base.errors import CalibrationError, RegistrationError, UsageError
 from anisoscope.calibration import record as calibrationrecord
 from anisoscope.calibration.corrections import Calibrations, list_calibrations
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.pictures import calibrate_dark, calibrate_stray
 from anisoscope.calibration.record import read_calibration, record_path, write_calibration
 from anisoscope.calibration.rotation import calibrate_rotation
@@ -19,6 +18,7 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import Methods
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.rigfile import ChannelPart, LightPart
 
 EXPOSURE_S = 0.0015

@@ -8,9 +8,9 @@ import pytest
 from anisoscope.base.errors import RigFileError, Saturated, UsageError
 from anisoscope.calibration.corrections import read_calibrations
 from anisoscope.calibration.fixture import calibrate_fixture
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.record import read_calibration
 from anisoscope.inspection.recompute import recompute
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.rigfile import CalibrationPart
 
 TAKING = Taking(0.004, frames=2)

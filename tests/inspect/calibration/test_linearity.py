@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import CalibrationError, RigFileError
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.linearity import calibrate_response
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli import run
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.replay import inspect_frames
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.cameras.response import ResponseCurve, read_response, write_response
 from anisoscope.rig.drivers import open_camera
 from anisoscope.rig.frame import read_frame

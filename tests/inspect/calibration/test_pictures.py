@@ -6,12 +6,12 @@ import tifffile
 
 from anisoscope.base.errors import CalibrationError, RegistrationError, RigFileError, UsageError
 from anisoscope.calibration.corrections import read_picture
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.linearity import calibrate_linearity
 from anisoscope.calibration.pictures import calibrate_dark, calibrate_flat, calibrate_stray
 from anisoscope.calibration.record import read_calibration
 from anisoscope.calibration.rotation import calibrate_rotation
 from anisoscope.calibration.white_reference import inspect_tile, read_reference
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.rigfile import read_rig
 
 ROWS, COLS, PIXEL_UM = 288, 320, 14.0

@@ -6,11 +6,11 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError
 from anisoscope.calibration.fixture import calibrate_fixture
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.record import read_calibration, write_calibration
 from anisoscope.commissioning.fixture_check import FIXTURE, fixture_checks
 from anisoscope.commissioning.selftest import self_test
 from anisoscope.commissioning.selftest_record import Settings
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.rigfile import read_rig
 

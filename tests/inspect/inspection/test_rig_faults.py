@@ -14,8 +14,8 @@ import pytest
 
 from anisoscope.base.errors import AnisoscopeError
 from anisoscope.calibration.fixture import calibrate_fixture
-from anisoscope.calibration.frames import Taking
 from anisoscope.inspection.replay import inspect_frames
+from anisoscope.parameters.taking import Taking
 
 SPEC = importlib.util.spec_from_file_location("broken_frames", Path(__file__).with_name("broken_frames.py"))
 BROKEN = importlib.util.module_from_spec(SPEC)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from anisoscope.calibration.fixture import calibrate_fixture
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.record import read_calibration, write_calibration
 from anisoscope.live_view.lamps import RigLamps, in_words
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.acquisition.opening import open_devices
 from anisoscope.rig.rigfile import read_rig
 

@@ -8,9 +8,9 @@ import tomli_w
 
 from anisoscope.base.errors import CalibrationError
 from anisoscope.base.json_fields import as_json
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.linearity import calibrate_linearity
 from anisoscope.calibration.record import read_calibration, write_calibration
+from anisoscope.parameters.taking import Taking
 from anisoscope.quality.camera import NAMES, read_camera
 
 SENSOR = {"rows": 160, "cols": 160, "hot_pixel_share": 0.0, "gain_e_per_dn": 7.5, "full_well_e": 30_000.0}

@@ -15,6 +15,7 @@ import tomli_w
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import as_json
 from anisoscope.cli import run
+from anisoscope.cli.history.options import filters_of
 from anisoscope.cli.history.whatif import selection
 from anisoscope.history.rows import Row, row_of
 from anisoscope.history.store import open_history
@@ -170,7 +171,7 @@ def test_a_page_that_cannot_be_written_is_refused_before_the_work(tmp_path, caps
 
 
 def test_conditions_are_those_of_the_history():
-    assert selection(["lot=L=1", "verdict=fail"]).filters().verdict == "FAIL"
+    assert filters_of(selection(["lot=L=1", "verdict=fail"])).verdict == "FAIL"
 
 
 def test_a_killed_process_loses_nothing(tmp_path, monkeypatch):

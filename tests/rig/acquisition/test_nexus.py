@@ -115,7 +115,7 @@ def test_what_cannot_be_exported_is_one_line_and_leaves_no_file(scan, tmp_path, 
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "old.nxs").touch()
     assert run(["rig", "export", str(scan), "--out", str(tmp_path / "old.nxs")]) == 64
-    assert "exists; name another file, or say --overwrite" in capsys.readouterr().err
+    assert "exists; give another name, or --overwrite" in capsys.readouterr().err
 
 
 def test_a_frame_that_is_missing_is_named(scan, tmp_path):

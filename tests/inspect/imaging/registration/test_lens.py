@@ -8,13 +8,13 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.rotation import calibrate_rotation
 from anisoscope.imaging.registration.lens import Corners, Lens, fit_lens
 from anisoscope.imaging.registration.placement import Grid, Placement, marker_corners_mm, resample
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.operations.demo.folder import FIXTURE
+from anisoscope.parameters.taking import Taking
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import CameraError, RigError, UsageError
-from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.rotation import calibrate_rotation
 from anisoscope.cli import run as command
 from anisoscope.inspection.batch.start import Order
@@ -14,6 +13,7 @@ from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.run import inspect_part, resume_part
 from anisoscope.live_view.autofocus import Sweep, fit_plane, map_focus
+from anisoscope.parameters.taking import Taking
 from anisoscope.record.schema import Particulars, read_record
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.sim.bench.camera import SimulatedCamera

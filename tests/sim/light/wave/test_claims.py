@@ -16,6 +16,59 @@ FOUR = (0.0, 0.0625, 0.125, 0.1875)
 A_WINDOW = int(COHERENCE / PIXEL)
 
 
+def steps_map(widths_x, widths_y, levels_um, shape, pixel_um, rng):
+    """(rows, cols) heights of sampling process 1 in two: a level for each rectangle of two sequences."""
+    rows, cols = widths_y.cells(shape[0], pixel_um, rng), widths_x.cells(shape[1], pixel_um, rng)
+    levels = rng.choice(np.asarray(levels_um, dtype=np.float64), (int(rows[-1]) + 1, int(cols[-1]) + 1))
+    return levels[np.ix_(rows, cols)]
+
+
+def permuted_profile(levels_um, width_um, count, pixel_um, rng):
+    """(count,) heights of sampling process 2: after each other all m levels in random order, steps of equal width.
+
+    Raises:
+        ModelError: fewer than two levels, or a width that is not whole pixels.
+    """
+    step = _pixels(width_um, pixel_um)
+    blocks = _blocks(levels_um, -(-count // (step * len(levels_um))), rng)
+    return np.repeat(blocks.ravel(), step)[:count]
+
+
+def permuted_map(levels_um, arrangement, widths_um, shape, pixel_um, rng):
+    """(rows, cols) heights of sampling process 2 in blocks of m_x × m_y rectangles a0x × a0y, all given (x, y).
+
+    Raises:
+        ModelError: an arrangement that does not hold all levels once, or widths that are not whole pixels.
+    """
+    many_x, many_y = arrangement
+    if many_x * many_y != len(levels_um):
+        raise ModelError(f"{many_x} × {many_y} rectangles do not hold {len(levels_um)} levels once each")
+    step_x, step_y = (_pixels(width, pixel_um) for width in widths_um)
+    down, over = -(-shape[0] // (step_y * many_y)), -(-shape[1] // (step_x * many_x))
+    blocks = _blocks(levels_um, down * over, rng).reshape(down, over, many_y, many_x)
+    cells = blocks.transpose(0, 2, 1, 3).reshape(down * many_y, over * many_x)
+    return np.repeat(np.repeat(cells, step_y, axis=0), step_x, axis=1)[: shape[0], : shape[1]]
+
+
+def crossed_map(profile_x_um, profile_y_um):
+    """(rows, cols) heights whose wave is the product of those of two profiles: heights add."""
+    return np.add.outer(profile_y_um, profile_x_um)
+
+
+def _pixels(width_um, pixel_um):
+    step = round(width_um / pixel_um)
+    if step < 1 or abs(step * pixel_um - width_um) > 1e-6 * width_um:
+        raise ModelError(f"steps of {width_um:g} µm are not whole pixels of {pixel_um:g} µm")
+    return step
+
+
+def _blocks(levels_um, count, rng):
+    """(count, m) random orders of the levels."""
+    if len(levels_um) < 2:
+        raise ModelError("sampling process 2 needs two levels or more")
+    return rng.permuted(np.tile(np.asarray(levels_um, dtype=np.float64), (count, 1)), axis=1)
+
+
 def deviation(heights, expected, reach=1.0, window=WINDOW):
     """Rms deviation from a closed form over its peak, over |ω| < reach."""
     spread = angular_map(WaveSurface.of(heights, PIXEL, cells=True), WAVELENGTH, window)
@@ -43,7 +96,7 @@ def of_permutations(f):
     ("draw", "expected"),
     [
         (lambda n, rng: sampling.steps_profile(sampling.Widths((2.0,)), BINARY, n, PIXEL, rng), of_steps),
-        (lambda n, rng: sampling.permuted_profile(FOUR, 2.0, n, PIXEL, rng), of_permutations),
+        (lambda n, rng: permuted_profile(FOUR, 2.0, n, PIXEL, rng), of_permutations),
     ],
     ids=["claim 1", "claim 2"],
 )
@@ -68,7 +121,7 @@ def test_rms_over_peak_depends_on_the_band_it_is_taken_over(reach, of_one):
 
 def test_claim_2_with_the_printed_sinc_or_without_blur_does_not_fit():
     rng = np.random.default_rng(11)
-    heights = sampling.permuted_profile((0.0, 0.125), 2.0, 4096 * A_WINDOW, PIXEL, rng)
+    heights = permuted_profile((0.0, 0.125), 2.0, 4096 * A_WINDOW, PIXEL, rng)
     right = deviation(heights, lambda f: claims.anti_mirror(f, 2, 2.0, COHERENCE), 0.25)
 
     def printed(f):
@@ -141,7 +194,7 @@ def test_densities_integrate_to_one():
 )
 def test_blocks_in_two_dimensions(arrangement, widths):
     rng = np.random.default_rng(14)
-    heights = sampling.permuted_map(FOUR, arrangement, widths, (512, 512), PIXEL, rng)
+    heights = permuted_map(FOUR, arrangement, widths, (512, 512), PIXEL, rng)
     found, expected = _in_two(
         heights, lambda x, y: claims.anti_mirror_2d(x, y, arrangement, widths, COHERENCE)
     )
@@ -152,8 +205,8 @@ def test_blocks_in_two_dimensions(arrangement, widths):
 
 def test_crossed_sequences_leave_a_cross():
     rng = np.random.default_rng(15)
-    x, y = (sampling.permuted_profile(BINARY, 2.0, 768, PIXEL, rng) for _ in range(2))
-    heights = sampling.crossed_map(x, y)
+    x, y = (permuted_profile(BINARY, 2.0, 768, PIXEL, rng) for _ in range(2))
+    heights = crossed_map(x, y)
 
     def product(fx, fy):
         return claims.crossed(*(claims.anti_mirror(f, 2, 2.0, COHERENCE) for f in (fx, fy)))
@@ -175,7 +228,7 @@ def _in_two(heights, expected):
 def test_rectangles_in_two_dimensions_are_products():
     rng = np.random.default_rng(16)
     wide = sampling.Widths((4.0,))
-    heights = sampling.steps_map(sampling.Widths((2.0,)), wide, BINARY, (512, 512), PIXEL, rng)
+    heights = steps_map(sampling.Widths((2.0,)), wide, BINARY, (512, 512), PIXEL, rng)
     found, expected = _in_two(
         heights,
         lambda x, y: np.outer(claims.lobe(y, np.array([4.0]), np.ones(1), COHERENCE), of_steps(x)),
@@ -190,9 +243,9 @@ def test_rectangles_in_two_dimensions_are_products():
         (lambda: sampling.Widths((2.0, 3.0), (1.0,)), "probability"),
         (lambda: claims.anti_mirror(np.zeros(1), 1, 2.0), "two steps"),
         (lambda: claims.mixture((0.5, 0.4), (np.zeros(1), np.zeros(1))), "1 all together"),
-        (lambda: sampling.permuted_profile(FOUR, 2.1, 10, 0.25, np.random.default_rng(1)), "whole pixels"),
+        (lambda: permuted_profile(FOUR, 2.1, 10, 0.25, np.random.default_rng(1)), "whole pixels"),
         (
-            lambda: sampling.permuted_map(FOUR, (3, 1), (2.0, 2.0), (64, 64), 0.25, np.random.default_rng(1)),
+            lambda: permuted_map(FOUR, (3, 1), (2.0, 2.0), (64, 64), 0.25, np.random.default_rng(1)),
             "do not hold 4 levels",
         ),
     ],
