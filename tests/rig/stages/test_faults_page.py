@@ -78,8 +78,8 @@ What cameras and their lines do, each with a fake in the test that the last colu
 
 | fault | drivers | what the driver does | test |
 |---|---|---|---|
-| packets of a frame are lost, or come twice | aravis | takes the frame again, `retries` times; then CameraError 69 | \
-`test_a_frame_that_is_not_right_is_taken_again` |
+| packets are lost, a frame is late, or of another size or exposure | aravis | takes it again, \
+`retries` times; then CameraError 69 | `test_a_frame_that_is_not_right_is_taken_again` |
 | no packet of the stream arrives | aravis | CameraError 69, "no packet at all", names firewall, \
 reverse-path filter, packet size | `test_a_stream_of_which_nothing_comes_names_what_holds_it_back` |
 | the camera goes away and comes back | aravis | within `reconnect_s` goes on with its settings; \
