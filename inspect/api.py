@@ -35,11 +35,13 @@ if TYPE_CHECKING:
     from anisoscope.inspection.archive_store import open_store as open_archive
     from anisoscope.inspection.batch.codes import read_codes, read_picture
     from anisoscope.inspection.check_standard import run_check, teach_check
-    from anisoscope.inspection.integrity import Verified
-    from anisoscope.inspection.recompute import Recomputed
+    from anisoscope.inspection.integrity import verify
+    from anisoscope.inspection.recompute import recompute
     from anisoscope.inspection.reflectance_scan import begin_scan as scan
     from anisoscope.inspection.reflectance_scan import resume_scan
     from anisoscope.inspection.run import Inspected
+    from anisoscope.inspection.run import resume_part as resume
+    from anisoscope.kinds.registry import read_any_recipe as read_recipe
     from anisoscope.live_view.autofocus import Autofocus, Sweep
     from anisoscope.operations.archiving import archived_inspections, pull, push, retain
     from anisoscope.operations.archiving import hold as hold_archived
@@ -115,14 +117,13 @@ if TYPE_CHECKING:
     from anisoscope.quality.control import Settings as ChartSettings
     from anisoscope.quality.drift import drift_study
     from anisoscope.quality.readings import Readings, history_readings, read_readings
-    from anisoscope.recipe.base import RecipeBase
-    from anisoscope.record.schema import Record
+    from anisoscope.record.schema import Record, read_record
     from anisoscope.rig.acquisition.nexus import write_nexus
     from anisoscope.rig.acquisition.opening import open_rig
     from anisoscope.rig.discovery import find_ports
     from anisoscope.rig.drivers import open_camera, open_light, open_stage
     from anisoscope.rig.framefolder import draft_table as draft_frame_table
-    from anisoscope.rig.rigfile import RigFile
+    from anisoscope.rig.rigfile import read_rig
     from anisoscope.sim.design.antimirror import AntiMirror
     from anisoscope.sim.design.lobe import LobeTask, design_lobe
     from anisoscope.sim.light.colour.spaces import encode as srgb
@@ -273,6 +274,12 @@ _HOME = {
     "ControlStudy": "anisoscope.quality.control",
     "drift_study": "anisoscope.quality.drift",
     "Record": "anisoscope.record.schema",
+    "read_record": "anisoscope.record.schema",
+    "resume": "anisoscope.inspection.run:resume_part",
+    "read_recipe": "anisoscope.kinds.registry:read_any_recipe",
+    "read_rig": "anisoscope.rig.rigfile",
+    "recompute": "anisoscope.inspection.recompute",
+    "verify": "anisoscope.inspection.integrity",
     "write_nexus": "anisoscope.rig.acquisition.nexus",
     "open_rig": "anisoscope.rig.acquisition.opening",
     "find_ports": "anisoscope.rig.discovery",
@@ -669,75 +676,6 @@ def inspect(
         particulars=Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at_mm),
         on_progress=silent if on_progress is None else on_progress,
     )
-
-
-def read_recipe(path: Path | str) -> "RecipeBase":
-    """The recipe in a file, of whatever kind; ``${here}`` in it stands for its own folder.
-
-    Raises:
-        RecipeError: it cannot be read or used; the message names the file and the entry.
-    """
-    from anisoscope.kinds.registry import read_any_recipe
-
-    return read_any_recipe(Path(path))
-
-
-def read_rig(path: Path | str) -> "RigFile":
-    """The rig file; ``${here}`` in it stands for its own folder. `open_rig` connects to what it names.
-
-    Raises:
-        RigFileError: it cannot be read or used; the message names the file and the entry.
-    """
-    from anisoscope.rig.rigfile import read_rig as read
-
-    return read(Path(path))
-
-
-def resume(folder: Path | str, *, on_progress: "Advance | None" = None) -> "Inspected":
-    """Take up an inspection that was interrupted and finish it: ``anisoscope resume``.
-
-    Raises:
-        RecordError: there is nothing to resume, or a file of the folder is missing, damaged or was changed.
-        RigError, CalibrationError: as for `inspect`.
-    """
-    from anisoscope.base.progress import silent
-    from anisoscope.inspection.run import resume_part
-
-    return resume_part(Path(folder), silent if on_progress is None else on_progress)
-
-
-def read_record(folder: Path | str) -> "Record":
-    """The record of a finished inspection.
-
-    Raises:
-        RecordError: there is none, it is damaged or was changed, or a later version wrote it.
-    """
-    from anisoscope.record.schema import read_record as read
-
-    return read(Path(folder))
-
-
-def verify(folder: Path | str) -> "Verified":
-    """Hash every file of an inspection folder again: ``anisoscope verify``.
-
-    Raises:
-        RecordError: this is no inspection folder.
-    """
-    from anisoscope.inspection.integrity import verify as verify_folder
-
-    return verify_folder(Path(folder))
-
-
-def recompute(folder: Path | str, *, on_progress: "Advance | None" = None) -> "Recomputed":
-    """Decide anew from the frames of a finished inspection, and compare: ``anisoscope recompute``; nothing is written.
-
-    Raises:
-        RecordError: the inspection is not finished, or a file is missing or was changed.
-    """
-    from anisoscope.base.progress import silent
-    from anisoscope.inspection.recompute import recompute as recompute_folder
-
-    return recompute_folder(Path(folder), silent if on_progress is None else on_progress)
 
 
 def add_to_history(history: "History", folders: Sequence[Path | str]) -> "Added":

@@ -475,7 +475,7 @@ class ReplayRigFile(RigFile):
     camera: ReplayCameraPart
 
 
-def read_rig(path: Path, *, here: Path | None = None, channel: str | None = None) -> RigFile:
+def read_rig(path: Path | str, *, here: Path | None = None, channel: str | None = None) -> RigFile:
     """Read a rig file; ``${here}`` in it is the folder of the file.
 
     Args:
@@ -486,7 +486,7 @@ def read_rig(path: Path, *, here: Path | None = None, channel: str | None = None
     Raises:
         RigFileError: the file is missing or wrong; the message names the key.
     """
-    return _in_channel(_read(path, RigFile, here), channel)
+    return _in_channel(_read(Path(path), RigFile, here), channel)
 
 
 def read_axes(path: Path) -> RigAxes:

@@ -74,7 +74,7 @@ class Verified:
         return not (self.changed or self.missing or self.additional or self.distrust)
 
 
-def verify(folder: Path, trust: Trust | None = None) -> Verified:
+def verify(folder: Path | str, trust: Trust | None = None) -> Verified:
     """Hash every file of an inspection folder again.
 
     A finished inspection is compared with its record, which carries a seal over itself, and its report with
@@ -87,6 +87,7 @@ def verify(folder: Path, trust: Trust | None = None) -> Verified:
     Raises:
         RecordError: this is no inspection folder.
     """
+    folder = Path(folder)
     present = files_in(folder)
     if not present & {RECORD_NAME, JOB}:
         raise RecordError(f"{folder}: is no inspection folder: it holds neither {RECORD_NAME} nor {JOB}")

@@ -50,7 +50,7 @@ class Recomputed:
         return not self.differences
 
 
-def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
+def recompute(folder: Path | str, on_progress: Advance = silent) -> Recomputed:
     """Judge the frames of a finished inspection again and compare; nothing is written.
 
     The prediction is computed anew. Signatures of causes, which only rank them, may come from the cache: its key holds
@@ -64,7 +64,7 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
         RecordError: the inspection is not finished, a file is missing or was changed, or an early version kept no
             copies of the inputs.
     """
-    folder = folder.resolve()
+    folder = Path(folder).resolve()
     recorded = read_record(folder)
     if not (folder / JOB).exists() and JOB not in {file.name for file in recorded.files}:
         raise RecordError(

@@ -253,7 +253,7 @@ def _refused(
 
 
 def resume_part(
-    folder: Path,
+    folder: Path | str,
     on_progress: Advance = silent,
     *,
     lot_mates: LotMates = no_lot_mates,
@@ -282,6 +282,7 @@ def resume_part(
         CameraError: the camera exposes otherwise than before.
         RigError, CalibrationError: as for `inspect_part`.
     """
+    folder = Path(folder)
     folder = folder.resolve()
     if (folder / SCAN).exists():
         raise RecordError(f"{folder} holds a scan: `anisoscope rig scan --continue {folder}` goes on with it")

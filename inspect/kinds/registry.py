@@ -51,8 +51,13 @@ def kind_of(path: Path) -> AnyKind:
         raise RecipeError(f"{path}: kind: {problem}") from problem
 
 
-def read_any_recipe(path: Path) -> RecipeBase:
-    """Read a recipe of whichever kind it is; errors as for `Kind.read_recipe`."""
+def read_any_recipe(path: Path | str) -> RecipeBase:
+    """Read a recipe of whichever kind it is; ``${here}`` in it stands for its own folder.
+
+    Raises:
+        RecipeError: it cannot be read or used; the message names the file and the entry.
+    """
+    path = Path(path)
     recipe: RecipeBase = kind_of(path).read_recipe(path)
     return recipe
 

@@ -622,13 +622,13 @@ def record_signature(folder: Path) -> Signed | None:
     return found
 
 
-def read_record(folder: Path) -> Record:
+def read_record(folder: Path | str) -> Record:
     """Read the record of an inspection folder.
 
     Raises:
         RecordError: there is none, it is damaged or was changed, or a later version wrote it.
     """
-    path = folder / RECORD_NAME
+    path = Path(folder) / RECORD_NAME
     content, _ = _content_of(path)
     try:
         if isinstance(content, dict):
