@@ -282,8 +282,7 @@ def resume_part(
         CameraError: the camera exposes otherwise than before.
         RigError, CalibrationError: as for `inspect_part`.
     """
-    folder = Path(folder)
-    folder = folder.resolve()
+    folder = Path(folder).resolve()
     if (folder / SCAN).exists():
         raise RecordError(f"{folder} holds a scan: `anisoscope rig scan --continue {folder}` goes on with it")
     if (folder / RECORD_NAME).exists():
