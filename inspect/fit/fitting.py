@@ -4,10 +4,11 @@ Starts are the best of a fixed grid of ridge angles and roughnesses, so that the
 fit. The search counts two reflections, coarsely integrated, and ends with the reflections asked for.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from anisoscope.base.covariance import rank, whitening
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.rejection import Misfit, best_model, misfit
 from anisoscope.fit.identifiability import (
     MODEL_SHARE,
     Combination,
@@ -27,8 +29,8 @@ from anisoscope.fit.identifiability import (
     limits,
     scaled_covariance,
 )
-from anisoscope.fit.parameters import OPTICS, PARAMETERS
-from anisoscope.fit.problem import Problem, interface_alpha
+from anisoscope.fit.parameters import OPTICS, OPTIONAL, PARAMETERS
+from anisoscope.fit.problem import MATTE, Problem, interface_alpha
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -249,10 +251,11 @@ class Fit:
         u_value: (N,) standard uncertainties of the measured values.
         chi2: weighted sum of squares; of unknown noise 1 per degree of freedom by construction.
         dof: degrees of freedom.
-        p_value: of chi2, None where the noise was estimated from the residuals or no freedom is left.
+        misfit: test of the model; where it is rejected, u and covariance are enlarged by its Birge ratio.
         lacking: combinations that are not determined.
         advice: the measurement that would help, or None.
         rivals: other minima that fit about as well, as values of the free parameters.
+        tests: of this model and of its rivals where it was rejected, the one that was asked for first.
     """
 
     problem: Problem
@@ -264,10 +267,21 @@ class Fit:
     u_value: FloatArray
     chi2: float
     dof: int
-    p_value: float | None
+    misfit: Misfit
     lacking: tuple[Combination, ...]
     advice: str | None
     rivals: tuple[Mapping[str, float], ...]
+    tests: tuple[Misfit, ...] = ()
+
+    @property
+    def p_value(self) -> float | None:
+        """Of chi2, None where the noise was estimated from the residuals or no freedom is left."""
+        return self.misfit.p_value
+
+    @property
+    def fits(self) -> bool:
+        """Whether the data do not reject this model."""
+        return not self.misfit.rejected
 
     @property
     def residual(self) -> FloatArray:
@@ -295,6 +309,7 @@ class Fit:
             for one in self.estimates
         ]
         p_value = "" if self.p_value is None else f", p = {self.p_value:.2g}"
+        p_value += "" if self.fits else ": rejected"
         title = f"fit: rms {self.rms:.3g}, {self.dof} degrees of freedom{p_value}"
         return html_table(title, ("parameter", "value", "95 % interval"), rows)
 
@@ -336,7 +351,7 @@ def fit(problem: Problem, advance: Advance = silent, starts: int = STARTS) -> Fi
     Raises:
         UsageError: refractive index or albedo are free and cannot be identified; or nothing fits.
     """
-    weight = whitening(problem.readings.covariance)
+    problem, weight = problem.freed(problem.free), whitening(problem.readings.covariance)
     if not problem.free:
         return _result(problem, dict(problem.values), weight, ())
     quick = replace(problem, scene=problem.scene.coarse())
@@ -353,6 +368,95 @@ def fit(problem: Problem, advance: Advance = silent, starts: int = STARTS) -> Fi
             problem = replace(problem, scene=scene)
             values = minimise(problem, values, weight)[0]
     return _result(problem, values, weight, rivals)
+
+
+RIVALS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("a lobe with a tail", ("tail",)),
+    ("a second lobe", ("second_weight", "second_width")),
+    ("rounded crests", ("edge_radius_um",)),
+    ("a wall of another draft", ("draft_deg",)),
+)
+"""What a rejected model may lack, and the parameters that are then free as well."""
+_OF_A_LOBE = ("alpha_along", "alpha_across", "index", "tail", "second_weight", "second_width")
+_TYPICAL_TAIL = 0.5
+FAR_OFF = 30.0
+"""χ² over its degrees of freedom that no exacter integration repairs."""
+
+
+def fit_or_rival(problem: Problem, advance: Advance = silent) -> Fit:
+    """Fit the free parameters; where the model is rejected, also with what it may lack.
+
+    Rivals are those of `RIVALS` and `MATTE`; where they are rejected too, the former with the albedo free. With unknown
+    noise only the matte limits are compared, by the information criterion. A rival follows the starting points of the
+    model and its minimum.
+
+    Args:
+        problem: what to fit.
+        advance: told how far the work is.
+
+    Returns:
+        The fit that describes the data best, with the tests of all that were tried.
+
+    Raises:
+        UsageError: as of `fit`.
+    """
+    own, scene, free = fit(problem, advance), problem.scene, problem.free
+    if not free or scene.model == "printed" or (own.fits and own.p_value is not None):
+        return replace(own, tests=(own.misfit,))
+    weight = whitening(problem.readings.covariance)
+    begin = [own.values, *starting_points(replace(own.problem, scene=scene.coarse()), weight, 2)]
+    shaped = scene.material.second_lobe is not None or problem.values["tail"] > 0.0 or "tail" in free
+    excluded = {*free, *(("tail", "second_weight") if shaped else ())}
+    if problem.values["ridge_angle_deg"] == 0.0 and "ridge_angle_deg" not in free:
+        excluded |= {"edge_radius_um", "draft_deg", "ridge_angle_deg"}
+    lacking = [(words, names) for words, names in RIVALS if not excluded & {*names}]
+    brighter: list[tuple[str, tuple[str, ...]]] = []
+    if "albedo" not in free and problem.readings.scaled:
+        brighter = [("another albedo", ("albedo",))]
+        brighter += [(f"{words}, and another albedo", (*names, "albedo")) for words, names in lacking]
+
+    def rival(words: str, names: tuple[str, ...]) -> Fit | None:
+        advance(f"the model is rejected; {words}", 1, 2)
+        usual = {"tail": _TYPICAL_TAIL} if "tail" in names else {}
+        return _tried(own, problem.freed((*free, *names), usual), begin, words)
+
+    def matte(words: str, names: tuple[str, ...]) -> Fit | None:
+        advance(words, 1, 2)
+        amplitude = ("albedo",) if problem.readings.scaled and "k" not in free else ()
+        kept = (name for name in free if name not in _OF_A_LOBE)
+        usual = {"matte_deg": 0.0, "tail": 0.0} | {name: OPTIONAL[name] for name in names}
+        return _tried(own, problem.freed((*kept, *names, *amplitude), usual), begin, words)
+
+    matt = [partial(matte, *one) for one in MATTE]
+    stages = ([*(partial(rival, *one) for one in lacking), *matt], [partial(rival, *one) for one in brighter])
+    chosen, tests = best_model(own, stages, attrgetter("misfit"), matt)
+    estimates = chosen.estimates
+    if not chosen.fits:
+        estimates = tuple(replace(one, low95=None, high95=None) for one in estimates)
+    return replace(chosen, tests=tests, estimates=estimates)
+
+
+def _tried(own: Fit, problem: Problem, begin: Sequence[Mapping[str, float]], words: str) -> Fit | None:
+    """The fit of a rival; None where these data do not determine it.
+
+    A rival that is far off with its reflections coarsely integrated is not fitted to the end: only its test is its own.
+    """
+    weight, quick = whitening(problem.readings.covariance), replace(problem, scene=problem.scene.coarse())
+    starts = [dict(problem.values) | {n: one[n] for n in problem.free if n in one} for one in begin]
+    found = distinct(problem, [minimise(quick, start, weight, fine=False) for start in starts])
+    (values, cost), known = found[0], problem.readings.noise_known
+    count = own.dof + len(own.problem.free)
+    enough = FAR_OFF * max(count - len(problem.free), 1)
+    if not known or cost < FAR_OFF * enough:
+        values, cost = minimise(quick, values, weight)
+    if known and cost > enough:
+        return replace(own, misfit=misfit(words, cost, count, len(problem.free)))
+    try:
+        done = fit(replace(problem, values=values), starts=0)
+    except UsageError:
+        return None
+    test = misfit(words, cost if not known else done.chi2, count, len(problem.free), known=known)
+    return replace(done, misfit=test)
 
 
 def _with_optics(
@@ -403,7 +507,7 @@ def _doubt(problem: Problem, values: Mapping[str, float]) -> tuple[str, float] |
 def _result(
     problem: Problem, values: dict[str, float], weight: FloatArray, rivals: tuple[Mapping[str, float], ...]
 ) -> Fit:
-    from scipy.special import chdtrc, stdtrit  # noqa: PLC0415 - as above
+    from scipy.special import stdtrit  # noqa: PLC0415 - as above
 
     readings = problem.readings
     fitted = problem.predicted(values, interface_alpha(values))
@@ -412,13 +516,15 @@ def _result(
     factor = 1.0 if readings.noise_known else chi2 / max(dof, 1)
     noise = factor * readings.covariance
     known = information(problem, values, noise) if problem.free else None
-    p_value = float(chdtrc(dof, chi2)) if readings.noise_known and dof > 0 else None
+    test = misfit(
+        "the model as asked for", chi2, dof + len(problem.free), len(problem.free), known=readings.noise_known
+    )
     covariance = np.zeros((0, 0))
     estimates: tuple[Estimate, ...] = ()
     if known is not None:
         steps = limits(problem.free)
         scaled = scaled_covariance(weight @ derivatives(problem, values) * steps)
-        covariance = factor * scaled * np.outer(steps, steps)
+        covariance = factor * test.birge_ratio**2 * scaled * np.outer(steps, steps)
         quantile = 1.959964 if readings.noise_known else float(stdtrit(max(dof, 1), 0.975))
         estimates = tuple(
             _estimate(n, values[n], float(np.sqrt(v)), quantile, n in known.undetermined)
@@ -439,7 +545,7 @@ def _result(
         np.sqrt(np.diag(noise)),
         chi2 / factor if factor > 0 else 0.0,
         dof,
-        p_value,
+        test,
         () if known is None else known.combinations,
         advice,
         rivals,

@@ -4,7 +4,9 @@ The specimen is a flat coupon or a ridged part. ln L of every pose is fitted by 
 noise of the pose and `POSE_NOISE` together; parameters that a scan hardly determines keep their priors: seating, ridge
 angle, edge radius, and the amplitude of what reflects between facet and wall. The scale k is free. Two families of
 lobes are tried, one with a tail and Beckmann's with a second one mixed in; the Bayesian information criterion (Schwarz
-1978) chooses. The covariance is enlarged by the Birge ratio (Birge 1932) where the residuals exceed their noise.
+1978) chooses. A rejected family (`base.rejection`) has its covariance enlarged by the Birge ratio, and a matte surface
+is tried. Albedo and scale k are then known only together: what tells them apart is the amplitude of the lobe, which the
+family takes from slopes that no pose shows.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +18,8 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.fit.problem import DARK, Plastic
+from anisoscope.base.rejection import Misfit, misfit
+from anisoscope.fit.problem import DARK, MATTE, NO_INTERFACE, Plastic
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import LONGEST_TAIL, Material
 from anisoscope.parameters.optics import POINT_LIKE, Optics
@@ -29,8 +32,6 @@ from anisoscope.sim.light.optics import through
 POSE_NOISE = 0.003
 """Relative standard uncertainty of the radiance of a pose besides its noise: lamp, angles, region."""
 MIN_POSES = 10
-ILL_FITTING = 2.0
-"""Residuals over their noise above which the family of lobes is not that of the plastic."""
 DISCREPANCY = {True: 0.005, False: 0.015}
 """Relative standard uncertainty that a family leaves in a pose, where it fits and where it does not."""
 
@@ -45,6 +46,7 @@ _PRIOR = {  # standard deviations
     "ln_alpha_across": 0.5,
     "tail": 0.7,
     "ln_albedo": 0.5,
+    "ln_lobe": 0.5,
     "ln_second_weight": 1.0,
     "ln_second_width": 0.5,
     "ln_k": 100.0,
@@ -87,6 +89,7 @@ _WORDS = {
     "ln_alpha_across": "roughness across",
     "tail": "tail",
     "ln_albedo": "albedo",
+    "ln_lobe": "amplitude of the lobe",
     "ln_second_weight": "weight of the second lobe",
     "ln_second_width": "width of the second lobe",
     "ln_k": "scale k",
@@ -460,22 +463,20 @@ class LobeFit:
         information: values and covariance, enlarged by the Birge ratio.
         residuals: (P,) ln measured − ln fitted.
         u: (P,) standard uncertainty of ln L.
-        chi2: of the data.
-        degrees_of_freedom: poses less the effective number of parameters.
-        bic: Bayesian information criterion.
         other_bic: that of the other family, where it was fitted.
         half_angle_deg: lowest and highest angle between half vector and facet normal.
+        misfit: test of the family.
+        tests: of all families that were fitted, and of matte surfaces where they are rejected.
     """
 
     family: Family
     information: LobeInformation
     residuals: FloatArray
     u: FloatArray
-    chi2: float
-    degrees_of_freedom: float
-    bic: float
     half_angle_deg: tuple[float, float]
+    misfit: Misfit
     other_bic: float | None = None
+    tests: tuple[Misfit, ...] = ()
 
     @property
     def material(self) -> Material:
@@ -485,17 +486,12 @@ class LobeFit:
     @property
     def residual_over_noise(self) -> float:
         """√(χ²/degrees of freedom): 1 where the family fits and the noise is right."""
-        return float(np.sqrt(self.chi2 / self.degrees_of_freedom))
-
-    @property
-    def birge_ratio(self) -> float:
-        """Factor on the standard uncertainties; never below 1."""
-        return max(1.0, self.residual_over_noise)
+        return float(np.sqrt(self.misfit.chi2 / self.misfit.dof))
 
     @property
     def fits(self) -> bool:
-        """Whether the residuals are those of the noise."""
-        return self.residual_over_noise <= ILL_FITTING
+        """Whether the residuals do not reject the family."""
+        return not self.misfit.rejected
 
     @property
     def discrepancy_share(self) -> float:
@@ -516,7 +512,8 @@ class LobeFit:
             f"{self.residual_over_noise:.1f} times their noise; {100.0 * self.discrepancy_share:g} % of every pose "
             "remain as model discrepancy"
         )
-        return (text,)
+        matte = [one.model for one in self.tests if one.model not in FAMILIES and not one.rejected]
+        return (text, *(f"these readings are those of {one}: it has no lobe to calibrate" for one in matte))
 
 
 def fit_lobe(
@@ -542,11 +539,49 @@ def fit_lobe(
     for number, family in enumerate(families):
         advance(f"fitting the lobe: {family}", number, len(families))
         found.append(_fit_family(scan, specimen, start, family))
-    best = min(found, key=lambda one: one.bic)
-    others = [one.bic for one in found if one is not best]
+    best = min(found, key=lambda one: (one.misfit.rejected, one.misfit.bic))
+    others = [one.misfit.bic for one in found if one is not best]
     if specimen.name == "coupon":
         _check_flat(best)
-    return replace(best, other_bic=min(others, default=None))
+    if not best.fits:
+        best = replace(best, information=_with_amplitude(best.information))
+    tests = (*(one.misfit for one in found), *([] if best.fits else _matte(scan, specimen)))
+    return replace(best, other_bic=min(others, default=None), tests=tests)
+
+
+def _with_amplitude(found: LobeInformation) -> LobeInformation:
+    """The same with the amplitude of the lobe as a parameter, known only together with albedo and scale."""
+    count, u = len(found.lobe), _PRIOR["ln_lobe"]
+    names = (*found.names[:count], "ln_lobe", *found.names[count:])
+    together = u * np.array(
+        [{"ln_albedo": 1.0, "ln_lobe": 1.0, "ln_k": -1.0}.get(name, 0.0) for name in names]
+    )
+    covariance = np.insert(np.insert(found.covariance, count, 0.0, axis=0), count, 0.0, axis=1)
+    return replace(
+        found,
+        names=names,
+        values=np.insert(found.values, count, 0.0),
+        covariance=covariance + np.outer(together, together),
+        prior=np.insert(found.prior, count, u),
+        lobe=(*found.lobe, "ln_lobe"),
+    )
+
+
+def _matte(scan: Scan, specimen: Specimen) -> list[Misfit]:
+    """Tests of matte surfaces of the specimen's shape, seated level; only their scale is fitted, and the roughness."""
+    to_light, to_camera = directions(scan.poses, scan.convention)
+
+    def chi2(roughness_deg: float) -> float:
+        plastic = Material(albedo=1.0, index=NO_INTERFACE)
+        light = corrected.radiance(to_light, to_camera, specimen.design, plastic, matte_deg=roughness_deg)
+        left = np.log(scan.radiance) - np.log(np.maximum(light, DARK))
+        return float(np.sum(((left - np.average(left, weights=scan.u**-2)) / scan.u) ** 2))
+
+    costs = chi2(0.0), min(map(chi2, range(0, 61, 5)))
+    return [
+        misfit(one[0], cost, len(scan.u), 1 + n)
+        for n, (one, cost) in enumerate(zip(MATTE, costs, strict=True))
+    ]
 
 
 def _fit_family(scan: Scan, specimen: Specimen, start: Material, family: Family) -> LobeFit:
@@ -555,7 +590,7 @@ def _fit_family(scan: Scan, specimen: Specimen, start: Material, family: Family)
     else:
         begins = [replace(start, tail=0.0, second_lobe=second) for second in _SECOND_STARTS]
     tried = [_minimise(scan, specimen, begin, family) for begin in begins]
-    return min(tried, key=lambda one: one.bic)
+    return min(tried, key=lambda one: one.misfit.bic)
 
 
 def _minimise(scan: Scan, specimen: Specimen, base: Material, family: Family) -> LobeFit:
@@ -587,12 +622,11 @@ def _minimise(scan: Scan, specimen: Specimen, base: Material, family: Family) ->
     information = _information(model, values, slopes, prior)
     chi2 = float(np.sum((left / u) ** 2))
     dof = max(len(u) - information.effective, 1.0)
-    birge = max(1.0, np.sqrt(chi2 / dof))
-    information = replace(information, covariance=birge**2 * information.covariance)
+    test = misfit(family, chi2, len(u), len(model.names), dof=dof)
+    information = replace(information, covariance=test.birge_ratio**2 * information.covariance)
     angles = half_angles_deg(scan.poses, scan.convention, (specimen.design.ridge_angle_deg,))
-    bic = chi2 + len(model.names) * float(np.log(len(u)))
     span = float(angles.min()), float(angles.max())
-    return LobeFit(family, information, left, u, chi2, dof, bic, span)
+    return LobeFit(family, information, left, u, span, test)
 
 
 def _scales(model: _Model) -> FloatArray:

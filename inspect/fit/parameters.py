@@ -18,7 +18,7 @@ class Parameter:
         unit: as printed; "" for a pure number, "value·sr" for the scale.
         low: lower bound.
         high: upper bound.
-        default: value where nothing is given.
+        default: value where nothing is given; None for one that then is no part of the model.
         step: internal step of the finite differences.
         limit: largest standard uncertainty, internal, at which the parameter counts as determined.
         logarithmic: it is fitted as its natural logarithm.
@@ -29,7 +29,7 @@ class Parameter:
     unit: str
     low: float
     high: float
-    default: float
+    default: float | None
     step: float
     limit: float
     logarithmic: bool = False
@@ -61,9 +61,22 @@ PARAMETERS = {
         Parameter("albedo", "albedo", "", 0.0, 1.0, 0.2, 1e-3, 0.15),
         Parameter("index", "refractive index", "", 1.05, 3.5, 1.5, 1e-3, 0.15),
         Parameter("tail", "tail of the lobe", "", 0.0, 1.6, 0.0, 1e-2, 0.3),
+        Parameter("second_weight", "weight of the second lobe", "", 0.005, 0.6, None, 1e-2, 1.0, True),
+        Parameter("second_width", "width of the second lobe", "", 1.1, 6.0, None, 1e-2, 0.5, True),
+        Parameter("edge_radius_um", "radius of the crests", "µm", 0.0, 100.0, None, 0.05, 5.0),
+        Parameter("draft_deg", "draft of the wall", "°", 0.0, 60.0, None, 0.05, 10.0),
+        Parameter("matte_deg", "roughness of a matte surface", "°", 0.0, 60.0, None, 0.1, 10.0),
     )
 }
-GEOMETRY = tuple(name for name in PARAMETERS if name not in ("albedo", "index", "tail"))
+OPTIONAL = {
+    "second_weight": 0.15,
+    "second_width": 2.0,
+    "edge_radius_um": 3.0,
+    "draft_deg": 20.0,
+    "matte_deg": 20.0,
+}
+"""Where the search of a parameter begins that has no default."""
+GEOMETRY = tuple(n for n in PARAMETERS if n not in ("albedo", "index", "tail") and n not in OPTIONAL)
 OPTICS = ("albedo", "index")
 USUAL = ("ridge_angle_deg", "alpha_along", "alpha_across", "k")
 
@@ -71,21 +84,25 @@ USUAL = ("ridge_angle_deg", "alpha_along", "alpha_across", "k")
 def parse_free(text: str) -> tuple[str, ...]:
     """Names of a comma-separated list, in the order of `PARAMETERS`; the unit may be left out.
 
-    "all" stands for everything but albedo, index and tail, "none" for nothing.
+    "all" stands for ridge angle, roughness, height loss, seating and scale, "none" for nothing.
 
     Raises:
         UsageError: an unknown name.
     """
     if text.strip() in ("all", "none"):
         return GEOMETRY if text.strip() == "all" else ()
-    known = {name.removesuffix("_deg"): name for name in PARAMETERS} | {name: name for name in PARAMETERS}
+    known = {_short(name): name for name in PARAMETERS} | {name: name for name in PARAMETERS}
     names = [part.strip().replace("-", "_") for part in text.split(",")]
     for name in names:
         if name not in known:
-            short = ", ".join(name.removesuffix("_deg") for name in PARAMETERS)
+            short = ", ".join(map(_short, PARAMETERS))
             raise UsageError(f"--free knows {short}, all and none, not {name!r}")
     chosen = {known[name] for name in names}
     return tuple(name for name in PARAMETERS if name in chosen)
+
+
+def _short(name: str) -> str:
+    return name.removesuffix("_deg").removesuffix("_um")
 
 
 def checked_values(given: Mapping[str, float]) -> dict[str, float]:
@@ -94,7 +111,8 @@ def checked_values(given: Mapping[str, float]) -> dict[str, float]:
     Raises:
         UsageError: a value outside its bounds.
     """
-    values = {name: one.default for name, one in PARAMETERS.items()} | dict(given)
+    usual = {name: one.default for name, one in PARAMETERS.items() if one.default is not None}
+    values = usual | dict(given)
     for name, value in values.items():
         one = PARAMETERS[name]
         if not one.low <= value <= one.high:

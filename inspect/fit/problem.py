@@ -1,6 +1,6 @@
 """Fit problem: a scene that the models predict, and the readings of it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.fit.parameters import OPTIONAL, PARAMETERS
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
@@ -27,6 +28,13 @@ DARK = 1e-300  # keeps logarithms finite where the printed model is black
 COARSE_NODES = 3  # per panel, for a search
 _ALPHA_GRID = 0.01
 _INDEX_STEP = 0.05
+MATTE: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("a purely matte surface (Lambert)", ()),
+    ("a rough matte surface (Oren-Nayar)", ("matte_deg",)),
+)
+"""Surfaces without a lobe, and the parameters that they have besides their albedo."""
+NO_INTERFACE = 1.0 + 1e-6  # index of a matte surface
+_WIDEST_CREST = 0.3  # of the pitch
 
 
 @dataclass(frozen=True)
@@ -94,15 +102,25 @@ class Scene:
         """
         seat = seating_rotation(values["seating_x_deg"], values["seating_y_deg"])
         light, camera = self.to_light @ seat, self.to_camera @ seat
+        matte, second = values.get("matte_deg"), self.material.second_lobe
+        if "second_weight" in values and "second_width" in values:
+            second = values["second_weight"], values["second_width"]
         material = Plastic(
             values["alpha_along"],
             values["alpha_across"],
             values["albedo"],
-            values["index"],
+            values["index"] if matte is None else NO_INTERFACE,
             self.material.internal_reflection,
             values.get("tail", 0.0),
-            self.material.second_lobe,
+            second,
             interface_alpha=interface,
+        )
+        shape = replace(
+            self.design,
+            wall=values.get("draft_deg", self.design.wall),
+            edge_radius_um=min(values["edge_radius_um"], _WIDEST_CREST * self.design.pitch_um)
+            if "edge_radius_um" in values
+            else self.design.edge_radius_um,
         )
         above = (light[:, 2] > HORIZON) & (camera[:, 2] > HORIZON)
         angles = self.ridge_angles_deg
@@ -111,8 +129,8 @@ class Scene:
         found = np.zeros(len(light))
         for angle in np.unique(angles):
             here = above & (angles == angle)
-            design = replace(self.design, ridge_angle_deg=float(angle), height_loss=values["height_loss"])
-            found[here] = self._one_part(light[here], camera[here], design, material)
+            design = replace(shape, ridge_angle_deg=float(angle), height_loss=values["height_loss"])
+            found[here] = self._one_part(light[here], camera[here], design, material, matte)
             if self.follows:
                 indirect = self._indirect(light[here], camera[here], design, material)
                 found[here] += indirect if self.higher is None else indirect * self.higher[here]
@@ -124,11 +142,16 @@ class Scene:
         return self.model == "corrected" and self.bounces != 1
 
     def _one_part(
-        self, light: FloatArray, camera: FloatArray, design: RidgeDesign, material: Material
+        self,
+        light: FloatArray,
+        camera: FloatArray,
+        design: RidgeDesign,
+        material: Material,
+        matte_deg: float | None,
     ) -> FloatArray:
         if self.model == "printed":
             return printed.radiance(light, camera, design, material)
-        return corrected.radiance(light, camera, design, material)
+        return corrected.radiance(light, camera, design, material, matte_deg=matte_deg)
 
     def _indirect(
         self, light: FloatArray, camera: FloatArray, design: RidgeDesign, material: Material
@@ -251,6 +274,14 @@ class Problem:
             raise UsageError(
                 "the printed model has Beckmann's lobe: leave the tail out, or take --model corrected"
             )
+        if self.scene.model == "printed" and OPTIONAL.keys() & {*self.free}:
+            raise UsageError(
+                f"the printed model knows no {', '.join(n for n in OPTIONAL if n in self.free)}: leave it out of --free"
+            )
+        if ("second_weight" in self.free) != ("second_width" in self.free):
+            raise UsageError(
+                "a second lobe has a weight and a width: free second_weight and second_width together"
+            )
         if "k" in self.free and not self.readings.scaled:
             raise UsageError("k cancels in ratio contrasts: leave it out of --free")
         if self.scene.ridge_angles_deg is not None and "ridge_angle_deg" in self.free:
@@ -262,6 +293,20 @@ class Problem:
                 + ("" if self.readings.noise_known else " and their own scatter")
                 + ": measure more poses, or leave parameters out of --free"
             )
+
+    def freed(self, names: Sequence[str], values: Mapping[str, float] | None = None) -> "Problem":
+        """The same with these parameters free, and others where they are stated.
+
+        What the model did not have starts at the design, or at a usual value.
+        """
+        design = self.scene.design
+        own = {
+            "edge_radius_um": design.edge_radius_um or OPTIONAL["edge_radius_um"],
+            "draft_deg": OPTIONAL["draft_deg"] if isinstance(design.wall, str) else design.wall,
+        }
+        started = {name: start for name, start in (OPTIONAL | own).items() if name in names}
+        free = tuple(name for name in PARAMETERS if name in names)
+        return replace(self, values=started | dict(self.values) | dict(values or {}), free=free)
 
     def predicted(self, values: Mapping[str, float], interface: float) -> FloatArray:
         """(N,) values of the model for all parameters."""

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.base.json_fields import as_json
+from anisoscope.base.rejection import rejection_words
 from anisoscope.fit.fitting import Estimate, Fit
 from anisoscope.fit.identifiability import MODEL_SHARE
 from anisoscope.fit.parameters import PARAMETERS
-
-SUSPICIOUS = 0.01  # p-value below which the model does not describe the data
 
 
 def number(value: float) -> str:
@@ -19,17 +19,19 @@ def number(value: float) -> str:
 
 def value_texts(estimate: Estimate) -> tuple[str, str, str]:
     """Value, standard uncertainty and 95 % interval, rounded to two digits of the uncertainty."""
-    if estimate.value is None or estimate.u is None or estimate.low95 is None or estimate.high95 is None:
+    if estimate.value is None or estimate.u is None:
         return "not determined", "–", "–"
+    low, high = estimate.low95, estimate.high95
     if not estimate.u > 0.0:
-        return number(estimate.value), "0", f"{number(estimate.low95)} … {number(estimate.high95)}"
+        ends = "–" if low is None or high is None else f"{number(low)} … {number(high)}"
+        return number(estimate.value), "0", ends
     places = 1 - int(np.floor(np.log10(estimate.u)))
 
     def rounded(value: float) -> str:
         text = f"{value:.{places}f}" if places >= 0 else f"{round(value, places):.0f}"
         return text if float(text) else text.lstrip("-")
 
-    ends = f"{rounded(estimate.low95)} … {rounded(estimate.high95)}"
+    ends = "–" if low is None or high is None else f"{rounded(low)} … {rounded(high)}"
     return rounded(estimate.value), rounded(estimate.u), ends
 
 
@@ -57,10 +59,10 @@ def quality(fit: Fit) -> str:
 def notes(fit: Fit) -> list[str]:
     """Notes needed to read the numbers, one sentence each."""
     found = [f"Noise: {fit.problem.readings.assumption}."]
-    if fit.p_value is not None and fit.p_value < SUSPICIOUS:
+    found += rejection_words(fit.misfit, fit.tests or (fit.misfit,)) if fit.estimates else []
+    if not fit.estimates and not fit.fits:
         found.append(
-            f"p = {fit.p_value:.2g}: this model does not describe the data within their uncertainties"
-            + (", so that the uncertainties of the parameters are too small." if fit.estimates else ".")
+            f"p = {fit.p_value:.2g}: this model does not describe the data within their uncertainties."
         )
     found += [f"Not determined: {one.words}." for one in fit.lacking]
     if any(one.value is None for one in fit.estimates):
@@ -130,6 +132,10 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         "chi2": fit.chi2 if readings.noise_known else None,
         "dof": fit.dof,
         "p_value": fit.p_value,
+        "tests": as_json(fit.tests or (fit.misfit,)),
+        "fitted_model": fit.misfit.model,
+        "rejected": fit.misfit.rejected,
+        "birge_ratio": fit.misfit.birge_ratio,
         "rms_residual": fit.rms,
         "model_error_share": MODEL_SHARE,
         "not_determined": [{"parts": dict(one.parts), "spread_in_limits": one.spread} for one in fit.lacking],

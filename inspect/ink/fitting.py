@@ -16,6 +16,7 @@ direction (Eq. 7) with α fixed. Light at 70° is left out.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -24,8 +25,10 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
+from anisoscope.base.rejection import Misfit, best_model, misfit, rejection_words
 from anisoscope.ink.goniometer import Readings
 from anisoscope.sim.light.ink.angles import shift
+from anisoscope.sim.light.ink.distributions import Distribution
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import albedo_warning
 
@@ -186,6 +189,9 @@ class Solution:
         c: (W,).
         u_c: (W,).
         residual: (G, W) ln measured − ln fitted, NaN without a reading.
+        distribution: of the flakes' normals.
+        chi2: weighted sum of squares; 0 where it was not asked for.
+        parameters: number of fitted ones.
     """
 
     alpha: float
@@ -195,11 +201,19 @@ class Solution:
     c: FloatArray
     u_c: FloatArray
     residual: FloatArray
+    distribution: Distribution = "ggx"
+    chi2: float = 0.0
+    parameters: int = 0
 
 
-def log_lobe(alpha: float, half_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(G,) ln(D/4) of Eq. 3 at half angles, and its derivative by ln α."""
+def log_lobe(
+    alpha: float, half_deg: FloatArray, distribution: Distribution = "ggx"
+) -> tuple[FloatArray, FloatArray]:
+    """(G,) ln(D/4) at half angles, of Eq. 3 or Beckmann's, and its derivative by ln α."""
     sine, cosine = np.sin(np.radians(half_deg)) ** 2, np.cos(np.radians(half_deg)) ** 2
+    if distribution == "beckmann":
+        slope = sine / cosine / alpha**2
+        return -slope - np.log(4.0 * np.pi * alpha**2 * cosine**2), 2.0 * slope - 2.0
     square = alpha**2
     total = square * cosine + sine
     value = np.log(square / (4.0 * np.pi)) - 2.0 * np.log(total)
@@ -228,27 +242,34 @@ class _Projection:
         return mean - slope * self.middle, slope, y - mean - slope * self.x
 
 
-def solve_jointly(grid: Grid, noise: float) -> Solution:
+def solve_jointly(
+    grid: Grid, noise: float, distribution: Distribution = "ggx", alpha: float | None = None
+) -> Solution:
     """Fit all readings of a grid.
 
     Args:
         grid: the readings.
         noise: relative standard deviation of a reading, in addition to the floor of the grid. It sets the weights only;
             the uncertainties come from the scatter about the fit.
+        distribution: of the flakes' normals.
+        alpha: roughness where it is not fitted; 1 is a matte print, whose ln f is linear.
 
     Raises:
         UsageError: readings that do not separate ρ from c, or do not determine the width of the lobe.
     """
     given = np.isfinite(grid.value)
     measured = np.where(given, grid.value, 1.0)
-    level, alpha = measured, np.nan
+    level, held, found = measured, alpha is not None, np.nan if alpha is None else alpha
     projection, base = _projection(grid, given, noise, level)
     for _ in range(_REWEIGHTED):
-        alpha = _search(grid, projection, base, alpha)
-        log_rho, c, _ = projection(base - log_lobe(alpha, grid.half_deg)[0][:, None])
-        level = np.exp(log_lobe(alpha, grid.half_deg)[0][:, None] + log_rho + c * grid.x[:, None])
+        found = found if held else _search(grid, projection, base, found, distribution)
+        lobe = log_lobe(found, grid.half_deg, distribution)[0][:, None]
+        log_rho, c, _ = projection(base - lobe)
+        level = np.exp(lobe + log_rho + c * grid.x[:, None])
         projection, base = _projection(grid, given, noise, level)
-    return _finish(grid, given, projection, base, _search(grid, projection, base, alpha))
+    if not held:
+        found = _search(grid, projection, base, found, distribution)
+    return _finish(grid, given, projection, base, found, distribution, held=held)
 
 
 def _projection(
@@ -266,9 +287,11 @@ def _projection(
     return projection, np.log(np.where(given, grid.value, 1.0))
 
 
-def _cost(grid: Grid, projection: _Projection, base: FloatArray, alpha: float) -> tuple[float, float, float]:
+def _cost(
+    grid: Grid, projection: _Projection, base: FloatArray, alpha: float, distribution: Distribution
+) -> tuple[float, float, float]:
     """Weighted sum of squares at an α, its Gauss-Newton step in ln α, and the curvature."""
-    lobe, slope = log_lobe(alpha, grid.half_deg)
+    lobe, slope = log_lobe(alpha, grid.half_deg, distribution)
     rest = projection(base - lobe[:, None])[2]
     along = projection(np.broadcast_to(slope[:, None], base.shape))[2]
     weighted = projection.weight * along
@@ -276,11 +299,13 @@ def _cost(grid: Grid, projection: _Projection, base: FloatArray, alpha: float) -
     return float(np.vdot(projection.weight * rest, rest)), pull / max(curvature, 1e-30), curvature
 
 
-def _search(grid: Grid, projection: _Projection, base: FloatArray, start: float) -> float:
+def _search(
+    grid: Grid, projection: _Projection, base: FloatArray, start: float, distribution: Distribution
+) -> float:
     alpha = start
     if not np.isfinite(start):
-        alpha = min(_STARTS, key=lambda one: _cost(grid, projection, base, float(one))[0])
-    cost, step, curvature = _cost(grid, projection, base, alpha)
+        alpha = min(_STARTS, key=lambda one: _cost(grid, projection, base, float(one), distribution)[0])
+    cost, step, curvature = _cost(grid, projection, base, alpha, distribution)
     if curvature <= 1e-6 * float(projection.weight.sum()):
         raise UsageError(
             "the readings do not say how wide the lobe is: measure away from the mirror direction as well as in it"
@@ -288,7 +313,7 @@ def _search(grid: Grid, projection: _Projection, base: FloatArray, start: float)
     for _ in range(_STEPS):
         step = float(np.clip(step, -0.5, 0.5))
         trial = float(np.clip(alpha * np.exp(step), *ALPHA_RANGE))
-        found = _cost(grid, projection, base, trial)
+        found = _cost(grid, projection, base, trial, distribution)
         if found[0] <= cost:
             alpha, (cost, step, _) = trial, found
         else:
@@ -299,21 +324,27 @@ def _search(grid: Grid, projection: _Projection, base: FloatArray, start: float)
 
 
 def _finish(
-    grid: Grid, given: npt.NDArray[np.bool_], projection: _Projection, base: FloatArray, alpha: float
+    grid: Grid,
+    given: npt.NDArray[np.bool_],
+    projection: _Projection,
+    base: FloatArray,
+    alpha: float,
+    distribution: Distribution,
+    *,
+    held: bool,
 ) -> Solution:
-    lobe, slope = log_lobe(alpha, grid.half_deg)
+    lobe, slope = log_lobe(alpha, grid.half_deg, distribution)
     log_rho, c, rest = projection(base - lobe[:, None])
     at_zero, turn, along = projection(np.broadcast_to(slope[:, None], base.shape))
-    cost, _, curvature = _cost(grid, projection, base, alpha)
-    freedom = int(given.sum()) - 2 * len(grid.nm) - 1
+    cost, _, curvature = _cost(grid, projection, base, alpha, distribution)
+    parameters = 2 * len(grid.nm) + (not held)
+    freedom = int(given.sum()) - parameters
     if freedom < 1:
-        raise UsageError(
-            f"{int(given.sum())} readings for {2 * len(grid.nm) + 1} parameters: measure at more angles"
-        )
+        raise UsageError(f"{int(given.sum())} readings for {parameters} parameters: measure at more angles")
     scatter = cost / freedom
     score = np.sum(projection.weight * along * rest, axis=1)
     shared = float(score @ score) * len(score) / (len(score) - 1) / curvature**2
-    from_alpha = max(scatter / curvature, shared)
+    from_alpha = 0.0 if held else max(scatter / curvature, shared)
     u_slope = scatter / projection.spread
     u_start = scatter / projection.total + projection.middle**2 * u_slope
     return Solution(
@@ -324,6 +355,9 @@ def _finish(
         c,
         np.sqrt(u_slope + turn**2 * from_alpha),
         np.where(given, rest, np.nan),
+        distribution,
+        cost,
+        parameters,
     )
 
 
@@ -435,6 +469,9 @@ class InkFit:
         grid: the readings as they were fitted.
         scale: conversion of the readings to a BRDF.
         warnings: reasons to doubt the result.
+        distribution: of the flakes' normals.
+        tests: of the model and, where it was rejected, of its rivals; none of the published two steps.
+        misfit: that of these parameters.
     """
 
     method: Method
@@ -449,6 +486,15 @@ class InkFit:
     grid: Grid = field(metadata=json_field(by=_of_grid, merged=True))
     scale: str
     warnings: tuple[str, ...]
+    distribution: Distribution = "ggx"
+    tests: tuple[Misfit, ...] = ()
+    misfit: Misfit | None = field(default=None, metadata=LEFT_OUT)
+
+    @property
+    @in_json()
+    def fits(self) -> bool:
+        """Whether the readings do not reject this ink; without a stated noise nothing does."""
+        return self.misfit is None or not self.misfit.rejected
 
     @property
     @in_json("alpha")
@@ -487,30 +533,59 @@ class InkFit:
             ModelError: fitted values outside the range of inks.
         """
         rho, c, nm = (tuple(values.tolist()) for values in (self.rho, self.c, self.nm))
-        return Ink(name, self.alpha, nm, rho, c, "brdf", source)
+        return Ink(name, self.alpha, nm, rho, c, "brdf", source, distribution=self.distribution)
 
 
 def fit(
-    readings: Readings, method: Method = "joint", *, noise: float = NOISE, floor: float | None = None
+    readings: Readings, method: Method = "joint", *, noise: float | None = None, floor: float | None = None
 ) -> InkFit:
     """Fit α, ρ(λ) and c(λ) to readings.
+
+    Where the noise is stated and the joint fit rejected, Beckmann's lobe and a matte print (α = 1, Eq. 3 then being
+    constant) are tried in its place (`base.rejection`). All uncertainties are from the scatter about the fit, so that
+    the Birge ratio is in them.
 
     Args:
         readings: as a BRDF.
         method: "joint": all at once (`anisoscope.ink.fitting`); "paper": two steps, as published.
-        noise: relative standard deviation of a reading, for the weights of the joint fit.
+        noise: relative standard deviation of a reading. None: unknown, `NOISE` for the weights of the joint fit.
         floor: noise floor in 1/sr; readings up to three times as large are dropped, those above it weigh less.
             None: 1e-5 of the largest reading.
 
     Raises:
         UsageError: readings that do not determine the parameters; the message says what to measure.
     """
-    if not 0.0 < noise < 1.0:
-        raise UsageError(f"the noise of a reading is a share in 0 to 1, not {noise:g}")
+    share = NOISE if noise is None else noise
+    if not 0.0 < share < 1.0:
+        raise UsageError(f"the noise of a reading is a share in 0 to 1, not {share:g}")
     grid = grid_of(readings, floor, SKIPPED_FROM_DEG if method == "paper" else None)
-    solution = solve_jointly(grid, noise) if method == "joint" else solve_as_published(grid)
+    if method == "paper":
+        return _warned(_ink_fit(solve_as_published(grid), method, grid, readings.scale), share)
+    count = int(np.isfinite(grid.value).sum())
+
+    def test(found: Solution) -> Misfit:
+        words = "a matte print" if found.alpha == 1.0 else _LOBES[found.distribution]
+        return misfit(words, found.chi2, count, found.parameters, known=noise is not None)
+
+    def rival(distribution: Distribution, alpha: float | None = None) -> Solution:
+        return solve_jointly(grid, share, distribution, alpha)
+
+    matte = (partial(rival, "ggx", 1.0),)
+    solution, tests = best_model(
+        solve_jointly(grid, share), ((partial(rival, "beckmann"), *matte),), test, matte
+    )
+    found = _ink_fit(solution, method, grid, readings.scale)
+    chosen = test(solution)
+    words = rejection_words(next(one for one in tests if one == chosen), tests)
+    return _warned(replace(found, tests=tests, misfit=chosen, warnings=tuple(words)), share)
+
+
+_LOBES: dict[Distribution, str] = {"ggx": "the lobe of the paper (GGX)", "beckmann": "Beckmann's lobe"}
+
+
+def _ink_fit(solution: Solution, method: Method, grid: Grid, scale: str) -> InkFit:
     rho = np.exp(solution.log_rho)
-    found = InkFit(
+    return InkFit(
         method,
         solution.alpha,
         solution.u_alpha,
@@ -521,14 +596,14 @@ def fit(
         solution.u_c,
         solution.residual,
         grid,
-        readings.scale,
+        scale,
         (),
+        solution.distribution,
     )
-    return _warned(found, solution, noise)
 
 
-def _warned(found: InkFit, solution: Solution, noise: float) -> InkFit:
-    warnings = [*_coverage(found.grid, solution), *_misfit(found, noise)]
+def _warned(found: InkFit, noise: float) -> InkFit:
+    warnings = [*found.warnings, *_coverage(found), *_misfit(found, noise)]
     if found.grid.dropped:
         reasons: dict[str, int] = {}
         for one in found.grid.dropped:
@@ -541,8 +616,11 @@ def _warned(found: InkFit, solution: Solution, noise: float) -> InkFit:
     return replace(found, warnings=tuple(warnings))
 
 
-def _coverage(grid: Grid, solution: Solution) -> list[str]:
-    found = []
+def _coverage(solution: InkFit) -> list[str]:
+    found: list[str] = []
+    grid = solution.grid
+    if solution.misfit is not None and solution.misfit.model == "a matte print":
+        return found
     tangent = np.tan(np.radians(grid.half_deg))
     if tangent.max() < solution.alpha:
         found.append(

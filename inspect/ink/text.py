@@ -10,10 +10,14 @@ METHODS = {"joint": "joint fit of all readings", "paper": "two steps, as publish
 
 def summary(found: InkFit) -> str:
     """One line on a fit."""
-    u = "unknown" if not np.isfinite(found.u_alpha) else f"{found.u_alpha:.2g}"
+    u = f" ± {found.u_alpha:.2g}" if np.isfinite(found.u_alpha) else " ± unknown"
+    if not found.fits:
+        u = " (the model is rejected)"
+    elif found.distribution != "ggx":
+        u += f" ({found.distribution} distribution)"
     used = int(np.isfinite(found.grid.value).sum())
     return (
-        f"{METHODS[found.method]}: alpha {found.alpha:.5g} ± {u}, residuals {100 * found.rms:.2g} % rms over "
+        f"{METHODS[found.method]}: alpha {found.alpha:.5g}{u}, residuals {100 * found.rms:.2g} % rms over "
         f"{used} readings at {len(found.grid.theta_i_deg)} places and {len(found.nm)} wavelengths"
     )
 
@@ -21,7 +25,16 @@ def summary(found: InkFit) -> str:
 def fit_rows(found: InkFit) -> list[list[str]]:
     """Wavelength, ρ, u, c, u as texts."""
     values = zip(found.nm, found.rho, found.u_rho, found.c, found.u_c, strict=True)
-    return [[f"{nm:g}", f"{r:.5g}", f"{ur:.2g}", signed(c), f"{uc:.2g}"] for nm, r, ur, c, uc in values]
+    return [
+        [
+            f"{nm:g}",
+            f"{r:.5g}",
+            f"{ur:.2g}" if found.fits else "–",
+            signed(c),
+            f"{uc:.2g}" if found.fits else "–",
+        ]
+        for nm, r, ur, c, uc in values
+    ]
 
 
 FIT_COLUMNS = ("wavelength [nm]", "ρ [1]", "u(ρ) [1]", "c [1]", "u(c) [1]")

@@ -38,6 +38,7 @@ from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import Manifest, begin
 from anisoscope.inspection.pipeline import measure_frames
+from anisoscope.inspection.replay import WHITE_NAME, measured_by, read_given
 from anisoscope.kinds.registry import kind_of
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
@@ -63,7 +64,8 @@ from anisoscope.recipe.material_file import (
 from anisoscope.recipe.surface import DesignPart, SurfacePart, SurfaceRecipe
 from anisoscope.record.schema import Particulars
 from anisoscope.rig.acquisition.runner import Progress, check_plan, open_rig, run_plan
-from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.rig.framefolder import read_frame_folder
+from anisoscope.rig.rigfile import RigFile, read_replay_rig, read_rig
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid
 
@@ -150,14 +152,15 @@ def scan_setup(
         name: "coupon" or "part".
         tilt_deg: largest tilt of the scan.
         step_deg: of the tilt; 2.5° for a coupon, 10° for a part.
-        poses: those of readings, in place of a scan.
+        poses: those of readings or frames, in place of a scan; the rig file may then describe no devices.
 
     Raises:
         UsageError: a tilt or a step that is none, too few poses, or a part without a recipe.
         RecipeError, RigFileError, HeightMapError: a file.
     """
     recipe = None if recipe_path is None else kind_of(recipe_path).read_recipe(recipe_path)
-    rig = read_rig(rig_path, channel=None if recipe is None else recipe.acquisition.light_channel)
+    channel = None if recipe is None else recipe.acquisition.light_channel
+    rig = read_rig(rig_path, channel=channel) if poses is None else read_replay_rig(rig_path, channel)
     return setup_of(rig, recipe, name, tilt_deg=tilt_deg, step_deg=step_deg, poses=poses)
 
 
@@ -272,8 +275,50 @@ def scan_specimen(
         serial = photograph(job, manifest, folder, on_progress)
         on_progress("measurement", 0, 1)
         measured = measure_scan(setup, job, manifest, folder)
+    return _scan_of(setup, job, measured), serial
+
+
+def frame_poses(frames: Path) -> tuple[Pose, ...]:
+    """The poses of a scan that was photographed before: stage angles by tilts of the sample frames of a folder.
+
+    Raises:
+        UsageError, RecordError: no folder of frames.
+    """
+    shown = read_frame_folder(frames).of_kind("sample")
+    angles = {round(one.stage_deg % 360.0, 3) for one in shown}
+    return pose_grid(tuple(sorted(angles)), tuple(sorted({round(one.tilt_deg, 3) for one in shown})))
+
+
+def scan_of_frames(
+    setup: Setup, frames: Path, rig_path: Path, recipe_path: Path, reflectance: float = 0.99
+) -> tuple[Scan, str]:
+    """A scan from the frames of a folder (``frames.csv``), as `scan_specimen`.
+
+    Args:
+        setup: of the poses of these frames (`frame_poses`).
+        frames: the folder.
+        rig_path: rig file, for its geometry and calibrations; devices are not needed.
+        recipe_path: recipe with the region.
+        reflectance: of the tile in the flat frames, if there are any.
+
+    Raises:
+        RecordError: a pose, or dark or flat frames are missing.
+        MeasurementError: the pictures cannot be used.
+    """
+    given = read_given(frames, recipe_path, SERIAL, rig_path, reflectance, setup.recipe)
+    with tempfile.TemporaryDirectory() as temporary:
+        job = replace(given.job(Path(temporary) / WHITE_NAME), reference=None)
+        measured = measured_by(given, job, _expected(setup))
+    return _scan_of(setup, job, measured), job.white.camera
+
+
+def _scan_of(setup: Setup, job: Job, measured: Measured) -> Scan:
+    reason = job.kind.drift_error(measured, job.recipe)
+    if reason:
+        raise CalibrationError(reason)
     own = [one.relative**2 for one in measured.components if not one.shared]
-    return Scan(setup.poses, setup.convention, measured.radiance, np.sqrt(np.sum(own, axis=0))), serial
+    noise = np.sqrt(np.sum(own, axis=0)) if own else np.zeros(len(setup.poses))
+    return Scan(setup.poses, setup.convention, measured.radiance, noise)
 
 
 def photograph(job: Job, manifest: Manifest, folder: Path, on_progress: Advance = silent) -> str:
@@ -410,10 +455,11 @@ def residual_test(found: LobeFit) -> ResidualPart:
     """Test of a family of lobes by the residuals of a fit, as a material file states it."""
     return ResidualPart(
         residual_over_noise=found.residual_over_noise,
-        birge_ratio=found.birge_ratio,
-        degrees_of_freedom=round(found.degrees_of_freedom),
+        birge_ratio=found.misfit.birge_ratio,
+        degrees_of_freedom=round(found.misfit.dof),
+        p_value=found.misfit.p_value,
         rms_share=found.rms_share,
         discrepancy_share=found.discrepancy_share,
         family=found.family,
-        bic_advantage=None if found.other_bic is None else found.other_bic - found.bic,
+        bic_advantage=None if found.other_bic is None else found.other_bic - found.misfit.bic,
     )

@@ -225,16 +225,24 @@ class Given:
 
 
 def read_given(
-    given: Path | FrameFolder, recipe_path: Path, serial: str, rig_path: Path | None, reflectance: float
+    given: Path | FrameFolder,
+    recipe_path: Path,
+    serial: str,
+    rig_path: Path | None,
+    reflectance: float,
+    recipe: RecipeBase | None = None,
 ) -> Given:
-    """Read everything that the inspection of a folder of frames needs; arguments and errors as of `inspect_frames`."""
+    """Read everything that the inspection of a folder of frames needs; arguments and errors as of `inspect_frames`.
+
+    A recipe that was changed after reading stands in place of that of the file.
+    """
     check_serial(serial)
     frames = given.folder if isinstance(given, FrameFolder) else given
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
     rig_path = rig_path or _rig_in(frames)
     kind = kind_of(recipe_path)
-    recipe = kind.read_recipe(recipe_path)
+    recipe = recipe or kind.read_recipe(recipe_path)
     rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
     rig = rig if rig.light.channel else rig.in_channel(None)
     fixture = fixture_of(rig, rig_path)
@@ -325,20 +333,12 @@ def check_with_frames(
         recipe_path, given.rig_path, given.rig.light.angle_deg, tries, advance
     )
     advance("frames", 0, 1)
-    acquired = AcquiredFrames(
-        tuple(
-            Shot(entry.path.name, "", entry.load(), pose, entry.again, run=0, check=False)
-            for entry, pose in given.replay.entries
-        ),
-        camera_of(given.replay) or UNKNOWN,
-        REPLAYED,
-    )
     shows, complaints = [*given.replay.notes], [*found.complaints]
     with tempfile.TemporaryDirectory(prefix="anisoscope-check-") as name:
         job = given.job(Path(name) / WHITE_NAME)
         try:
             expected = job.kind.predict(job.recipe, job.rig, cached=True)
-            _, measured, _ = measure_frames(datetime.now(UTC), job, expected, acquired)
+            measured = measured_by(given, job, expected)
             wrong: str | None = job.kind.drift_error(measured, job.recipe)
         except (MeasurementError, CameraError) as error:
             wrong = str(error)
@@ -376,6 +376,20 @@ def _white_of_rig(rig: RigFile, rig_path: Path, replay: Replay, read: FrameFolde
         )
     check_size(white, (replay.rows, replay.cols))
     return white
+
+
+def measured_by(given: Given, job: Job, expected: Any) -> Any:  # noqa: ANN401 - as the kind of part has them
+    """What the frames of a folder say, measured as an inspection measures them; nothing is copied.
+
+    Raises:
+        MeasurementError, CameraError: they cannot be used.
+    """
+    shots = tuple(
+        Shot(entry.path.name, "", entry.load(), pose, entry.again, run=0, check=False)
+        for entry, pose in given.replay.entries
+    )
+    acquired = AcquiredFrames(shots, camera_of(given.replay) or UNKNOWN, REPLAYED)
+    return measure_frames(datetime.now(UTC), job, expected, acquired)[1]
 
 
 def _copy(replay: Replay, frames: Path, folder: Path, advance: Advance, *, linear: bool) -> AcquiredFrames:

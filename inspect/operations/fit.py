@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from anisoscope.base.progress import Advance, silent
-from anisoscope.fit.fitting import Fit, fit
+from anisoscope.fit.fitting import Fit, fit_or_rival
 from anisoscope.fit.parameters import USUAL, checked_values, parse_free
 from anisoscope.fit.problem import Problem, Readings, Scene
 from anisoscope.fit.table import read_readings
@@ -103,7 +103,9 @@ def fit_ridges(
         chosen = parse_free(",".join(free))
         if [one.strip() for one in free] == ["all"]:
             chosen = tuple(name for name in chosen if _enters(name, readings, scene))
-    return fit(Problem(scene, readings, start_values(part, plastic, seating_deg, k), chosen), on_progress)
+    return fit_or_rival(
+        Problem(scene, readings, start_values(part, plastic, seating_deg, k), chosen), on_progress
+    )
 
 
 def _enters(name: str, readings: Readings, scene: Scene) -> bool:

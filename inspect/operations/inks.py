@@ -10,7 +10,7 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.base.json_fields import in_json
 from anisoscope.base.progress import Advance, silent
-from anisoscope.ink.fitting import NOISE, InkFit, Method, fit
+from anisoscope.ink.fitting import InkFit, Method, fit
 from anisoscope.ink.goniometer import Readings, Values, White, read_correction, read_goniometer, to_brdf
 from anisoscope.sim.light.ink.ink import SPECTRALON
 from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
@@ -56,7 +56,7 @@ def fit_ink(
     reflectance: float | None = None,
     white_table: Path | str | None = None,
     white_readings: Path | str | None = None,
-    u_reading: float = NOISE,
+    u_reading: float | None = None,
     floor: float | None = None,
 ) -> InkFit:
     """Roughness, reflectance and goniochromatism of an ink from goniometer readings.
@@ -68,7 +68,8 @@ def fit_ink(
         reflectance: of the white reference.
         white_table: its correction.
         white_readings: its readings.
-        u_reading: relative standard uncertainty of a reading, for the weights.
+        u_reading: relative standard uncertainty of a reading, by which the model is tested; 3 % for the weights where
+            it is not given.
         floor: noise floor in 1/sr; readings up to 3 times as large are dropped.
 
     Raises:

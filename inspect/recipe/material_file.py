@@ -36,8 +36,9 @@ from anisoscope.parameters.material import InternalReflection, Material
 from anisoscope.sim.light.geometry import directions
 
 Parameter = Literal[
-    "ln_alpha_along", "ln_alpha_across", "tail", "ln_albedo", "ln_second_weight", "ln_second_width"
+    "ln_alpha_along", "ln_alpha_across", "tail", "ln_albedo", "ln_second_weight", "ln_second_width", "ln_lobe"
 ]
+"""``ln_lobe`` is the amplitude of a lobe that its family does not describe; scans determine albedo over amplitude."""
 SLACK_DEG = 0.5
 """By how much the half angles of a recipe may exceed those of the scan: seating and the zeros of the axes."""
 SAME_WAVELENGTH_NM, SAME_BANDWIDTH_NM, SAME_HALF_ANGLE_DEG = 10.0, 20.0, 1.0
@@ -185,6 +186,7 @@ class ResidualPart(Part):
         rms_share: rms of the residuals of ln L.
         discrepancy_share: relative standard uncertainty that the family of lobes leaves in a pose, independently.
         family: "tail" or "second lobe".
+        p_value: of the residuals; below .001 the family is rejected. None in files of earlier versions.
         bic_advantage: by how much the Bayesian information criterion of the other family is larger; None if not fitted.
     """
 
@@ -194,6 +196,7 @@ class ResidualPart(Part):
     rms_share: NotNegative
     discrepancy_share: NotNegative
     family: Literal["tail", "second lobe"]
+    p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     bic_advantage: float | None = None
 
 
@@ -283,6 +286,7 @@ def parameter_values(material: Material, parameters: Sequence[Parameter]) -> Flo
         "ln_albedo": np.log(max(material.albedo, 1e-12)),
         "ln_second_weight": np.log(weight),
         "ln_second_width": np.log(width),
+        "ln_lobe": 0.0,
     }
     return np.array([found[name] for name in parameters])
 
@@ -290,11 +294,15 @@ def parameter_values(material: Material, parameters: Sequence[Parameter]) -> Flo
 def material_at(material: Material, parameters: Sequence[Parameter], values: FloatArray) -> Material:
     """The material with other values of these parameters, in the scales of the covariance.
 
+    A lobe of another amplitude is that of the model over an albedo that is smaller by as much, but for the scale k.
+
     Raises:
         ModelError: a value outside the range of the model.
     """
     found: dict[str, float] = dict(zip(parameters, map(float, values), strict=True))
     changes: dict[str, Any] = {"tail": found["tail"]} if "tail" in found else {}
+    if "ln_lobe" in found:
+        found["ln_albedo"] = found.get("ln_albedo", float(np.log(material.albedo))) - found["ln_lobe"]
     changes |= {name[3:]: float(np.exp(found[name])) for name in _LOGS if name in found}
     if material.second_lobe is not None:
         weight, width = (float(np.log(value)) for value in material.second_lobe)

@@ -11,7 +11,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light.bounces import interreflection
-from anisoscope.sim.light.material import facet_brdf
+from anisoscope.sim.light.material import facet_brdf, oren_nayar
 from anisoscope.sim.light.ridge_profile import (
     Outline,
     outline_of,
@@ -30,6 +30,7 @@ def radiance(
     design: RidgeDesign,
     material: Material,
     bounces: int | None = 1,
+    matte_deg: float | None = None,
 ) -> FloatArray:
     """Radiance [1/sr] of the ridged surface per unit irradiance perpendicular to the beam.
 
@@ -43,6 +44,8 @@ def radiance(
         material: the plastic.
         bounces: largest number of reflections that is counted: 1 is direct light, None counts all
             (`indirect_radiance`).
+        matte_deg: roughness of facets that are matte (`oren_nayar`), of which only the albedo is the plastic's; None:
+            they are the plastic. What reflects more than once takes the plastic as it is.
 
     Returns:
         (P,) radiances.
@@ -51,7 +54,8 @@ def radiance(
         ModelError: fewer than one reflection.
     """
     indirect = indirect_radiance(to_light, to_camera, design, material, bounces)
-    return _direct_radiance(to_light, to_camera, outline_for(design, material), material) + indirect
+    outline = outline_for(design, material)
+    return _direct_radiance(to_light, to_camera, outline, material, matte_deg) + indirect
 
 
 def outline_for(design: RidgeDesign, material: Material) -> Outline:
@@ -104,7 +108,11 @@ def radiance_of_profile(
 
 
 def _direct_radiance(
-    to_light: FloatArray, to_camera: FloatArray, outline: Outline, material: Material
+    to_light: FloatArray,
+    to_camera: FloatArray,
+    outline: Outline,
+    material: Material,
+    matte_deg: float | None = None,
 ) -> FloatArray:
     """(P,) radiance [1/sr] of light that reflects once."""
     x, z = outline.x_um, outline.z_um
@@ -116,7 +124,10 @@ def _direct_radiance(
 
     light, camera = local(to_light), local(to_camera)  # (N, P, 3): along, across, normal
     e_along, e_across, e_normal = np.eye(3)
-    brdf = facet_brdf(light, camera, e_along, e_across, e_normal, material)
+    if matte_deg is None:
+        brdf = facet_brdf(light, camera, e_along, e_across, e_normal, material)
+    else:
+        brdf = oren_nayar(light, camera, e_normal, material.albedo, matte_deg)
     cosines = np.maximum(light[..., 2], 0.0) * np.maximum(camera[..., 2], 0.0)
     weight = brdf * cosines * outline.length_um[:, None]
     light_tangent, camera_tangent = to_light[:, 0] / to_light[:, 2], to_camera[:, 0] / to_camera[:, 2]

@@ -274,6 +274,31 @@ def facet_brdf(
     return np.where(front, lobe + base, 0.0)
 
 
+def oren_nayar(
+    to_light: FloatArray, to_camera: FloatArray, normal: FloatArray, albedo: float, roughness_deg: float
+) -> FloatArray:
+    """BRDF [1/sr] of a matte facet of V-shaped cavities (Oren and Nayar 1994, Eq. 30); Lambert's for no roughness.
+
+    Args:
+        to_light: (…, 3) unit vectors.
+        to_camera: (…, 3) unit vectors.
+        normal: facet normal.
+        albedo: diffuse albedo.
+        roughness_deg: standard deviation σ of the slopes' angles in degrees.
+
+    Returns:
+        (…) values; zero where light or camera is behind the facet.
+    """
+    cos_i, cos_o = to_light @ normal, to_camera @ normal
+    front = (cos_i > 0) & (cos_o > 0)
+    square = np.radians(roughness_deg) ** 2
+    # sin α tan β cos(φi − φo) with α the larger and β the smaller angle is (ω_i·ω_o − cos_i cos_o)/max(cos_i, cos_o)
+    beside = np.sum(to_light * to_camera, axis=-1) - cos_i * cos_o
+    slanting = np.maximum(beside, 0.0) / np.where(front, np.maximum(cos_i, cos_o), 1.0)
+    value = 1.0 - 0.5 * square / (square + 0.33) + 0.45 * square / (square + 0.09) * slanting
+    return np.where(front, albedo / np.pi * value, 0.0)
+
+
 class Rays(NamedTuple):
     """Directions in the frame of a side, and what a BRDF needs of each alone: transmittance and Smith's Λ."""
 

@@ -50,7 +50,7 @@ def show(
         console().print(f"{html}: {quality(fitted)}", markup=False, highlight=False, soft_wrap=True)
     else:
         _print(fitted, title, brdf)
-    return 0
+    return 0 if fitted.fits or not fitted.estimates else 3
 
 
 def _rows(fitted: "Fit", brdf: "tuple[BrdfTable, Reciprocity] | None") -> list[dict[str, float | None]]:
@@ -163,7 +163,8 @@ FreeOption = Annotated[
     str,
     Parameter(
         help="Free parameters, comma-separated: ridge_angle, alpha_along, alpha_across, height_loss, seating_x, "
-        "seating_y, k, albedo, index, tail; all: everything but albedo, index and tail."
+        "seating_y, k, albedo, index, tail, second_weight, second_width, edge_radius, draft, matte; all: the first "
+        "seven."
     ),
 ]
 MODEL = Group(
@@ -407,7 +408,7 @@ def _at_most_one(json_: bool, html: Path | None) -> None:
 
 
 def _fit(problem: "Problem", quiet: bool) -> "Fit":
-    from anisoscope.fit.fitting import fit
+    from anisoscope.fit.fitting import fit_or_rival
 
     with progress("fitting", quiet=quiet) as advance:
-        return fit(problem, advance)
+        return fit_or_rival(problem, advance)

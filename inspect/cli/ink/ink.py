@@ -52,8 +52,12 @@ def fit(
         Parameter(help="CSV as DATA: readings of the reference, where values are not divided yet."),
     ] = None,
     u_reading: Annotated[
-        float, Parameter(help="Relative standard uncertainty of a reading, for the weights.")
-    ] = 0.03,
+        float | None,
+        Parameter(
+            help="Relative standard uncertainty of a reading, by which the model is tested; for the weights 0.03 where "
+            "it is not given."
+        ),
+    ] = None,
     floor: Annotated[
         float | None, Parameter(help="Noise floor in 1/sr; readings up to 3 times as large are dropped.")
     ] = None,
@@ -104,7 +108,7 @@ def fit(
         for path in (out, html):
             if path is not None:
                 print_lines(f"{path}: written")
-    return 0
+    return 0 if found.fits else 3
 
 
 @app.command(name="import")

@@ -411,6 +411,13 @@ def material(
     readings: Annotated[
         Path | None, Parameter(help="Instead of a scan: CSV stage_deg,tilt_deg,value[,u].")
     ] = None,
+    frames: Annotated[
+        Path | None,
+        Parameter(help="Judge the frames of this folder (frames.csv) instead of taking any."),
+    ] = None,
+    reflectance: Annotated[
+        float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
+    ] = 0.99,
     max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
     step: Annotated[
         float | None, Parameter(help="Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.")
@@ -437,7 +444,9 @@ def material(
     from anisoscope.fit.lobe import Scan
     from anisoscope.inspection.material_calibration import (
         calibrate_material,
+        frame_poses,
         plan_scan,
+        scan_of_frames,
         scan_setup,
         scan_specimen,
     )
@@ -452,10 +461,13 @@ def material(
         raise UsageError(
             "--recipe FILE says how the specimen is photographed; --readings FILE.csv needs none"
         )
+    if readings is not None and frames is not None:
+        raise UsageError("--readings and --frames exclude each other: both stand in place of a scan")
     read = None if readings is None else read_scan(readings)
+    poses = None if frames is None else frame_poses(frames)
     specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
     setup = scan_setup(
-        rig, recipe, specimen, tilt_deg=max_tilt, step_deg=step, poses=None if read is None else read[0]
+        rig, recipe, specimen, tilt_deg=max_tilt, step_deg=step, poses=poses if read is None else read[0]
     )
     if dry_run or not json_:
         plan = plan_scan(setup)
@@ -472,7 +484,11 @@ def material(
             scan = Scan(setup.poses, setup.convention, read[1], read[2])
         else:
             assert recipe is not None
-            scan, camera = scan_specimen(setup, rig, recipe, advance)
+            scan, camera = (
+                scan_specimen(setup, rig, recipe, advance)
+                if frames is None
+                else scan_of_frames(setup, frames, rig, recipe, reflectance)
+            )
         file, found = calibrate_material(
             setup,
             scan,

@@ -3,7 +3,8 @@
 A border is where a step from the brightness of one field to that of its neighbour has the area that the picture shows
 between their middles; the ridges average out over the width of a field. What all borders have in common is the place
 of the plate: shift, turn and scale along both axes. What is left is the place of single fields. A large shift, by which
-the middles of neighbours would mix, is found first: where the means of fields differ most from each other.
+the middles of neighbours would mix, is found first: where fields of one class are most alike, weighed by how unlikely a
+shift from the place that the markers give is. What lies around the plate does not count.
 """
 
 from dataclasses import dataclass, replace
@@ -23,6 +24,8 @@ MIDDLE = 0.7
 LEAST_BORDERS = 6
 COARSE = 20
 """Steps along a field in which a large shift is searched."""
+LIKELY_SHIFT = 0.25
+"""Standard deviation of the shift of a plate in its seat, in fields."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +98,15 @@ class FieldPlaces:
         return float(np.hypot(*moved).max())
 
 
-def field_places(picture: Image, points: int) -> FieldPlaces | None:
+def field_places(picture: Image, points: int, classes: npt.NDArray[np.integer]) -> FieldPlaces | None:
     """Measure the places of the fields; None where too few borders show.
 
     Args:
         picture: (rows · points, cols · points) first row at the top.
         points: of a field along its side.
+        classes: (rows, cols) class of every field, first row at the top.
     """
-    x, y = _coarse_shift(picture, points)
+    x, y = _coarse_shift(picture, points, classes)
     rows, cols = picture.shape
     wide = np.pad(picture, points, mode="edge")
     near = wide[points + y : points + y + rows, points + x : points + x + cols]
@@ -114,18 +118,28 @@ def field_places(picture: Image, points: int) -> FieldPlaces | None:
     return FieldPlaces(across, down, (rows // points, cols // points))
 
 
-def _coarse_shift(picture: Image, points: int) -> tuple[int, int]:
-    """(x, y) in points, y down, up to half a field, by which fields lie off where their means differ most."""
+def _coarse_shift(picture: Image, points: int, classes: npt.NDArray[np.integer]) -> tuple[int, int]:
+    """(x, y) in points, y down, up to half a field, at which fields of a class differ least, in likelihood.
+
+    The fields along the edge are left out: a shift would bring what lies around the plate into them.
+    """
     known = np.nan_to_num(picture, nan=float(np.nanmedian(picture)))
     means = cv2.blur(np.pad(known, points, mode="edge"), (points, points))
-    rows, cols = (n // points for n in picture.shape)
+    rows, cols = classes.shape
+    inner = slice(1, -1) if min(rows, cols) > LEAST_BORDERS else slice(None)
+    kinds = classes[inner, inner].ravel()
     middle, half, step = points + points // 2, points // 2, max(1, points // COARSE)
-    spread = {
-        (x, y): float(means[middle + y :: points, middle + x :: points][:rows, :cols].var(dtype=np.float64))
-        for y in range(-half, half + 1, step)
-        for x in range(-half, half + 1, step)
-    }
-    return max(spread, key=lambda place: spread[place])
+
+    def unlikely(x: int, y: int) -> float:
+        shown = means[middle + y :: points, middle + x :: points][:rows, :cols][inner, inner].ravel()
+        rest = sum(
+            float(np.var(shown[kinds == kind], dtype=np.float64) * np.sum(kinds == kind))
+            for kind in set(kinds.tolist())
+        )
+        return kinds.size * float(np.log(max(rest, 1e-300))) + (x * x + y * y) / (LIKELY_SHIFT * points) ** 2
+
+    shifts = range(-half, half + 1, step)
+    return min(((x, y) for y in shifts for x in shifts), key=lambda place: unlikely(*place))
 
 
 def _borders(picture: Image, points: int) -> Borders:

@@ -116,7 +116,7 @@ def measure_plate(
     interior = recipe.fields.interior
     # turned, it may show borders in too few poses to be placed
     check_lying(np.array([field_means(one, points, interior) for one in aligned]), expected)
-    places = tuple(field_places(one, points) for one in aligned)
+    places = tuple(field_places(one, points, expected.plan.classes()) for one in aligned)
     x, y = check_places(places, expected.plan.module_mm)
     if np.hypot(x, y) > LEAST_FOLLOWED * expected.plan.module_mm:
         grid = moved_grid(grid, x, y)

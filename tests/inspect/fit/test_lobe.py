@@ -1,5 +1,7 @@
 """The lobe of a plastic from a scan: what a scan would say, what it finds, what it refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
+from anisoscope.sim.light.material import diffuse_scale, fresnel, transmittance
 
 CONVENTION = Convention()
 DESIGN = RidgeDesign(100.0, 10.0)
@@ -115,11 +118,11 @@ def test_a_lobe_of_two_scales_is_warned_of_and_fitted_by_the_other_family(second
     assert tailed.residual_over_noise > 2.0
     assert "does not fit" in tailed.warnings()[0]
     assert tailed.discrepancy_share == 0.015
-    assert tailed.birge_ratio == tailed.residual_over_noise
+    assert tailed.misfit.birge_ratio == tailed.residual_over_noise
     both = fit_lobe(scan, specimen, START)
     assert (both.family, both.material.tail) == ("second lobe", 0.0)
     assert both.residual_over_noise < 1.4
-    assert both.other_bic == pytest.approx(tailed.bic)
+    assert both.other_bic == pytest.approx(tailed.misfit.bic)
     u = both.information.u_log_ratios(DESIGN, NINE, CONVENTION)[1:, 0]
     assert np.all(np.abs(log_ratios(both.material) - log_ratios(truth))[1:] < 3.0 * u)
 
@@ -127,7 +130,7 @@ def test_a_lobe_of_two_scales_is_warned_of_and_fitted_by_the_other_family(second
 def test_a_tail_is_preferred_where_there_is_one():
     found = fit_lobe(scanned(Material(tail=1.0), coupon(), coupon_poses()), coupon(), START)
     assert found.family == "tail"
-    assert found.other_bic > found.bic + 10.0
+    assert found.other_bic > found.misfit.bic + 10.0
 
 
 def test_a_lobe_of_neither_family_is_warned_of():
@@ -141,6 +144,41 @@ def test_a_lobe_of_neither_family_is_warned_of():
     found = fit_lobe(scanned(None, coupon(), steps, light=light), coupon(), START)
     assert found.residual_over_noise > 2.0
     assert found.warnings()
+
+
+def test_a_lobe_outside_the_families_leaves_albedo_and_scale_together():
+    """Slopes of exp(−3r): the fits take too little of them for the lobe, and make it up by albedo and scale."""
+    plastic = Material(0.08, 0.12, 0.15)
+
+    def light(to_light, to_camera):
+        half = to_light + to_camera
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        slope = np.hypot(half[:, 1] / 0.08, half[:, 0] / 0.12) / half[:, 2]
+        lobe = 9.0 / (2.0 * np.pi) * np.exp(-3.0 * slope) / (0.08 * 0.12 * half[:, 2] ** 4)
+        mirror = fresnel(np.sum(to_light * half, axis=1), 1.5)
+        base = diffuse_scale(plastic)
+        for way in (to_light, to_camera):
+            base = base * transmittance(way[:, 2], plastic)
+        return mirror * lobe / (4.0 * to_camera[:, 2]) + base * to_light[:, 2]
+
+    found = fit_lobe(scanned(None, coupon(), coupon_poses(), light=light), coupon(), START, ("tail",))
+    assert not found.fits
+    own = found.information
+    albedo, scale = own.names.index("ln_albedo"), own.names.index("ln_k")
+    assert 0.05 < np.log(found.material.albedo / 0.15) < 2.0 * own.u["ln_albedo"]
+    together = own.values[albedo] + own.values[scale] - np.log(0.15 * 1.3)
+    spread = own.covariance[np.ix_([albedo, scale], [albedo, scale])].sum()
+    assert abs(together) < 0.04
+    assert spread < 0.05**2
+    assert any("known only together: albedo" in one for one in own.not_identified())
+    ratios = own.u_log_ratios(DESIGN, NINE, CONVENTION)
+    assert ratios.max() < 0.05  # what the scan does show stays known
+
+
+def test_a_matte_coupon_has_no_lobe_to_calibrate():
+    scan = scanned(None, coupon(), coupon_poses(), light=lambda to_light, _: 0.1 * to_light[:, 2])
+    found = fit_lobe(replace(scan, noise=np.full(len(scan.poses), 0.001)), coupon(), START, ("tail",))
+    assert any("Lambert" in one.model and not one.rejected for one in found.tests) or found.fits
 
 
 @pytest.mark.parametrize("angle_deg", [2.0, 10.0, 20.0])

@@ -174,6 +174,38 @@ def test_a_lobe_that_is_not_the_models_is_told():
     assert any("exceed twice the noise" in one for one in fit(readings(ink), floor=1e-4).warnings)
 
 
+def test_with_a_stated_noise_beckmanns_lobe_and_a_matte_print_are_found(rng):
+    red = synthetic_ink("synthetic-red")
+    own = fit(readings(red, rng), noise=0.03)
+    assert (own.fits, own.distribution, len(own.tests)) == (True, "ggx", 1)
+    bell = fit(readings(replace(red, distribution="beckmann"), rng), noise=0.03, floor=1e-4)
+    assert (bell.fits, bell.distribution, bell.ink("bell").distribution) == (True, "beckmann", "beckmann")
+    assert abs(bell.alpha - 0.19) < 3.0 * bell.u_alpha
+    dull = readings(red, at=places())
+    flat = replace(dull, value=0.1 * (1.0 + 0.03 * rng.standard_normal(len(dull.value))))
+    matte = fit(flat, noise=0.03)
+    assert (matte.fits, matte.alpha) == (True, 1.0)
+    np.testing.assert_allclose(matte.rho, 0.4 * np.pi, rtol=0.1)
+
+
+def test_an_ink_that_no_model_describes_is_rejected(rng, anisoscope, tmp_path):
+    """Two lobes beside each other, of a sharp and of a blunt print."""
+    red = synthetic_ink("synthetic-red")
+    sharp, blunt = readings(replace(red, alpha=0.08), rng), readings(replace(red, alpha=0.4))
+    both = replace(sharp, value=0.5 * sharp.value + 0.5 * blunt.value)
+    columns = both.theta_i_deg, both.theta_o_deg, both.wavelength_nm, both.value
+    rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
+    (tmp_path / "red.csv").write_text(
+        "\n".join(["theta_i_deg,theta_o_deg,wavelength_nm,value", *rows]) + "\n"
+    )
+    arguments = "ink", "fit", tmp_path / "red.csv", "--values", "brdf"
+    done = anisoscope(*arguments, "--u-reading", 0.03)
+    assert done.code == 3, done.err
+    assert "the model is rejected" in " ".join(done.out.split())
+    assert " ± " not in done.out
+    assert anisoscope(*arguments).code == 0  # without a noise only the warning
+
+
 def test_a_bright_ink_is_told(rng):
     ink = synthetic_ink("synthetic-red")
     bright = replace(ink, rho=tuple(4 * value for value in ink.rho))

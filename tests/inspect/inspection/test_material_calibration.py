@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import tifffile
 import tomli_w
 
 from anisoscope.base.errors import UsageError
@@ -125,6 +126,61 @@ def test_readings_become_a_material_with_its_scan_its_lamp_and_its_test(rig_file
         for one in (Material(tail=0.7), found.material.material())
     )
     np.testing.assert_allclose(own - own[0], truth - truth[0], atol=0.012)
+
+
+def test_readings_need_no_devices_in_the_rig_file(anisoscope, tmp_path):
+    rig, out = tmp_path / "rig.toml", tmp_path / "abs.toml"
+    rig.write_text('schema = 1\nname = "sketch"\n[camera]\npixel_um = 8.0\n[light]\nangle_deg = 10.0\n')
+    table = readings(tmp_path / "readings.csv")
+    done = anisoscope(
+        *("calibrate", "material", "--coupon", "-g", rig, "--readings", table, "--out", out, "--lobe", "tail")
+    )
+    assert done.code == 0, done.err
+    assert abs(read_material_file(out).material.tail - 0.7) < 0.1
+
+
+def test_frames_of_a_coupon_need_no_devices_either(anisoscope, tmp_path):
+    """Frames of closed-form radiances with specks for the alignment, and dark and flat frames beside them."""
+    poses = pose_grid((0.0,), tuple(np.arange(-10.0, 11.0, 1.25)))
+    truth = Material(0.15, 0.2, 0.3)
+    light = corrected.radiance(*directions(poses, Convention()), scan_design(0.0), truth)
+    noise = np.random.default_rng(4)
+    lines = ["file,kind,stage_deg,tilt_deg,exposure_s,gain,bit_depth,black_level"]
+
+    specks = 1.0 + 0.3 * np.kron(noise.uniform(-1.0, 1.0, (48, 48)), np.ones((3, 3)))
+
+    def frame(kind, pose, level):
+        name, shown = f"{kind}{len(lines)}.tif", specks
+        counts = (
+            noise.normal(64.0 + level * (shown if kind == "sample" else 1.0), 3.0, (144, 144))
+            .round()
+            .astype(np.uint16)
+        )
+        tifffile.imwrite(tmp_path / name, counts)
+        lines.append(f"{name},{kind},{pose.stage_deg},{pose.tilt_deg},0.02,1.0,12,64")
+
+    for pose, value in zip(poses, light, strict=True):
+        for _ in range(2):
+            frame("sample", pose, 2200.0 * value / light.max())
+    for _ in range(3):
+        frame("dark", poses[0], 0.0)
+        frame("flat", poses[0], 3000.0)
+    (tmp_path / "frames.csv").write_text("\n".join(lines) + "\n")
+    rig, recipe, out = tmp_path / "rig.toml", tmp_path / "r.toml", tmp_path / "abs.toml"
+    rig.write_text('schema = 1\nname = "sketch"\n[camera]\npixel_um = 10.0\n[light]\nangle_deg = 10.0\n')
+    recipe.write_text(
+        'schema = 1\nkind = "ridges"\nproduct = "coupon"\n[surface]\npitch_um = 100.0\n[surface.design]\n'
+        "ridge_angle_deg = 10.0\n[material]\nalpha_along = 0.12\nalpha_across = 0.12\nalbedo = 0.2\n"
+        "[poses]\nangles_deg = [0.0, 90.0, 180.0]\n[acquisition]\nexposure_s = 0.02\n[region]\nsize_mm = [0.4, 0.4]\n"
+    )
+    done = anisoscope(
+        *("calibrate", "material", "--coupon", "-g", rig, "-r", recipe, "--frames", tmp_path, "--out", out),
+        *("--lobe", "tail"),
+    )
+    assert done.code == 0, done.err
+    found, u = read_material_file(out).material, read_material_file(out).covariance.u()
+    assert abs(np.log(found.alpha_along / 0.15)) < 3.0 * u["ln_alpha_along"] < 1.5
+    assert abs(np.log(found.alpha_across / 0.2)) < 3.0 * u["ln_alpha_across"] < 1.5
 
 
 def test_a_plastic_of_another_family_is_warned_of_and_exit_code_3(rig_file, anisoscope, tmp_path):

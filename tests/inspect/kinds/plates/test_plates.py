@@ -229,11 +229,24 @@ def test_a_plate_that_lies_otherwise_or_is_another_one_is_invalid(expected):
         check_plan(flat, expected)
 
 
+@pytest.mark.parametrize("off", [(0, 0), (3, -2), (-6, 5)])
+def test_bright_plastic_around_a_plate_does_not_move_it(expected, off):
+    """Flat plastic four times as bright as a field, two bright ridges in each, and noise."""
+    classes, points = expected.plan.classes(), 20
+    fields = np.kron(np.where(classes == 0, 0.06, 0.03), np.ones((points, points)))
+    shown = np.pad(fields, points, constant_values=0.24)
+    shown[:, points // 2 :: points // 2] *= 1.3
+    shown = shown * (1.0 + 0.05 * np.random.default_rng(2).standard_normal(shown.shape))
+    shown = cv2.GaussianBlur(np.roll(shown, (-off[1], off[0]), axis=(0, 1)), (0, 0), 1.0).astype(np.float32)
+    found = field_places(shown[points:-points, points:-points], points, classes)
+    np.testing.assert_allclose(found.shift, np.array(off) / points, atol=0.06)
+
+
 def test_places_of_fields_give_shift_turn_and_non_uniformity(expected):
     classes, points = expected.plan.classes(), 20
     fields = np.where(classes == 0, 0.27, 0.03)
     picture = np.kron(fields, np.ones((points, points))).astype(np.float32)
-    even = field_places(picture, points)
+    even = field_places(picture, points, classes)
     np.testing.assert_allclose([*even.shift, even.turn_deg, even.axial, even.grid], 0.0, atol=1e-3)
     middle = (picture.shape[0] - 1) / 2.0
     turn, wide = np.radians(0.5), 1.02  # counter-clockwise; 2 % wider along x
@@ -243,7 +256,7 @@ def test_places_of_fields_give_shift_turn_and_non_uniformity(expected):
     moved = cv2.warpAffine(
         picture, np.column_stack([linear, offset]), picture.shape[::-1], borderMode=cv2.BORDER_REPLICATE
     )
-    found = field_places(moved, points)
+    found = field_places(moved, points, classes)
     np.testing.assert_allclose(found.shift, [0.1, 0.05], atol=0.02)
     assert found.turn_deg == pytest.approx(0.5, abs=0.05)
     assert found.axial == pytest.approx(0.02, abs=0.003)
@@ -254,8 +267,8 @@ def test_places_of_fields_give_shift_turn_and_non_uniformity(expected):
     assert {int(classes[place]) for place in neighbours} == {1 - int(classes[row, col])}
     one[20:40, 100:104] = fields[row, col - 1]
     one[20:40, 120:124] = fields[row, col]
-    assert field_places(one, points).grid == pytest.approx(0.2, abs=0.04)
-    assert field_places(np.full_like(picture, 0.1), points) is None
+    assert field_places(one, points, classes).grid == pytest.approx(0.2, abs=0.04)
+    assert field_places(np.full_like(picture, 0.1), points, classes) is None
     with pytest.raises(
         MeasurementError, match=r"\+0\.060 mm, \+0\.000 mm .* off their places \(limit 0\.05 mm\)"
     ):
