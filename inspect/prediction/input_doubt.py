@@ -24,7 +24,8 @@ from anisoscope.prediction.propagation import (
     propagate,
 )
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
-from anisoscope.prediction.sensitivity import SECOND_ORDER, Budget, State, Surface
+from anisoscope.prediction.sensitivity import DARK, SECOND_ORDER, Budget, State, Surface, evaluate
+from anisoscope.sim.light.material import interface_bound
 
 if TYPE_CHECKING:
     from anisoscope.recipe.material_file import MaterialFile
@@ -35,6 +36,8 @@ SCATTERED = (*PLASTIC_AND_SEAT[:3], RIDGE_ANGLE)
 FAMILY = "family of the lobe"
 FAMILY_SHARE = 0.015
 """What the best tail leaves of ln L of lobes of two scales: rms in a pose, independent of other poses."""
+INTERFACE = "light between base and interface"
+NEGLIGIBLE_INTERFACE = 2e-3  # of the albedo
 NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
 
 
@@ -146,7 +149,7 @@ def of_the_calibration(
 ) -> list[Doubt]:
     """Of a calibrated material at its tail: directions of the covariance; what its family leaves."""
     if file is None:
-        return []
+        return of_the_interface(surface, nominal, poses, convention)
     changes = calibrated_material(surface, nominal, poses, convention, file)
     found = [
         Doubt(f"calibrated material, direction {number + 1}", change)
@@ -156,6 +159,22 @@ def of_the_calibration(
     if file.test is not None:
         found.append(Doubt(FAMILY, np.full(len(poses), file.test.discrepancy_share), shared=False))
     return found
+
+
+def of_the_interface(
+    surface: Surface, nominal: State, poses: tuple[Pose, ...], convention: Convention
+) -> list[Doubt]:
+    """Of light between the base of an uncalibrated plastic and its interface: within 0 and `interface_bound`, evenly.
+
+    A calibrated albedo has it.
+    """
+    material = nominal.material
+    u = interface_bound(material) / np.sqrt(3.0)
+    if u < NEGLIGIBLE_INTERFACE:
+        return []
+    brighter = replace(nominal, material=replace(material, albedo=min(material.albedo * (1.0 + u), 1.0)))
+    light = evaluate(surface, [nominal, brighter], poses, convention)
+    return [Doubt(INTERFACE, np.diff(np.log(np.maximum(light, DARK)), axis=0)[0])]
 
 
 def of_second_order(response: Response | None) -> list[Doubt]:

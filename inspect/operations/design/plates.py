@@ -445,7 +445,11 @@ def _new_folder(out: Path, names: list[str], *, overwrite: bool) -> None:
 
 
 def recipe_of(plan: Plan, design: RidgeDesign, product: str) -> dict[str, object]:
-    """Tables of a recipe with its plan in ``plan.csv``; plastic, exposure and tolerances are to be adapted."""
+    """Tables of a recipe with its plan in ``plan.csv``; plastic and exposure are to be adapted.
+
+    It has no tolerance of the classes: with an unmeasured lobe u of their ln ratios is so large that within a
+    tolerance of use good plates would end undecided. Without one, significant deviations fail.
+    """
     angle = design.ridge_angle_deg
     ridges: dict[str, object] = {"ridge_angle_deg": angle, "u_ridge_angle_deg": 0.1}
     if not isinstance(design.wall, str):
@@ -469,7 +473,6 @@ def recipe_of(plan: Plan, design: RidgeDesign, product: str) -> dict[str, object
         "poses": {"angles_deg": inspected_at((0.0, 90.0))},
         "acquisition": {"exposure_s": 0.006},
         "region": {"size_mm": [round(one, 6) for one in plan.size_mm]},
-        "decision": {"tolerance": 0.4},
     }
 
 
@@ -488,7 +491,8 @@ def recipe_text(tables: dict[str, object]) -> str:
     import tomli_w
 
     head = (
-        "# Recipe of a plate of ridges. To be adapted: [material] (its lobe is unmeasured here),\n"
-        "# [acquisition], [decision] and [fields]; `anisoscope recipe check` reads it.\n"
+        "# Recipe of a plate of ridges. To be adapted: [material] (its lobe is unmeasured here), [acquisition] and\n"
+        "# [fields]; `anisoscope recipe check` reads it. As written every significant deviation fails; a [decision]\n"
+        "# tolerance takes a calibrated material or golden plates, or good plates end undecided.\n"
     )
     return head + tomli_w.dumps(tables)

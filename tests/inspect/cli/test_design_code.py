@@ -42,6 +42,9 @@ def test_a_data_matrix_becomes_part_insert_and_recipe(anisoscope, tmp_path):
     assert recipe.code.text == "A17"
     assert recipe.poses.angles_deg == (0.0, 90.0, 180.0)  # at 180° worn ridges shine
     assert recipe.plan.plan().shape == (12, 12)
+    checked = anisoscope("recipe", "check", out / "recipe.toml")
+    assert "good parts can PASS" in checked.out
+    assert "undecided" not in checked.out
     again = anisoscope("design", "code", "A17", "--out", out)
     assert again.code == 64
     assert "exists; give another folder, or --overwrite" in again.err
