@@ -9,6 +9,7 @@ from anisoscope.base.quantity import Likely
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
+    from anisoscope.parameters.ridge_outline import CrestArc, Outlines
 
 Wall = Literal["perpendicular", "vertical"] | float
 """Perpendicular to the facet, vertical, or the draft angle of the wall: degrees from the vertical."""
@@ -69,14 +70,8 @@ class RidgeDesign:
     @property
     def facet_width_um(self) -> float:
         """Width along x of the facet of the uncut ridge: p/(1 + tan θ·tan δ) with the draft δ; p·cos²θ, or p."""
-        if self.wall == "vertical":
-            return self.pitch_um
-        if not isinstance(self.wall, str):
-            return float(
-                self.pitch_um
-                / (1.0 + math.tan(math.radians(self.ridge_angle_deg)) * math.tan(self.draft_rad))
-            )
-        return float(self.pitch_um * math.cos(math.radians(self.ridge_angle_deg)) ** 2)
+        slope = math.tan(math.radians(self.ridge_angle_deg))
+        return float(self.pitch_um / (1.0 + slope * math.tan(self.draft_rad)))
 
     @property
     def wall_width_um(self) -> float:
@@ -108,34 +103,55 @@ class RidgeDesign:
         return float(self.edge_radius_um / math.tan(0.5 * corner))
 
     def crest_arc(self) -> "CrestArc":
-        """The arc in place of the crest, before any height is lost.
+        """The arc in place of the crest, before any height is lost, as arrays of one.
 
         Where the wall is shorter than the arc would need, the arc ends at the foot of the wall.
 
         Raises:
-            HeightMapError: the radius leaves no facet.
+            HeightMapError: a radius beyond the pitch, or one that leaves no facet.
         """
-        theta, radius, full = math.radians(self.ridge_angle_deg), self.edge_radius_um, self.full_height_um
-        sine, cosine = math.sin(theta), math.cos(theta)  # the facet falls along (cosine, -sine)
-        foot_x, foot_z = -self.wall_width_um, -full
-        reach, first = self.edge_reach_um, math.pi - self.draft_rad
-        at_foot = reach > self.wall_length_um
-        if at_foot:  # the ball no longer touches the wall, only its foot
-            along, deep = foot_x * cosine - foot_z * sine, -foot_x * sine - foot_z * cosine
-            reach = along + math.sqrt(max(radius**2 - (radius - deep) ** 2, 0.0))
-        if reach >= self.facet_width_um / cosine:
-            raise HeightMapError(
-                f"an edge radius of {radius:g} µm leaves no facet at a pitch of {self.pitch_um:g} µm and a ridge "
-                f"angle of {self.ridge_angle_deg:g}°"
+        import numpy as np  # noqa: PLC0415 - options and recipes are made without it
+
+        from anisoscope.parameters.ridge_outline import crest_arcs  # noqa: PLC0415
+
+        arc = crest_arcs(*(np.array([one]) for one in self._numbers))
+        if not arc.possible[0]:
+            what = (
+                f"is larger than the pitch of {self.pitch_um:g} µm"
+                if self.edge_radius_um > self.pitch_um
+                else f"leaves no facet at a pitch of {self.pitch_um:g} µm and a ridge angle of "
+                f"{self.ridge_angle_deg:g}°"
             )
-        x, z = reach * cosine - radius * sine, -reach * sine - radius * cosine
-        if at_foot:
-            first = math.atan2(foot_z - z, foot_x - x) % (2.0 * math.pi)
-        return CrestArc(x, z + full, radius, first, 0.5 * math.pi - theta)
+            raise HeightMapError(
+                f"an edge radius of {self.edge_radius_um:g} µm {what}: give a smaller radius"
+            )
+        return arc
+
+    @property
+    def _numbers(self) -> tuple[float, float, float, float]:
+        return self.pitch_um, math.radians(self.ridge_angle_deg), self.draft_rad, self.edge_radius_um
+
+    def outline(self, widest_rad: float | None = None, chords: int | None = None) -> "Outlines":
+        """One period of the profile (`anisoscope.parameters.ridge_outline`), arrays of one.
+
+        Args:
+            widest_rad: turn of the chords of a rounded crest; that of the module by default.
+            chords: so many equal ones instead.
+        """
+        import numpy as np  # noqa: PLC0415
+
+        from anisoscope.parameters import ridge_outline as outline  # noqa: PLC0415
+
+        turn = 0.5 * math.pi + math.radians(self.ridge_angle_deg) - self.draft_rad
+        if chords is None:
+            widest = min(widest_rad or outline.WIDEST_RAD, outline.WIDEST_RAD)
+            chords = outline.chords_for(self.edge_radius_um, turn, widest) if self.edge_radius_um > 0.0 else 1
+        numbers = (np.array([one]) for one in (*self._numbers, self.height_loss))
+        return outline.ridge_outlines(*numbers, chords)
 
     def profile(self, x_um: "FloatArray") -> "FloatArray":
         """Height in µm above the foot at positions x in µm; an uncut crest is at x = 0."""
-        import numpy as np  # noqa: PLC0415 - options and recipes are made without it
+        import numpy as np  # noqa: PLC0415
 
         position = np.mod(x_um, self.pitch_um)
         facet, full = self.facet_width_um, self.full_height_um
@@ -146,35 +162,9 @@ class RidgeDesign:
             height = np.where(position > facet, full * (position - facet) / self.wall_width_um, height)
         if self.edge_radius_um > 0.0:
             arc = self.crest_arc()
+            (low,), (high,) = (arc.at(turn)[0] - arc.x_um for turn in (arc.first_rad, arc.last_rad))
             offset = np.where(position > facet, position - self.pitch_um, position) - arc.x_um
-            (low, _), (high, _) = arc.at(arc.first_rad), arc.at(arc.last_rad)
             rounded = arc.z_um + np.sqrt(np.maximum(arc.radius_um**2 - offset**2, 0.0))
-            inside = (offset >= low - arc.x_um - 1e-9 * arc.radius_um) & (offset < high - arc.x_um)
+            inside = (offset >= low - 1e-9 * self.edge_radius_um) & (offset < high)
             height = np.where(inside, rounded, height)
         return np.minimum(height, self.height_um)
-
-
-@dataclass(frozen=True)
-class CrestArc:
-    """Arc of a rounded crest.
-
-    Attributes:
-        x_um: of its centre, from the uncut crest.
-        z_um: of its centre, from the foot of the ridge.
-        radius_um: its radius.
-        first_rad: direction of its normal where it begins, at the wall, from +x toward +z.
-        last_rad: the same where it ends, at the facet; smaller.
-    """
-
-    x_um: float
-    z_um: float
-    radius_um: float
-    first_rad: float
-    last_rad: float
-
-    def at(self, normal_rad: float) -> tuple[float, float]:
-        """Point x, z in µm with a normal of this direction."""
-        return (
-            float(self.x_um + self.radius_um * math.cos(normal_rad)),
-            float(self.z_um + self.radius_um * math.sin(normal_rad)),
-        )

@@ -21,7 +21,7 @@ from anisoscope.prediction.sensitivity import DARK, Model
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.optics import through
-from anisoscope.sim.light.ridge_profile import chord_polyline
+from anisoscope.sim.light.ridge_profile import ridge_polyline
 
 EDGE_RADIUS, EDGE_FORM = "edge radius", "form of the edge"
 UNMEASURED_UM = 1.0
@@ -61,7 +61,7 @@ def model_of_crests(
     def direct(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
         if chords is None:
             return corrected.radiance(to_light, to_camera, design, material, bounces=1)
-        profile = chord_polyline(design, chords)
+        profile = ridge_polyline(design, chords)
         return corrected.radiance_of_profile(to_light, to_camera, profile, design, material, bounces=1)
 
     return through(added(direct, None if groove is None else groove.light), optics)

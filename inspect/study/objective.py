@@ -21,7 +21,7 @@ from anisoscope.parameters.material import InternalReflection, Material
 from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.prediction.reflections import Groove
 from anisoscope.sim.light.geometry import directions, seating_rotation
-from anisoscope.study.ridges import RidgedParts, ridge_radiances, rounded_polyline
+from anisoscope.study.ridges import RidgedParts, ridge_radiances
 
 Kind = Literal["difference", "michelson", "log_ratio"]
 Over = Literal["mean", "worst"]
@@ -465,4 +465,4 @@ def _explain(part: Part, scoring: Scoring) -> None:
     errors, to_light, _ = _sample(scoring)
     all_ = _spoiled((part,), errors, len(to_light))
     for angle, loss, radius in zip(all_.ridge_angle_deg, all_.height_loss, all_.edge_radius_um, strict=True):
-        rounded_polyline(RidgeDesign(part.pitch, float(angle), part.wall, float(loss)), float(radius))
+        RidgeDesign(part.pitch, float(angle), part.wall, float(loss), float(radius))

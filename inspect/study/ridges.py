@@ -10,11 +10,10 @@ together in arrays (parts, poses, segments).
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import ModelError
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridge_outline import Outlines, ridge_outlines
 from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.sim.light.material import (
     TABLE_SIZE,
@@ -69,113 +68,17 @@ class RidgedParts:
         return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)[:6]})
 
 
-def rounded_polyline(design: RidgeDesign, edge_radius_um: float) -> tuple[FloatArray, FloatArray]:
-    """One period of the profile, foot to foot: wall, crest arc, facet; truncated by the lost height.
-
-    Args:
-        design: the ridges.
-        edge_radius_um: radius of the crest.
-
-    Returns:
-        x, z in µm, both (K + 1,), x not falling; the last point is the first one shifted by the pitch. Points may
-        coincide.
-
-    Raises:
-        ModelError: a negative radius, or one so large that no facet is left.
-    """
-    x, z, possible = _profiles(RidgedParts.of(design, edge_radius_um, Material()))
-    if not possible.all():
-        if not (edge_radius_um >= 0.0 and np.isfinite(edge_radius_um)):
-            raise ModelError(f"the edge radius must be 0 µm or more, not {edge_radius_um:g}")
-        raise ModelError(
-            f"an edge radius of {edge_radius_um:g} µm leaves no facet at a pitch of {design.pitch_um:g} µm and a ridge "
-            f"angle of {design.ridge_angle_deg:g}°"
-        )
-    return x[0], z[0]
-
-
-def _profiles(parts: RidgedParts) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Profiles x and z in µm, (N, K + 1), and whether the radius leaves a facet, (N,); else the crest is sharp."""
+def _outlines(parts: RidgedParts) -> Outlines:
     angle = np.radians(parts.ridge_angle_deg)
-    facet = _facet_width(parts, angle)
-    full = facet * np.tan(angle)
-    wall = parts.pitch_um - facet
-    if np.any(parts.edge_radius_um != 0.0):
-        x, z, possible = _rounded_crests(angle, wall, full, parts)
-    else:
-        x = np.stack([-wall, np.zeros_like(wall), facet], axis=-1)
-        z = np.stack([np.zeros_like(full), full, np.zeros_like(full)], axis=-1)
-        possible = np.ones(len(x), dtype=bool)
-    if np.any(parts.height_loss > 0.0):
-        x, z = _cut(x, z, (1.0 - parts.height_loss) * full)
-    return x, z, possible
-
-
-def _facet_width(parts: RidgedParts, angle: FloatArray) -> FloatArray:
-    """(N,) widths of the facets, as `RidgeDesign.facet_width_um`."""
-    if parts.wall == "vertical":
-        return parts.pitch_um * np.ones_like(angle)
-    if parts.wall == "perpendicular":
-        return np.asarray(parts.pitch_um * np.cos(angle) ** 2)
-    return np.asarray(parts.pitch_um / (1.0 + np.tan(angle) * np.tan(np.radians(float(parts.wall)))))
-
-
-def _rounded_crests(
-    angle: FloatArray, wall_width: FloatArray, full: FloatArray, parts: RidgedParts
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Foot at x = −wall width, crest at x = 0, next foot at the facet width."""
-    radius = parts.edge_radius_um
-    down = np.stack([np.cos(angle), -np.sin(angle)])  # along the facet, from the crest
-    inward = np.stack([-np.sin(angle), -np.cos(angle)])
-    foot = np.stack([-wall_width, -full])
-    wall = np.maximum(np.hypot(*foot), 1e-300)
-    length = (parts.pitch_um - wall_width) / np.cos(angle)
-    corner = np.arccos(np.clip((down * foot).sum(axis=0) / wall, -1.0, 1.0))  # inner angle at the crest
-    reach = radius / np.tan(0.5 * corner)  # distance of the tangent points from the crest
-    at_foot = reach > wall  # the ball no longer touches the wall, only its foot
-    along, deep = (down * foot).sum(axis=0), (inward * foot).sum(axis=0)
-    reach = np.where(at_foot, along + np.sqrt(np.maximum(radius**2 - (radius - deep) ** 2, 0.0)), reach)
-    possible = (radius >= 0.0) & (reach < length)
-    radius, reach = np.where(possible, radius, 0.0), np.where(possible, reach, 0.0)
-    centre = reach * down + radius * inward
-    touch = np.where(at_foot & possible, foot, foot / wall * reach)
-    from_centre, to_centre = touch - centre, reach * down - centre
-    first, last = np.arctan2(from_centre[1], from_centre[0]), np.arctan2(to_centre[1], to_centre[0])
-    turn = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, ARC_SEGMENTS + 1)
-    # vertices outside the arc by half the sagitta keep the area beneath it
-    stretch = radius * (1.0 + (turn[:, 1] - turn[:, 0]) ** 2 / 12.0)
-    size = np.repeat(stretch[:, None], ARC_SEGMENTS + 1, axis=1)
-    size[:, 0] = size[:, -1] = radius
-    x = np.hstack([foot[0, :, None], centre[0, :, None] + size * np.cos(turn), foot[0, :, None]])
-    z = np.hstack([foot[1, :, None], centre[1, :, None] + size * np.sin(turn), foot[1, :, None]])
-    x[:, -1] += parts.pitch_um
-    return np.maximum.accumulate(x, axis=1), z + full[:, None], possible
-
-
-def _cut(x: FloatArray, z: FloatArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Profiles cut by planes at heights (N,); each rises to one crest, which becomes two points, and falls."""
-    rows, points = np.arange(len(x))[:, None], x.shape[1]
-    top = np.argmax(z, axis=1)[:, None]
-    place = np.arange(points + 1)
-    place = place - (place > top)
-    x, z = x[rows, place], z[rows, place]
-    level, falls = height[:, None], np.arange(points + 1) > top
-    above = z > level
-
-    def crossing(one: FloatArray, other: FloatArray) -> FloatArray:
-        """Where the line crosses the level, between the points (N, 1) below it and above it."""
-        low, high = z[rows, one], z[rows, other]
-        part = (level - low) / np.where(high > low, high - low, 1.0)
-        return np.asarray(x[rows, one] + (x[rows, other] - x[rows, one]) * part)
-
-    left = np.argmax(above, axis=1)[:, None]
-    right = points - np.argmax(above[:, ::-1], axis=1)[:, None]
-    ends = np.where(
-        falls,
-        crossing(np.minimum(right + 1, points), right),
-        crossing(np.maximum(left - 1, 0), left),
+    draft = RidgeDesign(1.0, 0.0, parts.wall).draft_rad if parts.wall != "perpendicular" else angle
+    return ridge_outlines(
+        parts.pitch_um,
+        angle,
+        np.broadcast_to(draft, angle.shape),
+        parts.edge_radius_um,
+        parts.height_loss,
+        ARC_SEGMENTS if np.any(parts.edge_radius_um > 0.0) else 1,
     )
-    return np.where(above, ends, x), np.minimum(z, level)
 
 
 def ridge_radiances(to_light: FloatArray, to_camera: FloatArray, parts: RidgedParts) -> FloatArray:
@@ -193,7 +96,8 @@ def ridge_radiances(to_light: FloatArray, to_camera: FloatArray, parts: RidgedPa
     Returns:
         NaN for a part whose edge radius leaves no facet.
     """
-    x, z, possible = _profiles(parts)
+    outlines = _outlines(parts)
+    x, z, possible = outlines.x_um, outlines.z_um, outlines.possible
     count, poses = len(x), to_light.shape[-2]
     interface = _Interface(parts)
     found = np.empty((count, poses))
@@ -335,9 +239,9 @@ def ridge_radiance(
     """Direct radiance [1/sr] of one part, (P,): `ridge_radiances` of it alone.
 
     Raises:
-        ModelError: a radius that leaves no facet.
+        HeightMapError: a negative radius, or one that leaves no facet.
     """
-    found = ridge_radiances(to_light, to_camera, RidgedParts.of(design, edge_radius_um, material))[0]
-    if np.isnan(found).any():
-        rounded_polyline(design, edge_radius_um)  # says what is wrong
-    return np.asarray(found)
+    design = replace(design, edge_radius_um=edge_radius_um)
+    return np.asarray(
+        ridge_radiances(to_light, to_camera, RidgedParts.of(design, edge_radius_um, material))[0]
+    )

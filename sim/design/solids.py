@@ -3,7 +3,7 @@
 A field is the lower envelope of its ridges and of four planes that rise from the inner edge of its land with the draft
 of the walls (`anisoscope.profiles.plates`). All are planes between the lines of the ridges, so that a field is a set of
 convex polygons, the same for all fields of a class. The lands are level, and their outer edges straight: fields of any
-two classes meet without a gap. A rounded crest is `CHORDS` chords.
+two classes meet without a gap. A rounded crest is as many chords as `anisoscope.parameters.ridge_outline` asks for.
 
 The insert is what the part leaves in its mould: mirrored along x, and solid where the part is air.
 """
@@ -22,12 +22,11 @@ from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.images import STL_HEADER_BYTES, TRIANGLE
 from anisoscope.profiles.plates import FLAT, LAND_SHARE, Plan
-from anisoscope.sim.light.ridge_profile import chord_polyline, ridge_polyline
+from anisoscope.sim.light.ridge_profile import ridge_polyline
 
 Side = Literal["part", "insert"]
-CHORDS = 2
-MOST_TRIANGLES = 30_000_000
-"""Of an STL: 1.5 GB."""
+MOST_TRIANGLES = 50_000_000
+"""Of an STL: 2.5 GB."""
 BLOCK_TRIANGLES = 500_000
 WELD_UM = 1e-6
 
@@ -68,7 +67,7 @@ class Body:
                 continue
             design = self.plan.design_of(letter, self.design)
             azimuth = self.plan.azimuths_deg[letter]
-            found[letter] = field_triangles(outline(design), design.draft_rad, self.side_um, azimuth)
+            found[letter] = field_triangles(ridge_polyline(design), design.draft_rad, self.side_um, azimuth)
         return found
 
     def fields(self, letter: str) -> FloatArray:
@@ -83,13 +82,6 @@ class Body:
         rows, cols = self.plan.shape
         top = sum(len(tile) * len(self.fields(letter)) for letter, tile in self.tiles.items())
         return top + 2 * (rows + cols) + 4 + 2
-
-
-def outline(design: RidgeDesign) -> tuple[FloatArray, FloatArray]:
-    """X and z in µm of one period of ridges whose rounded crest is `CHORDS` chords."""
-    if design.edge_radius_um > 0.0 and design.full_height_um > 0.0:
-        return chord_polyline(design, CHORDS)
-    return ridge_polyline(design)
 
 
 def field_triangles(

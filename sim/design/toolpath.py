@@ -1,9 +1,10 @@
 """Cuts of a mould insert: straight finishing passes of a cone with a round tip along the ridges, and G-code.
 
-A pass runs along a ridge at one height: that of a ball of the radius of the tip which rests on the insert. The insert's
-valleys become as round as the tip, which are the crests of the part, so that a design with crests of that radius is
-what the tool leaves. Passes end where the ball would touch the drafted border of its field. The flanks of the cone
-touch nothing where their half angle is not greater than the draft.
+A pass runs along a ridge at one height: that of a ball of the radius of the tip which touches the outline of the ridges
+(`anisoscope.parameters.ridge_outline`). The insert's valleys become as round as the tip, which are the crests of the
+part, so that a design with crests of that radius is what the tool leaves. Passes are evenly spaced along facet and
+wall; a flank of the cone that is as steep as the wall cuts it from the valley. Passes end where the ball would touch
+the drafted border of its field, in whose corners it leaves its radius.
 
 The machine has three axes, millimetres, and a control with subprograms (M98 P…, M99): one subprogram a class, in
 increments, called at the middle of each of its fields. It is engraving with a spindle at constant feed; roughing, and
@@ -21,14 +22,14 @@ from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import FLAT, LAND_SHARE
 from anisoscope.sim.design.solids import Body
 
-SCALLOP_UM = 0.02
-"""Height of what stays between two passes on a level floor."""
-SAMPLES = 2000
-"""Of the profile, a pitch."""
+SCALLOP_UM = 0.015
+"""Height of what stays between two passes, along the normal of the surface."""
+RAPID_MM_MIN = 1000.0
+"""Speed of all that is no cut, for the time of the program."""
 CLEARANCE_MM, SAFE_MM = 0.02, 1.0
 """Above the insert: between two passes, and at the beginning and end of the program."""
-DIGITS = 5
-"""Decimals of millimetres in files: ten nanometres."""
+DIGITS = 6
+"""Decimals of millimetres in files: nanometres."""
 FIRST_PROGRAM = 1000
 COMMENT = "(three axes, millimetres, subprograms, zero at the lower left corner of the upper face)"
 
@@ -53,10 +54,15 @@ class Tool:
         """Check that the tool cuts such ridges.
 
         Raises:
-            UsageError: no tip radius, or flanks that are less steep than the walls.
+            UsageError: no tip radius, crests of another one, or flanks that are less steep than the walls.
         """
         if self.tip_um <= 0.0:
             raise UsageError("a path needs the radius of the tool's tip: give --tool-radius")
+        if not np.isclose(self.tip_um, design.edge_radius_um):
+            raise UsageError(
+                f"a tip of {self.tip_um:g} µm does not leave crests of {design.edge_radius_um:g} µm: give both one "
+                "radius"
+            )
         draft = float(np.degrees(design.draft_rad))
         if self.half_angle_deg > draft * (1.0 + 1e-9):
             raise UsageError(
@@ -70,17 +76,21 @@ class Tool:
         return float(np.sqrt(8.0 * self.tip_um * SCALLOP_UM))
 
 
-def tip_heights(design: RidgeDesign, tip_um: float) -> tuple[FloatArray, FloatArray]:
-    """Places (N,) within a pitch in µm, and heights (N,) of the tip that rests there on the insert, mirror undone."""
-    step = design.pitch_um / SAMPLES
-    place = step * np.arange(SAMPLES, dtype=np.float64)
-    reach = int(np.ceil(tip_um / step))
-    insert = -design.profile(place)
-    off = np.clip(step * np.arange(-reach, reach + 1), -tip_um, tip_um)
-    ball = np.sqrt(np.maximum(tip_um**2 - off**2, 0.0)) - tip_um
-    around = np.pad(insert, reach, mode="wrap")
-    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1)
-    return place, np.asarray((windows + ball).max(axis=1))
+def tip_places(design: RidgeDesign, tool: Tool) -> tuple[FloatArray, FloatArray]:
+    """Places (N,) in µm from an uncut crest, and heights (N,) of the tip on the insert, mirror undone, of a pitch."""
+    arc = design.crest_arc()
+    foot = np.array([design.facet_width_um, 0.0])
+    steep = np.degrees(design.draft_rad) <= tool.half_angle_deg * (1.0 + 1e-9)
+    centres = [np.column_stack([arc.x_um, arc.z_um])]
+    for turn, period in ((arc.last_rad, 0.0), (arc.first_rad, design.pitch_um)):
+        if period and steep:  # the flank cuts the wall
+            continue
+        end = foot - [period, 0.0] - tool.tip_um * np.column_stack([np.cos(turn), np.sin(turn)])
+        count = int(np.ceil(float(np.hypot(*(end - centres[0])[0])) / tool.step_um))
+        centres.append(centres[0] + (end - centres[0]) * np.arange(1.0, count + 1)[:, None] / max(count, 1))
+    place, height = np.concatenate(centres).T
+    order = np.argsort(place)
+    return place[order], -height[order] - tool.tip_um
 
 
 def field_passes(design: RidgeDesign, side_um: float, azimuth_deg: float, tool: Tool) -> FloatArray:
@@ -88,19 +98,17 @@ def field_passes(design: RidgeDesign, side_um: float, azimuth_deg: float, tool: 
 
     Every other pass runs backward.
     """
-    place, tip = tip_heights(design, tool.tip_um)
-    count = int(np.ceil(design.pitch_um / tool.step_um))
-    deepest = float(place[int(np.argmin(tip))])
+    places, tips = tip_places(design, tool)
     inner, half = (0.5 - LAND_SHARE) * side_um, 0.5 * side_um
     turn, draft = np.radians(azimuth_deg), design.draft_rad
     cos, sin = round(float(np.cos(turn)), 15), round(float(np.sin(turn)), 15)
-    reach = inner * (abs(cos) + abs(sin))
-    step = design.pitch_um / count
-    first = int(np.ceil((half - reach - deepest) / step))
-    last = int(np.floor((half + reach - deepest) / step))
+    reach = inner * (abs(cos) + abs(sin)) + design.pitch_um
+    periods = np.arange(
+        np.floor((half - reach) / design.pitch_um), np.ceil((half + reach) / design.pitch_um) + 1
+    )
     found = list[tuple[float, ...]]()
-    for across in (deepest + step * np.arange(first, last + 1)).tolist():
-        z = float(np.interp(across % design.pitch_um, place, tip, period=design.pitch_um))
+    everywhere = (places + design.pitch_um * periods[:, None]).ravel()
+    for across, z in zip(everywhere.tolist(), np.tile(tips, len(periods)).tolist(), strict=True):
         centre = z + tool.tip_um
         off = max(0.0, (tool.tip_um - centre * np.sin(draft)) / np.cos(draft))  # from the foot of the border
         ends = _within((cos * (across - half), sin * (across - half)), (-sin, cos), inner - off)
@@ -157,6 +165,23 @@ class InsertPath:
             total += len(self.body.fields(letter)) * float(np.hypot(*(cuts[:, 2:4] - cuts[:, :2]).T).sum())
         return 1e-6 * total
 
+    @property
+    def minutes(self) -> float:
+        """Time of the program: cuts and plunges at the feed, all else at `RAPID_MM_MIN`; without acceleration."""
+        cut, rapid = 1e3 * self.length_m, 2.0 * (SAFE_MM + CLEARANCE_MM)
+        for letter, cuts in self.passes.items():
+            middles = self.middles_mm(letter)
+            ways = (
+                np.vstack([np.zeros(2), cuts[:, :2], np.zeros(2)]),
+                np.vstack([np.zeros((1, 2)), cuts[:, 2:4]]),
+            )
+            between = np.hypot(*(ways[0][1:] - ways[1]).T).sum()
+            down = np.sum(CLEARANCE_MM - 1e-3 * cuts[:, 4])
+            cut += len(middles) * float(down)
+            rapid += len(middles) * float(down + 1e-3 * between)
+            rapid += float(np.hypot(*np.diff(middles, axis=0, prepend=0.0).T).sum()) + SAFE_MM
+        return cut / self.tool.feed_mm_min + rapid / RAPID_MM_MIN
+
 
 def insert_path(body: Body, tool: Tool) -> InsertPath:
     """Cuts of the insert of a plate.
@@ -207,6 +232,7 @@ def write_gcode(path: InsertPath, file: Path) -> None:
         COMMENT,
         f"(cone with a half angle of {tool.half_angle_deg:g} deg, tip radius {1e-3 * tool.tip_um:g} mm)",
         "G21 G90 G94",
+        f"(about {path.minutes:.0f} min at this feed)",
         f"S{tool.spindle_rpm:.0f} M3",
         f"G0 Z{SAFE_MM:.{DIGITS}f}",
     ]

@@ -20,8 +20,8 @@ from anisoscope.sim.light.ridge_profile import (
     visible_shares,
 )
 
-CHORDS_PER_ALPHA = 0.4  # of a rounded crest, over the narrowest lobe
-NARROWEST_CHORD = 0.01
+CHORDS_PER_ALPHA = 0.8  # of a rounded crest, over the narrowest lobe
+NARROWEST_CHORD = 0.005
 
 
 def radiance(

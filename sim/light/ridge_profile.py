@@ -10,7 +10,6 @@ direction; so chords only say which part of the arc is visible, while its light 
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +24,7 @@ ROUNDED = 0.8
 The arc still throws light into it. On path-traced ridges of 10 and 15° with radii of 5 and 10 µm it is 0.75 to 0.89 at
 90 and 180° for smooth, dark plastic, whose reflections are strong, and 0.54 to 0.63 for rough, bright plastic.
 """
-CHORDS = 24  # of an arc, where nothing else is said
-_NODES = 6  # Gauss-Legendre, on every chord's part of an arc
+_NODES = 3  # Gauss-Legendre, on every chord's part of an arc
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,69 +55,24 @@ def outline_of(x_um: FloatArray, z_um: FloatArray) -> Outline:
     return Outline(x_um, z_um, np.flatnonzero(solid), normal, length[solid])
 
 
-def ridge_outline(design: RidgeDesign, widest_rad: float = 0.1) -> Outline:
+def ridge_outline(design: RidgeDesign, widest_rad: float | None = None) -> Outline:
     """The outline of ridges; a rounded crest is cut into chords that turn by at most ``widest_rad``."""
-    if design.edge_radius_um == 0.0 or design.full_height_um == 0.0:
-        return outline_of(*ridge_polyline(design))
-    x, z, turns = _rounded(design, widest_rad)
-    flat = outline_of(x, z)
-    straight = np.isnan(turns[:, 0])[flat.segment]
+    line = design.outline(widest_rad)
+    flat = outline_of(line.x_um[0], line.z_um[0])
+    turn = line.turn_rad[0]
+    straight = np.isnan(turn[:, 0])[flat.segment]
     node, weight = np.polynomial.legendre.leggauss(_NODES)
-    arcs = np.flatnonzero(~np.isnan(turns[:, 0]))
-    first, last = turns[arcs, 0], turns[arcs, 1]
+    arcs = np.flatnonzero(~np.isnan(turn[:, 0]))
+    first, last = turn[arcs, 0], turn[arcs, 1]
     angle = (first + 0.5 * (last - first) * (1.0 + node[:, None])).ravel()
     length = (0.5 * design.edge_radius_um * (first - last) * weight[:, None]).ravel()
     return Outline(
-        x,
-        z,
+        flat.x_um,
+        flat.z_um,
         np.concatenate([flat.segment[straight], np.tile(arcs, _NODES)]),
         np.concatenate([flat.normal[straight], np.stack([np.cos(angle), np.sin(angle)], axis=-1)]),
         np.concatenate([flat.length_um[straight], length]),
     )
-
-
-def _rounded(design: RidgeDesign, widest_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """x, z of a profile with a rounded crest, and (K, 2) normals' directions at the ends of the chords of its arcs.
-
-    From the end of the arc down the facet, up the wall, and over the crest; directions are NaN for straight segments.
-    """
-    arc, pitch, level, share = design.crest_arc(), design.pitch_um, design.height_um, design.height_loss
-    rise = (level - arc.z_um) / arc.radius_um
-    cut = (
-        float(np.arcsin(max(rise, -1.0))) if rise < 1.0 else 0.5 * np.pi
-    )  # normal where a plateau ends the arc
-    on_wall, on_facet = (
-        np.pi - cut < arc.first_rad,
-        cut > arc.last_rad,
-    )  # else the plateau cuts the wall or the facet
-    start = arc.at(arc.last_rad) if on_facet else (share * design.facet_width_um, level)
-    points, turns = [start], list[tuple[float, float]]()
-
-    def go(x: float, z: float) -> None:
-        if np.hypot(x - points[-1][0], z - points[-1][1]) > 1e-12 * pitch:
-            points.append((x, z))
-            turns.append((np.nan, np.nan))
-
-    def bend(first: float, last: float) -> None:
-        ends = np.linspace(first, last, int(np.ceil((first - last) / widest_rad)) + 1)
-        for begin, end in pairwise(ends.tolist()):
-            x, z = arc.at(end)
-            points.append((x + pitch, z))
-            turns.append((begin, end))
-
-    go(design.facet_width_um, 0.0)
-    wall_end = arc.at(arc.first_rad) if on_wall else (-share * design.wall_width_um, level)
-    go(wall_end[0] + pitch, wall_end[1])
-    if on_wall:
-        bend(arc.first_rad, np.pi - cut)
-    if on_facet:
-        x, z = arc.at(cut)
-        go(x + pitch, z)
-        bend(cut, arc.last_rad)
-    else:
-        go(start[0] + pitch, start[1])
-    corners = np.array(points)
-    return np.maximum.accumulate(corners[:, 0]), corners[:, 1], np.array(turns)
 
 
 def sharp_groove(design: RidgeDesign) -> RidgeDesign:
@@ -134,38 +87,25 @@ def sharp_groove(design: RidgeDesign) -> RidgeDesign:
     return replace(design, edge_radius_um=0.0, height_loss=max(design.height_loss, shortened))
 
 
-def ridge_polyline(design: RidgeDesign) -> tuple[FloatArray, FloatArray]:
-    """One period of the ridge profile, crest to crest; a rounded crest as CHORDS chords at most.
+def ridge_polyline(design: RidgeDesign, chords: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """One period of the ridge profile, crest to crest, a rounded crest in chords.
+
+    Args:
+        design: the ridges.
+        chords: so many equal ones; as many as `anisoscope.parameters.ridge_outline` asks for by default.
 
     Returns:
         x, z in µm, both (K + 1,): the last point is the first one shifted by the pitch. Facets fall toward +x.
     """
-    if design.edge_radius_um > 0.0 and design.full_height_um > 0.0:
-        x, z, _ = _rounded(design, np.pi / CHORDS)
-        return x, z
-    pitch, foot = design.pitch_um, design.facet_width_um
-    height = design.full_height_um
-    if height == 0.0:
-        return np.array([0.0, pitch]), np.zeros(2)
-    crest = (1.0 - design.height_loss) * height
-    cut_facet = design.height_loss * foot
-    cut_wall = design.height_loss * (pitch - foot)
-    x = np.array([cut_facet, foot, pitch - cut_wall, pitch + cut_facet])
-    z = np.array([crest, 0.0, crest, crest])
-    keep = np.append(True, (np.diff(x) > 0) | (np.diff(z) != 0))  # no plateau where nothing was cut
+    if design.full_height_um == 0.0:
+        return np.array([0.0, design.pitch_um]), np.zeros(2)
+    line = design.outline(chords=chords)
+    x, z = line.x_um[0], line.z_um[0]
+    tiny = 1e-12 * design.pitch_um
+    keep = np.append(
+        True, (np.diff(x) > tiny) | (np.abs(np.diff(z)) > tiny)
+    )  # no plateau where nothing was cut
     return x[keep], z[keep]
-
-
-def chord_polyline(design: RidgeDesign, chords: int) -> tuple[FloatArray, FloatArray]:
-    """One period of a whole ridge whose rounded crest is not an arc but so many equal chords of it.
-
-    Returns:
-        x, z in µm, as of `ridge_polyline`.
-    """
-    arc, pitch = design.crest_arc(), design.pitch_um
-    crest = np.array([arc.at(turn) for turn in np.linspace(arc.first_rad, arc.last_rad, chords + 1)])
-    x = np.concatenate([[crest[-1, 0], design.facet_width_um], crest[:, 0] + pitch])
-    return np.maximum.accumulate(x), np.concatenate([[crest[-1, 1], 0.0], crest[:, 1]])
 
 
 def visible_shares(x_um: FloatArray, z_um: FloatArray, tangent: FloatArray | float) -> FloatArray:

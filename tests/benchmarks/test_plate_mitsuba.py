@@ -14,8 +14,10 @@ from skimage.metrics import structural_similarity
 
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.plates import Plan
 from anisoscope.sim.design.plates import design_pictures
 from anisoscope.sim.design.solids import Body, write_body
+from anisoscope.sim.light import corrected
 
 try:
     import mitsuba
@@ -37,8 +39,8 @@ def photographs(fields):
     return np.array([cv2.resize(one, (fields, fields), interpolation=cv2.INTER_AREA) / 255.0 for one in grey])
 
 
-def traced(path, fields, stage_deg):
-    """(fields, fields) radiance of the fields of a body, first row at the top; it stays, and the light turns."""
+def rendered(path, middle_mm, side_mm, pixels, stage_deg, depth=DEPTH, samples=SAMPLES):
+    """(pixels, pixels) radiance of a square of a body, first row at the top; it stays, and the light turns."""
     mitsuba.set_variant(VARIANT)
     body = pyvista.read(path)
     points = np.asarray(body.points, dtype=np.float32)
@@ -60,17 +62,17 @@ def traced(path, fields, stage_deg):
     parameters = mitsuba.traverse(mesh)
     parameters["vertex_positions"], parameters["faces"] = points.ravel(), faces.ravel()
     parameters.update()
-    half = 0.5 * fields * FIELD_UM * 1e-3
+    half = 0.5 * side_mm
     around, lean = np.radians(-stage_deg), np.radians(LIGHT_DEG)
     way = [-np.sin(lean) * np.cos(around), -np.sin(lean) * np.sin(around), -np.cos(lean)]
     frame = np.eye(4)
     frame[:3, 0], frame[:3, 1], frame[:3, 2] = [-half, 0, 0], [0, half, 0], [0, 0, -1]  # its x points left
-    frame[:3, 3] = [half, half, 1.0]
+    frame[:3, 3] = [middle_mm, middle_mm, 1.0]
     scene = {
         "type": "scene",
         "plate": mesh,
         "lamp": {"type": "directional", "direction": way, "irradiance": {"type": "rgb", "value": 1.0}},
-        "integrator": {"type": "path", "max_depth": DEPTH, "rr_depth": DEPTH + 1},
+        "integrator": {"type": "path", "max_depth": depth, "rr_depth": depth + 1},
         "camera": {
             "type": "orthographic",
             "to_world": mitsuba.ScalarTransform4f(frame),
@@ -78,16 +80,22 @@ def traced(path, fields, stage_deg):
             "far_clip": 10.0,
             "film": {
                 "type": "hdrfilm",
-                "width": fields * PIXELS,
-                "height": fields * PIXELS,
+                "width": pixels,
+                "height": pixels,
                 "pixel_format": "luminance",
                 "component_format": "float32",
                 "rfilter": {"type": "box"},
             },
-            "sampler": {"type": "independent", "sample_count": SAMPLES},
+            "sampler": {"type": "independent", "sample_count": samples},
         },
     }
-    picture = np.array(mitsuba.render(mitsuba.load_dict(scene), seed=1))[..., 0]
+    return np.array(mitsuba.render(mitsuba.load_dict(scene), seed=1), dtype=np.float64)[..., 0]
+
+
+def traced(path, fields, stage_deg):
+    """(fields, fields) radiance of the fields of a body."""
+    side = fields * FIELD_UM * 1e-3
+    picture = rendered(path, 0.5 * side, side, fields * PIXELS, stage_deg)
     return picture.reshape(fields, PIXELS, fields, PIXELS).mean(axis=(1, 3))
 
 
@@ -96,6 +104,30 @@ def cross_talk(shown, own, other):
     basis = np.stack([own.ravel(), other.ravel(), np.ones(own.size)], axis=1)
     weight = np.linalg.lstsq(basis, shown.ravel(), rcond=None)[0]
     return abs(weight[1] / weight[0])
+
+
+@pytest.mark.parametrize("radius", [1.0, 8.0])
+def test_direct_light_of_the_exported_body(bench, tmp_path, radius):
+    """Of ten pitches in the middle of a field, seen from above."""
+    design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius)
+    write_body(Body(Plan(("A",), {"A": 0.0}, 1.0), design, 1000.0), tmp_path / "part.stl", "part")
+    stages = (0.0, 45.0, 90.0, 180.0)
+    lean, around = np.radians(LIGHT_DEG), np.radians(stages)
+    light = np.column_stack(
+        [np.sin(lean) * np.cos(around), -np.sin(lean) * np.sin(around), np.full(4, np.cos(lean))]
+    )
+    camera = np.broadcast_to([0.0, 0.0, 1.0], light.shape)
+    expected = corrected.radiance(light, camera, design, Material(ALPHA, ALPHA, ALBEDO))
+    works = {
+        f"Mitsuba at {stage:g}°": lambda one=stage: rendered(
+            tmp_path / "part.stl", 0.5, 0.5, 256, one, 2, 64
+        ).mean()
+        for stage in stages
+    }
+    run = bench.compare(f"direct light of a body with crests of {radius:g} µm", works, rounds=1, warm=False)
+    off = np.array([run[name].result for name in works]) / expected - 1.0
+    bench.note("off the prediction: " + ", ".join(f"{one:+.2%}" for one in off))
+    assert np.abs(off).max() < 0.005
 
 
 @pytest.mark.parametrize("fields", [64, 256])

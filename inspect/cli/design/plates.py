@@ -18,7 +18,7 @@ from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.operations.design.plates import DesignedPlate
+    from anisoscope.operations.design.plates import DesignedCode, DesignedPlate
 
 OF_MOULD = Options(
     Manufacture, Group("Mould and tool", sort_key=20), names={"base_mm": "--base-mm"}, flags=True
@@ -142,9 +142,16 @@ def plate(
     return 0
 
 
+def cuts_text(found: "DesignedPlate | DesignedCode") -> str:
+    """Length and time of the cuts of an insert, for the title of a table."""
+    if found.cut_length_m is None:
+        return ""
+    return f"; cuts of {found.cut_length_m:.3g} m in {found.cut_minutes:.0f} min"
+
+
 def _print(found: "DesignedPlate", pictures: list[str], out: Path) -> None:
     plan, design = found.found.plan, found.found
-    cuts = "" if found.cut_length_m is None else f"; cuts of {found.cut_length_m:.3g} m"
+    cuts = cuts_text(found)
     files = f"in {out}: {', '.join(path.name for path in found.files)}"
     files += "" if found.trial is None else f"; inspected: {found.trial.verdict}, {found.trial.report}"
     judged = [("predicted", found.likeness)] + ([("camera", found.camera)] if found.camera else [])
@@ -233,7 +240,7 @@ def code(
         "" if found.trial is None else f"; on the virtual rig: {found.trial.verdict}, {found.trial.report}"
     )
     print_table(
-        f"{symbology} {text!r}: {found.modules[1]} × {found.modules[0]} modules of {module_mm:g} mm",
+        f"{symbology} {text!r}: {found.modules[1]} × {found.modules[0]} modules of {module_mm:g} mm{cuts_text(found)}",
         ["stage [°]", "light [1/sr]", "dark [1/sr]", "cell contrast", OVERALL, "predicted picture says"],
         [
             [

@@ -64,6 +64,7 @@ class DesignedPlate:
         likeness: of the predicted pictures.
         camera: of photographs on the virtual rig; None without a trial.
         cut_length_m: length of the cuts of the insert; None without a path.
+        cut_minutes: time of its program, without acceleration.
         files: written files.
         trial: the inspection on the virtual rig.
     """
@@ -73,6 +74,7 @@ class DesignedPlate:
     likeness: Likeness = field(metadata=json_field(merged=True))
     camera: Likeness | None
     cut_length_m: float | None
+    cut_minutes: float | None
     files: tuple[Path, ...]
     trial: Trial | None
 
@@ -179,7 +181,7 @@ def design_plate(
     seen = [f"camera-{stage:g}.png" for stage in stages] if trial else []
     files = ["plan.csv", "fields.csv", "recipe.toml", "appearance.html", *shown, *seen, *making.names()]
     _new_folder(out, files, overwrite=overwrite)
-    length_m = _write(making, out, found.plan, ridges, pixel_um)
+    cuts = _write(making, out, found.plan, ridges, pixel_um)
     (out / "fields.csv").write_text(_fields_text(found.plan), encoding="utf-8")
     tables = recipe_of(found.plan, ridges, f"plate that shows {' and '.join(names[: len(pictures)])}")
     lobe: dict[str, Any] = _lobe(plastic)
@@ -205,7 +207,7 @@ def design_plate(
         light_angle_deg,
         Likeness(*found.likeness()),
         camera,
-        length_m,
+        *cuts,
         tuple(out / name for name in files),
         tried,
     )
@@ -286,6 +288,8 @@ class DesignedCode:
         symbology: kind of code.
         plan: its fields.
         poses: at the angles at which it is read.
+        cut_length_m: length of the cuts of the insert; None without a path.
+        cut_minutes: time of its program, without acceleration.
         files: written files.
         trial: the inspection on the virtual rig.
     """
@@ -294,6 +298,8 @@ class DesignedCode:
     symbology: Symbology
     plan: Plan = field(metadata=LEFT_OUT)
     poses: tuple[CodePose, ...]
+    cut_length_m: float | None
+    cut_minutes: float | None
     files: tuple[Path, ...]
     trial: Trial | None
 
@@ -363,7 +369,7 @@ def design_code(
         check_trial(plan)
     names = ["plan.csv", "recipe.toml", "appearance.html", *making.names()]
     _new_folder(out, names, overwrite=overwrite)
-    _write(making, out, plan, ridges, pixel_um)
+    cuts = _write(making, out, plan, ridges, pixel_um)
     tables = recipe_of(plan, ridges, f"{symbology} {text} of ridges")
     tables["code"] = {"text": text, "symbology": symbology, "read_at_deg": list(READ_AT_DEG)}
     (out / "recipe.toml").write_text(recipe_text(tables), encoding="utf-8")
@@ -388,7 +394,7 @@ def design_code(
         if pose.stage_deg in READ_AT_DEG
     )
     files = tuple(out / name for name in names)
-    return DesignedCode(text, symbology, plan, poses, files, tried)
+    return DesignedCode(text, symbology, plan, poses, *cuts, files, tried)
 
 
 def _check(make: Manufacture, plan: Plan, design: RidgeDesign, pixel_um: float) -> None:
@@ -407,8 +413,10 @@ def _tool(make: Manufacture, design: RidgeDesign) -> Tool:
     return Tool(design.edge_radius_um, make.tool_half_angle_deg, make.feed)
 
 
-def _write(make: Manufacture, out: Path, plan: Plan, design: RidgeDesign, pixel_um: float) -> float | None:
-    """Write the plan and the files of the insert; length of the cuts in m, None without a path."""
+def _write(
+    make: Manufacture, out: Path, plan: Plan, design: RidgeDesign, pixel_um: float
+) -> tuple[float, float] | tuple[None, None]:
+    """Write the plan and the files of the insert; length of the cuts in m and their time in minutes with a path."""
     (out / "plan.csv").write_text("".join(f"{','.join(row)}\n" for row in plan.rows), encoding="utf-8")
     surface = plate_map(plan, design, pixel_um, drafted=True)
     for side in ("part", "insert"):
@@ -422,11 +430,11 @@ def _write(make: Manufacture, out: Path, plan: Plan, design: RidgeDesign, pixel_
         write_body(body, out / "part.stl", "part")
         write_body(body, out / "insert.stl", "insert")
     if not make.path:
-        return None
+        return None, None
     cuts = insert_path(body, _tool(make, design))
     write_passes(cuts, out / "insert-passes.csv", out / "insert-fields.csv")
     write_gcode(cuts, out / "insert.nc")
-    return cuts.length_m
+    return cuts.length_m, cuts.minutes
 
 
 def _new_folder(out: Path, names: list[str], *, overwrite: bool) -> None:

@@ -1,9 +1,11 @@
 """Ridges with rounded crests: against the corrected model, closed forms and the relief predictor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import ModelError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
@@ -12,7 +14,8 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
-from anisoscope.study.ridges import ridge_radiance, rounded_polyline
+from anisoscope.sim.light.ridge_profile import ridge_polyline
+from anisoscope.study.ridges import ridge_radiance
 
 POSES = directions(pose_grid((0.0, 90.0, 180.0), (-20.0, 0.0, 20.0)), Convention())
 
@@ -48,7 +51,7 @@ def test_only_the_ratio_of_radius_and_pitch_counts():
 def test_profile_is_what_a_ball_inside_the_material_reaches(angle, radius):
     """Against the definition, evaluated on points: the highest ball whose surface stays below the sharp profile."""
     design = RidgeDesign(100.0, angle)
-    x, z = rounded_polyline(design, radius)
+    x, z = ridge_polyline(replace(design, edge_radius_um=radius))
     assert (np.diff(x) >= 0).all()
     assert x[-1] - x[0] == pytest.approx(100.0)
     fine = np.arange(-110.0, 110.0, 0.004)
@@ -62,29 +65,31 @@ def test_profile_is_what_a_ball_inside_the_material_reaches(angle, radius):
     reached = np.where(
         np.abs(below) <= radius, height + np.sqrt(np.maximum(radius**2 - below**2, 0.0)), -np.inf
     )
-    assert np.interp(at, x, z) == pytest.approx(reached.max(axis=1), abs=0.03)
+    assert np.interp(at, x, z, period=100.0) == pytest.approx(reached.max(axis=1), abs=0.03)
 
 
 @pytest.mark.parametrize("radius", [2.0, 20.0])
 def test_relief_of_the_same_profile_agrees(radius):
     design = RidgeDesign(100.0, 10.0)
-    x, z = rounded_polyline(design, radius)
+    x, z = ridge_polyline(replace(design, edge_radius_um=radius))
     at = np.arange(0.0, 100.0 + 0.025, 0.05)
-    heights = np.interp(at, np.concatenate([x, x[1:] + 100.0]), np.concatenate([z, z[1:]]))
+    heights = np.interp(at, np.concatenate([x - 100.0, x[1:]]), np.concatenate([z, z[1:]]))
     surface = HeightMap(np.broadcast_to(heights, (3, at.size)).copy(), 0.05, 0.05)
     expected = relief_radiance(Relief(surface, 100.0), *POSES, Material())
     assert ridge_radiance(*POSES, design, radius, Material()) == pytest.approx(expected, rel=5e-3)
 
 
 def test_height_loss_cuts_the_rounded_crest():
-    _, rounded = rounded_polyline(RidgeDesign(100.0, 10.0), 3.0)
-    _, cut = rounded_polyline(RidgeDesign(100.0, 10.0, height_loss=0.3), 3.0)
+    _, rounded = ridge_polyline(RidgeDesign(100.0, 10.0, edge_radius_um=3.0))
+    _, cut = ridge_polyline(RidgeDesign(100.0, 10.0, height_loss=0.3, edge_radius_um=3.0))
     assert cut.max() == pytest.approx(0.7 * RidgeDesign(100.0, 10.0).full_height_um)
     assert rounded.max() > cut.max()
 
 
-def test_radius_without_a_facet_left_is_refused():
-    with pytest.raises(ModelError, match="leaves no facet"):
-        rounded_polyline(RidgeDesign(10.0, 10.0), 100.0)
-    with pytest.raises(ModelError, match="0 µm or more"):
-        rounded_polyline(RidgeDesign(10.0, 10.0), -1.0)
+@pytest.mark.parametrize(
+    ("radius", "match"),
+    [(9.9, "leaves no facet"), (100.0, "100 µm is larger than the pitch of 10 µm"), (-1.0, "0 µm or more")],
+)
+def test_radius_without_a_facet_left_is_refused(radius, match):
+    with pytest.raises(HeightMapError, match=match):
+        ridge_radiance(*POSES, RidgeDesign(10.0, 40.0), radius, Material())

@@ -4,10 +4,18 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
+from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.plates import Plan, plate_map
 from anisoscope.sim.design import solids
-from anisoscope.sim.design.solids import Body, field_triangles, outline, write_body
+from anisoscope.sim.design.solids import Body, field_triangles, write_body
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import directions, pose_grid
+from anisoscope.sim.light.ridge_profile import ridge_polyline
+from anisoscope.sim.pathtracer.plastic import Plastic
+from anisoscope.sim.pathtracer.tracer import PathTracer
 
 PLAN = Plan(
     ("ABC", ".DA"), {"A": 0.0, "B": -90.0, "C": 131.0, "D": -45.0}, 0.1, {"B": 5.0, "C": 16.0, "D": 1.0}
@@ -66,10 +74,10 @@ def test_the_insert_is_the_mirrored_negative_of_the_part(tmp_path):
 @pytest.mark.parametrize("radius", [0.0, 2.0])
 def test_fields_of_any_direction_are_closed_up_to_their_level_border(radius):
     side = 100.0
-    for azimuth in (0.0, 1.5, 30.0, 45.0, 90.0, 133.5, 180.0, -45.0, -90.0):
-        for angle in (1.0, 8.0, 16.0):
+    for azimuth in (0.0, 1.5, 45.0, 90.0, 133.5, -90.0):
+        for angle in (1.0, 16.0):
             design = RidgeDesign(50.0, angle, 10.0, edge_radius_um=radius)
-            tile = field_triangles(outline(design), design.draft_rad, side, azimuth)
+            tile = field_triangles(ridge_polyline(design), design.draft_rad, side, azimuth)
             assert len(edges_twice(tile)) == 4
             border = tile[np.abs(tile[..., :2]).max(axis=-1) > 0.5 * side - 1e-6]
             assert np.all(border[:, 2] == 0.0)
@@ -79,6 +87,42 @@ def test_fields_of_any_direction_are_closed_up_to_their_level_border(radius):
             steepest = np.degrees(np.arctan(normal[:, 2] / np.hypot(normal[:, 0], normal[:, 1]).clip(1e-9)))
             assert steepest.min() > 10.0 - 1e-3
             assert 0.5 * normal[:, 2].sum() == pytest.approx(side**2, rel=1e-9)
+
+
+def read_stl(path):
+    """(T, 3, 3) corners of a binary STL."""
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    return np.frombuffer(path.read_bytes()[84:], record)["corners"].astype(np.float64)
+
+
+def profile_of_stl(path, row_mm):
+    """Heights in µm along x through an STL in mm, as its triangles are cut by a plane."""
+    triangles = 1000.0 * read_stl(path)
+    upper = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])[:, 2] > 1e-6
+    points = []
+    for first, second in ((0, 1), (1, 2), (2, 0)):
+        start, end = triangles[upper][:, first], triangles[upper][:, second]
+        crosses = (start[:, 1] - 1000.0 * row_mm) * (end[:, 1] - 1000.0 * row_mm) < 0.0
+        start, end = start[crosses], end[crosses]
+        share = (1000.0 * row_mm - start[:, 1]) / (end[:, 1] - start[:, 1])
+        points.append(start[:, ::2] + share[:, None] * (end - start)[:, ::2])
+    points = np.unique(np.round(np.concatenate(points), 4), axis=0)
+    return points[:, 0], points[:, 1]
+
+
+@pytest.mark.parametrize("radius", [1.0, 8.0])
+def test_light_of_the_body_is_the_predicted_one(tmp_path, radius):
+    """Within .5 %: the STL under the path tracer, which knows heights alone, and the model of the design."""
+    design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius)
+    write_body(Body(Plan(("A",), {"A": 0.0}, 0.3), design, BASE_UM), tmp_path / "part.stl", "part")
+    x, z = profile_of_stl(tmp_path / "part.stl", 0.1501)
+    at = np.arange(125.0, 175.0 + 0.005, 0.01)
+    surface = HeightMap(np.broadcast_to(np.interp(at, x, z), (3, at.size)).copy(), 0.01, 0.01)
+    tracer = PathTracer(surface, Plastic(0.08, 0.08, 0.1), pitch_um=50.0, reflections=1)
+    sides = directions(pose_grid((0.0, 45.0, 90.0, 180.0), (-10.0, 0.0, 10.0)), Convention())
+    found = [tracer.radiance(*pose).mean(dtype=float) for pose in zip(*sides, strict=True)]
+    expected = corrected.radiance(*sides, design, Material(0.08, 0.08, 0.1))
+    assert found == pytest.approx(expected, rel=5e-3)
 
 
 def test_what_cannot_be_made_is_refused(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """Cuts of an insert: the program, read by another parser and run on a block, leaves the insert of the design."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,16 @@ from gcodeparser import parse_gcode_lines
 from anisoscope.base.errors import UsageError
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan
-from anisoscope.sim.design.solids import Body
-from anisoscope.sim.design.toolpath import SCALLOP_UM, Tool, insert_path, write_gcode, write_passes
+from anisoscope.sim.design.solids import Body, write_body
+from anisoscope.sim.design.toolpath import (
+    CLEARANCE_MM,
+    RAPID_MM_MIN,
+    SCALLOP_UM,
+    Tool,
+    insert_path,
+    write_gcode,
+    write_passes,
+)
 
 DRAFT, TIP = 10.0, 1.5
 PLAN = Plan(("AB", "ĀA"), {"A": 0.0, "B": -90.0, "Ā": 131.0}, 0.1, {"B": 5.0, "Ā": 16.0})
@@ -62,9 +71,8 @@ class Machine:
         self.place = goal
 
 
-@pytest.fixture(scope="module")
-def cuts(path, tmp_path_factory):
-    file = tmp_path_factory.mktemp("path") / "insert.nc"
+def run(path, file):
+    """Cuts (N, 6) in µm of the program of a path."""
     write_gcode(path, file)
     assert file.read_text(encoding="ascii").count("M98") == 4
     machine = Machine()
@@ -73,10 +81,15 @@ def cuts(path, tmp_path_factory):
     return found
 
 
-def left(cuts, places):
+@pytest.fixture(scope="module")
+def cuts(path, tmp_path_factory):
+    return run(path, tmp_path_factory.mktemp("path") / "insert.nc")
+
+
+def left(cuts, places, tool):
     """Height in µm that a cone with a round tip leaves at places (M, 2); 0 where nothing was cut."""
     height = np.zeros(len(places))
-    lean = np.radians(TOOL.half_angle_deg)
+    lean = np.radians(tool.half_angle_deg)
     for x0, y0, z, x1, y1, _ in cuts:
         start, way = np.array([x0, y0]), np.array([x1 - x0, y1 - y0])
         share = np.clip((places - start) @ way / max(way @ way, 1e-12), 0.0, 1.0)
@@ -88,36 +101,44 @@ def left(cuts, places):
     return height
 
 
-def wanted(places):
-    """The insert in µm: the mirrored negative of ridges that a drafted border cuts off."""
-    found = np.empty(len(places))
-    for number, (x, y) in enumerate(places):
-        col, row = int((200.0 - x) // 100.0), 1 - int(y // 100.0)
-        letter = PLAN.rows[row][col]
-        u, v = (200.0 - x) % 100.0 - 50.0, y % 100.0 - 50.0
-        turn = np.radians(PLAN.azimuths_deg[letter])
-        ridge = PLAN.design_of(letter, DESIGN).profile(
-            np.array([np.cos(turn) * u + np.sin(turn) * v + 50.0])
-        )[0]
-        border = max(0.0, 49.8 - max(abs(u), abs(v))) / np.tan(np.radians(DRAFT))
-        found[number] = -min(ridge, border)
-    return found
+def on_insert(tmp_path, count=4000):
+    """Points (M, 3) in µm on the STL of the insert, as another program reads it, and their normals."""
+    import pyvista
+
+    write_body(Body(PLAN, DESIGN, 100.0), tmp_path / "insert.stl", "insert")
+    mesh = pyvista.read(tmp_path / "insert.stl")
+    corners = 1000.0 * np.asarray(mesh.points, np.float64)[mesh.faces.reshape(-1, 4)[:, 1:]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    upper = np.flatnonzero(normal[:, 2] > 1e-6 * area)
+    rng = np.random.default_rng(1)
+    one = rng.choice(upper, count, p=area[upper] / area[upper].sum())
+    weight = rng.dirichlet([1.0, 1.0, 1.0], count)
+    return np.einsum("nk,nkc->nc", weight, corners[one]), normal[one] / area[one, None]
 
 
-def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(cuts):
-    places = np.random.default_rng(1).uniform(0.0, 200.0, (1500, 2))
-    due, cut = wanted(places), left(cuts, places)
-    # files round to 10 nm, which is more along z on a steep wall
-    assert np.min(cut - due) > -0.01 / np.sin(np.radians(DRAFT))
-    assert np.quantile(cut - due, 0.02) > -0.01
-    inside = np.abs(places % 100.0 - 50.0).max(axis=1) < 50.0 - 0.2 - 2.0 * TIP - 15.0 * np.tan(
-        np.radians(DRAFT)
+@pytest.mark.parametrize("half_angle", [DRAFT, 4.0])
+def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(tmp_path, half_angle):
+    """Within .02 µm along the normal of the STL; corners of borders keep the radius of the tip."""
+    tool = Tool(TIP, half_angle)
+    cuts = run(insert_path(Body(PLAN, DESIGN, 100.0), tool), tmp_path / "insert.nc")
+    points, normal = on_insert(tmp_path)
+    off = (left(cuts, points[:, :2], tool) - points[:, 2]) * normal[:, 2]
+    assert off.min() > -0.015  # chords of the STL, and what files round
+    fields = points[:, :2] % 100.0 - 50.0
+    inside = np.abs(fields).max(axis=1) < 50.0 - 0.2 - 2.0 * TIP - 15.0 * np.tan(np.radians(DRAFT))
+    assert inside.sum() > 2000
+    assert np.abs(off[inside]).max() < 0.02
+    assert np.quantile(off[inside], 0.9) > 0.5 * SCALLOP_UM
+
+
+def test_time_is_that_of_feed_and_rapids(path, cuts):
+    plunges = np.sum(CLEARANCE_MM - 1e-3 * cuts[:, 2])
+    cutting = (1e3 * path.length_m + plunges) / TOOL.feed_mm_min
+    assert cutting < path.minutes < cutting + 1.5 * (plunges + 2.0 * 1e3 * path.length_m) / RAPID_MM_MIN
+    assert insert_path(path.body, replace(TOOL, feed_mm_min=200.0)).minutes == pytest.approx(
+        path.minutes - 0.5 * cutting
     )
-    assert inside.sum() > 1000
-    rest = (cut - due)[inside]  # more than a scallop on the walls, which are nearly upright
-    assert np.quantile(rest, 0.95) < 1.2 * SCALLOP_UM
-    assert rest.max() < 0.15
-    assert rest.mean() < 0.5 * SCALLOP_UM
 
 
 def test_tables_say_the_same_as_the_program(path, cuts, tmp_path):
@@ -145,6 +166,7 @@ def test_tables_say_the_same_as_the_program(path, cuts, tmp_path):
     [
         (Tool(TIP, 20.0), PLAN, "a half angle of 20° does not reach walls with a draft of 10°"),
         (Tool(0.0, 5.0), PLAN, "give --tool-radius"),
+        (Tool(2.0, 5.0), PLAN, "a tip of 2 µm does not leave crests of 1.5 µm"),
         (TOOL, Plan(("A.",), {"A": 0.0}, 0.1), "flat fields is not made"),
     ],
 )
