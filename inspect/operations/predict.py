@@ -42,6 +42,7 @@ class Method:
         bounces: largest number of reflections, or "all".
         light: wavelengths, for the choice of the model and for waves.
         interpolate: points per original point along each axis, for waves on smooth maps.
+        steps: number of plateaus of a stepped map, for waves; they are found where it is not given.
         monte_carlo: number of draws of all inputs; None draws none.
         seed: of the draws.
         reflect: reflections of a map: of the groove fitted to it, or of paths followed on it.
@@ -57,6 +58,7 @@ class Method:
     bounces: int | Literal["all"] = "all"
     light: LightSpectrum = field(default_factory=LightSpectrum)
     interpolate: int = 1
+    steps: int | None = None
     monte_carlo: int | None = None
     seed: int = 0
     reflect: Literal["groove", "paths"] = "groove"
@@ -145,7 +147,7 @@ class Task:
             return (by_rays(on_progress),)
         # roughness of the plastic at all scales belongs to rays
         model = "geometric" if how.roughness == "plastic" and how.model == "auto" else how.model
-        request = OpticsRequest(model, how.light, how.interpolate, _count(how))  # type: ignore[arg-type]
+        request = OpticsRequest(model, how.light, how.interpolate, _count(how), how.steps)  # type: ignore[arg-type]
         return predict_with_optics(surface, by_rays, rig, request, self.pitch_um, how.level, on_progress)
 
     def cached(self, on_progress: Advance = silent) -> "tuple[Predicted, ...]":

@@ -17,7 +17,7 @@ from anisoscope.base.regular_file import regular_file
 from anisoscope.bsdf.directions_table import interpolated, read_mapped
 from anisoscope.bsdf.formats import Exported, FormatName, export, format_of, read_reflectance
 from anisoscope.bsdf.mitsuba_scene import Shape, write_classes_scene, write_normals_scene
-from anisoscope.bsdf.models import of_design, of_heights, of_heights_by_waves, of_ink, of_ridges
+from anisoscope.bsdf.models import WAVE_NM, of_design, of_heights, of_heights_by_waves, of_ink, of_ridges
 from anisoscope.bsdf.reflectance import Reflectance
 from anisoscope.bsdf.rgl import Resolution
 from anisoscope.bsdf.textures import write_height_textures
@@ -33,8 +33,7 @@ from anisoscope.profiles.plates import plate_map
 from anisoscope.sim.design.designfile import DesignFile, read_layout
 from anisoscope.sim.design.models import AntiMirrorModel, AnyModel, LobeModel, MixtureModel, model_density
 from anisoscope.sim.light.ink.ink import Ink
-from anisoscope.sim.light.wave.choice import structure_of
-from anisoscope.sim.light.wave.surface import WaveSurface
+from anisoscope.sim.light.wave.surface import WaveSurface, on_plateaus
 from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
 
 Classes = npt.NDArray[np.integer[Any]]
@@ -52,6 +51,7 @@ def reflectance_of(
     bounces: int | Literal["all"] = 1,
     optics: Literal["rays", "waves"] = "rays",
     lamp_half_angle_deg: float = 0.9,
+    steps: int | None = None,
     pitch_um: float | None = None,
     name: str = "height map",
     on_progress: Advance = silent,
@@ -65,6 +65,7 @@ def reflectance_of(
             "all".
         optics: of a height map: rays on plastic, or waves on a mirror, for steps and depths below a µm.
         lamp_half_angle_deg: of a height map by waves: half of the angle that the lamp subtends.
+        steps: of a height map by waves: number of its plateaus; they are found where it is not given.
         pitch_um: of a height map, where it is not to be found in it.
         name: of a height map.
         on_progress: called along the way.
@@ -89,8 +90,12 @@ def reflectance_of(
         return design_reflectance(surface)
     if optics == "waves":
         heights = WaveSurface.of(surface)
-        stepped = replace(heights, cells=structure_of(heights, 0.55).stepped)
-        return of_heights_by_waves(stepped, lamp_half_angle_deg, name, on_progress=on_progress)
+        return of_heights_by_waves(
+            on_plateaus(heights, 1e-3 * min(WAVE_NM), steps),
+            lamp_half_angle_deg,
+            name,
+            on_progress=on_progress,
+        )
     relief, _ = prepare_relief(surface, pitch_um)
     return of_heights(best_band(relief), plastic, name)
 

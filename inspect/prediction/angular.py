@@ -18,7 +18,7 @@ from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import encode, linear_srgb
 from anisoscope.sim.light.wave.correlation import DensityLadder
-from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
+from anisoscope.sim.light.wave.surface import WaveSurface, on_plateaus, sampling_of
 from anisoscope.sim.light.wave.windows import Extent, Window
 
 POINTS = 161
@@ -87,11 +87,13 @@ class AngularReflectance:
 
     Attributes:
         task: what was asked for.
+        stepped: whether the map is one of plateaus.
         v: (V,) direction cosines of the camera along x, and along y.
         brdf: (W, V, V) in 1/sr, rows along rising v_y; NaN below the horizon.
     """
 
     task: AngularTask
+    stepped: bool
     v: FloatArray = field(metadata=LEFT_OUT)
     brdf: npt.NDArray[np.float64] = field(metadata=LEFT_OUT)
 
@@ -154,7 +156,7 @@ def angular_reflectance(
     surface: HeightMap,
     task: AngularTask,
     *,
-    stepped: bool = False,
+    steps: int | None = None,
     interpolate: int = 1,
     advance: Advance = silent,
 ) -> AngularReflectance:
@@ -163,7 +165,7 @@ def angular_reflectance(
     Args:
         surface: the heights.
         task: directions, light and wavelengths.
-        stepped: each height holds for a whole pixel (etched steps); else it is that of a point.
+        steps: number of plateaus, whose heights hold for whole pixels; they are found where it is not given.
         interpolate: points per original point along each axis, by cubic splines of smooth heights.
         advance: receives the progress.
 
@@ -171,7 +173,8 @@ def angular_reflectance(
         HeightMapError: a pixel without a height, or pixels too coarse for the phase.
         ModelError: more memory or more maps than are taken; the message says how much.
     """
-    heights = WaveSurface.of(surface, cells=stepped).interpolated(interpolate)
+    shortest = 1e-3 * min(task.wavelengths_nm)
+    heights = on_plateaus(WaveSurface.of(surface), shortest, steps).interpolated(interpolate)
     v = np.linspace(-task.reach, task.reach, task.points)
     y, x = np.meshgrid(v, v, indexing="ij")
     inside = np.hypot(x, y) < 0.999
@@ -184,12 +187,11 @@ def angular_reflectance(
     for number, nm in enumerate(task.wavelengths_nm):
         advance(f"{nm:g} nm", number, len(task.wavelengths_nm))
         um = 1e-3 * nm
-        if not stepped:
-            sampling_of(heights, um, float(h_z[inside].max())).check()
+        sampling_of(heights, um, float(h_z[inside].max())).check()
         ladder = DensityLadder(
             heights, um, task.window(), (float(h_z[inside].min()), float(h_z[inside].max()))
         )
         density = ladder.at(h_x[inside], h_y[inside], h_z[inside])
         gamma = square[inside] / h_z[inside] / um
         found[number][inside] = np.maximum(density, 0.0) * gamma**2 / (v_z[inside] * light[2])
-    return AngularReflectance(task, v, found)
+    return AngularReflectance(task, heights.cells, v, found)

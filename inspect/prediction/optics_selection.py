@@ -46,7 +46,7 @@ from anisoscope.sim.light.wave.choice import (
 )
 from anisoscope.sim.light.wave.halfvectors import HalfVector, half_vector
 from anisoscope.sim.light.wave.reflectance import radiance_scale
-from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
+from anisoscope.sim.light.wave.surface import WaveSurface, on_plateaus, sampling_of
 from anisoscope.sim.light.wave.windows import Window
 
 if TYPE_CHECKING:
@@ -67,12 +67,14 @@ class OpticsRequest:
         light: the wavelengths, for the choice and for waves.
         interpolate: factor by which heights are interpolated for wave optics.
         bounces: reflections added to waves, by rays; None for all, 1 for direct light.
+        steps: number of plateaus of a stepped map; they are found where it is not given.
     """
 
     model: OpticsModel = "auto"
     light: LightSpectrum = field(default_factory=LightSpectrum)
     interpolate: int = 1
     bounces: int | None = None
+    steps: int | None = None
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,7 @@ def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, request: OpticsReques
     elif surface.missing_share > 0.0:
         return None
     else:
-        heights = wave_surface(surface).interpolated(request.interpolate)
+        heights = _plateaus(wave_surface(surface), request).interpolated(request.interpolate)
     halves = _halves(rig)
     lowest = min(min(half.light_z, half.camera_z) for half in halves)
     slant = float(np.sqrt(1.0 / lowest**2 - 1.0))
@@ -149,9 +151,8 @@ def predict_with_optics(
     rays = None if choice is None or choice.model != "wave" else by_rays_instead(choice, "rays are asked for")
     found = []
     if model in ("wave", "both"):
-        stepped = choice is not None and choice.stepped
         try:
-            found.append(_by_waves(surface, rig, request, stepped, pitch_um, levelling, on_progress))
+            found.append(_by_waves(surface, rig, request, pitch_um, levelling, on_progress))
         except (HeightMapError, ModelError) as problem:
             if request.model != "auto" or choice is None:
                 raise
@@ -247,7 +248,6 @@ def _by_waves(
     surface: HeightMap | RidgeDesign,
     rig: Rig,
     request: OpticsRequest,
-    stepped: bool,
     pitch_um: float | None,
     levelling: Levelling,
     on_progress: Advance,
@@ -262,7 +262,7 @@ def _by_waves(
         by_rays = design_by_rays(surface, rig)
         nominal = replace(nominal, shape=Shape(surface.ridge_angle_deg, surface.height_loss))
     else:
-        of = fixed(_of_map(surface, rig, request, stepped, pitch_um, levelling))
+        of = fixed(_of_map(surface, rig, request, pitch_um, levelling))
         relief, _ = prepare_relief(surface, pitch_um, levelling)
         source = reflections_of_map(relief, request.bounces, ridge_edges(relief))
         by_rays = fixed(relief_model(best_band(relief), rig.optics))
@@ -308,7 +308,6 @@ def wave_model(
     surface: HeightMap | RidgeDesign,
     rig: Rig,
     request: OpticsRequest,
-    stepped: bool,
     pitch_um: float | None = None,
 ) -> Model:
     """The wave predictor of a fixed surface, without uncertainty; arguments as for `predict_with_optics`.
@@ -319,7 +318,7 @@ def wave_model(
     """
     if isinstance(surface, RidgeDesign):
         return _of_design(surface, rig, request)(Shape(surface.ridge_angle_deg, surface.height_loss))
-    return _of_map(surface, rig, request, stepped, pitch_um, "auto")
+    return _of_map(surface, rig, request, pitch_um, "auto")
 
 
 def _contributions(
@@ -361,15 +360,21 @@ def _of_design(design: RidgeDesign, rig: Rig, request: OpticsRequest) -> Surface
     return lambda shape: nominal_predictor if shape == nominal else shaped(shape)
 
 
+def _plateaus(heights: WaveSurface, request: OpticsRequest) -> WaveSurface:
+    return on_plateaus(heights, request.light.shortest_um, request.steps)
+
+
 def _of_map(
     surface: HeightMap,
     rig: Rig,
     request: OpticsRequest,
-    stepped: bool,
     pitch_um: float | None,
     levelling: Levelling,
 ) -> Model:
-    wave_surface(surface)  # missing points are refused before levelling
+    if (
+        _plateaus(wave_surface(surface), request).cells and levelling == "auto"
+    ):  # missing points are refused here
+        levelling = "none"
     relief, _ = prepare_relief(surface, pitch_um, levelling)
     if relief.turn_deg != 0.0 and rig.material.alpha_along != rig.material.alpha_across:
         raise HeightMapError(
@@ -381,7 +386,7 @@ def _of_map(
         width = int(level.shape[1] * level.pixel_x_um / relief.pitch_um) * relief.pitch_um
         cols = max(2, round(width / level.pixel_x_um))
         level = level.with_height(level.height_um[:, :cols])
-    heights = replace(wave_surface(level), cells=stepped).interpolated(request.interpolate)
+    heights = _plateaus(wave_surface(level), request).interpolated(request.interpolate)
     halves = _halves(rig)
     sampling_of(heights, request.light.shortest_um, max(half.z for half in halves)).check()
     fine = fine_enough(heights, _window(rig), request.light, halves)

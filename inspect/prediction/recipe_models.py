@@ -226,8 +226,7 @@ def _chosen(
     wave = requested == "wave" or (requested == "auto" and choice is not None and choice.model == "wave")
     if wave:
         try:
-            stepped = choice is not None and choice.stepped
-            found = wave_model(surface, rig, request, stepped, recipe.surface.pitch_um)
+            found = wave_model(surface, rig, request, recipe.surface.pitch_um)
             found(*directions(rig.poses, rig.convention), rig.material)
         except (HeightMapError, ModelError) as problem:
             if requested == "wave" or choice is None:
@@ -251,9 +250,7 @@ def _turned(surface: HeightMap | RidgeDesign, found: Model, rig: Rig, request: O
     def shaped(shape: Shape) -> Model:
         if not isinstance(surface, RidgeDesign) or shape.ridge_angle_deg == surface.ridge_angle_deg:
             return found
-        return wave_model(
-            replace(surface, ridge_angle_deg=shape.ridge_angle_deg), rig, request, stepped=False
-        )
+        return wave_model(replace(surface, ridge_angle_deg=shape.ridge_angle_deg), rig, request)
 
     return shaped
 

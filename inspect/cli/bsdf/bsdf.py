@@ -65,6 +65,9 @@ class SourceOptions:
         Literal["rays", "waves"],
         Parameter(help="Height map: rays on plastic, or waves on a mirror, for steps and depths below a µm."),
     ] = "rays"
+    steps: Annotated[
+        int | None, Parameter(help="Plateaus of a stepped height map, for waves; found where not given.")
+    ] = None
     pixel: Annotated[
         str | None, Parameter(help="Height map: pixel size in µm where it states none, SIZE or Y,X.")
     ] = None
@@ -106,7 +109,11 @@ class SourceOptions:
         from anisoscope.profiles.files.load import read_height_map
 
         ridges.refuse(["wall", "height_loss", "edge_radius_um"], "belongs to ridges (--ridge-angle)")
-        how: dict[str, Any] = {"optics": self.optics, "lamp_half_angle_deg": self.lamp_half_angle}
+        how: dict[str, Any] = {
+            "optics": self.optics,
+            "lamp_half_angle_deg": self.lamp_half_angle,
+            "steps": self.steps,
+        }
         how |= {"pitch_um": ridges.values.get("pitch_um"), "name": self.height_map.stem}
         return read_height_map(self.height_map, pixel_um=parse_pixel(self.pixel)), how
 

@@ -15,6 +15,7 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.cli.predict.predict import WaveOptions
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.optics import Optics
     from anisoscope.prediction.angular import AngularReflectance
@@ -76,7 +77,7 @@ def write_angular_map(
     options: MapOptions,
     wavelengths_um: tuple[float, ...] | None,
     blur: Blur,
-    interpolate: int,
+    waves: "WaveOptions",
     pixel: str | None,
     role: Literal["part", "tool"],
     *,
@@ -92,8 +93,6 @@ def write_angular_map(
     from anisoscope.cli.profile.profile import parse_pixel
     from anisoscope.prediction.angular import COLOUR_NM, AngularTask, angular_reflectance
     from anisoscope.profiles.files.load import read_height_map
-    from anisoscope.sim.light.wave.choice import structure_of
-    from anisoscope.sim.light.wave.surface import WaveSurface
     from anisoscope.sim.materials.spectra import find_illuminant
 
     height_map, light = _checked(path, options, blur, wavelengths_um)
@@ -104,17 +103,18 @@ def write_angular_map(
         blur.optics.aperture_half_angle_deg, blur.slope_rms,
     )  # fmt: skip
     surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
-    stepped = structure_of(WaveSurface.of(surface), 1e-3 * min(nm)).stepped
     with progress("map", quiet=as_json) as advance:
-        found = angular_reflectance(surface, task, stepped=stepped, interpolate=interpolate, advance=advance)
+        found = angular_reflectance(
+            surface, task, steps=waves.steps, interpolate=waves.interpolate, advance=advance
+        )
     if options.table is not None:
         _write_table(found, options.table)
     if options.picture is not None:
         _write_picture(found, lamp, options.picture)
     if as_json:
-        print_json({"map": height_map, "stepped": stepped, **fields_of(found)})
+        print_json({"map": height_map, **fields_of(found)})
         return 0
-    _print(found, height_map, stepped)
+    _print(found, height_map)
     for target in (options.picture, options.table):
         if target is not None:
             sys.stdout.write(f"written: {target}\n")
@@ -186,7 +186,7 @@ def _write_picture(found: "AngularReflectance", lamp: "Illuminant | None", path:
     write_bytes(path, stream.getvalue())
 
 
-def _print(found: "AngularReflectance", path: Path, stepped: bool) -> None:
+def _print(found: "AngularReflectance", path: Path) -> None:
     task = found.task
     rows = [
         [f"{nm:g}", f"{100.0 * share:.1f}", f"{peak:.4g}", f"({x:.3f}, {y:.3f})".replace("-", "−")]
@@ -195,7 +195,7 @@ def _print(found: "AngularReflectance", path: Path, stepped: bool) -> None:
         )
     ]
     print_table(
-        f"{path.name}: BRDF by waves, {'steps' if stepped else 'smooth'}, all light reflected",
+        f"{path.name}: BRDF by waves, {'steps' if found.stepped else 'smooth'}, all light reflected",
         ["wavelength [nm]", "light within the map [%]", "largest [1/sr]", "at (v_x, v_y)"],
         rows,
         caption=f"light at {task.light_deg[0]:g}°, azimuth {task.light_deg[1]:g}°; |v_x|, |v_y| ≤ {task.reach:g}",

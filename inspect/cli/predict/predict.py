@@ -78,6 +78,10 @@ class WaveOptions:
         int,
         Parameter(help="Points per original point along each axis, for waves on smooth maps."),
     ] = 1
+    steps: Annotated[
+        int | None,
+        Parameter("--steps", help="Plateaus of a stepped height map, for waves; found where not given."),
+    ] = None
 
 
 WAVE_DEFAULTS = WaveOptions()
@@ -245,9 +249,7 @@ def predict(
         _check_map_alone(given)
         nm = None if waves.wavelengths is None else light_of(waves.wavelengths).wavelengths_um
         blur = Blur(_optics(sizes), plastic.over(Material()) if plastic.values else None)
-        return write_angular_map(
-            height_map, over_directions, nm, blur, waves.interpolate, pixel, role, as_json=json_
-        )
+        return write_angular_map(height_map, over_directions, nm, blur, waves, pixel, role, as_json=json_)
     if recipe is not None:
         _check_recipe_alone(given)
         return _predict_recipe(recipe, rig.over(Convention()), as_json=json_, covariance=use.covariance)
@@ -272,8 +274,8 @@ def predict(
 
         pixel_um = parse_pixel(pixel)
     method = Method(
-        model or "auto", bounces, light_of(waves.wavelengths), waves.interpolate, use.monte_carlo, use.seed, reflect,
-        level, max_missing, facets, roughness, pixel_um, role,
+        model or "auto", bounces, light_of(waves.wavelengths), waves.interpolate, waves.steps, use.monte_carlo,
+        use.seed, reflect, level, max_missing, facets, roughness, pixel_um, role,
     )  # fmt: skip
     base, file = plastic_of(material)
     design = ridges.over(RidgeDesign(100.0, 10.0)) if height_map is None else None
@@ -419,7 +421,9 @@ def _check_waves(waves: WaveOptions, model: Model | None, roughness: str) -> Non
     if waves.interpolate < 1:
         raise UsageError(f"--interpolate must be 1 or more, not {waves.interpolate}")
     if model in BY_RAYS and waves != WAVE_DEFAULTS:
-        raise UsageError(f"--wavelengths and --interpolate are for waves; --model {model} knows rays only")
+        raise UsageError(
+            f"--wavelengths, --interpolate and --steps are for waves; --model {model} knows rays only"
+        )
     if model in ("wave", "both") and roughness != "lobe":
         raise UsageError(
             f"--roughness plastic belongs to rays: --model {model} takes the roughness of a lobe"

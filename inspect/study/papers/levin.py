@@ -80,7 +80,7 @@ def _sample(design: DesignFile, dot_um: float = DOT_UM) -> tuple[FloatArray, Flo
         design.model, levels.size, points, design.grid_um, design.min_width_um, np.random.default_rng(SEED)
     )
     task = AngularTask((NM,), reach=2.0 * REACH, lamp_half_angle_deg=0.9)
-    found = angular_reflectance(HeightMap(levels[labels], design.grid_um, design.grid_um), task, stepped=True)
+    found = angular_reflectance(HeightMap(levels[labels], design.grid_um, design.grid_um), task)
     return levels[labels], found.brdf[0]
 
 

@@ -15,11 +15,16 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.parameters.light import LightSpectrum
-from anisoscope.sim.light.wave.surface import MAX_SHARE, Sampling, WaveSurface, sampling_of
+from anisoscope.sim.light.wave.surface import (
+    LINES,
+    MAX_SHARE,
+    Sampling,
+    WaveSurface,
+    lines_of,
+    on_plateaus,
+    sampling_of,
+)
 from anisoscope.sim.light.wave.windows import Window
-
-LINES = 48
-"""Rows and columns that are looked at."""
 
 FLAT = 1.0 / 32.0
 """How far a facet may leave its plane, in wavelengths: a phase of 0.8 rad there and back."""
@@ -30,8 +35,6 @@ SMALL_SHARE = 0.1
 EDGE_SLOPE = 1.0
 SHARP = 32.0
 MAINLY = 0.8
-LEVEL_SHARE = 0.8
-STEP_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -64,38 +67,13 @@ class Structure:
 
 def structure_of(surface: WaveSurface, wavelength_um: float) -> Structure:
     """Look at up to 48 lines each way."""
-    rows, cols = surface.shape
-    z = surface.height_um
-    across = [z[row] for row in np.unique(np.linspace(0, rows - 1, min(rows, LINES)).astype(int))]
-    along_x = _axis(across, surface.pixel_x_um, wavelength_um)
-    along_y, down = Axis(float("inf"), True), []
-    if not surface.is_profile and rows > 1:
-        down = [z[:, col] for col in np.unique(np.linspace(0, cols - 1, min(cols, LINES)).astype(int))]
-        along_y = _axis(down, surface.pixel_y_um, wavelength_um)
-    return Structure(along_x, along_y, is_stepped([*across, *down], wavelength_um))
-
-
-def is_stepped(lines: list[npt.NDArray[np.float32]], wavelength_um: float) -> bool:
-    """Whether most of the surface is level and nearly all of its relief is jumps from pixel to pixel."""
-    change = np.concatenate([np.abs(np.diff(line)) for line in lines])
-    jump = change > 0.02 * wavelength_um
-    total = float(change.sum())
-    if not jump.any() or total == 0.0:
-        return False
-    return bool(np.mean(~jump) > LEVEL_SHARE and float(change[jump].sum()) > STEP_SHARE * total) or bool(
-        _few_levels(lines, wavelength_um)
-    )
-
-
-def _few_levels(lines: list[npt.NDArray[np.float32]], wavelength_um: float) -> bool:
-    """Fine steps: fewer level stretches, but all heights lie on at most 32 levels that are clearly apart."""
-    heights = np.sort(np.concatenate(lines))
-    gaps = np.diff(heights)
-    apart = gaps > 0.01 * wavelength_um
-    spread = float(gaps[~apart].sum())
-    few = bool(1 <= np.count_nonzero(apart) < 32 and spread < 0.1 * float(gaps.sum()))
-    level = np.concatenate([np.abs(np.diff(line)) for line in lines]) < 0.01 * wavelength_um
-    return few and bool(np.mean(level) > 0.5)
+    lines = lines_of(surface)
+    across = min(surface.shape[0], LINES)
+    along_x = _axis(lines[:across], surface.pixel_x_um, wavelength_um)
+    along_y = Axis(float("inf"), True)
+    if len(lines) > across:
+        along_y = _axis(lines[across:], surface.pixel_y_um, wavelength_um)
+    return Structure(along_x, along_y, on_plateaus(surface, wavelength_um).cells)
 
 
 def _axis(lines: list[npt.NDArray[np.float32]], pixel_um: float, wavelength_um: float) -> Axis:

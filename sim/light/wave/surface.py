@@ -1,11 +1,11 @@
 """Heights ready for wave optics: complete, sampled finely enough, or interpolated.
 
 The phase of the reflected wave turns by 4π·h_z·z/λ. Between two pixels it must turn by less than π, else the map does
-not say how often it has turned: |Δz| < λ/(4·h_z). A step from one level to another within one pixel is no such
-doubt: the surface itself jumps there.
+not say how often it has turned: |Δz| < λ/(4·h_z). A step from one plateau to another within one pixel is no such
+doubt: the surface itself jumps there. So slopes are judged within plateaus (`on_plateaus`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -22,6 +22,16 @@ MAX_SHARE = 0.01
 """Share of pixels over the limit above which a map is refused."""
 
 MAX_POINTS = 2**28
+LINES = 48
+"""Rows and columns in which plateaus are looked for."""
+MOST_LEVELS = 32
+FLAT_SHARE, APART_SHARE = 0.05, 0.01
+"""Of the wavelength: widest spread of the heights of one plateau, and least distance of two."""
+LEVEL_SHARE, STEP_SHARE = 0.8, 0.9
+RAMP_SHARE = 0.4
+"""Changes that go on alike in the next pixel, above which few levels are those of a slope."""
+DECLARED_SPREAD = 0.25
+"""Standard deviation about declared plateaus, over their least distance, above which they are noise."""
 _BLOCK_ROWS = 512
 
 
@@ -35,6 +45,7 @@ class WaveSurface:
         pixel_y_um: distance of rows in µm.
         is_profile: the surface is a profile, the same all along y.
         cells: each height holds for a whole pixel (a stepped surface); else it is that of a point.
+        edges_um: heights between the levels of the plateaus; none where they have levels of their own.
     """
 
     height_um: Heights
@@ -42,6 +53,7 @@ class WaveSurface:
     pixel_y_um: float
     is_profile: bool = False
     cells: bool = False
+    edges_um: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -114,6 +126,88 @@ def _readonly(height_um: npt.NDArray[np.floating]) -> Heights:
     return found
 
 
+def on_plateaus(surface: WaveSurface, wavelength_um: float, steps: int | None = None) -> WaveSurface:
+    """The same surface, as a stepped one where its heights are those of plateaus.
+
+    Without ``steps`` it is stepped where its heights lie on at most 32 levels without being those of a slope, or where
+    most of it is level and nearly all of its relief is jumps from pixel to pixel. Up to 48 lines each way are looked
+    at.
+
+    Args:
+        surface: the heights.
+        wavelength_um: the shortest one.
+        steps: number of levels, where it is known; noise about them then does not matter.
+
+    Raises:
+        HeightMapError: heights that lie on no such number of levels.
+    """
+    if surface.cells:
+        return surface
+    lines = lines_of(surface)
+    heights = np.sort(np.concatenate(lines)).astype(np.float64)
+    if steps is not None:
+        return replace(surface, cells=True, edges_um=_declared(heights, steps))
+    apart = np.flatnonzero(np.diff(heights) > APART_SHARE * wavelength_um)
+    if 0 < apart.size < MOST_LEVELS:
+        groups = np.split(heights, apart + 1)
+        flat = max(float(group[-1] - group[0]) for group in groups) < FLAT_SHARE * wavelength_um
+        if flat and _ramps(lines, wavelength_um) <= RAMP_SHARE:
+            edges = tuple((0.5 * (heights[apart] + heights[apart + 1])).tolist())
+            return replace(surface, cells=True, edges_um=edges)
+    change = np.concatenate([np.abs(np.diff(line)) for line in lines])
+    jump = change > 0.02 * wavelength_um
+    relief = float(change.sum())
+    mostly = np.mean(~jump) > LEVEL_SHARE and float(change[jump].sum()) > STEP_SHARE * relief
+    return replace(surface, cells=True) if jump.any() and mostly else surface
+
+
+def lines_of(surface: WaveSurface) -> list[Heights]:
+    """Up to 48 rows and 48 columns, evenly spread."""
+    rows, cols = surface.shape
+    z = surface.height_um
+    found = [z[row] for row in np.unique(np.linspace(0, rows - 1, min(rows, LINES)).astype(int))]
+    if not surface.is_profile and rows > 1:
+        found += [z[:, col] for col in np.unique(np.linspace(0, cols - 1, min(cols, LINES)).astype(int))]
+    return found
+
+
+def _ramps(lines: list[Heights], wavelength_um: float) -> float:
+    """Share of the changes from pixel to pixel that the next pixel repeats, within a factor of two."""
+    here = np.concatenate([np.diff(line)[:-1] for line in lines])
+    then = np.concatenate([np.diff(line)[1:] for line in lines])
+    changes = np.abs(here) > APART_SHARE * wavelength_um
+    if not changes.any():
+        return 0.0
+    ratio = then[changes] / here[changes]
+    return float(np.mean((ratio > 0.5) & (ratio < 2.0)))
+
+
+def _declared(heights: FloatArray, steps: int) -> tuple[float, ...]:
+    """Heights between so many levels, by k means in one dimension (Lloyd 1982) from even levels.
+
+    Raises:
+        HeightMapError: heights that lie on no such number of levels.
+    """
+    if not 2 <= steps <= MOST_LEVELS:
+        raise HeightMapError(f"plateaus (--steps) are 2 to {MOST_LEVELS}, not {steps}")
+    levels = np.linspace(heights[0], heights[-1], steps)
+    for _ in range(100):
+        edges = 0.5 * (levels[1:] + levels[:-1])
+        group = np.searchsorted(edges, heights)
+        count = np.bincount(group, minlength=steps)
+        moved = np.where(count > 0, np.bincount(group, heights, steps) / np.maximum(count, 1), levels)
+        if np.array_equal(moved, levels):
+            break
+        levels = moved
+    spread, apart = float(np.std(heights - levels[group])), float(np.diff(levels).min())
+    if count.min() == 0 or spread > DECLARED_SPREAD * apart:
+        raise HeightMapError(
+            f"the heights lie on no {steps} plateaus: they spread by {1e3 * spread:.3g} nm about levels that are "
+            f"{1e3 * apart:.3g} nm apart: give another --steps, smooth the map (profile edit), or leave --steps out"
+        )
+    return tuple(edges.tolist())
+
+
 @dataclass(frozen=True)
 class Sampling:
     """Sampling of the phase by a map.
@@ -148,7 +242,8 @@ class Sampling:
                 f"neighbours differ by more than {1e3 * self.limit_um:.0f} nm, worst {self.worst_change_um:.2f} µm "
                 f"at x = {self.worst_um[0]:.1f} µm, y = {self.worst_um[1]:.1f} µm (row {row}, column {col}); these "
                 f"pixels resolve slopes to {self.slope_deg:.1f}°: measure with smaller pixels, ask for interpolated "
-                "heights where the surface is smooth (--interpolate), take longer wavelengths, or the geometric model"
+                "heights where the surface is smooth (--interpolate), say how many plateaus there are where it is "
+                "stepped (--steps), take longer wavelengths, or the geometric model"
             )
 
 
@@ -165,9 +260,9 @@ def sampling_of(surface: WaveSurface, wavelength_um: float, h_z: float = 1.0) ->
     for start in range(0, rows, _BLOCK_ROWS):
         before, after = min(start, 2), min(2, max(0, rows - start - _BLOCK_ROWS))
         block = surface.height_um[start - before : start + _BLOCK_ROWS + after]
-        change = _doubtful(block, 1, limit)
+        change = _doubtful(block, 1, limit, surface.edges_um)
         if not surface.is_profile and rows > 1:
-            change = np.maximum(change, _doubtful(block, 0, limit))
+            change = np.maximum(change, _doubtful(block, 0, limit, surface.edges_um))
         change = change[before : change.shape[0] - after]
         count += int(np.count_nonzero(change > limit))
         if change.size and float(change.max()) > worst:
@@ -180,9 +275,15 @@ def sampling_of(surface: WaveSurface, wavelength_um: float, h_z: float = 1.0) ->
     )
 
 
-def _doubtful(block: Heights, axis: int, limit: float) -> Heights:
-    """Change of height to the next pixel along an axis, 0 where it is a lone jump between smooth stretches."""
+def _doubtful(block: Heights, axis: int, limit: float, edges_um: tuple[float, ...]) -> Heights:
+    """Change of height to the next pixel along an axis, 0 where it leads to another plateau.
+
+    That is another level, or what lies beyond a lone jump between smooth stretches.
+    """
     change = np.abs(np.diff(block, axis=axis))
+    if edges_um:
+        level = np.searchsorted(np.array(edges_um), block)
+        change = np.where(np.diff(level, axis=axis) == 0, change, 0.0).astype(np.float32)
     smooth = np.moveaxis(change < 0.5 * limit, axis, 0)
     lone = np.zeros_like(smooth)
     if len(smooth) > 2:

@@ -9,7 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.profiles.files.load import read_height_map
+from anisoscope.operations.design.etched import layout_of
+from anisoscope.prediction.angular import AngularTask, angular_reflectance
+from anisoscope.profiles.files.load import read_height_map, write_height_map
+from anisoscope.sim.design.maskreading import read_gds
+from anisoscope.sim.light.wave.surface import WaveSurface, on_plateaus, sampling_of
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "design.md"
 
@@ -85,6 +89,31 @@ def test_a_whole_layout_is_streamed(anisoscope, page, folder):
     again = anisoscope("design", "height", "dot.npz", "--out", "all.npy", cwd=folder)
     assert again.code == 64
     assert "--overwrite" in again.err
+
+
+def test_what_every_command_designs_is_predicted_from_its_file(page, folder):
+    """Heights of designs, dots, patterns and masks come back from every format, as plateaus with the same light."""
+    task, seen = AngularTask((450.0,), reach=0.1, points=11), set()
+    for source in sorted([*folder.glob("*.toml"), *folder.glob("*.npz"), folder / "disc.gds"]):
+        if source.suffix == ".gds":
+            surface = read_gds(source, size_um=(48.0, 48.0))
+        else:
+            surface = layout_of(source, 1, 56.0, 0).window((0.0, 0.0), (48.0, 48.0))
+        expected = angular_reflectance(surface, task)
+        for kind in ("x3p", "npz", "sur", "gwy"):
+            path = folder / f"{source.stem}-back.{kind}"
+            write_height_map(surface, path)
+            back = read_height_map(path)
+            steps = on_plateaus(WaveSurface.of(back), 0.45)
+            assert steps.cells, path
+            sampling_of(steps, 0.45).check()
+            np.testing.assert_allclose(np.ptp(back.height_um), np.ptp(surface.height_um), rtol=1e-3)
+            path.unlink()
+        found = angular_reflectance(back, task)
+        assert found.stepped
+        np.testing.assert_allclose(found.brdf, expected.brdf, rtol=1e-3)
+        seen.add(source.name)
+    assert {"wide-x.toml", "hole.toml", "white.toml", "both.toml", "dot.npz", "disc.npz", "shades.npz"} < seen
 
 
 @pytest.mark.parametrize(

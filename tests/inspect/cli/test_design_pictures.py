@@ -60,6 +60,31 @@ def test_a_spot_comes_out_as_a_hologram(hologram, folder):
     assert layout.dot_um == pytest.approx(32.0)
 
 
+def test_the_map_of_a_hologram_is_predicted_by_every_command(hologram, anisoscope, folder):
+    """Sixteen levels in cells of one pixel: no slopes."""
+    assert anisoscope("design", "height", "unit.npz", "--out", "unit.x3p", cwd=folder).code == 0
+    for command in (
+        ("predict", "unit.x3p", "--map", "lobe.png"),
+        ("predict", "unit.x3p", "--model", "wave", "--no-uncertainty"),
+        (
+            "bsdf",
+            "export",
+            "unit.xml",
+            "--height-map",
+            "unit.x3p",
+            "--optics",
+            "waves",
+            "--wavelength",
+            "550",
+        ),
+    ):
+        done = anisoscope(*command, cwd=folder)
+        assert done.code == 0, done.err
+    wrong = anisoscope("predict", "unit.x3p", "--map", "no.png", "--steps", "5", cwd=folder)
+    assert wrong.code != 0
+    assert "lie on no 5 plateaus" in wrong.err
+
+
 def on_a_screen(layout, distance_mm, pixel_mm, shape):
     """16 bits: the orders of a unit under a square lamp, each a box, on a screen seen from the side of the sample."""
     wave = np.exp(-4j * np.pi * layout.heights_um[layout.tiles[0]] / 0.55)

@@ -47,7 +47,7 @@ def test_colour_of_a_two_level_wafer_in_the_mirror_direction_is_magenta():
     cells = rng.permuted(np.tile([0.0, 0.1375], 512)).reshape(32, 32)
     steps = np.kron(cells, np.ones((4, 4)))
     task = AngularTask((400.0, 450.0, 550.0, 650.0, 700.0), points=31)
-    found = angular_reflectance(HeightMap(steps, 0.5, 0.5), task, stepped=True)
+    found = angular_reflectance(HeightMap(steps, 0.5, 0.5), task)
     _, blue, green, red, _ = found.brdf[:, 15, 15]
     assert green < 0.3 * min(blue, red)
     middle = found.srgb(standard("d65"), 1.0)[15, 15]

@@ -7,7 +7,13 @@ from scipy.ndimage import uniform_filter1d
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.wave.correlation import angular_map
-from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of, slope_limit_deg
+from anisoscope.sim.light.wave.surface import (
+    MAX_SHARE,
+    WaveSurface,
+    on_plateaus,
+    sampling_of,
+    slope_limit_deg,
+)
 from anisoscope.sim.light.wave.windows import Extent, Window
 
 WINDOW = Window(Extent("rect", 0.5 / 16))
@@ -112,3 +118,54 @@ def test_heights_that_are_none_are_refused(wrong, words):
 def test_steps_stay_where_they_are():
     steps = WaveSurface.of(np.repeat([0.0, 0.1, 0.0], 20), 0.25, cells=True)
     assert steps.interpolated(4) is steps
+
+
+def random_levels(levels, seed=0, shape=(40, 50)):
+    return np.asarray(levels)[np.random.default_rng(seed).integers(len(levels), size=shape)]
+
+
+X = np.arange(200)
+SAW = np.broadcast_to(0.4 * (X % 20) / 20.0, (30, 200))
+WAVY = np.broadcast_to(0.3 * np.sin(2.0 * np.pi * X / 20.0), (30, 200))
+
+
+@pytest.mark.parametrize(
+    ("heights", "stepped"),
+    [
+        (random_levels(np.arange(16) * 0.0172), True),
+        (random_levels([0.0, 0.5]), True),
+        (random_levels(np.arange(4) * 0.1) + 0.001 * random_levels([0.0, 1.0, 2.0], 1), True),
+        (random_levels(np.arange(60) * 0.02), False),
+        (np.random.default_rng(2).normal(0.0, 0.2, (40, 50)), False),
+        (SAW, False),
+        (WAVY, False),
+        (np.zeros((8, 8)), False),
+    ],
+)
+def test_plateaus_are_found_by_their_heights(heights, stepped):
+    found = on_plateaus(WaveSurface.of(heights, 0.5), 0.55)
+    assert found.cells == stepped
+    if stepped:
+        assert sampling_of(found, 0.55).share == 0.0
+        assert sampling_of(WaveSurface.of(heights, 0.5), 0.4).share > (0.0 if np.ptp(heights) < 0.1 else 0.2)
+
+
+def test_declared_plateaus_may_be_noisy_and_slopes_are_judged_within_them():
+    rng = np.random.default_rng(3)
+    heights = random_levels(np.arange(4) * 0.13) + rng.normal(0.0, 0.008, (40, 50))
+    plain = WaveSurface.of(heights, 0.5)
+    assert not on_plateaus(plain, 0.55).cells
+    found = on_plateaus(plain, 0.55, steps=4)
+    assert found.cells
+    assert np.allclose(np.array(found.edges_um) + heights.mean(), [0.065, 0.195, 0.325], atol=0.005)
+    assert sampling_of(found, 0.55).share == 0.0
+    deep = WaveSurface.of(10.0 * heights, 0.5)  # two heights of one plateau differ by more than the limit
+    assert sampling_of(on_plateaus(deep, 0.55, steps=4), 0.55).share > MAX_SHARE
+
+
+@pytest.mark.parametrize("steps", [1, 3, 7, 33])
+def test_plateaus_that_are_noise_are_refused(steps):
+    heights = np.random.default_rng(4).normal(0.0, 0.2, (40, 50))
+    with pytest.raises(HeightMapError, match="plateaus") as refused:
+        on_plateaus(WaveSurface.of(heights, 0.5), 0.55, steps)
+    assert "\n" not in str(refused.value)
