@@ -114,7 +114,8 @@ class RidgeDesign:
 
         from anisoscope.parameters.ridge_outline import crest_arcs  # noqa: PLC0415
 
-        arc = crest_arcs(*(np.array([one]) for one in self._numbers))
+        pitch, angle, draft, radius = (np.array([one]) for one in self._numbers)
+        arc = crest_arcs(pitch, angle, draft, radius)
         if not arc.possible[0]:
             what = (
                 f"is larger than the pitch of {self.pitch_um:g} µm"
@@ -146,8 +147,8 @@ class RidgeDesign:
         if chords is None:
             widest = min(widest_rad or outline.WIDEST_RAD, outline.WIDEST_RAD)
             chords = outline.chords_for(self.edge_radius_um, turn, widest) if self.edge_radius_um > 0.0 else 1
-        numbers = (np.array([one]) for one in (*self._numbers, self.height_loss))
-        return outline.ridge_outlines(*numbers, chords)
+        pitch, angle, draft, radius = (np.array([one]) for one in self._numbers)
+        return outline.ridge_outlines(pitch, angle, draft, radius, np.array([self.height_loss]), chords)
 
     def profile(self, x_um: "FloatArray") -> "FloatArray":
         """Height in µm above the foot at positions x in µm; an uncut crest is at x = 0."""

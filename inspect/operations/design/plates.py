@@ -181,7 +181,7 @@ def design_plate(
     seen = [f"camera-{stage:g}.png" for stage in stages] if trial else []
     files = ["plan.csv", "fields.csv", "recipe.toml", "appearance.html", *shown, *seen, *making.names()]
     _new_folder(out, files, overwrite=overwrite)
-    cuts = _write(making, out, found.plan, ridges, pixel_um)
+    length_m, minutes = _write(making, out, found.plan, ridges, pixel_um)
     (out / "fields.csv").write_text(_fields_text(found.plan), encoding="utf-8")
     tables = recipe_of(found.plan, ridges, f"plate that shows {' and '.join(names[: len(pictures)])}")
     lobe: dict[str, Any] = _lobe(plastic)
@@ -207,7 +207,8 @@ def design_plate(
         light_angle_deg,
         Likeness(*found.likeness()),
         camera,
-        *cuts,
+        length_m,
+        minutes,
         tuple(out / name for name in files),
         tried,
     )
@@ -369,7 +370,7 @@ def design_code(
         check_trial(plan)
     names = ["plan.csv", "recipe.toml", "appearance.html", *making.names()]
     _new_folder(out, names, overwrite=overwrite)
-    cuts = _write(making, out, plan, ridges, pixel_um)
+    length_m, minutes = _write(making, out, plan, ridges, pixel_um)
     tables = recipe_of(plan, ridges, f"{symbology} {text} of ridges")
     tables["code"] = {"text": text, "symbology": symbology, "read_at_deg": list(READ_AT_DEG)}
     (out / "recipe.toml").write_text(recipe_text(tables), encoding="utf-8")
@@ -394,7 +395,7 @@ def design_code(
         if pose.stage_deg in READ_AT_DEG
     )
     files = tuple(out / name for name in names)
-    return DesignedCode(text, symbology, plan, poses, *cuts, files, tried)
+    return DesignedCode(text, symbology, plan, poses, length_m, minutes, files, tried)
 
 
 def _check(make: Manufacture, plan: Plan, design: RidgeDesign, pixel_um: float) -> None:
