@@ -7,7 +7,7 @@ sampled.
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.regular_file import regular_file
 from anisoscope.bsdf.formats import compared_directions
-from anisoscope.bsdf.reflectance import Reflectance, above_horizon
+from anisoscope.bsdf.reflectance import WATCHED_DEG, Reflectance, above_horizon, hemisphere, physics_of
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg")
 COLUMNS = (*ANGLES, "value")
@@ -30,6 +30,10 @@ _RADIANS = np.pi * 1.0001
 _LARGEST = 1e6
 _NEAR, _FEWEST = 12, 12
 _DIFFERENCE = 0.4  # how much the difference of the directions counts against the half vector
+_NODES, _MOST_LIGHTS = (
+    4096,
+    64,
+)  # of a hemisphere; directions of light that are added up, those of most rows first
 _BLOCK = 20_000  # pairs that are evaluated at once, which bounds the memory
 _ASTM = {"theta_i": ANGLES[0], "phi_i": ANGLES[1], "theta_s": ANGLES[2], "phi_s": ANGLES[3],
          "theta_r": ANGLES[2], "phi_r": ANGLES[3]}  # fmt: skip
@@ -184,6 +188,50 @@ def sampled(reflectance: Reflectance, count: int = 2000) -> DirectionsTable:
     return DirectionsTable((*COLUMNS, "wavelength_nm"), np.concatenate(blocks))
 
 
+def imported(reflectance: Reflectance, count: int) -> DirectionsTable:
+    """The same of a file, with a remark where it sends back more light than falls in."""
+    bright = _too_bright(*max(zip(physics_of(reflectance).albedo, WATCHED_DEG, strict=True)))
+    return replace(sampled(reflectance, count), remarks=bright)
+
+
+def hemispherical(table: DirectionsTable) -> tuple[float, float]:
+    """Largest share of the light from one direction that the rows send back, and its inclination in degrees.
+
+    A row stands for the part of the hemisphere that is nearest to it, within twice the usual distance of rows; nothing
+    is added where there are none, so that few rows in a plane send little back.
+    """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    nodes, most = hemisphere(_NODES, 90.0), (0.0, 0.0)
+    known = [
+        n for n, name in enumerate(table.columns) if name in ("theta_i_deg", "phi_i_deg", "wavelength_nm")
+    ]
+    lights, group = np.unique(np.round(table.rows[:, known], 3), axis=0, return_inverse=True)
+    counts = np.bincount(group.ravel())
+    for number in np.argsort(counts)[::-1][:_MOST_LIGHTS]:
+        rows = group.ravel() == number
+        camera, value = _vectors(table.rows[rows][:, [2, 3]]), table.column("value")[rows]
+        if len(camera) < 3:
+            continue
+        tree = cKDTree(camera)
+        usual = float(np.median(tree.query(camera, 2)[0][:, 1]))
+        far, nearest = tree.query(nodes)
+        share = 2.0 * np.pi * float(np.mean(np.where(far <= 2.0 * usual, value[nearest], 0.0) * nodes[:, 2]))
+        most = max(most, (share, float(lights[number, 0])))
+    return most
+
+
+def _too_bright(share: float, light_deg: float) -> tuple[str, ...]:
+    """What is said of a hemispherical reflectance above 1; 2 % are left to the quadrature."""
+    if share <= 1.02:
+        return ()
+    text = (
+        f"warning: the hemispherical reflectance is {share:.3g} for light at {light_deg:g}°, more than fell in: are "
+        "the values BRDFs in 1/sr (--values-are)?"
+    )
+    return (text,)
+
+
 def interpolated(table: DirectionsTable, name: str) -> Reflectance:
     """A reflectance through the rows of a table: planes of ln f fitted to the rows about each pair of directions.
 
@@ -289,7 +337,8 @@ def _checked(
     largest = float(np.abs(rows[:, place["value"]]).max())
     if largest > _LARGEST:
         raise UsageError(f"{path}: a value of {largest:.3g}/sr is no reflectance: are these counts?")
-    return DirectionsTable(columns, rows, tuple(remarks))
+    found = DirectionsTable(columns, rows)
+    return replace(found, remarks=(*remarks, *_too_bright(*hemispherical(found))))
 
 
 def _in_degrees(

@@ -15,7 +15,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import regular_file
 from anisoscope.bsdf.file_format import BsdfFile
 from anisoscope.bsdf.klems import write_klems
-from anisoscope.bsdf.merl import RGB_NM, write_merl
+from anisoscope.bsdf.merl import RGB_NM, read_merl, write_merl
 from anisoscope.bsdf.mitsuba_scene import Shape, write_scene
 from anisoscope.bsdf.reflectance import Reflectance, hemisphere, physics_of, shuffled
 from anisoscope.bsdf.rgl import COARSE, HIGHEST_DEG, Resolution, read_rgl, write_rgl
@@ -31,6 +31,11 @@ BSDF_FILES = Registry("anisoscope.bsdf_files", "format of reflectance files", Bs
 _SUFFIXES: dict[str, FormatName] = {".bsdf": "rgl", ".binary": "merl", ".xml": "klems"}
 _HEAD = 4096
 _COMPARED = 4096
+COARSE_FORMATS = {
+    "klems": "a Klems matrix (37 % rms off in Radiance)",
+    "tensor-tree": "a tensor tree (23 % rms off in Radiance)",
+}
+"""Formats that do not hold ridges; what Radiance gave of ridges of 10° and α .06 × .10."""
 _HIGHEST_DEG, _NORMAL_DEG = 60.0, 30.0
 
 
@@ -74,6 +79,8 @@ def export(
     resolution: Resolution | None = None,
     on_progress: Advance = silent,
     scene: tuple[Path, Shape] | None = None,
+    *,
+    coarse: bool = False,
 ) -> Exported:
     """Write a reflectance, read the file back, and compare.
 
@@ -84,11 +91,17 @@ def export(
         resolution: of an RGL file.
         on_progress: called with what is being done, steps done and steps in all.
         scene: scene for Mitsuba to write as well, and the shape in it; of an RGL file.
+        coarse: write ridges as a Klems matrix or a tensor tree, too.
 
     Raises:
         UsageError: the format cannot hold it, or the file would be huge.
         RecordError: the file cannot be written.
     """
+    if name in COARSE_FORMATS and reflectance.ridged and not coarse:
+        raise UsageError(
+            f"{reflectance.name}: {COARSE_FORMATS[name]} is not for ridges, whose lobes are narrower than its cells; "
+            "write an RGL .bsdf, or --coarse to write it all the same"
+        )
     losses = list(reflectance.notes)
     light, camera = compared_directions()
     source = reflectance.evaluate(light, camera)
@@ -107,6 +120,11 @@ def export(
         _WRITERS[name](reflectance, path, on_progress)
     found = BSDF_FILES[name].read(path).evaluate(light, camera)
     losses += _of_format(name, reflectance, source, found)
+    if name == "merl":
+        cells = _rms(read_merl(path, nearest=True).evaluate(light, camera), source)
+        losses.append(
+            f"readers that take the nearest cell, as that of the data does, are {cells:.1%} rms off"
+        )
     return Exported(name, path.stat().st_size, tuple(losses), _rms(found, source))
 
 

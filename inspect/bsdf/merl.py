@@ -48,8 +48,12 @@ def is_merl(head: bytes) -> bool:
     return head.startswith(np.array(SHAPE, "<i4").tobytes())
 
 
-def read_merl(path: Path) -> Reflectance:
+def read_merl(path: Path, *, nearest: bool = False) -> Reflectance:
     """Read a MERL binary; a grey one has one value for all light. Negative values mark what was not measured: 0.
+
+    Args:
+        path: the file.
+        nearest: take the value of the cell, as the reader that comes with the data does, in place of a mean of cells.
 
     Raises:
         UsageError: it cannot be read, or has another size.
@@ -74,6 +78,8 @@ def read_merl(path: Path) -> Reflectance:
     # φ of the difference has a period of 180°: exchanging light and camera turns it by that
     table = np.concatenate([table[:, :, -1:], table, table[:, :, :1]], axis=2)
 
+    order = 0 if nearest else 1
+
     def value(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
         from scipy.ndimage import map_coordinates  # noqa: PLC0415 - slow to import
 
@@ -84,7 +90,10 @@ def read_merl(path: Path) -> Reflectance:
             np.mod(turn, np.pi) / np.radians(1.0) + 0.5,
         ]
         return np.stack(
-            [map_coordinates(table[..., c], place, order=1, mode="nearest") for c in range(table.shape[-1])],
+            [
+                map_coordinates(table[..., c], place, order=order, mode="nearest")
+                for c in range(table.shape[-1])
+            ],
             axis=-1,
         )
 

@@ -69,6 +69,7 @@ def of_ridges(
         lambda light, camera: above_horizon(light, camera, value),
         isotropic=flat and material.alpha_along == material.alpha_across,
         notes=notes,
+        ridged=not flat,
     )
 
 

@@ -30,6 +30,7 @@ class Reflectance:
         isotropic: turning the surface about its normal changes nothing.
         notes: what is neglected, one sentence each.
         costly: a pair of directions takes 0.1 ms or more: writers of fine grids sample it on a coarser one first.
+        ridged: it is of ridges, whose lobes are narrower than the patches of coarse files.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Reflectance:
     isotropic: bool = False
     notes: tuple[str, ...] = ()
     costly: bool = False
+    ridged: bool = False
 
     @property
     def channels(self) -> int:

@@ -190,28 +190,34 @@ def _uneven(cells: Integers, values: FloatArray, peak: float) -> npt.NDArray[np.
     return np.asarray((high - low > _RELATIVE * mean + _OF_PEAK * peak)[parent])
 
 
-def _keyed(cells: Integers, values: FloatArray) -> dict[tuple[int, ...], float]:
-    return dict(zip(map(tuple, cells.tolist()), values.tolist(), strict=True))
+def _keyed(cells: Integers, values: FloatArray) -> dict[int, float]:
+    """Values by the numbers of their cells: the bits of all axes, so that the halves of a cell follow each other."""
+    rank = cells.shape[1]
+    number = np.zeros(len(cells), dtype=np.int64)
+    for bit in range(int(cells.max(initial=0)).bit_length()):
+        for axis in range(rank):
+            number |= (cells[:, axis] >> bit & 1) << (rank * bit + axis)
+    return dict(zip(number.tolist(), values.tolist(), strict=True))
 
 
-def _text(tree: dict[int, dict[tuple[int, ...], float]], first: int, rank: int) -> str:
+def _text(tree: dict[int, dict[int, float]], first: int, rank: int) -> str:
+    many = 2**rank
     corners = [tuple(one) for one in _corners(rank).tolist()]
-    grid = sorted(range(2**rank), key=lambda n: corners[n])  # values run along the last axis first
-    deepest = max(tree)
+    grid = sorted(range(many), key=lambda n: corners[n])  # values run along the last axis first
 
-    def node(cell: tuple[int, ...], level: int) -> str:
-        halves = [tuple(2 * a + b for a, b in zip(cell, one, strict=True)) for one in corners]
+    def node(cell: int, level: int) -> str:
+        halves = range(cell * many, (cell + 1) * many)
         below = tree.get(level + 1, {})
         if level >= first and halves[0] not in below:
             return f"{{{max(tree[level][cell], 0.0):.5g}}}" if cell in tree[level] else "{0}"
         if level + 1 >= first:
             values = [below.get(half) for half in halves]
-            following = tree.get(level + 2, {}) if level + 2 <= deepest else {}
-            if None not in values and not any(tuple(2 * a for a in half) in following for half in halves):
+            following = tree.get(level + 2, {})
+            if None not in values and not any(half * many in following for half in halves):
                 return "{" + " ".join(f"{max(values[n] or 0.0, 0.0):.5g}" for n in grid) + "}"
         return "{\n" + "\n".join(node(half, level + 1) for half in halves) + "\n}"
 
-    return node((0,) * rank, 0)
+    return node(0, 0)
 
 
 @dataclass(frozen=True, eq=False)

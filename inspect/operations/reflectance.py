@@ -140,6 +140,7 @@ def export_bsdf(
     wavelength_nm: float | None = None,
     resolution: Resolution | None = None,
     scene: tuple[Path, Shape] | None = None,
+    coarse: bool = False,
     on_progress: Advance = silent,
 ) -> ExportedBsdf:
     """Write the reflectance of a surface for renderers, read it back and compare: ``anisoscope bsdf export``.
@@ -151,6 +152,7 @@ def export_bsdf(
         wavelength_nm: keep one wavelength.
         resolution: of an RGL file.
         scene: of an RGL file: scene (.xml) for Mitsuba, and the shape in it.
+        coarse: write ridges as a Klems matrix or a tensor tree, too.
         on_progress: called along the way.
 
     Raises:
@@ -158,7 +160,8 @@ def export_bsdf(
         RecordError: a file cannot be written.
     """
     found = reflectance if wavelength_nm is None else reflectance.at(wavelength_nm)
-    done = export(found, target, file_format or format_of(target), resolution, on_progress, scene)
+    name = file_format or format_of(target)
+    done = export(found, target, name, resolution, on_progress, scene, coarse=coarse)
     return ExportedBsdf(target, found.name, done, None if scene is None else scene[0])
 
 

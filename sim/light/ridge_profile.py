@@ -131,11 +131,10 @@ def visible_shares(x_um: FloatArray, z_um: FloatArray, tangent: FloatArray | flo
 def _shares_from_right(x_um: FloatArray, z_um: FloatArray, tangents: FloatArray) -> FloatArray:
     """(P, K) shares from directions with tangents (P,) ≥ 0."""
     period = x_um[-1] - x_um[0]
-    reach = 2 + int(np.ceil(np.max(tangents, initial=0.0) * np.ptp(z_um) / period))
     sheared = x_um - tangents[:, None] * z_um
     start, end = sheared[:, :-1], sheared[:, 1:]
-    ahead = np.concatenate([end + period * n for n in range(reach + 1)], axis=1)
-    limit = np.minimum.accumulate(ahead[:, ::-1], axis=1)[:, ::-1][:, : start.shape[1]]
+    limit = np.minimum.accumulate(end[:, ::-1], axis=1)[:, ::-1]
+    limit = np.minimum(limit, limit[:, :1] + period)  # of all periods ahead the next one hides most
     length = end - start
     facing = length > 1e-12 * period
     return np.where(facing, np.clip((limit - start) / np.where(facing, length, 1.0), 0.0, 1.0), 0.0)

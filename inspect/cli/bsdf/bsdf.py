@@ -168,6 +168,9 @@ def export(
     nodes: NodesOption = None,
     scene: Annotated[Path | None, Parameter(help="RGL: also write a scene *.xml for Mitsuba.")] = None,
     scene_shape: Annotated[Literal["sphere", "plate"], Parameter(help="Shape in the scene.")] = "sphere",
+    coarse: Annotated[
+        bool, Parameter(negative="", help="Write ridges as Klems or tensor tree, which blur them.")
+    ] = False,
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -202,6 +205,7 @@ def export(
             wavelength_nm=wavelength,
             resolution=resolution,
             scene=None if scene is None else (scene, scene_shape),
+            coarse=coarse,
             on_progress=advance,
         )
     if json_:
@@ -313,7 +317,7 @@ def import_(
     if gridded and (angle_unit is not None or values_are != "brdf"):
         raise UsageError("--angle-unit and --values-are belong to tables; this format states its own units")
     if gridded:
-        table = tables.sampled(read_reflectance(file), pairs)
+        table = tables.imported(read_reflectance(file), pairs)
     elif tables.is_astm(file):
         table = tables.read_astm(file, radians=angle_unit != "deg", quantity=values_are)
     else:

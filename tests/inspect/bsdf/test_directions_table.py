@@ -4,9 +4,19 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.bsdf.directions_table import DirectionsTable, interpolated, read_astm, read_mapped, sampled
+from anisoscope.bsdf.directions_table import (
+    COLUMNS,
+    DirectionsTable,
+    hemispherical,
+    imported,
+    interpolated,
+    read_astm,
+    read_mapped,
+    sampled,
+)
 from anisoscope.bsdf.formats import compared_directions
 from anisoscope.bsdf.models import of_ridges
+from anisoscope.bsdf.reflectance import hemisphere
 from anisoscope.fit.table import read_brdf
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
@@ -136,3 +146,20 @@ def test_what_cannot_be_interpolated_is_refused():
     dark[3, 4] = -0.1
     with pytest.raises(UsageError, match="1 values are 0 or less"):
         interpolated(DirectionsTable(rows.columns, dark), "table")
+
+
+@pytest.mark.parametrize(("albedo", "said"), [(0.9, False), (1.2, True)])
+def test_more_light_than_fell_in_is_said(tmp_path, surfaces, albedo, said):
+    out = hemisphere(400, 90.0)
+    angles = np.column_stack(
+        [np.degrees(np.arccos(out[:, 2])), np.degrees(np.arctan2(out[:, 1], out[:, 0])) % 360.0]
+    )
+    lines = [f"30,0,{theta:.3f},{phi:.3f},{albedo / np.pi:.6f}" for theta, phi in angles if theta < 89.0]
+    table = read_mapped(written(tmp_path, "\n".join([",".join(COLUMNS), *lines]) + "\n"), {})
+    share, light_deg = hemispherical(table)
+    assert (share, light_deg) == (pytest.approx(albedo, rel=0.02), 30.0)
+    assert any(f"reflectance is {share:.3g} for light at 30°" in one for one in table.remarks) == said
+    plane = DirectionsTable(COLUMNS, table.rows[np.abs(table.rows[:, 3] - 90.0) < 4.0])
+    assert hemispherical(plane)[0] < 0.3
+    gridded = imported(surfaces.lambertian(albedo), 64)
+    assert any("more than fell in" in one for one in gridded.remarks) == said

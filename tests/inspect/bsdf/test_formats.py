@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.bsdf.formats import deviation, export, format_of, read_reflectance
+from anisoscope.bsdf.formats import compared_directions, deviation, export, format_of, read_reflectance
 from anisoscope.bsdf.mitsuba_scene import write_scene
+from anisoscope.bsdf.models import of_ridges
 from anisoscope.bsdf.rgl import Resolution
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import xyz_weights
 
@@ -41,6 +44,33 @@ def test_a_spectrum_becomes_what_the_format_holds(tmp_path, surfaces):
     assert "luminous mean" in klems.losses[0]
     export(surface, tmp_path / "x.bsdf", "rgl", Resolution(4, 5, 8))
     np.testing.assert_allclose(read_reflectance(tmp_path / "x.bsdf").evaluate(up, up)[0], shape, rtol=1e-3)
+
+
+def test_ridges_are_no_klems_matrix_unless_asked_for(tmp_path):
+    ridges = of_ridges(RidgeDesign(100.0, 10.0), Material())
+    for name in ("klems", "tensor-tree"):
+        with pytest.raises(UsageError, match=r"is not for ridges.*--coarse"):
+            export(ridges, tmp_path / "x.xml", name)
+    assert not list(tmp_path.iterdir())
+    assert export(ridges, tmp_path / "x.xml", "klems", coarse=True).rms > 0.1
+    export(of_ridges(RidgeDesign(100.0, 0.0), Material()), tmp_path / "flat.xml", "klems")
+
+
+def test_merl_says_what_a_reader_of_cells_sees(tmp_path):
+    """By an own look-up of cells, as the reader that comes with the data does it."""
+    flat = of_ridges(RidgeDesign(100.0, 0.0), Material(0.1, 0.1))
+    done = export(flat, tmp_path / "x.binary", "merl")
+    (text,) = [loss for loss in done.losses if "nearest cell" in loss]
+    light, camera = compared_directions()
+    data = np.frombuffer((tmp_path / "x.binary").read_bytes()[12:], "<f8").reshape(3, 90, 90, 180)[0] / 1500.0
+    half = (light + camera) / np.linalg.norm(light + camera, axis=1, keepdims=True)
+    tilt, diff = np.arccos(half[:, 2]), np.arccos(np.clip(np.sum(light * half, axis=1), -1.0, 1.0))
+    rows = np.minimum(90.0 * np.sqrt(tilt / (0.5 * np.pi)), 89.0).astype(int)
+    cells = data[rows, np.minimum(np.degrees(diff), 89.0).astype(int)].mean(axis=1)  # turns hardly count here
+    wanted = flat.evaluate(light, camera)[:, 0]
+    off = np.sqrt(np.mean((cells - wanted) ** 2) / np.mean(wanted**2))
+    assert float(text.partition(" are ")[2].partition("%")[0]) == pytest.approx(100.0 * off, abs=0.5)
+    assert 3.0 < 100.0 * off < 5.0
 
 
 def test_unknown_files(tmp_path):

@@ -60,6 +60,27 @@ def test_total_scatter_of_a_white_surface(tmp_path, surfaces):
     assert is_zemax(text[:200].encode())
 
 
+def test_another_reader_finds_the_values_where_the_description_puts_them(tmp_path, surfaces):
+    """Numbers by keywords alone; heights of scattered directions by the law of cosines, azimuth 0 toward the normal."""
+    write_zemax(surfaces.surface(lambda _, o: 1.0 + o[:, 2], isotropic=True), tmp_path / "x.bsdf")
+    lines = (tmp_path / "x.bsdf").read_text(encoding="utf-8").splitlines()
+
+    def angles(key):
+        at = next(number for number, line in enumerate(lines) if line.startswith(key))
+        return np.radians(np.array(lines[at + 1].split(), dtype=float))
+
+    incident, azimuth, radial = (
+        angles(key) for key in ("AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
+    )
+    data = lines[lines.index("DataBegin") + 1 : lines.index("DataEnd")]
+    rows = np.array([line.split() for line in data if line and not line.startswith("TIS")], dtype=float)
+    values = rows.reshape(len(incident), len(azimuth), len(radial))
+    a, phi, rho = np.meshgrid(incident, azimuth, radial, indexing="ij")
+    height = np.cos(a) * np.cos(rho) + np.sin(a) * np.sin(rho) * np.cos(phi)
+    above = (height > 0.01) & (a < 1.55)
+    np.testing.assert_allclose(values[above], 1.0 + height[above], atol=2e-4)
+
+
 def test_angles_and_directions_are_inverse(surfaces):
     light, camera = surfaces.pairs(50, 80.0)
     angles = zemax._angles(light, camera, isotropic=False)

@@ -59,7 +59,7 @@ def test_what_goes_out_comes_in(anisoscope, flat, tmp_path):
 def test_what_a_format_loses_is_printed(anisoscope, tmp_path):
     done = anisoscope("bsdf", "export", tmp_path / "flat.xml", *FLAT)
     assert "lost: lobes narrower than the patches" in done.out
-    done = anisoscope("bsdf", "export", tmp_path / "ridges.xml", "--ridge-angle", "10")
+    done = anisoscope("bsdf", "export", tmp_path / "ridges.xml", "--ridge-angle", "10", "--coarse")
     assert "lost: light that reflects more than 1 time" in done.out
     lost = [line for line in done.out.splitlines() if line.startswith("lost:")]
     assert all(re.search(r"[0-9]", line) for line in lost)
