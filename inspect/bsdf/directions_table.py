@@ -214,7 +214,7 @@ def hemispherical(table: DirectionsTable) -> tuple[float, float]:
         if len(camera) < 3:
             continue
         tree = cKDTree(camera)
-        usual = float(np.median(tree.query(camera, 2)[0][:, 1]))
+        usual = float(np.median(np.asarray(tree.query(camera, 2)[0])[:, 1]))
         far, nearest = tree.query(nodes)
         share = 2.0 * np.pi * float(np.mean(np.where(far <= 2.0 * usual, value[nearest], 0.0) * nodes[:, 2]))
         most = max(most, (share, float(lights[number, 0])))

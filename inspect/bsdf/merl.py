@@ -7,6 +7,7 @@ comes with its data.
 """
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def read_merl(path: Path, *, nearest: bool = False) -> Reflectance:
     # φ of the difference has a period of 180°: exchanging light and camera turns it by that
     table = np.concatenate([table[:, :, -1:], table, table[:, :, :1]], axis=2)
 
-    order = 0 if nearest else 1
+    order: Literal[0, 1] = 0 if nearest else 1
 
     def value(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
         from scipy.ndimage import map_coordinates  # noqa: PLC0415 - slow to import

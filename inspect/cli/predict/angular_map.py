@@ -15,7 +15,6 @@ from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from anisoscope.cli.predict.predict import WaveOptions
     from anisoscope.parameters.material import Material
     from anisoscope.parameters.optics import Optics
     from anisoscope.prediction.angular import AngularReflectance
@@ -77,7 +76,8 @@ def write_angular_map(
     options: MapOptions,
     wavelengths_um: tuple[float, ...] | None,
     blur: Blur,
-    waves: "WaveOptions",
+    interpolate: int,
+    steps: int | None,
     pixel: str | None,
     role: Literal["part", "tool"],
     *,
@@ -104,9 +104,7 @@ def write_angular_map(
     )  # fmt: skip
     surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
     with progress("map", quiet=as_json) as advance:
-        found = angular_reflectance(
-            surface, task, steps=waves.steps, interpolate=waves.interpolate, advance=advance
-        )
+        found = angular_reflectance(surface, task, steps=steps, interpolate=interpolate, advance=advance)
     if options.table is not None:
         _write_table(found, options.table)
     if options.picture is not None:

@@ -249,7 +249,9 @@ def predict(
         _check_map_alone(given)
         nm = None if waves.wavelengths is None else light_of(waves.wavelengths).wavelengths_um
         blur = Blur(_optics(sizes), plastic.over(Material()) if plastic.values else None)
-        return write_angular_map(height_map, over_directions, nm, blur, waves, pixel, role, as_json=json_)
+        return write_angular_map(
+            height_map, over_directions, nm, blur, waves.interpolate, waves.steps, pixel, role, as_json=json_
+        )
     if recipe is not None:
         _check_recipe_alone(given)
         return _predict_recipe(recipe, rig.over(Convention()), as_json=json_, covariance=use.covariance)

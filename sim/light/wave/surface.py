@@ -30,6 +30,7 @@ FLAT_SHARE, APART_SHARE = 0.05, 0.01
 LEVEL_SHARE, STEP_SHARE = 0.8, 0.9
 RAMP_SHARE = 0.4
 """Changes that go on alike in the next pixel, above which few levels are those of a slope."""
+MOST_ROUNDS = 100
 DECLARED_SPREAD = 0.25
 """Standard deviation about declared plateaus, over their least distance, above which they are noise."""
 _BLOCK_ROWS = 512
@@ -190,15 +191,15 @@ def _declared(heights: FloatArray, steps: int) -> tuple[float, ...]:
     """
     if not 2 <= steps <= MOST_LEVELS:
         raise HeightMapError(f"plateaus (--steps) are 2 to {MOST_LEVELS}, not {steps}")
-    levels = np.linspace(heights[0], heights[-1], steps)
-    for _ in range(100):
+    levels, moved = np.zeros(steps), np.linspace(heights[0], heights[-1], steps)
+    edges, group, count = moved[1:], np.zeros(heights.size, dtype=np.intp), np.zeros(steps, dtype=np.intp)
+    rounds = 0
+    while rounds < MOST_ROUNDS and not np.array_equal(moved, levels):
+        rounds, levels = rounds + 1, moved
         edges = 0.5 * (levels[1:] + levels[:-1])
         group = np.searchsorted(edges, heights)
         count = np.bincount(group, minlength=steps)
         moved = np.where(count > 0, np.bincount(group, heights, steps) / np.maximum(count, 1), levels)
-        if np.array_equal(moved, levels):
-            break
-        levels = moved
     spread, apart = float(np.std(heights - levels[group])), float(np.diff(levels).min())
     if count.min() == 0 or spread > DECLARED_SPREAD * apart:
         raise HeightMapError(
