@@ -39,6 +39,7 @@ class AngularTask:
         lamp_half_angle_deg: half of the angle that the lamp subtends.
         aperture_half_angle_deg: half of the angle of the lens; 0: every point is the mean over its own square.
         slope_rms: (x, y) rms slopes that the map does not show.
+        lamp_sigma_deg: standard deviation of a Gaussian lamp, in place of the disc; its direction cosine counts.
 
     Raises:
         ModelError: directions or a light that are none.
@@ -51,10 +52,19 @@ class AngularTask:
     lamp_half_angle_deg: float = 0.0
     aperture_half_angle_deg: float = 0.0
     slope_rms: tuple[float, float] = (0.0, 0.0)
+    lamp_sigma_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.light_deg[0] < 80.0:
             raise ModelError(f"the light of an angular map stands at 0 to 80°, not at {self.light_deg[0]:g}°")
+        if self.lamp_sigma_deg > 0.0 and self.lamp_half_angle_deg > 0.0:
+            raise ModelError(
+                "a lamp is a Gaussian or a disc: leave the half angle or the standard deviation out"
+            )
+        if not 0.0 <= self.lamp_sigma_deg <= 10.0:
+            raise ModelError(
+                f"a Gaussian lamp has a standard deviation of 0 to 10°, not {self.lamp_sigma_deg:g}°"
+            )
         if not 0.0 < self.reach <= 0.95:
             raise ModelError(
                 f"the directions of an angular map reach above 0 and up to 0.95, not {self.reach:g}"
@@ -78,7 +88,10 @@ class AngularTask:
         lens = 2.0 * float(np.sin(np.radians(self.aperture_half_angle_deg)))
         square = Extent("rect", 2.0 * self.reach / (self.points - 1))
         slopes = None if not any(self.slope_rms) else np.diag(np.square(self.slope_rms))
-        return Window(Extent("disc", lamp), Extent("disc", lens) if lens > 0.0 else square, slopes)
+        source = Extent("disc", lamp)
+        if self.lamp_sigma_deg > 0.0:
+            source = Extent("gauss", float(np.sin(np.radians(self.lamp_sigma_deg))))
+        return Window(source, Extent("disc", lens) if lens > 0.0 else square, slopes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +171,7 @@ def angular_reflectance(
     *,
     steps: int | None = None,
     interpolate: int = 1,
+    periodic: bool = False,
     advance: Advance = silent,
 ) -> AngularReflectance:
     """BRDF of a height map over the directions of the camera, for one direction of the light.
@@ -167,6 +181,7 @@ def angular_reflectance(
         task: directions, light and wavelengths.
         steps: number of plateaus, whose heights hold for whole pixels; they are found where it is not given.
         interpolate: points per original point along each axis, by cubic splines of smooth heights.
+        periodic: the map is one unit of a surface that repeats.
         advance: receives the progress.
 
     Raises:
@@ -189,7 +204,11 @@ def angular_reflectance(
         um = 1e-3 * nm
         sampling_of(heights, um, float(h_z[inside].max())).check()
         ladder = DensityLadder(
-            heights, um, task.window(), (float(h_z[inside].min()), float(h_z[inside].max()))
+            heights,
+            um,
+            task.window(),
+            (float(h_z[inside].min()), float(h_z[inside].max())),
+            periodic=periodic,
         )
         density = ladder.at(h_x[inside], h_y[inside], h_z[inside])
         gamma = square[inside] / h_z[inside] / um

@@ -42,6 +42,15 @@ class MapOptions:
         float, Parameter("--map-reach", help="Largest direction cosine of the camera along x and y.")
     ] = 0.4
     points: Annotated[int, Parameter("--map-points", help="Directions along each axis.")] = 161
+    lamp_sigma: Annotated[
+        float,
+        Parameter(
+            "--map-lamp-sigma", help="Gaussian lamp: its standard deviation in degrees, in place of a disc."
+        ),
+    ] = 0.0
+    periodic: Annotated[
+        bool, Parameter("--map-periodic", negative="", help="The map is one unit of a surface that repeats.")
+    ] = False
     colour: Annotated[
         str | None,
         Parameter(
@@ -100,11 +109,13 @@ def write_angular_map(
     nm = COLOUR_NM if lamp is not None else tuple(1e3 * um for um in wavelengths_um or (0.55,))
     task = AngularTask(
         nm, light, options.reach, options.points, blur.optics.lamp_half_angle_deg,
-        blur.optics.aperture_half_angle_deg, blur.slope_rms,
+        blur.optics.aperture_half_angle_deg, blur.slope_rms, options.lamp_sigma,
     )  # fmt: skip
     surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
     with progress("map", quiet=as_json) as advance:
-        found = angular_reflectance(surface, task, steps=steps, interpolate=interpolate, advance=advance)
+        found = angular_reflectance(
+            surface, task, steps=steps, interpolate=interpolate, periodic=options.periodic, advance=advance
+        )
     if options.table is not None:
         _write_table(found, options.table)
     if options.picture is not None:

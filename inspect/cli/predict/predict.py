@@ -80,7 +80,7 @@ class WaveOptions:
     ] = 1
     steps: Annotated[
         int | None,
-        Parameter("--steps", help="Plateaus of a stepped height map, for waves; found where not given."),
+        Parameter("--steps", help="Steps (plateaus) of a height map, for waves; found if not given."),
     ] = None
 
 

@@ -9,7 +9,7 @@ by the window exactly: its transform, the correlation of the wave, is multiplied
 Without the padding the far edges of the dot would interfere, which spoils weak directions.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import numpy as np
@@ -69,11 +69,12 @@ def angular_map(
 ) -> AngularMap:
     """Blurred power spectrum at all frequencies that the pixels resolve.
 
-    ``padding`` below 2 lets the edges of the dot interfere (for tests). A map of 4096² points takes about 1.3 GB.
+    ``padding`` of 1 takes the map for a unit that repeats, other values below 2 let the edges of the dot interfere.
+    A map of 4096² points takes about 1.3 GB.
     """
     on = library()
     rows, cols = surface.shape
-    lengths = [1 if n == 1 else fft_length(int(np.ceil(padding * n))) for n in (rows, cols)]
+    lengths = [n if 1 in (n, padding) else fft_length(int(np.ceil(padding * n))) for n in (rows, cols)]
     spectrum = on.fft.fft2(wave(surface, 2.0 * h_z / wavelength_um), s=tuple(lengths), **on.fft_options)
     power = spectrum.real**2 + spectrum.imag**2
     del spectrum
@@ -102,6 +103,8 @@ PHASE_STEP = 0.25
 """Rms change of the phase in radians from one h_z to the next, between which densities are interpolated."""
 
 MOST_RUNGS = 64
+ORDERS = 8
+"""Of a unit that repeats: points of the spectrum in half of what blurs it."""
 BYTES_A_POINT = 20
 MOST_BYTES = 6 * 2**30
 
@@ -116,16 +119,25 @@ class DensityLadder:
         wavelength_um: of the light.
         window: what blurs.
         h_z: smallest and largest z component of the half vectors to come.
+        periodic: the map is one unit of a surface that repeats.
 
     Raises:
         ModelError: more maps than 64, or more memory than 6 GB: the message says how much.
     """
 
     def __init__(
-        self, surface: WaveSurface, wavelength_um: float, window: Window, h_z: tuple[float, float]
+        self,
+        surface: WaveSurface,
+        wavelength_um: float,
+        window: Window,
+        h_z: tuple[float, float],
+        *,
+        periodic: bool = False,
     ) -> None:
-        rows, cols = surface.shape
-        padded = PADDING * cols * (1 if rows == 1 else PADDING * rows)
+        self.padding = 1.0 if periodic else PADDING
+        repeats = _repeats(surface, window.half_width(wavelength_um, h_z[1])) if periodic else (1, 1)
+        rows, cols = (n * count for n, count in zip(surface.shape, repeats, strict=True))
+        padded = self.padding * cols * (1 if rows == 1 else self.padding * rows)
         if padded * BYTES_A_POINT > MOST_BYTES:
             raise ModelError(
                 f"a map of {cols} × {rows} pixels takes {padded * BYTES_A_POINT / 2**30:.1f} GB for all directions, at "
@@ -139,6 +151,9 @@ class DensityLadder:
                 f"heights of {rms:.3g} µm rms need {count} maps of h_z for these directions, at most {MOST_RUNGS} are "
                 "computed: take a smaller range of directions, or a longer wavelength"
             )
+        if repeats != (1, 1):
+            tiled = np.ascontiguousarray(np.tile(surface.height_um, repeats))
+            surface = replace(surface, height_um=tiled)
         self.surface, self.wavelength_um, self.window = surface, wavelength_um, window
         self.h_z = np.linspace(h_z[0], h_z[1], count) if count > 1 else np.array([0.5 * (h_z[0] + h_z[1])])
 
@@ -151,9 +166,18 @@ class DensityLadder:
             weight = np.clip(1.0 - np.abs(place - number), 0.0, 1.0)
             due = weight > 0.0
             if due.any():
-                spread = angular_map(self.surface, self.wavelength_um, self.window, float(rung))
+                spread = angular_map(self.surface, self.wavelength_um, self.window, float(rung), self.padding)
                 found[due] += weight[due] * spread.at(x[due], y[due], order=3)
         return found
+
+
+def _repeats(surface: WaveSurface, half_width: tuple[float, float]) -> tuple[int, int]:
+    """Units along y and x whose spectrum has `ORDERS` points in half of the window, so that splines are smooth."""
+    rows, cols = surface.shape
+    lengths = rows * surface.pixel_y_um, cols * surface.pixel_x_um
+    wide = (max(one, 1e-9) for one in half_width[::-1])
+    along_y, along_x = (int(np.ceil(ORDERS / (w * length))) for w, length in zip(wide, lengths, strict=True))
+    return 1 if surface.is_profile else along_y, along_x
 
 
 def wave(surface: WaveSurface, cycles_per_um: float) -> npt.NDArray[np.complex64]:

@@ -23,11 +23,11 @@ TAIL = 4.5
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Angular extent of a source or of an aperture, uniform over its area in direction cosines.
+    """Angular extent of a source or of an aperture in direction cosines, uniform over its area or a Gaussian.
 
     Attributes:
-        shape: "rect" (a square; of a profile, a line) or "disc".
-        size: full width or diameter in direction cosines, about radians; 0 is a point.
+        shape: "rect" (a square; of a profile, a line), "disc" or "gauss".
+        size: full width, diameter or standard deviation in direction cosines, about radians; 0 is a point.
         axes: (2, 2) x and y components (columns) on the sample of two unit vectors (rows) across the axis of the
             beam; None takes the x and y axes themselves.
 
@@ -35,13 +35,13 @@ class Extent:
         ModelError: a size outside 0 to 2.
     """
 
-    shape: Literal["rect", "disc"] = "rect"
+    shape: Literal["rect", "disc", "gauss"] = "rect"
     size: float = 0.0
     axes: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        if self.shape not in ("rect", "disc"):
-            raise ModelError(f"an angular extent is a rect or a disc, not {self.shape!r}")
+        if self.shape not in ("rect", "disc", "gauss"):
+            raise ModelError(f"an angular extent is a rect, a disc or a gauss, not {self.shape!r}")
         if not 0.0 <= self.size <= 2.0:
             raise ModelError(f"an angular extent must be 0 to 2 in direction cosines, not {self.size:g}")
 
@@ -56,6 +56,8 @@ class Extent:
             u, v = (scale * (axis[0] * x_um + axis[1] * y_um) for axis in self.axes)
         if self.shape == "rect":
             return np.sinc(u) * np.sinc(v)
+        if self.shape == "gauss":
+            return np.exp(-2.0 * np.pi**2 * (u**2 + v**2))
         r = np.pi * np.hypot(u, v)
         far = r > 1e-6
         return np.where(far, 2.0 * bessel_j1(np.where(far, r, 1.0)) / np.where(far, r, 1.0), 1.0)
@@ -65,7 +67,8 @@ class Extent:
         """Half-widths along x and y in direction cosines."""
         axes = np.eye(2) if self.axes is None else self.axes
         width = np.abs(axes).sum(axis=0) if self.shape == "rect" else np.sqrt((axes**2).sum(axis=0))
-        return 0.5 * self.size * float(width[0]), 0.5 * self.size * float(width[1])
+        half = (TAIL if self.shape == "gauss" else 0.5) * self.size
+        return half * float(width[0]), half * float(width[1])
 
 
 POINT = Extent()
