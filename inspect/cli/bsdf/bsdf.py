@@ -66,7 +66,8 @@ class SourceOptions:
         Parameter(help="Height map: rays on plastic, or waves on a mirror, for steps and depths below a µm."),
     ] = "rays"
     steps: Annotated[
-        int | None, Parameter(help="Steps (plateaus) of a height map, for waves; found if not given.")
+        int | None,
+        Parameter(help="Number of plateaus of a stepped height map, for waves; found if not given."),
     ] = None
     pixel: Annotated[
         str | None, Parameter(help="Height map: pixel size in µm where it states none, SIZE or Y,X.")

@@ -80,7 +80,9 @@ class WaveOptions:
     ] = 1
     steps: Annotated[
         int | None,
-        Parameter("--steps", help="Steps (plateaus) of a height map, for waves; found if not given."),
+        Parameter(
+            "--steps", help="Number of plateaus of a stepped height map, for waves; found if not given."
+        ),
     ] = None
 
 
