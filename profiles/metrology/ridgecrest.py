@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import HeightMapError
+from anisoscope.base.errors import UsageError
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife
 from anisoscope.profiles.metrology.ridgeoutline import Fit, Outline, best_fit
 
@@ -459,7 +459,7 @@ def without_tip(crest: Crest, tip_um: float, angle: Quantity) -> Crest:
     seen, and fills 0 to k·R. R is taken as known within 5 %.
 
     Raises:
-        HeightMapError: the crest is clearly sharper than the ball.
+        UsageError: the crest is clearly sharper than the ball.
     """
     assert angle.value is not None
     assert crest.full_height_um.value is not None
@@ -474,7 +474,7 @@ def without_tip(crest: Crest, tip_um: float, angle: Quantity) -> Crest:
     assert height.value is not None
     widest = edge.at_most if edge.value is None else edge.value + 2.0 * (edge.u or 0.0)
     if widest is not None and widest < tip_um - 2.0 * u_tip:
-        raise HeightMapError(
+        raise UsageError(
             f"a crest radius of at most {widest:.3g} µm was seen, less than that of the tip, {tip_um:g} µm: no tip "
             "shows a crest sharper than itself; give the radius of the tip that measured the map"
         )

@@ -89,10 +89,10 @@ def measure_ridges(
             foot and height (:func:`.ridgecrest.without_tip`). Roughness is that of the scanned surface.
 
     Raises:
-        HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch; a crest
-            sharper than the tip; more than half of the map interpolated.
+        HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch, or
+            more than half of the map is interpolated.
         UsageError: a period limit that is no length, or of more than half a pitch; a tip radius of more than a quarter
-            of the pitch, or beside a period limit.
+            of the pitch, or larger than the crest that it saw, or beside a period limit.
     """
     surface = surface.measured()
     if period_limit_um is not None and not 0.0 <= period_limit_um < float("inf"):

@@ -52,6 +52,9 @@ def test_lengths_may_have_a_unit(anisoscope, folder, tmp_path):
     done = anisoscope("profile", "ridges", folder / "ridged.x3p", "--period-limit", "10kg")
     assert (done.code, done.err.count("\n")) == (64, 1)
     assert "--period-limit 10kg: 'kg' is no unit of it; it takes nm, um" in done.err
+    done = anisoscope("profile", "ridges", folder / "ridged.x3p", "--tip-radius", "12")
+    assert (done.code, done.err.count("\n")) == (64, 1)
+    assert "no tip shows a crest sharper than itself" in done.err
     cut = tmp_path / "cut.npz"
     done = anisoscope("profile", "crop", folder / "ridged.x3p", "0.1mm", "--x1", "200um", "--out", cut)
     assert done.code == 0, done.err

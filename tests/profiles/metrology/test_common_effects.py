@@ -327,7 +327,7 @@ def test_a_round_tip_is_taken_off(monkeypatch, tip, crest, foot):
         assert found.height_um.u < 0.2
         assert found.foot_radius_um.known
         assert found.edge_radius_um.known
-    with pytest.raises(HeightMapError, match="no tip shows a crest sharper than itself"):
+    with pytest.raises(UsageError, match="no tip shows a crest sharper than itself"):
         measure_ridges(HeightMap(heights, 1.0, 1.0), tip_radius_um=tip + 10.0)
     with pytest.raises(UsageError, match="in place of a lateral period limit"):
         measure_ridges(HeightMap(heights, 1.0, 1.0), 4.0, tip_radius_um=tip)
