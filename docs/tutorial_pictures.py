@@ -18,13 +18,15 @@ SHOTS = {
     "tutorial-verdict": ("DEMO-angle", "", "Measured"),
     "tutorial-contrasts": ("DEMO-angle", "Contrasts", "Contrasts"),
     "tutorial-map": ("DEMO-burrs", "Measured", "Deviation"),
+    "angle-map": ("DEMO-burrs", "Angle", "Angle"),
 }
 """Picture -> the part whose report is photographed, and how the headings of its first and last section begin; "" is
 the top."""
 POLICY = re.compile(r"<meta[^>]*Content-Security-Policy[^>]*>")
 KEEP = """<script>
 let heading = "", on = false, over = false;
-for (const child of document.querySelector("main").children) {
+const flat = one => one.querySelectorAll("h2").length > 1 ? [...one.children].flatMap(flat) : [one];
+for (const child of [...document.querySelector("main").children].flatMap(flat)) {
   const title = child.matches("h2") ? child : child.querySelector("h2");
   if (title) { if (on && heading.startsWith(%(last)r)) over = true; heading = title.textContent.trim(); }
   if (heading.startsWith(%(first)r)) on = true;

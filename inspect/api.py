@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     )
     from anisoscope.operations.design.pictures import etched_hologram, etched_picture
     from anisoscope.operations.design.plates import design_code, design_plate
+    from anisoscope.operations.facets import angle_map, write_angle_map
     from anisoscope.operations.fit import fit_ridges
     from anisoscope.operations.optimising import optimise
     from anisoscope.operations.past import (
@@ -219,6 +220,8 @@ _HOME = {
     "push": "anisoscope.operations.archiving",
     "open_archive": "anisoscope.inspection.archive_store:open_store",
     "Costs": "anisoscope.study.whatif",
+    "angle_map": "anisoscope.operations.facets",
+    "write_angle_map": "anisoscope.operations.facets",
     "whatif": "anisoscope.operations.past",
     "bundle": "anisoscope.operations.past",
     "export_aqdef": "anisoscope.operations.past",
@@ -397,6 +400,7 @@ __all__ = [
     "add_cycles",
     "add_golden",
     "add_to_history",
+    "angle_map",
     "archived_inspections",
     "batch",
     "best_angle",
@@ -525,6 +529,7 @@ __all__ = [
     "verify_history",
     "watch",
     "whatif",
+    "write_angle_map",
     "write_chart_limits",
     "write_experiment_page",
     "write_findings_page",

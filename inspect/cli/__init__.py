@@ -93,6 +93,10 @@ COMMANDS = {
             "history.history:show",
             "Show one inspection: verdict, numbers, reviewers' decisions, and whether its folder is unchanged.",
         ),
+        "angle-map": (
+            "inspect.facets:angle_map",
+            "Measure the angle of the facets of an inspected part from its photographs, cell by cell.",
+        ),
         "compare": (
             "history.history:compare",
             (

@@ -30,7 +30,9 @@ VALUE_COLUMNS = {
     **dict.fromkeys(("value", "u", "deviation", "tolerance"), "unit"),
 }
 """Columns of a table of values, and the line of units below them; ``unit`` refers to the column of this name."""
-_IN_DEGREES = frozenset({"print tilt", "print curl"})
+_IN_DEGREES = frozenset(
+    {"print tilt", "print curl", "facet angle", "facet angle spread", "facet angle of the worst ridge"}
+)
 """The other numbers of a history are ratios, logarithms, shares, probabilities and counts."""
 _WITH = ("u", "deviation", "tolerance")
 # Spreadsheets take such cells for formulae.

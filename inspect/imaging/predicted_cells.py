@@ -7,6 +7,7 @@ region is the prediction that decides; light that reflects more than once is spr
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
@@ -14,13 +15,13 @@ from anisoscope.base.errors import AnisoscopeError
 from anisoscope.imaging.height_map_place import (
     POINTS_A_PITCH,
     reduced_map,
-    reduced_picture,
     render,
-    ridge_phase,
 )
-from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Image, Measured
+from anisoscope.imaging.phase_map import BINS, crest_of, phase_map, profile_over
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Expectation
+from anisoscope.prediction.part_scatter import with_design
 from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import ridges
@@ -29,7 +30,6 @@ from anisoscope.sim.light.relief import Relief
 
 POINTS_OF_A_DESIGN = 50  # a pitch
 PITCHES_OF_A_DESIGN = 4
-_FINE = 8  # points a cell
 
 
 def even_cells(expected: Expectation, measured: Measured) -> FloatArray:
@@ -65,20 +65,22 @@ def predicted_cells(
     except AnisoscopeError as problem:
         return even_cells(expected, measured), f"the predicted mean of each pose: {problem}"
     # what the rays on the surface lack is even over the region, and never makes a cell darker than black
-    lacking = expected.radiance - profiles.mean(axis=1)
-    shown = np.maximum(profiles + lacking[:, None], 0.0)
-    shown *= (expected.radiance / np.maximum(shown.mean(axis=1), 1e-300))[:, None]
+    lacking = expected.radiance - profiles.mean(axis=(1, 2))
+    shown = np.maximum(profiles + lacking[:, None, None], 0.0)
+    shown *= (expected.radiance / np.maximum(shown.mean(axis=(1, 2)), 1e-300))[:, None, None]
     caption = (
         f"the radiance that {source} predicts for cells of a quarter of a pitch, averaged along the ridges and put at "
         "the ridges of the photographs; the mean of each pose is the prediction that decides"
     )
-    return np.broadcast_to(shown[:, None, :], measured.cells.shape), caption
+    return shown, caption
 
 
 def _profiles(recipe: SurfaceRecipe, expected: Expectation, measured: Measured) -> tuple[FloatArray, str]:
-    """(P, cell cols) radiances across the ridges by rays, and the name of the surface."""
+    """(P, cell rows, cell cols) radiances by rays, at the ridges of the photographs, and the name of the surface."""
     pitch_um, pixel_um = recipe.surface.pitch_um, measured.grid.pixel_mm * 1000.0
     factor = max(1, int(pitch_um / pixel_um / POINTS_A_PITCH))
+    design = with_design(recipe).surface.ridge_design()
+    wall = design.wall_width_um / design.pitch_um
     surface, source = _surface(recipe, expected)
     rendered = render(
         surface,
@@ -89,10 +91,21 @@ def _profiles(recipe: SurfaceRecipe, expected: Expectation, measured: Measured) 
         pitch_um,
         expected.turn_deg,
     )
-    pictures = [reduced_picture(one, factor) for one in measured.aligned]
-    phase = ridge_phase(pictures, rendered, pitch_um / (pixel_um * factor)) * factor * pixel_um / pitch_um
-    cols = measured.cells.shape[2]
-    return np.stack([_folded(one, pixel_um * factor / pitch_um, phase, cols) for one in rendered]), source
+    columns = (np.arange(rendered[0].shape[1]) + 0.5) * pixel_um * factor / pitch_um
+    place = np.broadcast_to(columns, rendered[0].shape)
+    place = place - crest_of(rendered, place, wall)
+    seen = phase_map(measured.aligned, pixel_um, pitch_um, wall).place
+    rows, cols = measured.cells.shape[1:]
+    at = (np.arange(BINS) + 0.5) / BINS
+    cells = [
+        cv2.resize(
+            np.interp(seen, at, profile_over(place, one.astype(np.float64)), period=1.0),
+            (cols, rows),
+            interpolation=cv2.INTER_AREA,
+        )
+        for one in rendered
+    ]
+    return np.stack(cells), source
 
 
 def _surface(recipe: SurfaceRecipe, expected: Expectation) -> tuple[HeightMap, str]:
@@ -106,37 +119,3 @@ def _surface(recipe: SurfaceRecipe, expected: Expectation) -> tuple[HeightMap, s
 def _ideal(design: RidgeDesign, pixel_um: float) -> HeightMap:
     points = PITCHES_OF_A_DESIGN * POINTS_OF_A_DESIGN + 1
     return ridges(design, (points, points), pixel_um)
-
-
-def _folded(picture: Image, step: float, phase: float, cols: int) -> FloatArray:
-    """(cols,) means of the cells across the region, of a picture centred on its surface.
-
-    Args:
-        picture: (rows, points) radiance.
-        step: distance of the points, in pitches.
-        phase: of the surface's centre from that of the region, in pitches.
-        cols: cells across the region.
-    """
-    points = picture.shape[1]
-    at = (np.arange(points) - (points - 1) / 2.0) * step
-    whole = max(1, int(at[-1] - at[0]))
-    inside = np.abs(at) <= whole / 2.0
-    known = np.mod(at[inside], 1.0)
-    profile = np.asarray(picture, dtype=np.float64).mean(axis=0)[inside]
-    order = np.argsort(known)
-    cell = 1.0 / CELLS_PER_PITCH
-    centres = (np.arange(cols * _FINE) + 0.5) / _FINE * cell - 0.5 * cols * cell
-    values = np.interp(np.mod(centres - phase, 1.0), *_periodic(known[order], profile[order]))
-    return np.asarray(values.reshape(cols, _FINE).mean(axis=1))
-
-
-def _periodic(at: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sorted places in 0 to 1 pitch and their values, in bins of a point each, closed at both ends."""
-    bins = np.floor(at * 2 * POINTS_A_PITCH).astype(int)
-    count = np.bincount(bins, minlength=2 * POINTS_A_PITCH)
-    mean = np.bincount(bins, values, 2 * POINTS_A_PITCH) / np.maximum(count, 1)
-    place = (np.arange(2 * POINTS_A_PITCH) + 0.5) / (2 * POINTS_A_PITCH)
-    place, mean = place[count > 0], mean[count > 0]
-    return np.concatenate([[place[-1] - 1.0], place, [place[0] + 1.0]]), np.concatenate(
-        [[mean[-1]], mean, [mean[0]]]
-    )

@@ -12,7 +12,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.cause_words import CauseWords
-from anisoscope.base.errors import CalibrationError, HeightMapError, ModelError, UsageError
+from anisoscope.base.errors import AnisoscopeError, CalibrationError, HeightMapError, ModelError, UsageError
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import bounded_text
@@ -30,6 +30,7 @@ from anisoscope.diagnosis.likelihood import nothing
 from anisoscope.diagnosis.part_diagnosis import evidence_of, explain, rig_reason, shifted
 from anisoscope.diagnosis.ranking import TIE
 from anisoscope.diagnosis.rig_causes import rig_faults
+from anisoscope.imaging.angle_map import AngleMap
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map
@@ -219,6 +220,13 @@ class SurfaceKind(
         del recipe, expected, measured
         return None, None
 
+    def facets(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+    ) -> AngleMap | AnisoscopeError | None:
+        """Lean of the facets, or why it cannot be had; None of a kind without."""
+        del recipe, expected, measured
+        return None
+
     def match_map(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
     ) -> tuple[MapPlaceRecord | None, str | None]:
@@ -377,6 +385,8 @@ class SurfaceKind(
         compared = compare(recipe, expected, measured, predict, known)
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
+        facets = self.facets(recipe, expected, measured)
+        unleaned = f"no angle map: {facets}" if isinstance(facets, AnisoscopeError) else None
         lacking = reference and reference.lacking
         refused = reference.refused_text if isinstance(reference, GoldenSet) else None
         unlike = unlike_text(decided)
@@ -388,11 +398,21 @@ class SurfaceKind(
                 "readings": compared.readings,
                 "shape": shape,
                 "map_place": placed,
+                "angles": facets.record() if isinstance(facets, AngleMap) else None,
                 "golden": None if golden is None else golden_record(golden, measured, decided),
             },
             tuple(
                 note
-                for note in (lacking, refused, unlike, unexplained, compared.note, unfitted, unplaced)
+                for note in (
+                    lacking,
+                    refused,
+                    unlike,
+                    unexplained,
+                    compared.note,
+                    unfitted,
+                    unplaced,
+                    unleaned,
+                )
                 if note
             ),
             "" if diagnosis.verdict is None else rig_reason(diagnosis),
@@ -601,6 +621,7 @@ class SurfaceKind(
         cells = decided.cells
         predicted, caption = self.predicted_cells(recipe, expected, measured)
         means, averaged = self.comparable_means(measured)
+        facets = self.facets(recipe, expected, measured)
         return Pictures(
             aligned=measured.aligned,
             predicted=predicted,
@@ -612,6 +633,7 @@ class SurfaceKind(
             deviating=decided.deviating,
             deviation=None if cells is None else deviation_map(cells),
             surface=expected.surface,
+            facets=facets if isinstance(facets, AngleMap) else None,
         )
 
     def predicted_cells(

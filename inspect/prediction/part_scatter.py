@@ -4,6 +4,7 @@ What is not known of rig and material ([uncertainty], [material]) is common to a
 part to part ([scatter]) is not. Both act through the same inputs, so one response to second order serves for both.
 """
 
+import hashlib
 import io
 import json
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.cache import prediction_key
@@ -206,14 +208,21 @@ def with_design(recipe: SurfaceRecipe) -> SurfaceRecipe:
     Raises:
         HeightMapError: the map cannot be read, or has no ridges.
     """
-    if recipe.surface.design is not None:
+    table = recipe.surface
+    if table.design is not None:
         return recipe
-    relief, _ = prepare_relief(read_surface(recipe), recipe.surface.pitch_um)
-    groove = fitted_groove(relief, edges=ridge_edges(relief) if recipe.surface.walls == "fitted" else None)
-    fitted = groove.design
-    design = DesignPart(
-        ridge_angle_deg=fitted.ridge_angle_deg, wall=fitted.wall, edge_radius_um=fitted.edge_radius_um
-    )
+    assert table.height_map is not None
+    try:
+        content = hashlib.sha256(bounded_bytes(table.height_map, MOST_PICTURE_BYTES)).hexdigest()
+    except OSError:  # reading it as a height map says why
+        fitted, resolved = _ridges_of(recipe)
+    else:
+        key = {"map": content, "surface": table.model_dump(mode="json", exclude={"height_map"})}
+        entry = Cache().entry("ridges-of-a-map", key, __name__)
+        fitted, resolved = entry.result(
+            lambda: _ridges_of(recipe), lambda found: json.dumps(found).encode(), json.loads
+        )
+    design = DesignPart.model_validate(fitted)
     surface = recipe.surface.model_copy(
         update={"height_map": None, "compare": None, "design": design, "roughness": "lobe"}
     )
@@ -221,11 +230,23 @@ def with_design(recipe: SurfaceRecipe) -> SurfaceRecipe:
         return recipe.model_copy(update={"surface": surface})
     material = recipe.material.model_copy(
         update={
-            "alpha_along": float(np.hypot(recipe.material.alpha_along, groove.resolved[0])),
-            "alpha_across": float(np.hypot(recipe.material.alpha_across, groove.resolved[1])),
+            "alpha_along": float(np.hypot(recipe.material.alpha_along, resolved[0])),
+            "alpha_across": float(np.hypot(recipe.material.alpha_across, resolved[1])),
         }
     )
     return recipe.model_copy(update={"surface": surface, "material": material})
+
+
+def _ridges_of(recipe: SurfaceRecipe) -> tuple[dict[str, Any], tuple[float, float]]:
+    """Fields of the design of the ridges of a height map, and the roughness that the map resolves along and across."""
+    relief, _ = prepare_relief(read_surface(recipe), recipe.surface.pitch_um)
+    groove = fitted_groove(relief, edges=ridge_edges(relief) if recipe.surface.walls == "fitted" else None)
+    fitted = groove.design
+    return {
+        "ridge_angle_deg": fitted.ridge_angle_deg,
+        "wall": fitted.wall,
+        "edge_radius_um": fitted.edge_radius_um,
+    }, groove.resolved
 
 
 def scatter_of_inputs(recipe: SurfaceRecipe) -> InputUncertainty:

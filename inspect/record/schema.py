@@ -449,6 +449,37 @@ class MapPlaceRecord(_Part):
     predicted: tuple[float, ...] = ()
 
 
+class RidgeLeanRecord(_Part):
+    """Lean of the facet of one ridge across the ridges; place from the rotation axis, ``u_deg`` against the part."""
+
+    ridge: int
+    x: float
+    y: float
+    angle_deg: float
+    u_deg: float
+
+
+class AngleRecord(_Part):
+    """Lean of the facets in cells of ``cell_um`` (across and along the ridges), from the photographs.
+
+    ``spread_deg`` is the standard deviation between cells without that of their measurement, ``along_deg`` the mean
+    lean along the ridges, null where no pose tells it. ``alpha`` is the roughness of the part over that of the recipe.
+    In ``unseen_share`` of the cells no lean explains the light. It informs and does not decide.
+    """
+
+    mean_deg: float
+    u_mean_deg: float
+    spread_deg: float
+    u_cell_deg: float
+    along_deg: float | None
+    alpha: float
+    u_alpha: float
+    cell_um: tuple[float, float]
+    cells: int
+    unseen_share: float
+    worst: RidgeLeanRecord | None
+
+
 class Record(_Part):
     """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were.
 

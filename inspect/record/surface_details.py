@@ -2,6 +2,7 @@
 
 from anisoscope.record.details import Details
 from anisoscope.record.schema import (
+    AngleRecord,
     AreaRecord,
     ComparisonRecord,
     ContrastRecord,
@@ -14,6 +15,7 @@ from anisoscope.record.schema import (
     TiltContrastRecord,
 )
 
+FACET_ANGLE = "facet angle"
 CONTRAST_NAMES = {"log_ratio": "ln", "difference": "difference", "michelson": "Michelson"}
 
 
@@ -30,9 +32,10 @@ class SurfaceDetails(Details):
     shape: ShapeRecord | None = None
     golden: GoldenRecord | None = None
     map_place: MapPlaceRecord | None = None
+    angles: AngleRecord | None = None
 
     def numbers(self) -> dict[str, float]:
-        """The contrasts.
+        """The contrasts, and the lean of the facets in degrees.
 
         A contrast is called by kind, stage angles and tilt: ``ln 0-90``, ``ln 0-90 @10``, ``difference 90-180``.
         """
@@ -46,6 +49,14 @@ class SurfaceDetails(Details):
             }
             if contrast.tolerance is not None:
                 found[f"tolerance {label}"] = contrast.tolerance
+        if (angles := self.angles) is not None:
+            found |= {
+                FACET_ANGLE: angles.mean_deg,
+                f"u {FACET_ANGLE}": angles.u_mean_deg,
+                f"{FACET_ANGLE} spread": angles.spread_deg,
+            }
+            if angles.worst is not None:
+                found[f"{FACET_ANGLE} of the worst ridge"] = angles.worst.angle_deg
         return found
 
     @property

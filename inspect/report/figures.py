@@ -229,6 +229,67 @@ def contrast_map(
         return svg_uri(figure)
 
 
+def lean_map(
+    lean: FloatArray,
+    across_mm: FloatArray,
+    along_mm: FloatArray,
+    label: str,
+    unknown: npt.NDArray[np.bool_] | None = None,
+    frame: MapFrame = MapFrame(),
+) -> str:
+    """Lean of facets in cells, about their median; grey where none is seen.
+
+    Args:
+        lean: (A, C) degrees, NaN where unknown, the first row at the top.
+        across_mm: (C,) middles of the columns from the middle of the region.
+        along_mm: (A,) middles of the rows, falling.
+        label: of the colour bar.
+        unknown: (A, C) True where light is, but no facet.
+        frame: where the region lies.
+    """
+    middle = float(np.nanmedian(lean))
+    reach = max(float(np.nanpercentile(np.abs(lean - middle), 99.0)), 0.1)
+    size = (float(np.ptp(along_mm)), float(np.ptp(across_mm)))
+    with new_map_figure(size) as (figure, axes, bar):
+        frame.label(axes, size)
+        axes.set_facecolor(MUTED)
+        x, y = (axis + shift for axis, shift in zip((across_mm, along_mm), frame.middle_mm, strict=True))
+        shown = axes.pcolormesh(
+            x,
+            y,
+            lean,
+            cmap=_calm(),
+            vmin=middle - reach,
+            vmax=middle + reach,
+            shading="nearest",
+            rasterized=True,
+        )
+        if unknown is not None and unknown.any():
+            rows, cols = np.nonzero(unknown)
+            axes.plot(x[cols], y[rows], linestyle="none", marker="s", markersize=2.0, color=MARK)
+        figure.colorbar(shown, cax=bar, label=label)
+        bar.yaxis.set_major_formatter(lambda value, _: decimal(f"{value:.4g}").replace("-", "−"))
+        return svg_uri(figure)
+
+
+def lean_histogram(lean: FloatArray, nominal: float | None) -> str:
+    """How often cells lean by how much.
+
+    Args:
+        lean: degrees, NaN where unknown.
+        nominal: of the design, marked; None marks nothing.
+    """
+    known = lean[np.isfinite(lean)]
+    with new_figure(4.6, 2.4) as (figure, axes):
+        axes.hist(known, bins=min(60, max(10, round(np.sqrt(known.size)))), color=BLUE)
+        if nominal is not None:
+            axes.axvline(nominal, color=ORANGE, label=f"design {nominal:g}°")
+            axes.legend(frameon=False)
+        axes.set_xlabel("lean across the ridges [°]")
+        axes.set_ylabel("cells")
+        return svg_uri(figure)
+
+
 def deviation_map(
     deviation: FloatArray,
     deviating: npt.NDArray[np.bool_] | None,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,9 @@ from anisoscope.report.provenance import calibrations_of, files_of, groups_of, r
 from anisoscope.report.rule import PRECEDENCE
 from anisoscope.report.surface_view import Picture3D, SurfacePictures, SurfaceView, flat_drawings, viewer_of
 from anisoscope.report.wording import cause_range, cause_text, filters, severity_text, weight_text
+
+if TYPE_CHECKING:
+    from anisoscope.imaging.angle_map import AngleMap
 
 Image = npt.NDArray[np.float32]
 
@@ -58,6 +61,7 @@ class Pictures:
         logo: of the shop, as a data URI, or None.
         calibrations: records of the rig's calibrations, by kind.
         lot: parts of the same lot that were inspected before, or None.
+        facets: lean of the facets, or None.
         of_kind: what the kind of part shows besides, or None.
     """
 
@@ -75,6 +79,7 @@ class Pictures:
     logo: str | None = None
     calibrations: Mapping[Kind, CalibrationRecord] = field(default_factory=dict)
     lot: Lot | None = None
+    facets: "AngleMap | None" = None
     of_kind: object = None
 
 

@@ -1,7 +1,7 @@
 """What the report shows of a surface that reflects: contrasts, maps, comparisons, golden parts, and the budget."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from anisoscope.report.peers import Lot, Peers, among
 from anisoscope.report.rule import NAMES, UNITS, deviation_decides, level_of, rule_of
 from anisoscope.report.tilt_sections import tilt_parts
 from anisoscope.report.wording import labels_of
+
+if TYPE_CHECKING:
+    from anisoscope.imaging.angle_map import AngleMap
 
 MAX_REGIONS = 12
 TARGET_RATIO = 4.0
@@ -45,6 +48,7 @@ def surface_sections(record: Record, pictures: Pictures, words: Mapping[str, Cau
         "golden": _golden(record, found),
         "excluded_by": _excluded_by(found),
         **_maps(record, found, pictures, [one for one, _ in regions]),
+        "facets": facet_parts(pictures.facets, _frame(record), _design_angle(record)),
         **tilt_parts(record),
     }
     return Sections(
@@ -96,6 +100,49 @@ def _maps(
             NAMES[found.contrasts[0].kind],
         )
     return maps
+
+
+MAX_RIDGES = 6
+
+
+def facet_parts(
+    facets: "AngleMap | None", frame: figures.MapFrame, nominal_deg: float | None
+) -> dict[str, Any] | None:
+    """The lean of the facets as `angle_map.html` shows it: pictures, the ridges farthest off, and the numbers."""
+    if facets is None:
+        return None
+    place = (facets.across_mm, facets.along_mm)
+    maps = [
+        (
+            "Lean of the facets across the ridges",
+            figures.lean_map(facets.angle_deg, *place, "across [°]", facets.unseen, frame),
+        )
+    ]
+    if facets.along_deg is not None:
+        maps.append(
+            (
+                "Lean of the facets along the ridges",
+                figures.lean_map(facets.along_deg, *place, "along [°]", facets.unseen, frame),
+            )
+        )
+    maps.append(
+        ("Lean across the ridges, cell by cell", figures.lean_histogram(facets.angle_deg, nominal_deg))
+    )
+    ridges = facets.by_ridge
+    middle = float(np.median([one.angle_deg for one in ridges])) if ridges else 0.0
+    farthest = sorted(ridges, key=lambda one: -abs(one.angle_deg - middle))[:MAX_RIDGES]
+    return {
+        "found": facets.record(),
+        "nominal": nominal_deg,
+        "maps": maps,
+        "ridges": farthest,
+        "unlisted": len(ridges) - len(farthest),
+    }
+
+
+def _design_angle(record: Record) -> float | None:
+    design = record.recipe.get("surface", {}).get("design")
+    return None if design is None else float(design["ridge_angle_deg"])
 
 
 def _budget(record: Record, found: SurfaceDetails) -> tuple[list[BudgetRecord], list[BudgetRecord]]:

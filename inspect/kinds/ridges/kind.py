@@ -1,9 +1,12 @@
 """Plastic parts with ridges as a kind of part."""
 
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import AnisoscopeError
 from anisoscope.diagnosis.shape_fit import fit_shape
+from anisoscope.imaging.angle_map import AngleMap, angle_map
 from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.predicted_cells import predicted_cells
@@ -24,6 +27,9 @@ class Ridges(SurfaceKind[RidgeRecipe], Beginning):
     name = "ridges"
     one = "a part with ridges"
     fallback = True
+
+    def __init__(self) -> None:
+        self._facets: WeakKeyDictionary[Measured, AngleMap | AnisoscopeError] = WeakKeyDictionary()
 
     @property
     def recipe(self) -> type[RidgeRecipe]:
@@ -46,6 +52,17 @@ class Ridges(SurfaceKind[RidgeRecipe], Beginning):
     ) -> tuple[ShapeRecord | None, str | None]:
         """Ideal ridges fitted over the tilts."""
         return fit_shape(recipe, expected, measured)
+
+    def facets(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+    ) -> AngleMap | AnisoscopeError | None:
+        """Lean of the facets, computed once a measurement."""
+        if measured not in self._facets:
+            try:
+                self._facets[measured] = angle_map(recipe, expected, measured)
+            except AnisoscopeError as problem:
+                self._facets[measured] = problem
+        return self._facets[measured]
 
     def predicted_cells(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured

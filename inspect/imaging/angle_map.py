@@ -1,0 +1,540 @@
+"""Angle map: how far the facets of a part lean across and along the ridges, cell by cell, from its photographs.
+
+Every cell of a facet is brighter or darker in each pose as its lean moves the mirror direction. The radiance of a
+plane facet with the lobe of the recipe is the model; what reaches the camera by more than one reflection is added as
+its mean, with an uncertainty that leaves the verdict to the poses near the mirror direction. First one lean and one
+roughness are fitted to the medians of the part, then the lean of every cell. Where no pose tells the lean along the
+ridges it is held. A cell that no lean explains is left out: there is no facet, or something on it.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import MeasurementError
+from anisoscope.imaging.phase_map import PhaseMap, phase_map
+from anisoscope.imaging.pose_radiance import Image, Measured
+from anisoscope.parameters.material import Material
+from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.prediction.expectation import Expectation
+from anisoscope.prediction.part_scatter import with_design
+from anisoscope.prediction.propagation import RIDGE_ANGLE
+from anisoscope.prediction.recipe_models import rig_of
+from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.record.schema import AngleRecord, RidgeLeanRecord
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.optics import bundle
+from anisoscope.sim.light.shine import shine_in
+
+CELL_UM = 48.0
+MARGIN_SHARE, MARGIN_POINTS = 0.12, 2.5
+"""Distance of the cells from crest and wall: share of the pitch, and points of the pictures; the larger counts."""
+LEAST_FACET = 0.25  # of a pitch, between the margins
+HALF_FULL = 0.5  # share of its points that a cell needs
+MODEL_ERROR = 0.02
+"""Relative standard uncertainty of the radiance of a facet in one pose, from the model."""
+AGAIN_SHARE = 0.05
+"""Relative standard uncertainty of the light of the base, for light that reaches a facet by way of others."""
+FOOT_HEIGHTS = (
+    0.75  # distance from the wall within which light from the wall brightens the facet, in heights of it
+)
+U_ALPHA_SHARE = 0.4  # of the part's roughness before its photographs are seen
+U_LEAN_DEG = 3.0  # of the part's lean before, and of a cell's about that of the part
+U_ALONG_DEG = 0.3  # of the lean along the ridges before
+SHOWN_SHARE = 0.4
+"""Share of the variance of a fine texture's slopes that the points of a picture show: lens and pixels average."""
+CELL_ERROR = 0.005
+"""Relative standard uncertainty of the radiance of one cell against that of the part, without texture."""
+UNSEEN_CHANCE = 1e-5  # that a facet has a misfit as large
+STEP_DEG = 0.1
+BELOW_DEG, ABOVE_DEG, ASIDE_DEG = 14.0, 8.0, 1.5
+"""How far from the part's lean that of a cell is searched."""
+_AT_ONCE = 512
+_NOT_ADDED = (RIDGE_ANGLE, "roughness along the ridges", "roughness across the ridges")
+
+
+@dataclass(frozen=True, eq=False)
+class AngleMap:
+    """Lean of the facets of a part.
+
+    Attributes:
+        angle_deg: (A, C) lean across the ridges, the first row farthest along them, C cells from ridge to ridge; NaN
+            where no facet is seen.
+        u_deg: the same shape, standard uncertainty against the mean of the part.
+        along_deg: the same shape, lean along the ridges; None where no pose tells it.
+        u_along_deg: its standard uncertainty, or None.
+        x_mm: (A, C) places on the sample from the rotation axis.
+        y_mm: likewise.
+        across_mm: (C,) places across the ridges from the middle of the region.
+        along_mm: (A,) places along them, falling.
+        ridge: (C,) number of the ridge of a column, 0 in the middle of the region.
+        cell_um: sides of a cell across and along the ridges.
+        mean_deg: mean lean across the ridges.
+        u_mean_deg: its standard uncertainty, with those of lamp, lens, seat and material that all cells share.
+        alpha: roughness of the part in units of that of the recipe.
+        u_alpha: its standard uncertainty.
+        pitch_um: mean pitch of the pictures.
+        turn_deg: how far the ridges run counter-clockwise from where the recipe says.
+        unseen: (A, C) True where light is, but no facet explains it.
+    """
+
+    angle_deg: FloatArray
+    u_deg: FloatArray
+    along_deg: FloatArray | None
+    u_along_deg: FloatArray | None
+    x_mm: FloatArray
+    y_mm: FloatArray
+    across_mm: FloatArray
+    along_mm: FloatArray
+    ridge: npt.NDArray[np.intp]
+    cell_um: tuple[float, float]
+    mean_deg: float
+    u_mean_deg: float
+    alpha: float
+    u_alpha: float
+    pitch_um: float
+    turn_deg: float
+    unseen: npt.NDArray[np.bool_]
+
+    @cached_property
+    def spread_deg(self) -> float:
+        """Standard deviation of the lean between cells, less what their uncertainty makes."""
+        known = np.isfinite(self.angle_deg)
+        total = float(np.var(self.angle_deg[known], ddof=1))
+        return float(np.sqrt(max(total - float(np.mean(self.u_deg[known] ** 2)), 0.0)))
+
+    @cached_property
+    def by_ridge(self) -> tuple["RidgeLean", ...]:
+        """The lean of every ridge of which a tenth of the cells or more is known."""
+        found = []
+        for number in np.unique(self.ridge):
+            columns = self.angle_deg[:, self.ridge == number]
+            known = np.isfinite(columns)
+            if known.mean() < LEAST_KNOWN or known.sum() < 2:
+                continue
+            values, u = columns[known], self.u_deg[:, self.ridge == number][known]
+            found.append(
+                RidgeLean(
+                    int(number),
+                    float(np.nanmean(self.x_mm[:, self.ridge == number])),
+                    float(np.nanmean(self.y_mm[:, self.ridge == number])),
+                    float(values.mean()),
+                    float(np.sqrt(np.sum(u**2)) / len(values)),
+                    float(values.std(ddof=1)),
+                    float(known.mean()),
+                )
+            )
+        return tuple(found)
+
+    def record(self) -> AngleRecord:
+        """What a record of the inspection holds of it."""
+        worst, known = self.worst, np.isfinite(self.angle_deg)
+        return AngleRecord(
+            mean_deg=self.mean_deg,
+            u_mean_deg=self.u_mean_deg,
+            spread_deg=self.spread_deg,
+            u_cell_deg=float(np.median(self.u_deg[known])),
+            along_deg=None if self.along_deg is None else float(self.along_deg[known].mean()),
+            alpha=self.alpha,
+            u_alpha=self.u_alpha,
+            cell_um=self.cell_um,
+            cells=int(known.sum()),
+            unseen_share=float(self.unseen.sum() / max(self.unseen.sum() + known.sum(), 1)),
+            worst=None
+            if worst is None
+            else RidgeLeanRecord(
+                ridge=worst.ridge, x=worst.x_mm, y=worst.y_mm, angle_deg=worst.angle_deg, u_deg=worst.u_deg
+            ),
+        )
+
+    @property
+    def worst(self) -> "RidgeLean | None":
+        """The ridge whose lean is farthest from that of the part."""
+        middle = float(np.median([one.angle_deg for one in self.by_ridge])) if self.by_ridge else 0.0
+        return max(self.by_ridge, key=lambda one: abs(one.angle_deg - middle), default=None)
+
+
+LEAST_KNOWN = 0.1
+
+
+@dataclass(frozen=True)
+class RidgeLean:
+    """Lean of one ridge.
+
+    Attributes:
+        ridge: its number, 0 in the middle of the region.
+        x_mm: middle of its cells on the sample.
+        y_mm: likewise.
+        angle_deg: mean lean across the ridges.
+        u_deg: standard uncertainty of the mean against that of the part.
+        spread_deg: standard deviation of its cells.
+        known: share of its cells where a facet is seen.
+    """
+
+    ridge: int
+    x_mm: float
+    y_mm: float
+    angle_deg: float
+    u_deg: float
+    spread_deg: float
+    known: float
+
+
+def angle_map(
+    recipe: SurfaceRecipe, expected: Expectation, measured: Measured, cell_um: float = CELL_UM
+) -> AngleMap:
+    """Lean of the facets, cell by cell.
+
+    Args:
+        recipe: pitch, material, poses.
+        expected: the prediction, whose uncertainties of lamp, lens and seat all cells share.
+        measured: with the aligned pictures.
+        cell_um: side of the cells; across the ridges the facet is divided evenly.
+
+    Raises:
+        MeasurementError: the pictures are missing, or do not resolve the ridges; or no pose has light of the lobe.
+        HeightMapError: the recipe's height map has no ridges.
+    """
+    if not measured.aligned:
+        raise MeasurementError("the pictures of the part are not kept: the angle map is made from its frames")
+    recipe = with_design(recipe.deciding())
+    scene = _Scene(recipe, expected)
+    pixel_um = measured.grid.pixel_mm * 1000.0
+    phases = phase_map(measured.aligned, pixel_um, scene.design.pitch_um, scene.wall)
+    cells = _Cells.of(phases, scene.design, pixel_um, cell_um)
+    light = np.stack([cells.means(picture) for picture in measured.aligned])
+    full = np.all(np.isfinite(light) & (light > 0.0), axis=0)
+    if full.sum() < 2:
+        raise MeasurementError("no cell of a facet has light in every pose: see the frames of the inspection")
+    logs = np.log(light[:, full])
+    part = _part(scene, np.median(logs, axis=1))
+    texture = _texture(
+        scene, part, *(np.stack(one) for one in zip(*map(cells.scatter, measured.aligned), strict=True))
+    )
+    found = _leans(scene, part, logs - part.left[:, None], texture)
+    kept = full.any(axis=0)
+
+    def spread(values: FloatArray, fill: float = np.nan) -> FloatArray:
+        out = np.full(full.shape, fill)
+        out[full] = values
+        return out[:, kept]
+
+    unseen = found.misfit > _limit(len(logs))
+    angle = np.where(unseen, np.nan, found.lean[:, 0])
+    known = np.isfinite(angle)
+    if not known.any():
+        raise MeasurementError(
+            "no lean of a facet explains any cell: are lamp, material and poses the recipe's?"
+        )
+    row, col = (place[:, kept] for place in cells.middles())
+    x_mm, y_mm, scale = measured.grid.to_mm() @ np.stack([col.ravel(), row.ravel(), np.ones(col.size)])
+    rows, cols = measured.grid.shape
+    along = part.sees_along
+    return AngleMap(
+        angle_deg=spread(angle),
+        u_deg=spread(found.u[:, 0]),
+        along_deg=spread(np.where(unseen, np.nan, found.lean[:, 1])) if along else None,
+        u_along_deg=spread(found.u[:, 1]) if along else None,
+        x_mm=(x_mm / scale).reshape(row.shape),
+        y_mm=(y_mm / scale).reshape(row.shape),
+        across_mm=(np.nanmean(col, axis=0) - 0.5 * (cols - 1)) * measured.grid.pixel_mm,
+        along_mm=(0.5 * (rows - 1) - np.nanmean(row, axis=1)) * measured.grid.pixel_mm,
+        ridge=cells.ridge[kept],
+        cell_um=cells.side_um,
+        mean_deg=part.lean[0],
+        u_mean_deg=part.u_lean_deg,
+        alpha=part.alpha,
+        u_alpha=part.u_alpha,
+        pitch_um=phases.pitch_um,
+        turn_deg=phases.turn_deg,
+        unseen=spread(unseen.astype(np.float64), 0.0) > 0.0,
+    )
+
+
+def _limit(poses: int) -> float:
+    from scipy.special import chdtri  # noqa: PLC0415 - start-up time
+
+    return float(chdtri(poses, UNSEEN_CHANCE))
+
+
+def _median_chi2(freedom: int) -> float:
+    from scipy.special import chdtri  # noqa: PLC0415 - start-up time
+
+    return float(chdtri(freedom, 0.5))
+
+
+class _Scene:
+    """Radiance of facets of any lean in the poses of a recipe with a design."""
+
+    def __init__(self, recipe: SurfaceRecipe, expected: Expectation) -> None:
+        self.recipe, self.expected = recipe, expected
+        self.design = recipe.surface.ridge_design()
+        self.material = recipe.material.material()
+        self.to_light, self.to_camera = directions(expected.poses, expected.convention)
+        self.rig = rig_of(recipe, expected.poses, expected.convention)
+
+    @property
+    def wall(self) -> float:
+        """Width of the wall as a share of the pitch."""
+        return self.design.wall_width_um / self.design.pitch_um
+
+    def rougher(self, share: float, albedo: float | None = None) -> Material:
+        """The material with both roughnesses times ``share``."""
+        known = self.material
+        return replace(
+            known,
+            alpha_along=known.alpha_along * share,
+            alpha_across=known.alpha_across * share,
+            albedo=known.albedo if albedo is None else albedo,
+        )
+
+    def log_radiance(self, across_deg: FloatArray, along_deg: FloatArray, material: Material) -> FloatArray:
+        """(P, N) ln L of facets that lean so far, (N,) each."""
+        from anisoscope.sim.light.census_kernels import shine_at  # noqa: PLC0415 - start-up time
+
+        slopes = np.stack([-np.tan(np.radians(across_deg)), np.tan(np.radians(along_deg))], axis=-1)
+        beams = bundle(self.to_light, self.to_camera, self.rig.optics)
+        found = np.empty((len(self.to_light), len(slopes)))
+        values = np.empty(len(slopes))
+        for pose in range(len(found)):
+            total = np.zeros(len(slopes))
+            for light, camera, weight in zip(
+                beams.to_light[pose], beams.to_camera[pose], beams.weight, strict=True
+            ):
+                shine_at(slopes, shine_in(light, camera, material), values)
+                total += weight * values
+            found[pose] = np.log(np.maximum(total, 1e-12))
+        return found
+
+    def doubt(self) -> FloatArray:
+        """(P,) standard uncertainty of ln L of a facet of the part from its base."""
+        lean, none = np.array([self.design.ridge_angle_deg]), np.zeros(1)
+        u = float(np.hypot(self.recipe.material.u_albedo, AGAIN_SHARE * self.material.albedo))
+        brighter = self.rougher(1.0, min(1.0, self.material.albedo + u))
+        found = self.log_radiance(lean, none, brighter) - self.log_radiance(lean, none, self.material)
+        return np.asarray(found[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Which cell a point of the raster belongs to, −1 for none.
+
+    Attributes:
+        number: (rows, cols) cell of a point.
+        shape: cells along and across.
+        ridge: (C,) ridge of a column of cells.
+        side_um: sides across and along.
+    """
+
+    number: npt.NDArray[np.intp]
+    shape: tuple[int, int]
+    ridge: npt.NDArray[np.intp]
+    side_um: tuple[float, float]
+
+    @staticmethod
+    def of(phases: PhaseMap, design: RidgeDesign, pixel_um: float, cell_um: float) -> "_Cells":
+        """Divide the facets of a part.
+
+        Raises:
+            MeasurementError: too little of a facet is left between wall and crest.
+        """
+        pitch = phases.pitch_um
+        margin = max(MARGIN_SHARE, MARGIN_POINTS * pixel_um / pitch)
+        first = margin + design.edge_reach_um / pitch
+        last = (design.facet_width_um - FOOT_HEIGHTS * design.full_height_um) / design.pitch_um - margin
+        if last - first < LEAST_FACET:
+            raise MeasurementError(
+                f"between crest and wall {max(last - first, 0.0):.0%} of the pitch are facet, an angle map needs "
+                f"{LEAST_FACET:.0%}: take a lens of greater magnification"
+            )
+        if cell_um < pixel_um:
+            raise MeasurementError(
+                f"cells of {cell_um:g} µm are smaller than a point of the pictures ({pixel_um:.3g} µm)"
+            )
+        parts = max(1, round((last - first) * pitch / cell_um))
+        rows, _ = phases.place.shape
+        high = max(1, round(cell_um / pixel_um))
+        along = rows // high
+        ridge = np.floor(phases.place)
+        part = np.floor((phases.place - ridge - first) / (last - first) * parts)
+        inside = (part >= 0) & (part < parts)
+        low, top = int(ridge[inside].min()), int(ridge[inside].max())
+        column = (ridge - low) * parts + part
+        line = np.minimum(np.arange(rows) // high, along)[:, None]
+        inside &= line < along
+        count = (top - low + 1) * parts
+        number = np.where(inside, line * count + column, -1).astype(np.intp)
+        middle = int(np.floor(np.median(phases.place)))
+        return _Cells(
+            number,
+            (along, count),
+            np.repeat(np.arange(low, top + 1) - middle, parts).astype(np.intp),
+            ((last - first) * pitch / parts, high * pixel_um),
+        )
+
+    @cached_property
+    def _inside(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        chosen = np.flatnonzero(self.number.ravel() >= 0)
+        return chosen, self.number.ravel()[chosen]
+
+    def _sums(self, values: FloatArray) -> FloatArray:
+        total = np.bincount(self._inside[1], values, minlength=self.shape[0] * self.shape[1])
+        return np.asarray(total, dtype=np.float64)
+
+    @cached_property
+    def _count(self) -> FloatArray:
+        return self._sums(np.ones(len(self._inside[0])))
+
+    def means(self, picture: FloatArray | Image) -> FloatArray:
+        """(A, C) mean of the points of every cell; NaN of cells that are not half full."""
+        values = picture.ravel()[self._inside[0]].astype(np.float64)
+        known = np.isfinite(values)
+        count = self._sums(known.astype(np.float64))
+        total = self._sums(np.where(known, values, 0.0))
+        enough = count >= max(1.0, HALF_FULL * float(np.max(self._count)))
+        return np.where(enough, total / np.maximum(count, 1.0), np.nan).reshape(self.shape)
+
+    def scatter(self, picture: FloatArray | Image) -> tuple[float, float]:
+        """Variance of ln L of the points of a cell, and half that of the differences of cells along a ridge."""
+        logs = np.log(np.maximum(np.nan_to_num(picture, nan=1e-12), 1e-12))
+        means = self.means(logs)
+        own = logs.ravel()[self._inside[0]] - means.ravel()[self._inside[1]]
+        near = np.diff(means, axis=0)
+        return tuple(_calm_variance(one[np.isfinite(one)]) for one in (own, near / np.sqrt(2.0)))  # type: ignore[return-value]
+
+    def middles(self) -> tuple[FloatArray, FloatArray]:
+        """(A, C) row and column of the middles of the cells; NaN of empty ones."""
+        row, col = np.divmod(self._inside[0], self.number.shape[1])
+        count = np.where(self._count > 0, self._count, np.nan)
+        return (self._sums(row) / count).reshape(self.shape), (self._sums(col) / count).reshape(self.shape)
+
+
+def _calm_variance(values: FloatArray) -> float:
+    """Variance from the median of the absolute values, which marks do not raise; 0 of none."""
+    return float((1.4826 * np.median(np.abs(values))) ** 2) if values.size else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _PartLean:
+    """Lean and roughness of the part as a whole; ``left`` (P,) of ln L is what they do not explain."""
+
+    lean: tuple[float, float]
+    alpha: float
+    u_lean_deg: float
+    u_alpha: float
+    sees_along: bool
+    left: FloatArray
+
+
+def _part(scene: _Scene, medians: FloatArray) -> _PartLean:
+    """One lean and one roughness for the medians (P,) of ln L of the cells."""
+    from scipy.optimize import least_squares  # noqa: PLC0415 - start-up time
+
+    doubt = np.hypot(MODEL_ERROR, scene.doubt())
+    nominal = scene.design.ridge_angle_deg
+
+    def off(state: FloatArray) -> FloatArray:
+        across, along, rougher = state
+        seen = scene.log_radiance(
+            np.array([across]), np.array([along]), scene.rougher(float(np.exp(rougher)))
+        )[:, 0]
+        before = (across - nominal) / U_LEAN_DEG, along / U_ALONG_DEG, rougher / U_ALPHA_SHARE
+        return np.concatenate([(seen - medians) / doubt, before])
+
+    starts = [np.array([nominal + step, 0.0, 0.0]) for step in (0.0, -3.0, 3.0)]
+    best = min(
+        (least_squares(off, start, ftol=1e-14, xtol=1e-12, gtol=1e-14) for start in starts),
+        key=lambda one: float(one.cost),
+    )
+    jacobian = np.asarray(best.jac)
+    inner = np.linalg.inv(jacobian.T @ jacobian)
+    poses = len(medians)
+    # how ln L of the poses moves the three: what all cells share is carried over
+    carried = inner @ jacobian[:poses].T / doubt
+    variance = inner[0, 0]
+    for one in scene.expected.components:
+        if one.source.endswith(_NOT_ADDED):
+            continue
+        moved = carried[0] * one.relative
+        variance += float(np.sum(moved)) ** 2 if one.shared else float(np.sum(moved**2))
+    variance += (scene.recipe.uncertainty.scale_share * float(np.sum(carried[0]))) ** 2
+    own = np.linalg.inv(jacobian[:poses].T @ jacobian[:poses] + np.diag([1e-12, 1e-12, U_ALPHA_SHARE**-2]))
+    return _PartLean(
+        (float(best.x[0]), float(best.x[1])),
+        float(np.exp(best.x[2])),
+        float(np.sqrt(variance)),
+        float(np.exp(best.x[2]) * np.sqrt(inner[2, 2])),
+        bool(np.sqrt(own[1, 1]) < U_ALONG_DEG),
+        -best.fun[:poses] * doubt,
+    )
+
+
+def _texture(scene: _Scene, part: _PartLean, points: FloatArray, means: FloatArray) -> FloatArray:
+    """(P,) standard uncertainty of ln L of a cell by the texture within it.
+
+    The mean of L over a cell is not L of the mean lean: with slopes of variance σ² about it, it is greater by
+    ½·σ²·L''/L, and that of one cell scatters about that of all as σ² does, of which a cell has n independent values.
+
+    Args:
+        scene: of the part.
+        part: its lean.
+        points: (P,) variance of ln L of the points of a cell.
+        means: (P,) variance of the means of cells that the texture makes.
+    """
+    h = 0.5  # degrees
+    steps = np.array([(0.0, 0.0), (h, 0.0), (-h, 0.0), (0.0, h), (0.0, -h)]) + part.lean
+    logs = scene.log_radiance(steps[:, 0], steps[:, 1], scene.rougher(part.alpha))
+    slopes = np.stack([logs[:, 1] - logs[:, 2], logs[:, 3] - logs[:, 4]], axis=-1) / (2.0 * h)
+    bend = np.stack([logs[:, 1] + logs[:, 2], logs[:, 3] + logs[:, 4]], axis=-1) - 2.0 * logs[:, :1]
+    bend = bend / h**2 + slopes**2  # L''/L
+    steep = np.sum(slopes**2, axis=1)
+    variance = float(np.sum(points * steep) / np.sum(steep**2))
+    independent = max(1.0, float(np.sum(points * steep) / max(float(np.sum(means * steep)), 1e-300)))
+    variance /= SHOWN_SHARE
+    return np.asarray(0.5 * variance * np.sqrt(np.sum(bend**2, axis=1)) * np.sqrt(2.0 / independent))
+
+
+@dataclass(frozen=True, eq=False)
+class _Leans:
+    """(N, 2) leans of cells and their standard uncertainties, across and along, and (N,) misfits."""
+
+    lean: FloatArray
+    u: FloatArray
+    misfit: FloatArray
+
+
+def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: FloatArray) -> _Leans:
+    """Lean of every cell: the best of a table, then one step of Gauss and Newton from it."""
+    centre = part.lean
+    across = np.arange(max(centre[0] - BELOW_DEG, -10.0), centre[0] + ABOVE_DEG, STEP_DEG)
+    along = centre[1] + np.arange(-ASIDE_DEG, ASIDE_DEG + 0.5 * STEP_DEG, STEP_DEG)
+    grid = np.stack(np.meshgrid(across, along, indexing="ij"), axis=-1)
+    table = scene.log_radiance(grid[..., 0].ravel(), grid[..., 1].ravel(), scene.rougher(part.alpha))
+    table = table.reshape(len(logs), len(across), len(along))
+    slope = np.stack([np.gradient(table, STEP_DEG, axis=axis) for axis in (1, 2)], axis=-1)
+    weight = 1.0 / np.hypot(texture, CELL_ERROR)
+    before = np.array([U_LEAN_DEG, U_ALONG_DEG]) ** -2.0
+    prior = np.sum((grid - centre) ** 2 * before, axis=-1).ravel()
+    flat = table.reshape(len(logs), -1) * weight[:, None]
+    square = np.sum(flat**2, axis=0) + prior
+    lean, u, misfit = np.empty((logs.shape[1], 2)), np.empty((logs.shape[1], 2)), np.empty(logs.shape[1])
+    for first in range(0, logs.shape[1], _AT_ONCE):
+        block = slice(first, first + _AT_ONCE)
+        own = logs[:, block] * weight[:, None]
+        best = np.argmin(square[:, None] - 2.0 * (flat.T @ own), axis=0)
+        i, j = np.unravel_index(best, grid.shape[:2])
+        jacobian = np.moveaxis(slope[:, i, j], 0, 1) * weight[:, None]  # (N, P, 2)
+        left = (logs[:, block] - table[:, i, j]).T * weight
+        information = np.einsum("npa,npb->nab", jacobian, jacobian) + np.diag(before)
+        gain = np.linalg.inv(information)
+        pull = np.einsum("npa,np->na", jacobian, left) - (grid[i, j] - centre) * before
+        step = np.clip(np.einsum("nab,nb->na", gain, pull), -STEP_DEG, STEP_DEG)
+        lean[block] = grid[i, j] + step
+        u[block] = np.sqrt(np.diagonal(gain, axis1=1, axis2=2))
+        misfit[block] = np.sum((left - np.einsum("npa,na->np", jacobian, step)) ** 2, axis=1)
+    # where the poses contradict each other by more than that in most cells, all of it is larger
+    usual = float(np.median(misfit)) / _median_chi2(max(len(logs) - 2, 1))
+    return _Leans(lean, u * np.sqrt(max(usual, 1.0)), misfit / max(usual, 1.0))
