@@ -151,10 +151,15 @@ class AngleMap:
         )
 
     @property
-    def worst(self) -> "RidgeLean | None":
-        """The ridge whose lean is farthest from that of the part."""
+    def farthest(self) -> tuple["RidgeLean", ...]:
+        """The ridges, the one whose lean is farthest from the median of all first."""
         middle = float(np.median([one.angle_deg for one in self.by_ridge])) if self.by_ridge else 0.0
-        return max(self.by_ridge, key=lambda one: abs(one.angle_deg - middle), default=None)
+        return tuple(sorted(self.by_ridge, key=lambda one: -abs(one.angle_deg - middle)))
+
+    @property
+    def worst(self) -> "RidgeLean | None":
+        """The ridge whose lean is farthest from the median of all."""
+        return next(iter(self.farthest), None)
 
 
 LEAST_KNOWN = 0.1
@@ -251,6 +256,28 @@ def angle_map(
         pitch_um=phases.pitch_um,
         turn_deg=phases.turn_deg,
         unseen=spread(unseen.astype(np.float64), 0.0) > 0.0,
+    )
+
+
+def planned_worth(recipe: SurfaceRecipe, expected: Expectation) -> str:
+    """What the angle map of a good part will tell by these poses, in one line.
+
+    Args:
+        recipe: of the part.
+        expected: the prediction.
+
+    Raises:
+        HeightMapError: the recipe's height map has no ridges.
+    """
+    scene = _Scene(with_design(recipe.deciding()), expected)
+    lean = scene.design.ridge_angle_deg
+    part = _part(scene, scene.log_radiance(np.array([lean]), np.zeros(1), scene.material)[:, 0])
+    along = "the lean along the ridges too"
+    if not part.sees_along:
+        along = f"not the lean along the ridges, which a pose at 90° with a tilt of −{lean:.2g}° would tell"
+    return (
+        f"angle map: tells the mean lean of the facets across the ridges to ± {2.0 * part.u_lean_deg:.2g}° (k = 2), "
+        f"their roughness to ± {200.0 * part.u_alpha:.2g} %, {along}"
     )
 
 

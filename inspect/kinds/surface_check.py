@@ -87,6 +87,7 @@ class SurfaceCheck(RecipeCheck):
         never: pairs of causes that neither these poses separate, nor any tilt or lamp that was tried.
         roughness: of the whole plastic, by the height map and the recipe's lobe, in one line; None without a map.
         thresholds: assumed for the cells where every part sets its own, in one line; None where the recipe states one.
+        angles: what the angle map will tell, in one line; None of a surface without ridges.
     """
 
     contrast: str
@@ -98,6 +99,7 @@ class SurfaceCheck(RecipeCheck):
     never: tuple[tuple[str, str], ...] = ()
     roughness: str | None = None
     thresholds: str | None = None
+    angles: str | None = None
 
     def tables(self) -> tuple[Table, ...]:
         """Contrasts, and their budget."""
@@ -133,7 +135,7 @@ class SurfaceCheck(RecipeCheck):
         lines += [f"{one.says} would distinguish {_apart(one.tells_apart)}" for one in self.lamps]
         if self.never:
             lines.append(f"nothing that was tried would distinguish {_apart(self.never)}")
-        lines += [line for line in (self.roughness, self.thresholds) if line is not None]
+        lines += [line for line in (self.roughness, self.thresholds, self.angles) if line is not None]
         return tuple(lines)
 
 

@@ -128,15 +128,13 @@ def facet_parts(
     maps.append(
         ("Lean across the ridges, cell by cell", figures.lean_histogram(facets.angle_deg, nominal_deg))
     )
-    ridges = facets.by_ridge
-    middle = float(np.median([one.angle_deg for one in ridges])) if ridges else 0.0
-    farthest = sorted(ridges, key=lambda one: -abs(one.angle_deg - middle))[:MAX_RIDGES]
+    ridges = facets.farthest
     return {
         "found": facets.record(),
         "nominal": nominal_deg,
         "maps": maps,
-        "ridges": farthest,
-        "unlisted": len(ridges) - len(farthest),
+        "ridges": ridges[:MAX_RIDGES],
+        "unlisted": max(len(ridges) - MAX_RIDGES, 0),
     }
 
 

@@ -57,16 +57,20 @@ def angle_map(
     if json_:
         print_json({**kept.model_dump(), "ridges": [fields_of(one) for one in found.by_ridge]})
         return 0
-    worst = sorted(found.by_ridge, key=lambda one: -abs(one.angle_deg - kept.mean_deg))[:LISTED]
     print_table(
         f"{record.serial}: the ridges that lean most from the others",
         ["ridge", "x [mm]", "y [mm]", "lean [°]", "U (k = 2) [°]", "spread of its cells [°]"],
         [
-            [f"{one.ridge:+d}", f"{one.x_mm:+.2f}", f"{one.y_mm:+.2f}", f"{one.angle_deg:.2f}", f"{2 * one.u_deg:.2f}",
-             f"{one.spread_deg:.2f}"]
-            for one in worst
+            [
+                f"{one.ridge:+d}",
+                *(f"{round(place, 2) + 0.0:+.2f}" for place in (one.x_mm, one.y_mm)),
+                f"{one.angle_deg:.2f}",
+                f"{2 * one.u_deg:.2f}",
+                f"{one.spread_deg:.2f}",
+            ]
+            for one in found.farthest[:LISTED]
         ],
-    )  # fmt: skip
+    )
     designed = "" if nominal is None else f", designed {nominal:g}°"
     along = "" if kept.along_deg is None else f"; along the ridges {kept.along_deg:+.2f}°"
     print_lines(

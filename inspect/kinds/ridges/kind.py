@@ -1,24 +1,33 @@
 """Plastic parts with ridges as a kind of part."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 from weakref import WeakKeyDictionary
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.progress import Advance
 from anisoscope.diagnosis.shape_fit import fit_shape
-from anisoscope.imaging.angle_map import AngleMap, angle_map
+from anisoscope.imaging.angle_map import AngleMap, angle_map, planned_worth
 from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.predicted_cells import predicted_cells
 from anisoscope.imaging.quality_gates import check_part
 from anisoscope.imaging.registration.placement import View
 from anisoscope.kinds.parts import Beginning
+from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import MapPlaceRecord, ShapeRecord
+from anisoscope.rig.rigfile import RigFile
+
+if TYPE_CHECKING:
+    from anisoscope.kinds.surface_check import SurfaceCheck
 
 
 class Ridges(SurfaceKind[RidgeRecipe], Beginning):
@@ -63,6 +72,22 @@ class Ridges(SurfaceKind[RidgeRecipe], Beginning):
             except AnisoscopeError as problem:
                 self._facets[measured] = problem
         return self._facets[measured]
+
+    def capability(
+        self,
+        recipe: RidgeRecipe,
+        rig: RigFile | None,
+        light_angle_deg: float,
+        tries: Sequence[float],
+        advance: Advance,
+    ) -> RecipeCheck:
+        """That of a surface, and what the angle map will tell."""
+        found = super().capability(recipe, rig, light_angle_deg, tries, advance)
+        try:
+            says = planned_worth(recipe, self._predict(cached=True)(recipe, light_angle_deg))
+        except AnisoscopeError as problem:
+            says = f"no angle map: {problem}"
+        return replace(cast("SurfaceCheck", found), angles=says)
 
     def predicted_cells(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured

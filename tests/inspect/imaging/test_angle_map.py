@@ -1,5 +1,6 @@
 """Leans of facets in parts rendered by the path tracer, which shares nothing with the model of a facet."""
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import MeasurementError
-from anisoscope.imaging.angle_map import angle_map
+from anisoscope.imaging.angle_map import angle_map, planned_worth
 from anisoscope.imaging.phase_map import phase_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
@@ -193,6 +194,19 @@ def test_a_sink_mark_has_its_depth(tmp_path):
     assert np.ptp(true) > 5.0
     assert np.sqrt(np.mean(off**2)) < 0.25
     np.testing.assert_allclose(form.height_um, form_of(found).height_um, atol=1e-3)
+
+
+def test_the_worth_of_poses_is_known_from_the_design():
+    recipe = recipe_of()
+    upright = expectation(recipe, 10.0)
+    assert re.fullmatch(
+        r"angle map: tells the mean lean of the facets across the ridges to ± 0\.\d+° \(k = 2\), their roughness to "
+        r"± [\d.]+ %, not the lean along the ridges, which a pose at 90° with a tilt of −10° would tell",
+        planned_worth(recipe, upright),
+    )
+    tilts = recipe.poses.model_copy(update={"tilts_deg": (0.0, -10.0)})
+    tilted = recipe.model_copy(update={"poses": tilts})
+    assert planned_worth(tilted, expectation(tilted, 10.0)).endswith(", the lean along the ridges too")
 
 
 def test_what_all_cells_share_moves_the_mean_alone(ten):
