@@ -260,7 +260,7 @@ def angle_map(
 
 
 def planned_worth(recipe: SurfaceRecipe, expected: Expectation) -> str:
-    """What the angle map of a good part will tell by these poses, in one line.
+    """Uncertainties of the angle map of a good part by these poses, in one line.
 
     Args:
         recipe: of the part.

@@ -386,7 +386,6 @@ class SurfaceKind(
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
         facets = self.facets(recipe, expected, measured)
-        unleaned = f"no angle map: {facets}" if isinstance(facets, AnisoscopeError) else None
         lacking = reference and reference.lacking
         refused = reference.refused_text if isinstance(reference, GoldenSet) else None
         unlike = unlike_text(decided)
@@ -399,20 +398,12 @@ class SurfaceKind(
                 "shape": shape,
                 "map_place": placed,
                 "angles": facets.record() if isinstance(facets, AngleMap) else None,
+                "angles_lacking": str(facets) if isinstance(facets, AnisoscopeError) else None,
                 "golden": None if golden is None else golden_record(golden, measured, decided),
             },
             tuple(
                 note
-                for note in (
-                    lacking,
-                    refused,
-                    unlike,
-                    unexplained,
-                    compared.note,
-                    unfitted,
-                    unplaced,
-                    unleaned,
-                )
+                for note in (lacking, refused, unlike, unexplained, compared.note, unfitted, unplaced)
                 if note
             ),
             "" if diagnosis.verdict is None else rig_reason(diagnosis),

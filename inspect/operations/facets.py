@@ -148,4 +148,8 @@ def write_angle_page(found: AngleMap, path: Path, title: str, nominal_deg: float
     Raises:
         RecordError: it cannot be written.
     """
-    write_page(path, "angles.html", {"title": title, "facets": facet_parts(found, MapFrame(), nominal_deg)})
+    write_page(
+        path,
+        "angles.html",
+        {"title": title, "facets": facet_parts(found, MapFrame(), nominal_deg), "lacking": None},
+    )

@@ -33,6 +33,7 @@ class SurfaceDetails(Details):
     golden: GoldenRecord | None = None
     map_place: MapPlaceRecord | None = None
     angles: AngleRecord | None = None
+    angles_lacking: str | None = None
 
     def numbers(self) -> dict[str, float]:
         """The contrasts, and the lean of the facets in degrees.

@@ -49,6 +49,7 @@ def surface_sections(record: Record, pictures: Pictures, words: Mapping[str, Cau
         "excluded_by": _excluded_by(found),
         **_maps(record, found, pictures, [one for one, _ in regions]),
         "facets": facet_parts(pictures.facets, _frame(record), _design_angle(record)),
+        "lacking": found.angles_lacking,
         **tilt_parts(record),
     }
     return Sections(

@@ -81,7 +81,7 @@ class Ridges(SurfaceKind[RidgeRecipe], Beginning):
         tries: Sequence[float],
         advance: Advance,
     ) -> RecipeCheck:
-        """That of a surface, and what the angle map will tell."""
+        """Check the recipe as that of a surface, and the worth of its angle map."""
         found = super().capability(recipe, rig, light_angle_deg, tries, advance)
         try:
             says = planned_worth(recipe, self._predict(cached=True)(recipe, light_angle_deg))
