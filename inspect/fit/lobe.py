@@ -4,9 +4,9 @@ The specimen is a flat coupon or a ridged part. ln L of every pose is fitted by 
 noise of the pose and `POSE_NOISE` together; parameters that a scan hardly determines keep their priors: seating, ridge
 angle, edge radius, and the amplitude of what reflects between facet and wall. The scale k is free. Two families of
 lobes are tried, one with a tail and Beckmann's with a second one mixed in; the Bayesian information criterion (Schwarz
-1978) chooses. A rejected family (`base.rejection`) has its covariance enlarged by the Birge ratio, and a matte surface
-is tried. Albedo and scale k are then known only together: what tells them apart is the amplitude of the lobe, which the
-family takes from slopes that no pose shows.
+1978) chooses, and compares both with matte surfaces. A rejected family (`base.rejection`) has its covariance enlarged
+by the Birge ratio. Albedo and scale k are then known only together: what parts them is the amplitude of the lobe, which
+the family takes from slopes that no pose shows.
 """
 
 from collections.abc import Callable, Sequence
@@ -466,7 +466,7 @@ class LobeFit:
         other_bic: that of the other family, where it was fitted.
         half_angle_deg: lowest and highest angle between half vector and facet normal.
         misfit: test of the family.
-        tests: of all families that were fitted, and of matte surfaces where they are rejected.
+        tests: of all families that were fitted, and of matte surfaces.
     """
 
     family: Family
@@ -490,8 +490,14 @@ class LobeFit:
 
     @property
     def fits(self) -> bool:
-        """Whether the residuals do not reject the family."""
-        return not self.misfit.rejected
+        """Whether the residuals do not reject the family, and no matte surface takes its place."""
+        return not self.misfit.rejected and not self.matte
+
+    @property
+    def matte(self) -> tuple[str, ...]:
+        """Matte surfaces that are not rejected and have the smaller information criterion, in words."""
+        surfaces = [one for one in self.tests if one.model not in FAMILIES and not one.rejected]
+        return tuple(one.model for one in surfaces if self.misfit.rejected or one.bic < self.misfit.bic)
 
     @property
     def discrepancy_share(self) -> float:
@@ -505,15 +511,15 @@ class LobeFit:
 
     def warnings(self) -> tuple[str, ...]:
         """Lines on what does not hold."""
-        if self.fits:
-            return ()
+        named = tuple(f"these readings are those of {one}: it has no lobe to calibrate" for one in self.matte)
+        if not self.misfit.rejected:
+            return named
         text = (
             f"the family of lobes does not fit: residuals of {100.0 * self.rms_share:.1f} %, "
             f"{self.residual_over_noise:.1f} times their noise; {100.0 * self.discrepancy_share:g} % of every pose "
             "remain as model discrepancy"
         )
-        matte = [one.model for one in self.tests if one.model not in FAMILIES and not one.rejected]
-        return (text, *(f"these readings are those of {one}: it has no lobe to calibrate" for one in matte))
+        return (text, *named)
 
 
 def fit_lobe(
@@ -543,9 +549,9 @@ def fit_lobe(
     others = [one.misfit.bic for one in found if one is not best]
     if specimen.name == "coupon":
         _check_flat(best)
-    if not best.fits:
+    if best.misfit.rejected:
         best = replace(best, information=_with_amplitude(best.information))
-    tests = (*(one.misfit for one in found), *([] if best.fits else _matte(scan, specimen)))
+    tests = (*(one.misfit for one in found), *_matte(scan, specimen))
     return replace(best, other_bic=min(others, default=None), tests=tests)
 
 
