@@ -27,6 +27,7 @@ from anisoscope.sim.bench.serving import serve_bench, write_rig_file
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 PAGE, FILM = (DOCS / "day-one.md").read_text(encoding="utf-8"), DOCS / "pictures" / "day-one.gif"
+SHEET = DOCS / "pictures" / "day-one-steps.png"
 STEP = re.compile(
     r"\*\*(the known part|the white tile|a part that must fail)\*\*|^```(sh|toml)\n(.*?)^```",
     re.MULTILINE | re.DOTALL,
@@ -143,6 +144,22 @@ class Film:
 
         return take
 
+    def sheet(self, path, verdicts):
+        """The first picture and one from the middle of every command that photographs, side by side for paper."""
+        scenes = [(words, seen[0], seen[len(seen) // 2]) for words, seen in self.scenes if seen]
+        sheet = Image.new("L", (len(scenes) * (self.SIDE + 8) - 8, self.BAR + 2 * self.SIDE + 8), 255)
+        for column, (words, *ends) in enumerate(scenes):
+            left = column * (self.SIDE + 8)
+            serial = next((one for one in verdicts if one in words), "")
+            text = " ".join(
+                [words.removeprefix("anisoscope ").partition(" --")[0], serial, verdicts.get(serial, "")]
+            )
+            ImageDraw.Draw(sheet).text((left + 4, 8), text, 0, font_size=20)
+            for row, one in enumerate(ends):
+                shown = Image.fromarray((255 * one).astype(np.uint8)).resize((self.SIDE, self.SIDE))
+                sheet.paste(shown, (left, self.BAR + row * (self.SIDE + 8)))
+        sheet.quantize(48).save(path, optimize=True)
+
     def write(self, path, verdicts):
         pictures, spans_ms = [], []
         for words, seen in self.scenes:
@@ -197,10 +214,12 @@ def test_the_film_of_the_page_is_written(tmp_path, monkeypatch):
     film = Film()
     walk(tmp_path, monkeypatch, "zaber", "ccw", 37.0, quick=True, film=film)
     film.write(tmp_path / FILM.name, verdicts(tmp_path))
+    film.sheet(tmp_path / SHEET.name, verdicts(tmp_path))
     with Image.open(tmp_path / FILM.name) as found:
         assert found.n_frames > 20
     if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
         shutil.copy(tmp_path / FILM.name, FILM)
+        shutil.copy(tmp_path / SHEET.name, SHEET)
 
 
 @pytest.mark.soak
