@@ -75,6 +75,11 @@ def read_toml_model(
         ConfigError: as `error`; the file is missing, is no TOML, or does not hold what the model wants.
     """
     data = read_toml(path, error)
+    if "camera" in model.model_fields and "sample" in data and "camera" not in data:
+        raise error(
+            f"{path}: this is the bench file of a virtual rig: `anisoscope rig sim bench {path} --pty --write-rig "
+            "rig.toml` serves it, and writes the rig file"
+        )
     _check_not_swapped(path, data, error)
     try:
         filled = _substitute(data, substitutions or {}, ())

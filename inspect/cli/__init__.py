@@ -307,6 +307,8 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     arguments, remarks = of_today(arguments)
     for remark in remarks:
         _report(f"note: {remark}", 0)
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
     try:
         result = _call(arguments)
     except KeyboardInterrupt as interruption:

@@ -2,8 +2,10 @@
 
 import inspect
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from difflib import get_close_matches
 from itertools import takewhile
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from cyclopts import App, Group, Parameter
@@ -116,16 +118,67 @@ def _mistake(error: CycloptsError, arguments: Sequence[str]) -> str:
         unused = error.unused_tokens or []
         if all(len(token.strip("-")) <= 2 and _NEGATIVE_VALUE.match(token) for token in unused):
             return f"{' '.join(unused)} is left over: a value that begins with a minus needs '=', as in --tilts=-10"
-        return f"too many arguments: {' '.join(unused)}"
+        return _by_options(error, unused) or f"too many arguments: {' '.join(unused)}"
     if isinstance(error, UnknownOptionError) and (word := _after_the_end(error, arguments)) is not None:
         return (
             f"{word} stands after '--', which ends the options: write the options before it, or leave it out"
         )
-    if isinstance(error, UnknownCommandError) and error.command_chain:
-        return str(error).replace(
-            "Unknown command", f"Unknown command of {' '.join(error.command_chain)}:", 1
-        )
+    if isinstance(error, UnknownCommandError):
+        return _unknown_command(error, arguments)
     return str(error).removesuffix(".")
+
+
+def _unknown_command(error: UnknownCommandError, arguments: Sequence[str]) -> str:
+    if error.command_chain:
+        chain = " ".join(error.command_chain)
+        return str(error).replace("Unknown command", f"Unknown command of {chain}:", 1)
+    if not arguments[0].startswith("-"):
+        return str(error).removesuffix(".")
+    flags = [*re.findall(r"--[\w-]+", GLOBAL_OPTIONS), "--version", "--help"]
+    near = get_close_matches(arguments[0], flags, n=1)
+    return f"Unknown option: {arguments[0]}" + (f". Did you mean {near[0]}?" if near else "")
+
+
+FILE_OPTIONS = (
+    (".toml", ("stage", "camera"), ("--rig",)),
+    (".toml", ("product",), ("--recipe",)),
+    (".csv", (), ("--csv", "--readings")),
+    (".dfq", (), ("--csv",)),
+)
+"""Ending of a file, keys of which it has one, and the options that take such a file, of which a command has one."""
+
+
+def _by_options(error: UnusedCliTokensError, unused: Sequence[str]) -> str | None:
+    """The command line that names files by their options; None where some token is no file that an option takes."""
+    known = None if error.app is None else error.app.assemble_argument_collection()
+    names = {name for argument in known or () for name in argument.names}
+    options = [_option_of(Path(token), names) for token in unused]
+    if not options or None in options:
+        return None
+    chain = " ".join(("anisoscope", *(error.command_chain or ())))
+    pairs = " ".join(f"{option} {token}" for option, token in zip(options, unused, strict=True))
+    return f"files are named by options: {chain} {pairs}"
+
+
+def _option_of(path: Path, names: Collection[str]) -> str | None:
+    for suffix, keys, options in FILE_OPTIONS:
+        known = next((option for option in options if option in names), None)
+        if known is None or path.suffix.lower() != suffix:
+            continue
+        if not keys or keys_of(path) & set(keys):
+            return known
+    return None
+
+
+def keys_of(path: Path) -> set[str]:
+    """Keys of the first level of a TOML file; none where it cannot be read."""
+    from anisoscope.base.errors import AnisoscopeError
+    from anisoscope.base.toml_table import read_toml
+
+    try:
+        return set(read_toml(path))
+    except AnisoscopeError:
+        return set()
 
 
 def _after_the_end(error: UnknownOptionError, arguments: Sequence[str]) -> str | None:

@@ -44,8 +44,9 @@ class Filters:
 
 
 _AGO = re.compile(r"(\d{1,6})\s*([mhdw])")
+_DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")
 _UNITS = {"m": "minutes", "h": "hours", "d": "days", "w": "weeks"}
-_FORMS = "2026-11-01, 2026-11-01T14:30, today, yesterday, or how long ago: 90m, 12h, 7d, 2w"
+_FORMS = "2026-11-01, 01.11.2026, 2026-11-01T14:30, today, yesterday, or how long ago: 90m, 12h, 7d, 2w"
 
 
 def parse_moment(text: str, option: str, *, now: datetime, at_end: bool = False) -> datetime:
@@ -77,6 +78,9 @@ def parse_moment(text: str, option: str, *, now: datetime, at_end: bool = False)
 def _day(words: str, now: datetime) -> date | None:
     if words in {"today", "yesterday"}:
         return now.astimezone().date() - timedelta(days=1 if words == "yesterday" else 0)
+    written = _DAY_FIRST.fullmatch(words)
+    if written is not None:  # 28.11.2026, as in most of Europe; 11/28/2026 could be either and is refused
+        return date(*(int(written[part]) for part in (3, 2, 1)))
     try:
         return date.fromisoformat(words)
     except ValueError:

@@ -183,6 +183,9 @@ def _copy(source: Source, folder: Path, *, share: bool) -> InputCopy:
     return copy
 
 
+MOST_NAMED = 3
+
+
 def read_job_file(folder: Path) -> Manifest:
     """Read ``job.json``.
 
@@ -194,6 +197,9 @@ def read_job_file(folder: Path) -> Manifest:
         return Manifest.model_validate_json(bounded_bytes(path))
     except OSError as error:
         what = "no inspection of this version began here" if folder.is_dir() else "there is no such folder"
+        inside = sorted(job.parent.name for job in folder.glob(f"*/{JOB}"))[-MOST_NAMED:]
+        if inside:
+            what += f", but in folders of it: name one, such as {', '.join(inside)}"
         raise RecordError(f"cannot read {path}: {error.strerror}: {what}") from error
     except (ValidationError, AnisoscopeError) as error:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error

@@ -44,9 +44,10 @@ def device(
         anisoscope rig sim elliptec --tcp 4001
         anisoscope rig sim zaber --pty --fault stall:47.5
     """
-    from anisoscope.sim.bench.firmware.catalogue import build, lone_mount
+    from anisoscope.sim.bench.firmware.catalogue import build, lone_mount, simulated
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
+    simulated(name)
     if pty == (tcp is not None):
         raise UsageError(f"rig sim {name}: give exactly one of --pty and --tcp PORT")
     if not 0.0 <= time_scale < float("inf"):

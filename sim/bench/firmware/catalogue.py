@@ -5,6 +5,7 @@ A protocol lives in a module of its own, which ends in a `Simulated` named ``SIM
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib import import_module
 from typing import cast
 
@@ -83,7 +84,9 @@ def simulated(name: str) -> Simulated:
         UsageError: there is none.
     """
     if name not in DEVICES:
-        raise UsageError(f"there is no simulated device '{name}'; there are: {', '.join(DEVICES)}")
+        near = get_close_matches(name, DEVICES, n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise UsageError(f"there is no simulated device '{name}'; there are: {', '.join(DEVICES)}{meant}")
     return cast("Simulated", import_module(f"anisoscope.sim.bench.firmware.{name}").SIMULATED)
 
 

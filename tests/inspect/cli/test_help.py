@@ -110,6 +110,12 @@ def test_the_first_page_names_every_command_and_the_options_of_all(capsys):
         (["rig", "hum"], 'Unknown command of rig: "hum"'),
         (["predict"], "(see anisoscope predict --help)"),
         (["cache", "info", "--log-file"], "--log-file needs the name of a file"),
+        (["--versoin"], "Unknown option: --versoin. Did you mean --version? (see anisoscope --help)"),
+        (["--zzz"], "Unknown option: --zzz (see anisoscope --help)"),
+        (
+            ["rig", "sim", "eliptec"],
+            "coolled, fw102c; did you mean elliptec? (see anisoscope rig sim --help)",
+        ),
     ],
 )
 def test_usage_errors_say_the_remedy_and_where_to_read_on(arguments, words, capsys):
@@ -117,6 +123,39 @@ def test_usage_errors_say_the_remedy_and_where_to_read_on(arguments, words, caps
     message = capsys.readouterr().err
     assert words in message
     assert message.count("\n") == 1
+
+
+def test_files_without_options_are_answered_with_the_line_that_works(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "plate.toml": 'product = "plate"\n',
+        "rig.toml": "[stage]\n[camera]\n",
+        "other.toml": "[tool]\n",
+        "broken.toml": "= 1",
+        "gauge.csv": "part,appraiser,x\n",
+    }
+    for name, text in files.items():
+        Path(name).write_text(text, encoding="utf-8")
+
+    def said(*arguments):
+        assert run(list(arguments)) == 64
+        return capsys.readouterr().err
+
+    line = "files are named by options: anisoscope inspect --recipe plate.toml --rig rig.toml (see"
+    assert line in said("inspect", "plate.toml", "rig.toml")
+    assert "anisoscope msa gauge --csv gauge.csv (see" in said("msa", "gauge", "gauge.csv")
+    for name in ("other.toml", "broken.toml", "none.toml", "gauge.csv"):
+        assert f"too many arguments: plate.toml {name} (see" in said("inspect", "plate.toml", name)
+
+
+def test_help_is_a_word_too(capsys):
+    pages = []
+    for arguments in (["help", "rig", "sim"], ["rig", "sim", "--help"]):
+        assert run(arguments) == 0
+        pages.append(capsys.readouterr().out)
+    assert pages[0] == pages[1]
+    assert run(["help"]) == 0
+    assert "Usage: anisoscope COMMAND" in capsys.readouterr().out
 
 
 def test_words_of_the_version_before_are_understood():

@@ -166,3 +166,12 @@ def test_the_command_line_names_the_style_of_csv_before_the_project_file(job, ca
     assert run(["doctor", "--csv-style", "tab"]) == 64
     assert run(["doctor", "--csv-style"]) == 64
     assert capsys.readouterr().err.count("comma or semicolon") == 2
+
+
+def test_the_bench_file_of_a_virtual_rig_is_no_rig_file(tmp_path, capsys):
+    bench = tmp_path / "bench.toml"
+    bench.write_text('schema = 1\nseed = 1\n[sample]\nkind = "white-tile"\n', encoding="utf-8")
+    assert run(["rig", "status", "--rig", str(bench)]) == 78
+    assert (
+        f"`anisoscope rig sim bench {bench} --pty --write-rig rig.toml` serves it" in capsys.readouterr().err
+    )

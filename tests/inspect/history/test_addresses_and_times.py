@@ -100,6 +100,7 @@ def in_auckland(monkeypatch):
     ("text", "moment"),
     [
         ("2026-11-01", datetime(2026, 10, 31, 11, tzinfo=UTC)),
+        ("1.11.2026", datetime(2026, 10, 31, 11, tzinfo=UTC)),
         ("2026-11-01T14:30", datetime(2026, 11, 1, 1, 30, tzinfo=UTC)),
         ("2026-11-01 14:30", datetime(2026, 11, 1, 1, 30, tzinfo=UTC)),
         ("2026-11-01T14:30Z", datetime(2026, 11, 1, 14, 30, tzinfo=UTC)),
@@ -122,7 +123,9 @@ def test_a_day_includes_its_end():
     assert parse_moment("7d", "--until", now=NOW, at_end=True) == NOW - timedelta(days=7)
 
 
-@pytest.mark.parametrize("text", ["", "soon", "7", "7y", "-7d", "2026-13-01", "999999w", "d"])
+@pytest.mark.parametrize(
+    "text", ["", "soon", "7", "7y", "-7d", "2026-13-01", "31.11.2026", "11/28/2026", "999999w", "d"]
+)
 def test_what_is_no_moment(text):
     with pytest.raises(UsageError, match="--since takes 2026-11-01"):
         parse_moment(text, "--since", now=NOW)

@@ -192,6 +192,10 @@ def test_folders_that_are_no_inspections(tmp_path):
     with pytest.raises(RecordError, match="no inspection of this version began here"):
         resume_part(tmp_path)
     assert (tmp_path / "inputs" / "mine.txt").exists()
+    (tmp_path / "A-1").mkdir()
+    (tmp_path / "A-1" / "job.json").write_text("{}")
+    with pytest.raises(RecordError, match="but in folders of it: name one, such as A-1"):
+        resume_part(tmp_path)
 
 
 def test_two_cannot_work_in_one_folder(virtual_rig, monkeypatch, plain):
