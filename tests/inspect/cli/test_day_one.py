@@ -207,6 +207,33 @@ def test_day_one_ends_with_a_part_that_passes_and_one_that_fails(tmp_path, monke
     assert re.search(r"never commissioned; stage home and turn.*Go on\?", said.err)
     printed = re.search(r"^\[fixture\]\n.*?^greys = .*?\]$", said.out, re.MULTILINE | re.DOTALL)[0]
     assert tomllib.loads(printed)["fixture"] == fixture_of_page()
+    for serial, angle_deg in (("FIRST-1", 10.0), ("FIRST-2", 14.0)):
+        check_angle_map(tmp_path, serial, angle_deg, capsys)
+
+
+def check_angle_map(folder, serial, angle_deg, capsys):
+    """What `angle-map` prints and writes of a part, whose ridges are all alike and rougher than its recipe says."""
+    (inspected,) = (folder / "parts").glob(f"{serial}-*")
+    files = [folder / f"{serial}{suffix}" for suffix in (".csv", ".npz")]
+    outs = [word for file in files for word in ("--out", str(file))]
+    page = folder / f"{serial}.html"
+    assert run(["angle-map", str(inspected), *outs, "--html", str(page), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["mean_deg"] == pytest.approx(angle_deg, abs=2.0 * found["u_mean_deg"])
+    assert found["spread_deg"] < 0.2
+    assert found["unseen_share"] < 0.01
+    assert {one["ridge"] for one in found["ridges"]} >= set(range(-5, 6))
+    head, *rows = files[0].read_text("utf-8").splitlines()
+    assert head.startswith("x [mm],y [mm],ridge,across [deg],u [deg]")
+    assert sum(row.endswith(",facet") for row in rows) == found["cells"]
+    with np.load(files[1]) as arrays:
+        assert np.isfinite(arrays["angle_deg"]).sum() == found["cells"]
+    assert "The facets lean" in page.read_text("utf-8")
+    assert "The facets lean" in (inspected / "report.html").read_text("utf-8")
+    assert run(["angle-map", str(inspected), "--out", str(folder / "form.x3p")]) == 3
+    assert "heights need the lean along the ridges" in capsys.readouterr().err
+    assert run(["angle-map", str(inspected), "--out", str(folder / "form.doc")]) == 64
+    assert "an angle map is written as .csv, .npz, .x3p" in capsys.readouterr().err
 
 
 @pytest.mark.soak

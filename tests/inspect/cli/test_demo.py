@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 import tomli_w
 
@@ -93,6 +94,16 @@ def test_page_1_of_its_reports_has_finding_action_and_pictures(demo_folder):
             assert re.match(r"Ridges are about \d\.\d° (flatter|steeper) than designed \(", finding)
         pictures = re.search(r'<section class="poses" id="pictures">.*?</section>', page_1, re.DOTALL)[0]
         assert re.findall(r'alt="(\w+): ', pictures) == ["Measured", "Predicted", "Difference"] * 3
+
+
+def test_facets_lean_as_the_parts_were_made(demo_folder):
+    for part in ("good", "burrs", "angle"):
+        (path,) = (demo_folder / "inspections").glob(f"DEMO-{part}-*/record.json")
+        found = json.loads(path.read_text("utf-8"))["details"]["angles"]
+        made = tomllib.loads((demo_folder / "bench" / part / "bench.toml").read_text("utf-8"))["sample"]
+        assert found["mean_deg"] == pytest.approx(made["ridge_angle_deg"], abs=2.0 * found["u_mean_deg"])
+        across = np.hypot(made["material"]["alpha_across"], made["resolved_alpha"]) / np.hypot(0.095, 0.03)
+        assert found["alpha"] == pytest.approx(across, abs=2.0 * found["u_alpha"])
 
 
 def test_its_rig_repeats_within_the_tenth_of_a_percent_that_the_docs_say(demo_folder):

@@ -57,7 +57,7 @@ def test_crests_and_walls_of_the_design_are_those_of_the_file(read):
     surface = read(surface={**DESIGN, "design": table}).surface
     assert (surface.ridge_design().wall, surface.ridge_design().edge_radius_um) == (4.5, 1.5)
     assert surface.design.u_edge_radius_share == 0.4
-    with pytest.raises(RecipeError, match=r"design\.edge_radius_um .* leaves no facet"):
+    with pytest.raises(RecipeError, match=r"design\.edge_radius_um .* larger than the pitch"):
         read(surface={**DESIGN, "design": {**table, "edge_radius_um": 400.0}})
 
 
