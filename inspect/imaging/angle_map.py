@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import MeasurementError
+from anisoscope.base.errors import MeasurementError, UsageError
 from anisoscope.imaging.phase_map import PhaseMap, phase_map
 from anisoscope.imaging.pose_radiance import Image, Measured
 from anisoscope.parameters.material import Material
@@ -202,6 +202,7 @@ def angle_map(
     Raises:
         MeasurementError: the pictures are missing, or do not resolve the ridges; or no pose has light of the lobe.
         HeightMapError: the recipe's height map has no ridges.
+        UsageError: a cell smaller than a point of the pictures, or larger than the region.
     """
     if not measured.aligned:
         raise MeasurementError("the pictures of the part are not kept: the angle map is made from its frames")
@@ -367,6 +368,7 @@ class _Cells:
 
         Raises:
             MeasurementError: too little of a facet is left between wall and crest.
+            UsageError: a cell smaller than a point, or larger than the region.
         """
         pitch = phases.pitch_um
         margin = max(MARGIN_SHARE, MARGIN_POINTS * pixel_um / pitch)
@@ -378,8 +380,12 @@ class _Cells:
                 f"{LEAST_FACET:.0%}: take a lens of greater magnification"
             )
         if cell_um < pixel_um:
-            raise MeasurementError(
+            raise UsageError(
                 f"cells of {cell_um:g} µm are smaller than a point of the pictures ({pixel_um:.3g} µm)"
+            )
+        if cell_um > pixel_um * len(phases.place):
+            raise UsageError(
+                f"cells of {cell_um:g} µm are larger than the region ({pixel_um * len(phases.place):.4g} µm along)"
             )
         parts = max(1, round((last - first) * pitch / cell_um))
         rows, _ = phases.place.shape

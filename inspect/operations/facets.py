@@ -18,7 +18,7 @@ from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.report.figures import MapFrame
+from anisoscope.record.schema import Record
 from anisoscope.report.page import write_page
 from anisoscope.report.surface_sections import facet_parts
 
@@ -97,6 +97,12 @@ def form_of(found: AngleMap) -> HeightMap:
     )
 
 
+def check_angle_file(path: Path) -> None:
+    """Refuse an ending in which no angle map is written; errors as for `write_angle_map`."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: an angle map is written as {', '.join(SUFFIXES)}")
+
+
 def write_angle_map(found: AngleMap, path: Path) -> None:
     """Write the cells as a table (.csv) or arrays (.npz), or the form as a height map (.x3p).
 
@@ -105,6 +111,7 @@ def write_angle_map(found: AngleMap, path: Path) -> None:
         MeasurementError: a height map without the lean along the ridges.
         RecordError: the file cannot be written.
     """
+    check_angle_file(path)
     suffix = path.suffix.lower()
     if suffix == ".x3p":
         write_height_map(form_of(found), path)
@@ -112,10 +119,8 @@ def write_angle_map(found: AngleMap, path: Path) -> None:
         stream = io.BytesIO()
         np.savez_compressed(stream, **{k: v for k, v in asdict(found).items() if v is not None})
         write_bytes(path, stream.getvalue())
-    elif suffix == ".csv":
-        write_text(path, csv_text(_rows(found)))
     else:
-        raise UsageError(f"{path}: an angle map is written as {', '.join(SUFFIXES)}")
+        write_text(path, csv_text(_rows(found)))
 
 
 def _rows(found: AngleMap) -> list[tuple[str, ...]]:
@@ -136,20 +141,16 @@ def _rows(found: AngleMap) -> list[tuple[str, ...]]:
     return rows
 
 
-def write_angle_page(found: AngleMap, path: Path, title: str, nominal_deg: float | None = None) -> None:
+def write_angle_page(found: AngleMap, record: Record, path: Path) -> None:
     """Write a page: maps of the leans, their histogram, and the ridges that lean most from the others.
 
     Args:
         found: the leans.
+        record: of the inspection.
         path: of the page.
-        title: name of the part.
-        nominal_deg: ridge angle of the design, or None.
 
     Raises:
         RecordError: it cannot be written.
     """
-    write_page(
-        path,
-        "angles.html",
-        {"title": title, "facets": facet_parts(found, MapFrame(), nominal_deg), "lacking": None},
-    )
+    title = f"{record.serial}: {record.product}"
+    write_page(path, "angles.html", {"title": title, "facets": facet_parts(found, record), "lacking": None})

@@ -48,7 +48,7 @@ def surface_sections(record: Record, pictures: Pictures, words: Mapping[str, Cau
         "golden": _golden(record, found),
         "excluded_by": _excluded_by(found),
         **_maps(record, found, pictures, [one for one, _ in regions]),
-        "facets": facet_parts(pictures.facets, _frame(record), _design_angle(record)),
+        "facets": facet_parts(pictures.facets, record),
         "lacking": found.angles_lacking,
         **tilt_parts(record),
     }
@@ -106,12 +106,11 @@ def _maps(
 MAX_RIDGES = 6
 
 
-def facet_parts(
-    facets: "AngleMap | None", frame: figures.MapFrame, nominal_deg: float | None
-) -> dict[str, Any] | None:
+def facet_parts(facets: "AngleMap | None", record: Record) -> dict[str, Any] | None:
     """The lean of the facets as `angle_map.html` shows it: pictures, the ridges farthest off, and the numbers."""
     if facets is None:
         return None
+    frame, nominal_deg = _frame(record), _design_angle(record)
     place = (facets.across_mm, facets.along_mm)
     maps = [
         (

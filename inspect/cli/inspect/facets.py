@@ -6,7 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.views.options import quantity
@@ -41,9 +41,12 @@ def angle_map(
         anisoscope angle-map inspections/A17-20261101T101500Z --cell 100um --out angles.csv --out form.x3p
     """
     from anisoscope.operations.facets import angle_map as map_of
-    from anisoscope.operations.facets import write_angle_map, write_angle_page
+    from anisoscope.operations.facets import check_angle_file, write_angle_map, write_angle_page
     from anisoscope.record.schema import read_record
 
+    check_suffix(html, "--html", ".html", ".htm")
+    for path in out or []:
+        check_angle_file(path)
     record = read_record(folder)
     with progress("angle map") as advance:
         found = map_of(folder, cell_um=cell, on_progress=advance)
@@ -52,7 +55,7 @@ def angle_map(
     design = record.recipe["surface"].get("design")
     nominal = None if design is None else float(design["ridge_angle_deg"])
     if html is not None:
-        write_angle_page(found, html, f"{record.serial}: {record.product}", nominal)
+        write_angle_page(found, record, html)
     kept = found.record()
     if json_:
         print_json({**kept.model_dump(), "ridges": [fields_of(one) for one in found.by_ridge]})

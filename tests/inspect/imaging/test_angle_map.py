@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import MeasurementError
+from anisoscope.base.errors import MeasurementError, UsageError
 from anisoscope.imaging.angle_map import angle_map, planned_worth
 from anisoscope.imaging.phase_map import phase_map
 from anisoscope.imaging.pose_radiance import Measured
@@ -233,8 +233,10 @@ def test_refusals(ten):
     plain = np.random.default_rng(1).normal(1.0, 0.01, picture.shape).astype(np.float32)
     with pytest.raises(MeasurementError, match="no pose shows the ridges clearly enough"):
         phase_map([plain], 4.0, 100.0, 0.03)
-    with pytest.raises(MeasurementError, match="cells of 2 µm are smaller than a point"):
+    with pytest.raises(UsageError, match="cells of 2 µm are smaller than a point"):
         ten.map_by(recipe_of(), 2.0)
+    with pytest.raises(UsageError, match="cells of 5000 µm are larger than the region"):
+        ten.map_by(recipe_of(), 5000.0)
     with pytest.raises(MeasurementError, match="its frames"):
         angle_map(recipe_of(), expectation(recipe_of(), 10.0), replace(ten.measured(), aligned=()))
 
