@@ -26,6 +26,9 @@ def _picture_words(away: str) -> dict[str, str]:
     """Words of the script of the live picture; ``away``: when nothing answers."""
     return {
         "away": away,
+        "stopping": message("Stopping …"),
+        "halted": message("Stopped: the axes stand still."),
+        "unconfirmed": message("STOP NOT CONFIRMED: use the emergency stop."),
         "good": message("exposure is good; no picture so far was sharper (move the focus to compare)"),
         "undefined": message("undefined"),
         "angle": message("{angle}° counter-clockwise from upright", angle="{angle}"),
@@ -273,7 +276,7 @@ def live_router(live: Live, exposure_s: float, gain: float, jogger: Jogger | Non
     @router.post("/api/v1/stop", summary="Stop all axes; everybody may")
     async def stop(_: Annotated[Session, Depends(Needs("stop"))]) -> dict[str, str]:
         await asyncio.to_thread(jogger.stop)
-        return {"axes": jogger.state()}
+        return {}
 
     return router
 

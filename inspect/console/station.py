@@ -28,6 +28,7 @@ from anisoscope.record.schema import RECORD_NAME, Particulars
 
 if TYPE_CHECKING:
     from anisoscope.history.signs import Doing
+    from anisoscope.rig.acquisition.journal import FrameLine
 
 SOON_DAYS = 7.0
 MOST_STREAMS = 200
@@ -83,6 +84,7 @@ class Station:
         trail: where starts, stops and other changes are recorded.
         name: of the station, for records.
         report: called with what the station does whenever something happens (`anisoscope.history.signs.Beacon.show`).
+        patience_s: after which a rig is free whose holder has closed the page.
     """
 
     def __init__(
@@ -95,7 +97,9 @@ class Station:
         trail: Trail,
         name: str | None = None,
         report: "Callable[[Doing, str], None]" = lambda *_: None,
+        patience_s: float = 10.0,
     ) -> None:
+        self._patience_s = patience_s
         self.place, self.recipes_folder, self.name, self._report = place, recipes, name, report
         self.log, self.live = EventLog(), Live(eyes)
         self._worker, self._stop_axes, self._trail = worker, stop_axes, trail
@@ -148,11 +152,29 @@ class Station:
                 self._streams[session.short] -= 1
                 if not self._streams[session.short]:
                     del self._streams[session.short]
-                gone = self._holder is not None and self._holder[0] not in self._streams
-                if gone and self._asking is not None and not self._runs:
-                    self._holder, self._asking = self._asking, None
-                    self._trail.add(self._holder[1], "holds the rig", before=session.name)
-                    self._publish()
+                self._look_for_holder()
+
+    def _look_for_holder(self) -> None:
+        if self._is_gone() and self._asking is not None:
+            self._let_go()
+        elif self._is_gone():  # unless the page is only loaded again
+            later = threading.Timer(self._patience_s, self._let_go)
+            later.daemon = True
+            later.start()
+
+    def _is_gone(self) -> bool:
+        """Whether no page of the rig's holder is open, and nothing runs that was started there."""
+        return self._holder is not None and self._holder[0] not in self._streams and not self._runs
+
+    def _let_go(self) -> None:
+        """A holder whose pages are closed hands the rig to who asks for it, or leaves it free."""
+        with self._lock:
+            if not self._is_gone():
+                return
+            before, self._holder, self._asking = self._holder, self._asking, None
+            if self._holder is not None and before is not None:
+                self._trail.add(self._holder[1], "holds the rig", before=before[1])
+            self._publish()
 
     def check_room(self) -> None:
         """Refuse a further page that follows the events where there are too many.
@@ -367,14 +389,15 @@ class Station:
                     mine.state = "done" if mine.checked is not None else "failed"
                     self.live.go_on()
                 self._publish()
+                self._look_for_holder()
 
     def _take_progress(self, mine: _Present, content: dict[str, Any]) -> None:
         mine.doing, mine.done, mine.total = content["doing"], content["done"], content["total"]
-        mine.frames += bool(mine.folder) and " frame at " in mine.doing  # of calibrations none is kept
         shown = {**content, "doing": translated(content["doing"]), "frames": mine.frames}
         self.log.add("progress", shown)
 
     def _take_in(self, mine: _Present, kind: str, content: dict[str, Any]) -> None:
+        mine.frames = len(self._film(mine.folder))
         if kind == "progress":
             self._take_progress(mine, content)
             return
@@ -480,19 +503,24 @@ class Station:
             )
         return found
 
+    def _film(self, folder: str) -> "list[FrameLine]":
+        """The pictures of the part on disk, without dark and flat frames; of calibrations none is kept."""
+        from anisoscope.rig.acquisition.journal import read_journal  # noqa: PLC0415
+
+        lines = read_journal(self.place.out / folder).frames if folder else ()
+        return [line for line in lines if line.kind == "sample"]
+
     def frame(self, number: int) -> bytes:
-        """A frame of the inspection at work or the last one, as JPEG; the first is 1.
+        """A picture of the part of the inspection at work or the last one, as JPEG; the first is 1.
 
         Raises:
             HTTPException: 404, it is not there yet.
         """
         from anisoscope.live_view.picture import as_jpeg, eight_bits  # noqa: PLC0415
-        from anisoscope.rig.acquisition.journal import read_journal  # noqa: PLC0415
         from anisoscope.rig.camera import CameraInfo  # noqa: PLC0415
         from anisoscope.rig.frame import read_frame  # noqa: PLC0415
 
-        folder = self.place.out / self._now.folder
-        lines = read_journal(folder).frames if self._now.folder else ()
+        folder, lines = self.place.out / self._now.folder, self._film(self._now.folder)
         if not 1 <= number <= len(lines):
             raise HTTPException(404, "this frame is not there yet")
         frame = read_frame(folder / lines[number - 1].name)

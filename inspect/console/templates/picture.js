@@ -5,7 +5,21 @@ const root = $("station"), words = JSON.parse(root.dataset.words);
 const pause = ms => new Promise(done => setTimeout(done, ms));
 let wanted = () => "/api/v1/live.jpg", looking = false;  // null where no picture is wanted
 
-const stop = () => post("/api/v1/stop");
+// A browser has six connections to one server for all its pages. One page at a time takes a picture, so that a stop
+// finds a free one. Without locks (plain HTTP from another computer) every page asks on its own.
+const alone = (name, work) => navigator.locks ? navigator.locks.request(`anisoscope ${name}`, work) : work();
+
+// What was pressed is seen at once; who does not hear of the axes within a second goes to the emergency stop.
+async function stop() {
+  const late = setTimeout(() => complain(words.unconfirmed), 1000);
+  $("stopping").textContent = words.stopping;
+  const answer = await post("/api/v1/stop");
+  clearTimeout(late);
+  const left = answer ? Object.entries(answer).map(one => one.join(": ")) : [problem.textContent];
+  if (left.length) complain([words.unconfirmed, ...left].join(" "));
+  $("stopping").textContent = left.length ? "" : words.halted;
+  setTimeout(() => { $("stopping").textContent = ""; }, 5000);
+}
 if ($("stop")) $("stop").addEventListener("click", stop);
 
 function showNumbers(found) {
@@ -34,7 +48,7 @@ async function look() {
   looking = true;
   for (let path; !document.hidden && (path = wanted());) {
     try {
-      const answer = await fetch(path);
+      const answer = await alone("picture", () => fetch(path));
       if (problem.textContent === words.away) complain("");
       if (!answer.ok) { $("advice").textContent = (await answer.json()).error; await pause(2000); continue; }
       const old = $("live").src;

@@ -91,17 +91,38 @@ function progress(at) {
   showFrames(at.frames);
 }
 
-// Events while the page is seen: a browser has six connections to one server, and a stop must not wait for one.
+// One page of a browser follows the events while it is seen and passes them to the others: see `alone`.
+const others = new BroadcastChannel("anisoscope events");
+let leave = null;
+function take(event) {
+  ({ id: last } = event);
+  complain("");
+  ({ state: show, progress })[event.kind](event.content);
+}
+others.onmessage = ({ data }) => {
+  if (data.kind) take(data);
+  else if (events && now.state) others.postMessage({ kind: "state", id: last, content: now });
+};
 function follow() {
-  if (events || document.hidden) return;
+  if (leave || document.hidden) return;
+  const waiting = new AbortController();
+  const led = () => new Promise(over => { leave = () => { events?.close(); events = null; over(); }; open(); });
+  leave = () => waiting.abort();
+  others.postMessage({});  // whoever follows the events tells the present state
+  if (navigator.locks) navigator.locks.request("anisoscope events", { signal: waiting.signal }, led).catch(() => {});
+  else led();
+}
+function open() {
   events = new EventSource(`/api/v1/events?after=${encodeURIComponent(last)}`);
-  const take = (kind, what) => events.addEventListener(kind, event => { last = event.lastEventId; complain(""); what(JSON.parse(event.data)); });
-  take("state", show);
-  take("progress", progress);
-  events.onerror = () => { complain(words.away); if (events.readyState === 2) { events = null; setTimeout(follow, 1000); } };
+  for (const kind of ["state", "progress"]) events.addEventListener(kind, ({ lastEventId, data }) => {
+    const event = { kind, id: lastEventId, content: JSON.parse(data) };
+    take(event);
+    others.postMessage(event);
+  });
+  events.onerror = () => { complain(words.away); if (events?.readyState === 2) setTimeout(() => { if (events) open(); }, 1000); };
 }
 document.addEventListener("visibilitychange", () => {
-  if (document.hidden && events) { events.close(); events = null; }
+  if (document.hidden && leave) { leave(); leave = null; }
   follow();
 });
 

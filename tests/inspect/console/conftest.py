@@ -134,6 +134,7 @@ def station_at(virtual_rigs, plain):
                 eyes,
                 Trail(rig.rig.with_name("trail")),
                 "S1",
+                patience_s=1.0,
             )
             stack.callback(station.end)
             return station, stops
