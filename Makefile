@@ -101,6 +101,10 @@ docs: $(VENV)/.dev
 docs-check: $(VENV)/.dev
 	$(SPHINX) -b dummy docs site
 
+# The printed results of the pages, from the commands that print them; a test compares them with today's.
+docs-outputs: $(VENV)/.warm
+	$(BIN)/python -I tools/docs_outputs.py
+
 benchmark: $(VENV)/.dev
 	# prysm is built from source; without PEP 517 its setup reads the environment and fails
 	$(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 -e '.[benchmark]'

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.log import verbose
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,9 +50,11 @@ def print_output(output: "CommandOutput", *, json_: bool) -> None:
     if json_:
         print_json(output.content)
         return
-    for table in output.tables:
+    for table in (*(output.behind if verbose() else ()), *output.tables):
         print_table(table.title, table.columns, table.rows, table.caption)
     print_lines(*output.lines)
+    if output.behind and not verbose():
+        print_lines(f"tables ({', '.join(table.title for table in output.behind)}): --verbose")
 
 
 def print_lines(*lines: str, stderr: bool = False) -> None:

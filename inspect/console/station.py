@@ -504,7 +504,7 @@ class Station:
         return found
 
     def _film(self, folder: str) -> "list[FrameLine]":
-        """The pictures of the part on disk, without dark and flat frames; of calibrations none is kept."""
+        """The pictures of the part on disk, without dark and flat frames; of calibrations store none."""
         from anisoscope.rig.acquisition.journal import read_journal  # noqa: PLC0415
 
         lines = read_journal(self.place.out / folder).frames if folder else ()

@@ -17,8 +17,16 @@ class Table:
 
 @dataclass(frozen=True)
 class CommandOutput:
-    """An answer of a command: as JSON, and as tables and lines for people."""
+    """An answer of a command: as JSON, and as tables and lines for people.
+
+    Attributes:
+        content: as JSON.
+        tables: of the answer.
+        lines: of the answer, below the tables.
+        behind: tables that explain the answer, above it with --verbose alone.
+    """
 
     content: dict[str, Any]
     tables: tuple[Table, ...] = ()
     lines: tuple[str, ...] = ()
+    behind: tuple[Table, ...] = ()

@@ -67,7 +67,8 @@ class RecipeCheck:
         """Output of ``anisoscope recipe check``."""
         causes = (causes_table(self.causes),) if self.causes else ()
         lines = tuple(one.text for one in self.findings)
-        return CommandOutput(as_json(self), (*_excluded_table(self.excludes), *self.tables(), *causes), lines)
+        tables = (*_excluded_table(self.excludes), *self.tables(), *causes)
+        return CommandOutput(as_json(self), lines=lines, behind=tables)
 
 
 def _excluded_table(excludes: tuple[PlannedLimit, ...]) -> tuple[Table, ...]:

@@ -16,7 +16,7 @@ PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "start").glob("*.md")),
 ]
-BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(?:sh|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 IN_LINE = re.compile(r"`(anisoscope [^`]+)`")
 OF_ALL = {"--verbose", "-v", "--quiet", "-q", "--debug"}
 """Options of every command, which are taken off before a command sees them."""
@@ -29,7 +29,8 @@ PLACEHOLDER = re.compile(r"…|\.\.\.|\bNAME\b")
 def commands(text):
     """Command lines of the blocks of a page, and those in its start pages' tables."""
     for block in BLOCK.findall(text):
-        for line in block.replace("\\\n", " ").splitlines():
+        for typed in block.replace("\\\n", " ").splitlines():
+            line = typed.removeprefix("$ ")
             if line.startswith(("anisoscope ", STUDY)):
                 yield line
     if "## Every day" in text or "## What you can do" in text:

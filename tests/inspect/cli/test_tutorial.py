@@ -9,7 +9,7 @@ import pytest
 from anisoscope.cli import run
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "tutorial.md").read_text(encoding="utf-8")
-BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(sh|console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LONG = re.compile(r"anisoscope (inspect|history|recipe check|profile|predict demo)")
 ENDS = {"anisoscope inspect": {0, 1, 2}}
 
@@ -29,7 +29,10 @@ def follow(*, all_of_it):
         if language == "python":
             exec(compile(text, "tutorial.md", "exec"), {})
             continue
-        for line in text.splitlines():
+        lines = text.splitlines()
+        if language == "console":  # commands with what they print
+            lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        for line in lines:
             if all_of_it or not LONG.match(line):
                 codes[line] = run(shlex.split(line)[1:])
     return codes
@@ -37,7 +40,7 @@ def follow(*, all_of_it):
 
 def test_what_is_quick(here):
     codes = follow(all_of_it=False)
-    assert len(codes) == 3
+    assert len(codes) == 4
     assert set(codes.values()) == {0}
     assert (here / "plate.toml").is_file()
     assert (here / "my-frames" / "frames.csv").is_file()
