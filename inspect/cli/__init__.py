@@ -15,11 +15,13 @@ from cyclopts.exceptions import CycloptsError
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.cli.help_page import (
+    ALL_FLAG,
     FIRST_EXAMPLES,
     GLOBAL_OPTIONS,
     asks_for_help,
     command_of,
     examples,
+    first_options,
     of_today,
     print_below,
     usage_text,
@@ -226,7 +228,28 @@ COMMANDS = {
 sentence of its help, for the page of `anisoscope --help` shows it without the import of the command."""
 
 
-def _first_page() -> App:
+EVERYDAY = {
+    "Begin": ("demo", "init"),
+    "Rig operator": ("rig", "calibrate", "inspect", "batch", "resume", "serve"),
+    "Quality engineer": ("recipe", "golden", "show", "history", "spc", "msa"),
+    "Surface engineer": ("predict", "profile", "optimise", "design"),
+    "Integrator": ("watch", "line"),
+}
+"""Everyday commands of every user in the order of work, which the first page shows; `ALL_FLAG` shows all."""
+
+
+def _more_commands() -> list[str]:
+    """Names of the other commands, a line for every group."""
+    shown = {name for names in EVERYDAY.values() for name in names}
+    rest = {title: [name for name in names if name not in shown] for title, names in COMMANDS.items()}
+    width = max(map(len, rest))
+    return [
+        f"More commands, with their sentences: anisoscope {ALL_FLAG}",
+        *(f"  {title:<{width}}  {' · '.join(names)}" for title, names in rest.items() if names),
+    ]
+
+
+def _first_page(*, everything: bool) -> App:
     """The page of ``anisoscope --help`` as a program without commands that run: nothing is imported for it."""
     page = App(
         name=app.name[0],
@@ -238,10 +261,11 @@ def _first_page() -> App:
     )
     for flag in (*page.help_flags, *page.version_flags):
         page[flag].group = "Options"
-    for place, (title, commands) in enumerate(COMMANDS.items()):
+    sentences = {name: sentence for group in COMMANDS.values() for name, (_, sentence) in group.items()}
+    for place, (title, names) in enumerate((COMMANDS if everything else EVERYDAY).items()):
         group = Group(title, sort_key=place)
-        for number, (name, (_, sentence)) in enumerate(commands.items()):
-            page.command(App(name=name, help=sentence, group=group, sort_key=number))
+        for number, name in enumerate(names):
+            page.command(App(name=name, help=sentences[name], group=group, sort_key=number))
     return page
 
 
@@ -339,15 +363,27 @@ def _failed(error: Exception, arguments: list[str]) -> int:
 
 
 def _call(arguments: list[str]) -> object:
+    everything = ALL_FLAG in arguments
+    arguments = ["--help" if token == ALL_FLAG else token for token in arguments]
     helps = asks_for_help(app, arguments)
     if helps and not set(arguments) - {*app.help_flags, "--"}:
-        _first_page()(app.help_flags[:1])
-        print_below(FIRST_EXAMPLES, GLOBAL_OPTIONS)
+        _first_page(everything=everything)(app.help_flags[:1])
+        print_below(
+            FIRST_EXAMPLES, "\n".join([*([] if everything else [*_more_commands(), ""]), GLOBAL_OPTIONS])
+        )
         return 0
-    result = app(arguments, exit_on_error=False, print_error=False)
-    if helps:
-        print_below(examples(command_of(app, arguments)))
-    return result
+    if not helps:
+        return app(arguments, exit_on_error=False, print_error=False)
+    command = command_of(app, arguments)
+    short, rest = first_options()
+    app.help_formatter = None if everything or command.default_command is None else short
+    try:
+        app(arguments, exit_on_error=False, print_error=False)
+    finally:
+        app.help_formatter = None
+    words = " ".join(app.parse_commands([token for token in arguments if token not in app.help_flags])[0])
+    print_below(examples(command), f"{rest()}: anisoscope {words} {ALL_FLAG}" if rest() else "")
+    return 0
 
 
 def take_any_letter(*streams: object) -> None:

@@ -19,8 +19,12 @@ from cyclopts.exceptions import (
 
 MORE = Group("More options", sort_key=50)
 """Panel of the options that few users need; the panel above it holds at most twelve."""
+FIRST_OPTIONS = 10
+ALL_FLAG = "--help-all"
+"""Shows every option of a command; on the first page every command with its sentence."""
 GLOBAL_OPTIONS = """Options of every command:
   -v, --verbose    print more: tables behind an answer, device messages
+  --help-all       show all options of a command; without a command all commands
   -q, --quiet      print no progress, as with ANISOSCOPE_QUIET=1
   --log-file FILE  append what happens to a file, with times
   --lang LANGUAGE  en, de or da: messages and page 1 of reports; else that of the locale
@@ -58,6 +62,34 @@ def everyday(*names: str) -> Callable[[T], T]:
         return command
 
     return mark
+
+
+def first_options() -> tuple[Any, Callable[[], str]]:
+    """A formatter of help pages that shows `FIRST_OPTIONS` options, and a line that names the panels of the others."""
+    from cyclopts.help import DefaultFormatter
+
+    class Short(DefaultFormatter):
+        shown, hidden = 0, 0
+        panels: tuple[str, ...] = ()
+
+        def __call__(self, console: Any, options: Any, panel: Any) -> None:  # noqa: ANN401 - of cyclopts
+            if panel.format == "parameter" and panel.title != "Arguments":
+                known = len(panel.entries)
+                panel.entries = panel.entries[: max(FIRST_OPTIONS - self.shown, 0)]
+                self.shown += len(panel.entries)
+                if known > len(panel.entries):
+                    self.hidden += known - len(panel.entries)
+                    self.panels = (*self.panels, str(panel.title))
+            if panel.entries:
+                super().__call__(console, options, panel)
+
+    found = Short()
+
+    def rest() -> str:
+        where = ", ".join(name for name in found.panels if name not in {"Parameters", MORE.name})
+        return f"{found.hidden} more options" + (f" ({where})" if where else "") if found.hidden else ""
+
+    return found, rest
 
 
 def examples(command: App) -> list[str]:

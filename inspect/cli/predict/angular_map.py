@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MAP_GROUP = Group(
     "Angular map",
     help="BRDF of a height map over all directions of the camera, by waves. The surface reflects all light, as metal.",
-    sort_key=9,
+    sort_key=41,
 )
 
 

@@ -62,7 +62,7 @@ USE_DEFAULTS = UseOptions()
 WAVE_GROUP = Group(
     "Waves",
     help="Which optics: --model auto takes waves where rays fail, geometric or wave insists, both compares.",
-    sort_key=8,
+    sort_key=40,
 )
 
 

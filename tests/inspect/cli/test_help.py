@@ -9,8 +9,8 @@ from typing import get_args
 import pytest
 from cyclopts import Parameter
 
-from anisoscope.cli import COMMANDS, app, run
-from anisoscope.cli.help_page import FIRST_EXAMPLES, FORMER_OPTIONS, examples, of_today
+from anisoscope.cli import COMMANDS, EVERYDAY, app, run
+from anisoscope.cli.help_page import FIRST_EXAMPLES, FIRST_OPTIONS, FORMER_OPTIONS, examples, of_today
 
 
 def commands(parent=app, words=()):
@@ -83,12 +83,38 @@ def test_the_page_of_a_command_ends_with_its_examples(capsys):
     assert capsys.readouterr().out.endswith("Examples:\n  anisoscope cache info\n  anisoscope cache clear\n")
 
 
-def test_the_first_page_names_every_command_and_the_options_of_all(capsys):
+def test_the_first_page_shows_twenty_commands_in_the_order_of_work_and_names_all(capsys):
     assert run([]) == 0
+    page, _, more = capsys.readouterr().out.partition("More commands")
+    everyday = [name for names in EVERYDAY.values() for name in names]
+    assert len(everyday) == 20
+    assert re.findall(r"^│ ([a-z][a-z-]*)  ", page, re.MULTILINE) == everyday
+    rest = {name for group in COMMANDS.values() for name in group} - set(everyday)
+    assert set(re.findall(r"(?:  |· )([a-z-]+)(?= ·|\n|$)", more.partition("\n\n")[0])) == rest
+    assert "--log-file FILE" in more
+    assert run(["--help-all"]) == 0
     page = capsys.readouterr().out
     for name in [*COMMANDS, *(name for group in COMMANDS.values() for name in group)]:
         assert f" {name} " in page
-    assert "--log-file FILE" in page
+
+
+def test_the_page_of_a_command_shows_ten_options_and_names_the_panels_of_the_others(capsys):
+    for words, one in ALL.items():
+        assert run([*words, "--help"]) == 0
+        page = capsys.readouterr().out
+        _, bar, options = page.partition("─ Parameters ─")
+        shown = len(re.findall(r"^│ (?:\*  )?--", options or page, re.MULTILINE)) if bar else 0
+        assert shown <= FIRST_OPTIONS, words
+        known = {a.names for a in one.assemble_argument_collection() if a.show} if one.default_command else ()
+        if len(known) > 24:
+            assert f"anisoscope {' '.join(words)} --help-all" in page
+    assert run(["predict", "--help"]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert re.match(r"\d\d more options \(Plastic, .*Angular map\): anisoscope predict --help-all$", line)
+    assert run(["help", "predict", "--help-all"]) == 0
+    page = capsys.readouterr().out
+    assert "more options" not in page
+    assert "--tail" in page
 
 
 @pytest.mark.parametrize(
