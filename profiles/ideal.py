@@ -41,6 +41,7 @@ def ridges(
         "wall": design.wall,
         "height_loss": design.height_loss,
         "edge_radius_um": design.edge_radius_um,
+        "foot_radius_um": design.foot_radius_um,
     }
     return HeightMap(np.broadcast_to(profile, shape), float(pixel_x), float(pixel_y), origin)
 

@@ -168,6 +168,7 @@ def part_of_recipe(
         u_seating_deg=max(recipe.uncertainty.seating_tilt_deg, 1e-3),
         wall="perpendicular" if design is None else design.wall,
         edge_radius_um=(design and design.edge_radius_um) or 0.0,
+        foot_radius_um=(design and design.foot_radius_um) or 0.0,
         facet_azimuth_deg=recipe.poses.facet_azimuth_deg,
         center_mm=recipe.region.center_mm,
         spot_mm=min(recipe.region.size_mm),

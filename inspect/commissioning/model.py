@@ -90,7 +90,11 @@ class RigModel:
             light @ seat,
             camera @ seat,
             RidgeDesign(
-                self.part.pitch_um, p["ridge_deg"], self.part.wall, edge_radius_um=self.part.edge_radius_um
+                self.part.pitch_um,
+                p["ridge_deg"],
+                self.part.wall,
+                edge_radius_um=self.part.edge_radius_um,
+                foot_radius_um=self.part.foot_radius_um,
             ),
             Material(
                 along,

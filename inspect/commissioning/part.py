@@ -27,6 +27,7 @@ class RidgedPart:
         u_seating_deg: standard uncertainty of its seating about either axis.
         wall: shape of the wall.
         edge_radius_um: radius of the crests, 0 for sharp ones.
+        foot_radius_um: radius of the feet, likewise.
         facet_azimuth_deg: azimuth in the fixture toward which the facets are said to lean.
         center_mm: middle of the ridged area in the fixture.
         spot_mm: diameter of the spot that is looked at.
@@ -45,6 +46,7 @@ class RidgedPart:
     u_seating_deg: float = 0.1
     wall: Wall = "perpendicular"
     edge_radius_um: float = 0.0
+    foot_radius_um: float = 0.0
     alpha_covariance: tuple[tuple[float, float], tuple[float, float]] | None = None
     tail: float = 0.0
     u_tail: float = 0.0

@@ -408,7 +408,7 @@ def fit_or_rival(problem: Problem, advance: Advance = silent) -> Fit:
     shaped = scene.material.second_lobe is not None or problem.values["tail"] > 0.0 or "tail" in free
     excluded = {*free, *(("tail", "second_weight") if shaped else ())}
     if problem.values["ridge_angle_deg"] == 0.0 and "ridge_angle_deg" not in free:
-        excluded |= {"edge_radius_um", "draft_deg", "ridge_angle_deg"}
+        excluded |= {"edge_radius_um", "foot_radius_um", "draft_deg", "ridge_angle_deg"}
     lacking = [(words, names) for words, names in RIVALS if not excluded & {*names}]
     brighter: list[tuple[str, tuple[str, ...]]] = []
     if "albedo" not in free and problem.readings.scaled:

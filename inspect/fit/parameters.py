@@ -64,6 +64,7 @@ PARAMETERS = {
         Parameter("second_weight", "weight of the second lobe", "", 0.005, 0.6, None, 1e-2, 1.0, True),
         Parameter("second_width", "width of the second lobe", "", 1.1, 6.0, None, 1e-2, 0.5, True),
         Parameter("edge_radius_um", "radius of the crests", "µm", 0.0, 100.0, None, 0.05, 5.0),
+        Parameter("foot_radius_um", "radius of the feet", "µm", 0.0, 100.0, None, 0.05, 5.0),
         Parameter("draft_deg", "draft of the wall", "°", 0.0, 60.0, None, 0.05, 10.0),
         Parameter("matte_deg", "roughness of a matte surface", "°", 0.0, 60.0, None, 0.1, 10.0),
     )
@@ -72,6 +73,7 @@ OPTIONAL = {
     "second_weight": 0.15,
     "second_width": 2.0,
     "edge_radius_um": 3.0,
+    "foot_radius_um": 2.0,
     "draft_deg": 20.0,
     "matte_deg": 20.0,
 }

@@ -74,7 +74,7 @@ class Scene:
         nodes: Gauss-Legendre nodes per panel for two reflections.
         higher: (P,) ratio of all reflections to two, which stands for the third and further ones; None: they are
             followed.
-        design: pitch, wall and radius of the crests of the ridges; the parameters stand in place of the rest.
+        design: pitch, wall and radii of the crests and feet of the ridges; the parameters stand in place of the rest.
         material: internal reflection and second lobe of the plastic; the parameters stand in place of the rest.
         ridge_angles_deg: (P,) ridge angles where several parts were measured; None: the parameter is used.
         poses: the P poses, where the directions come from a stage and a tilt; else empty.
@@ -121,6 +121,10 @@ class Scene:
             edge_radius_um=min(values["edge_radius_um"], _WIDEST_CREST * self.design.pitch_um)
             if "edge_radius_um" in values
             else self.design.edge_radius_um,
+            foot_radius_um=0.0,
+        )
+        foot_um = min(
+            values.get("foot_radius_um", self.design.foot_radius_um), _WIDEST_CREST * self.design.pitch_um
         )
         above = (light[:, 2] > HORIZON) & (camera[:, 2] > HORIZON)
         angles = self.ridge_angles_deg
@@ -130,6 +134,9 @@ class Scene:
         for angle in np.unique(angles):
             here = above & (angles == angle)
             design = replace(shape, ridge_angle_deg=float(angle), height_loss=values["height_loss"])
+            if foot_um > 0.0:
+                room = max(0.0, design.arcs_um - design.edge_radius_um) if design.edge_radius_um else foot_um
+                design = replace(design, foot_radius_um=min(foot_um, room))
             found[here] = self._one_part(light[here], camera[here], design, material, matte)
             if self.follows:
                 indirect = self._indirect(light[here], camera[here], design, material)
@@ -302,6 +309,7 @@ class Problem:
         design = self.scene.design
         own = {
             "edge_radius_um": design.edge_radius_um or OPTIONAL["edge_radius_um"],
+            "foot_radius_um": design.foot_radius_um or OPTIONAL["foot_radius_um"],
             "draft_deg": OPTIONAL["draft_deg"] if isinstance(design.wall, str) else design.wall,
         }
         started = {name: start for name, start in (OPTIONAL | own).items() if name in names}

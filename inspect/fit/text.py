@@ -116,6 +116,7 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
             "internal_reflection": scene.material.internal_reflection,
             "second_lobe": scene.material.second_lobe,
             "edge_radius_um": scene.design.edge_radius_um,
+            "foot_radius_um": scene.design.foot_radius_um,
         }
     if scene.convention is not None:
         found["convention"] = asdict(scene.convention)

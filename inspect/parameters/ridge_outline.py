@@ -1,11 +1,13 @@
 """Outline of parallel ridges: the one that light, height maps, bodies and tool paths share.
 
-One period is a facet, a wall with its draft, and a crest that is sharp, an arc tangent to both, or a plateau. Arcs are
-exact; where straight lines must do, chords of them turn by at most `WIDEST_RAD` and leave at most `SAG_UM` out.
+One period is a facet, a foot, a wall with its draft, and a crest that is sharp, an arc tangent to both, or a plateau;
+the foot is sharp or an arc. Turned by half a circle, sharp ridges are the same: the arc of a foot is that of a crest.
+Arcs are exact; where straight lines must do, chords of them turn by at most `WIDEST_RAD` and leave at most `SAG_UM`
+out.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +20,12 @@ WIDEST_RAD = math.radians(4.0)
 
 @dataclass(frozen=True)
 class CrestArc:
-    """Arcs of N rounded crests, before any height is lost.
+    """Arcs of N rounded crests or feet, before any height is lost.
 
     Attributes:
         x_um: (N,) of the centre, from the uncut crest.
         z_um: (N,) of the centre, from the foot of the ridge.
-        radius_um: (N,) radius; 0 is a sharp crest.
+        radius_um: (N,) radius; 0 is sharp. Negative at a foot, whose normals point to the centre.
         first_rad: (N,) direction of the normal where the arc begins, at the wall, from +x toward +z.
         last_rad: (N,) the same where it ends, at the facet; smaller.
         possible: (N,) whether the radius leaves a facet; elsewhere the crest is sharp.
@@ -67,6 +69,13 @@ def facet_width_um(pitch_um: FloatArray, angle_rad: FloatArray, draft_rad: Float
     return np.asarray(pitch_um / (1.0 + np.tan(angle_rad) * np.tan(draft_rad)))
 
 
+def widest_arcs_um(pitch_um: FloatArray, angle_rad: FloatArray, draft_rad: FloatArray) -> FloatArray:
+    """Sum of the radii of crest and foot at which their arcs meet on the shorter side of uncut ridges."""
+    full = facet_width_um(pitch_um, angle_rad, draft_rad) * np.tan(angle_rad)
+    shorter = full / np.maximum(np.sin(angle_rad), np.cos(draft_rad))
+    return np.asarray((1.0 + 1e-9) * shorter * np.tan(0.5 * (0.5 * np.pi - angle_rad + draft_rad)))
+
+
 def crest_arcs(
     pitch_um: FloatArray, angle_rad: FloatArray, draft_rad: FloatArray, radius_um: FloatArray
 ) -> CrestArc:
@@ -92,6 +101,20 @@ def crest_arcs(
     return CrestArc(x, z + full, radius, first, 0.5 * np.pi - angle_rad, possible)
 
 
+def foot_arcs(
+    pitch_um: FloatArray, angle_rad: FloatArray, draft_rad: FloatArray, radius_um: FloatArray
+) -> CrestArc:
+    """Arcs in place of N feet; all arguments (N,).
+
+    A ball of the radius rolls above the surface. ``first_rad`` is at the wall, ``last_rad`` at the facet.
+    """
+    arc = crest_arcs(pitch_um, angle_rad, draft_rad, radius_um)
+    facet = facet_width_um(pitch_um, angle_rad, draft_rad)
+    return replace(
+        arc, x_um=facet - arc.x_um, z_um=facet * np.tan(angle_rad) - arc.z_um, radius_um=-arc.radius_um
+    )
+
+
 def chords_for(radius_um: float, turn_rad: float, widest_rad: float = WIDEST_RAD) -> int:
     """Chords of an arc, each within `SAG_UM` and ``widest_rad``."""
     sag = 2.0 * math.acos(max(1.0 - SAG_UM / radius_um, 0.0)) if radius_um > 0.0 else math.pi
@@ -105,10 +128,12 @@ def ridge_outlines(
     radius_um: FloatArray,
     height_loss: FloatArray,
     chords: int,
+    foot_um: FloatArray | None = None,
+    foot_chords: int = 1,
 ) -> Outlines:
-    """Outlines of N ridges, whose crests are so many chords; all but ``chords`` are (N,).
+    """Outlines of N ridges, whose crests and feet are so many chords; all else is (N,).
 
-    An arc that a plateau cuts is in two parts, with half of the chords each.
+    An arc that a plateau cuts is in two parts, with half of the chords each. No foot is given where all are sharp.
     """
     facet = facet_width_um(pitch_um, angle_rad, draft_rad)
     full = facet * np.tan(angle_rad)
@@ -130,15 +155,34 @@ def ridge_outlines(
     up, down = np.where(uncut, whole[:, : left + 1], up), np.where(uncut, whole[:, left:], down)
     (up_x, up_z), (down_x, down_z) = arc.at(up), arc.at(down)
     wall, fall = (-height_loss * (pitch_um - facet))[:, None], (height_loss * facet)[:, None]
-    flat = level[:, None]
+    flat, possible = level[:, None], arc.possible
+    low_x, low_z, bend = facet[:, None], np.zeros_like(flat), np.empty((len(facet), 0, 2))
+    if foot_um is not None:
+        foot = foot_arcs(pitch_um, angle_rad, draft_rad, foot_um)
+        # a plateau may cut the foot as well
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deep = np.where(foot.radius_um < 0.0, (level - foot.z_um) / foot.radius_um, -1.0)
+        under = np.arcsin(np.clip(deep, -1.0, 1.0))
+        begin, end = np.maximum(foot.last_rad, under), np.minimum(foot.first_rad, np.pi - under)
+        turns = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, foot_chords + 1)
+        low_x, low_z = foot.at(turns)
+        bend = np.stack([turns[:, :-1], turns[:, 1:]], axis=-1)
+        bend = np.where((foot.radius_um < 0.0)[:, None, None], bend, np.nan)
+        fall = np.where(begin[:, None] > foot.last_rad[:, None], low_x[:, :1], fall)
+        wall = np.where(end[:, None] < foot.first_rad[:, None], low_x[:, -1:] - pitch_um[:, None], wall)
+        together = (radius_um <= 0.0) | (foot_um <= 0.0)
+        together |= radius_um + foot_um <= widest_arcs_um(pitch_um, angle_rad, draft_rad)
+        possible = possible & foot.possible & together
     up_x, up_z = np.where(on_wall[:, None], up_x, wall), np.where(on_wall[:, None], up_z, flat)
     down_x, down_z = np.where(on_facet[:, None], down_x, fall), np.where(on_facet[:, None], down_z, flat)
-    x = np.hstack([down_x[:, -1:], facet[:, None], up_x + pitch_um[:, None], down_x + pitch_um[:, None]])
-    z = np.hstack([down_z[:, -1:], np.zeros_like(flat), up_z, down_z])
+    x = np.hstack([down_x[:, -1:], low_x, up_x + pitch_um[:, None], down_x + pitch_um[:, None]])
+    z = np.hstack([down_z[:, -1:], low_z, up_z, down_z])
     turn = np.full((len(x), x.shape[1] - 1, 2), np.nan)
-    for start, angles, on in ((2, up, on_wall), (left + 3, down, on_facet)):
+    turn[:, 1 : 1 + bend.shape[1]] = bend
+    start = 1 + low_x.shape[1]
+    for begins, angles, on in ((start, up, on_wall), (start + left + 1, down, on_facet)):
         pairs = np.stack([angles[:, :-1], angles[:, 1:]], axis=-1)
-        turn[:, start : start + pairs.shape[1]] = np.where(
+        turn[:, begins : begins + pairs.shape[1]] = np.where(
             (on & (arc.radius_um > 0.0))[:, None, None], pairs, np.nan
         )
-    return Outlines(np.maximum.accumulate(x, axis=1), z, turn, arc.possible)
+    return Outlines(np.maximum.accumulate(x, axis=1), z, turn, possible)

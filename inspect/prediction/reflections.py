@@ -98,7 +98,7 @@ class Groove:
         )
         return _indirect(
             *sides,
-            replace(sharp_groove(self.design), pitch_um=UNIT_PITCH_UM),
+            _unit(sharp_groove(self.design)),
             whole,
             self.bounces,
             self.nodes,
@@ -128,6 +128,12 @@ class Groove:
         return replace(
             self, design=replace(self.design, edge_radius_um=max(self.design.edge_radius_um, radius_um))
         )
+
+
+def _unit(design: RidgeDesign) -> RidgeDesign:
+    """Ridges of one pitch, to which light of a groove without rounded crests is the same."""
+    foot_um = design.foot_radius_um * UNIT_PITCH_UM / design.pitch_um
+    return replace(design, pitch_um=UNIT_PITCH_UM, foot_radius_um=foot_um)
 
 
 def groove_of_design(design: RidgeDesign, bounces: int | None) -> Groove | None:

@@ -209,9 +209,10 @@ def check_one_direction(relief: Relief, period: Period, material: Material) -> N
 def ridge_edges(relief: Relief) -> RidgeEdges | None:
     """Fit the profile of the ridges of a map to the points next to its walls.
 
-    Pitch, ridge angle and direction are those measured. Place of the wall, its draft and the radius of the crest follow
-    from the median heights about the wall, as far as these show them; for the rest the wall is perpendicular within 6°
-    and the radius 0.75 ± 0.75 µm. A level top is taken from the measurement, where it fits better than a round one.
+    Pitch, ridge angle, direction and the radius of the foot are those measured. Place of the wall, its draft and the
+    radius of the crest follow from the median heights about the wall, as far as these show them; for the rest the wall
+    is perpendicular within 6° and the radius 0.75 ± 0.75 µm. A level top is taken from the measurement, where it fits
+    better than a round one.
 
     Args:
         relief: the map, prepared.
@@ -226,7 +227,11 @@ def ridge_edges(relief: Relief) -> RidgeEdges | None:
     if pitch is None or angle is None or not LEAST_ANGLE_DEG <= angle <= LARGEST_ANGLE_DEG:
         return None
     loss = found.height_loss.value if found.plateau else None
-    tops = [RidgeDesign(pitch, angle, angle, one) for one in ((0.0,) if loss is None else (0.0, loss))]
+    foot = found.foot_radius_um.value or 0.0
+    tops = [
+        RidgeDesign(pitch, angle, angle, one, foot_radius_um=foot)
+        for one in ((0.0,) if loss is None else (0.0, loss))
+    ]
     direction = found.direction_deg.value
     assert direction is not None
     turned = np.cos(np.radians(found.lean_deg - direction)) < 0.0

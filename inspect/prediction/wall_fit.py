@@ -52,8 +52,13 @@ class WallFit:
 def with_wall(design: RidgeDesign, draft_deg: float, radius_um: float) -> RidgeDesign:
     """The ridges with another wall and crest, within what ridges can have."""
     draft = float(np.clip(draft_deg, 0.0, STEEPEST_DRAFT_DEG))
-    radius = float(np.clip(radius_um, 0.0, LARGEST_RADIUS * design.pitch_um))
-    return replace(design, wall=draft, edge_radius_um=radius if design.height_loss == 0.0 else 0.0)
+    design = replace(design, wall=draft, edge_radius_um=0.0)
+    if design.height_loss > 0.0:
+        return design
+    most = LARGEST_RADIUS * design.pitch_um
+    if design.foot_radius_um > 0.0:
+        most = max(0.0, min(most, design.arcs_um - design.foot_radius_um))
+    return replace(design, edge_radius_um=float(np.clip(radius_um, 0.0, most)))
 
 
 def binned_heights(

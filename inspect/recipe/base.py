@@ -107,7 +107,7 @@ class LimitsPart(Part):
     gradient_share: Share = 0.05
     stray_share: Share = 0.02
     grey_share: Share = 0.01
-    black_share: Share = 0.08
+    black_share: Share = 0.1
     frame_level: Positive = 0.05
     frame_difference: Positive = 0.1
     plateau_share: Positive = 0.001

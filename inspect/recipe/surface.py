@@ -66,8 +66,8 @@ class DesignPart(Part):
 
     ``edge_radius_um`` is the radius of the crests, 0 for sharp ones, known by ``u_edge_radius_share`` of it. Left out,
     it is unmeasured: sharp crests are predicted, and any radius up to 1 µm is in the budget. ``edge_form`` says
-    whether rounded crests are known to be an "arc", or have "any" form, such as a few chords of one. ``wall`` may be
-    the draft of the wall in degrees from the vertical.
+    whether rounded crests are known to be an "arc", or have "any" form, such as a few chords of one.
+    ``foot_radius_um`` is the radius of the feet. ``wall`` may be the draft of the wall in degrees from the vertical.
     """
 
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
@@ -75,6 +75,7 @@ class DesignPart(Part):
     edge_radius_um: NotNegative | None = None
     u_edge_radius_share: Share = USUAL_EDGE_SHARE
     edge_form: Literal["any", "arc"] = "any"
+    foot_radius_um: NotNegative = 0.0
     wall: Literal["perpendicular", "vertical"] | Annotated[float, Field(ge=0.0, le=STEEPEST_DRAFT_DEG)] = (
         "perpendicular"
     )
@@ -135,11 +136,19 @@ class SurfacePart(Part):
                 'that decides: leave it out, or let the design decide (compare = "design")'
             )
         part = self.design
-        if part is not None and part.edge_radius_um:
+        if part is None:
+            return self
+        for what, radius in (
+            ("design.foot_radius_um", 0.0),
+            (
+                "design.edge_radius_um with its uncertainty",
+                (part.edge_radius_um or 0.0) * (1.0 + part.u_edge_radius_share),
+            ),
+        ):
             try:
-                self.ridge_design(part.edge_radius_um * (1.0 + part.u_edge_radius_share))
+                self.ridge_design(radius)
             except HeightMapError as problem:
-                raise ValueError(f"design.edge_radius_um with its uncertainty: {problem}") from None
+                raise ValueError(f"{what}: {problem}") from None
         return self
 
     @property
@@ -177,6 +186,7 @@ class SurfacePart(Part):
             ridge_angle_deg=part.ridge_angle_deg,
             wall=part.wall,
             edge_radius_um=(part.edge_radius_um or 0.0) if edge_radius_um is None else edge_radius_um,
+            foot_radius_um=part.foot_radius_um,
         )
 
 

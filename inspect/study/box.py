@@ -70,7 +70,7 @@ def check_bounds(bounds: Bounds, part: Part, scoring: Scoring) -> None:
             raise UsageError(
                 f"--vary {name}={low:g}:{high:g}: the range must rise, within {least:g} and {most:g} {UNITS[name]}"
             )
-    sized = part.edge_radius > 0.0 or (
+    sized = max(part.edge_radius, part.foot_radius) > 0.0 or (
         scoring.tolerances is not None and scoring.tolerances.edge_radius > 0.0
     )
     if "pitch" in bounds and not sized:

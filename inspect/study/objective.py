@@ -42,6 +42,7 @@ class Part:
         alpha_along: Beckmann roughness along the ridges.
         alpha_across: Beckmann roughness across.
         edge_radius: radius of the crests in µm.
+        foot_radius: radius of the feet in µm.
         height_loss: share of the height missing at the crests.
         albedo: diffuse albedo.
         index: refractive index.
@@ -63,6 +64,7 @@ class Part:
     internal_reflection: InternalReflection = "nonlinear"
     tail: float = 0.0
     second_lobe: tuple[float, float] | None = None
+    foot_radius: float = 0.0
 
     @classmethod
     def of(cls, design: RidgeDesign, material: Material) -> "Part":
@@ -71,6 +73,7 @@ class Part:
             ridge_angle=design.ridge_angle_deg,
             pitch=design.pitch_um,
             edge_radius=design.edge_radius_um,
+            foot_radius=design.foot_radius_um,
             height_loss=design.height_loss,
             wall=design.wall,
             **asdict(material),
@@ -83,7 +86,9 @@ class Part:
         Raises:
             HeightMapError: ridges that are none.
         """
-        return RidgeDesign(self.pitch, self.ridge_angle, self.wall, self.height_loss, self.edge_radius)
+        return RidgeDesign(
+            self.pitch, self.ridge_angle, self.wall, self.height_loss, self.edge_radius, self.foot_radius
+        )
 
     @property
     def material(self) -> Material:
@@ -444,6 +449,7 @@ def _spoiled(parts: Sequence[Part], errors: dict[str, FloatArray], sample: int) 
         ridge_angle_deg=column(np.clip(nominal("ridge_angle") + error("ridge_angle"), *_ANGLE_RANGE)),
         height_loss=column(np.minimum(np.abs(nominal("height_loss") + error("height_loss")), _LARGEST_LOSS)),
         edge_radius_um=column(np.abs(nominal("edge_radius") + error("edge_radius"))),
+        foot_radius_um=column(nominal("foot_radius")),
         alpha_along=alpha("alpha_along", 0),
         alpha_across=alpha("alpha_across", 1),
         wall=wall.pop(),
@@ -465,4 +471,4 @@ def _explain(part: Part, scoring: Scoring) -> None:
     errors, to_light, _ = _sample(scoring)
     all_ = _spoiled((part,), errors, len(to_light))
     for angle, loss, radius in zip(all_.ridge_angle_deg, all_.height_loss, all_.edge_radius_um, strict=True):
-        RidgeDesign(part.pitch, float(angle), part.wall, float(loss), float(radius))
+        RidgeDesign(part.pitch, float(angle), part.wall, float(loss), float(radius), part.foot_radius)

@@ -1,8 +1,8 @@
 """Direct light from many ridged parts at once, whose crests may be rounded: the corrected model on polylines.
 
 A ball of the edge radius rolls inside the material along the profile, and material beyond its reach is missing: melt
-does not fill the sharp bottom of a groove of the tool, where the crest of the part forms; the feet of the part are
-copied from cut edges and stay sharp. Height loss cuts that profile at its height. Visibility of every segment is
+does not fill the sharp bottom of a groove of the tool, where the crest of the part forms. Feet, copied from edges of
+the tool, are sharp or arcs as well. Height loss cuts that profile at its height. Visibility of every segment is
 exact, as in `sim.light.corrected`; with a radius of 0 this is the corrected model. All parts of a sample are evaluated
 together in arrays (parts, poses, segments).
 """
@@ -40,6 +40,7 @@ class RidgedParts:
         ridge_angle_deg: (N,) slope of the facets.
         height_loss: (N,) share of the height that is missing at the crests.
         edge_radius_um: (N,) radius of the crests; 0 is sharp.
+        foot_radius_um: (N,) radius of the feet.
         alpha_along: (N,) roughness along the ridges.
         alpha_across: (N,) roughness across.
         wall: of all ridges.
@@ -50,6 +51,7 @@ class RidgedParts:
     ridge_angle_deg: FloatArray
     height_loss: FloatArray
     edge_radius_um: FloatArray
+    foot_radius_um: FloatArray
     alpha_along: FloatArray
     alpha_across: FloatArray
     wall: Wall = "perpendicular"
@@ -58,14 +60,16 @@ class RidgedParts:
     @classmethod
     def of(cls, design: RidgeDesign, edge_radius_um: float, material: Material) -> "RidgedParts":
         """One part."""
-        numbers = design.pitch_um, design.ridge_angle_deg, design.height_loss, edge_radius_um
-        pitch, angle, loss, radius = (np.array([float(one)]) for one in numbers)
+        numbers = (
+            design.pitch_um, design.ridge_angle_deg, design.height_loss, edge_radius_um, design.foot_radius_um
+        )  # fmt: skip
+        pitch, angle, loss, radius, foot = (np.array([float(one)]) for one in numbers)
         along, across = np.array([material.alpha_along]), np.array([material.alpha_across])
-        return cls(pitch, angle, loss, radius, along, across, wall=design.wall, plastic=material)
+        return cls(pitch, angle, loss, radius, foot, along, across, wall=design.wall, plastic=material)
 
     def block(self, rows: slice) -> "RidgedParts":
         """Some of the parts."""
-        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)[:6]})
+        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)[:7]})
 
 
 def _outlines(parts: RidgedParts) -> Outlines:
@@ -78,6 +82,8 @@ def _outlines(parts: RidgedParts) -> Outlines:
         parts.edge_radius_um,
         parts.height_loss,
         ARC_SEGMENTS if np.any(parts.edge_radius_um > 0.0) else 1,
+        parts.foot_radius_um if np.any(parts.foot_radius_um > 0.0) else None,
+        ARC_SEGMENTS,
     )
 
 

@@ -55,10 +55,10 @@ class FieldDefectPart(Part):
 class PlatePart(Part):
     """A plate: its plan, its ridges, how much fields differ (standard deviations), and defects.
 
-    ``ridge_angles_deg`` gives the ridge angles of classes that differ. ``edge_radius_um`` is the radius of all crests:
-    a worn plate has a large one. ``draft_deg`` is that of the walls, perpendicular to the facets if not given.
-    ``misplaced_um`` is the standard deviation of the place of a field along x and y. ``states`` are the states of the
-    ridges of a class, among which its fields are drawn.
+    ``ridge_angles_deg`` gives the ridge angles of classes that differ. ``edge_radius_um`` is the radius of all crests,
+    of which a worn plate has a large one, and ``foot_radius_um`` that of all feet. ``draft_deg`` is that of the walls,
+    perpendicular to the facets if not given. ``misplaced_um`` is the standard deviation of the place of a field along x
+    and y. ``states`` are the states of the ridges of a class, among which its fields are drawn.
     """
 
     plan: Annotated[tuple[str, ...], Field(min_length=1)]
@@ -69,6 +69,7 @@ class PlatePart(Part):
     ridge_angles_deg: Annotated[dict[str, RidgeAngle], Field(default_factory=dict)]
     draft_deg: NotNegative | None = None
     edge_radius_um: NotNegative = 0.0
+    foot_radius_um: NotNegative = 0.0
     height_loss: Share = 0.0
     angle_scatter_deg: NotNegative = 0.1
     alpha_scatter_share: Share = 0.03
@@ -94,7 +95,10 @@ class PlatePart(Part):
             HeightMapError: they are none.
         """
         wall: Wall = "perpendicular" if self.draft_deg is None else self.draft_deg
-        return RidgeDesign(self.pitch_um, self.ridge_angle_deg, wall, edge_radius_um=self.edge_radius_um)
+        crest, foot = self.edge_radius_um, self.foot_radius_um
+        return RidgeDesign(
+            self.pitch_um, self.ridge_angle_deg, wall, edge_radius_um=crest, foot_radius_um=foot
+        )
 
     @model_validator(mode="after")
     def _is_a_plate(self) -> Self:
@@ -259,7 +263,7 @@ class PlateSample:
         if defect == "missing":
             return tile(_State(None, 1.0, 0), 0.0)
         if defect == "worn":
-            worn = replace(design, height_loss=0.0, edge_radius_um=0.2 * design.pitch_um)
+            worn = replace(design, height_loss=0.0, edge_radius_um=0.2 * design.pitch_um, foot_radius_um=0.0)
             return tile(_State(worn, 1.0, self._part.states), azimuths[number])
         if defect == "filled":
             cut = replace(design, height_loss=0.6, edge_radius_um=0.0)

@@ -3,15 +3,16 @@
 A pass runs along a ridge at one height: that of a ball of the radius of the tip which touches the outline of the ridges
 (`anisoscope.parameters.ridge_outline`). The insert's valleys become as round as the tip, which are the crests of the
 part, so that a design with crests of that radius is what the tool leaves. Passes are evenly spaced along facet and
-wall; a flank of the cone that is as steep as the wall cuts it from the valley. Passes end where the ball would touch
-the drafted border of its field, in whose corners it leaves its radius.
+wall, and around the insert's edges where the feet of the part are rounded; a flank of the cone that is as steep as the
+wall cuts it from the valley. Passes end where the ball would touch the drafted border of its field, in whose corners it
+leaves its radius.
 
 The machine has three axes, millimetres, and a control with subprograms (M98 P…, M99): one subprogram a class, in
 increments, called at the middle of each of its fields. It is engraving with a spindle at constant feed; roughing, and
 wear of the tip, are left to the machine's own programs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -78,16 +79,22 @@ class Tool:
 
 def tip_places(design: RidgeDesign, tool: Tool) -> tuple[FloatArray, FloatArray]:
     """Places (N,) in µm from an uncut crest, and heights (N,) of the tip on the insert, mirror undone, of a pitch."""
-    arc = design.crest_arc()
-    foot = np.array([design.facet_width_um, 0.0])
+    arc, foot = design.crest_arc(), design.foot_arc()
     steep = np.degrees(design.draft_rad) <= tool.half_angle_deg * (1.0 + 1e-9)
     centres = [np.column_stack([arc.x_um, arc.z_um])]
-    for turn, period in ((arc.last_rad, 0.0), (arc.first_rad, design.pitch_um)):
+    around = replace(foot, radius_um=foot.radius_um - tool.tip_um)
+    for turn, period in ((foot.last_rad, 0.0), (foot.first_rad, design.pitch_um)):
         if period and steep:  # the flank cuts the wall
             continue
-        end = foot - [period, 0.0] - tool.tip_um * np.column_stack([np.cos(turn), np.sin(turn)])
+        end = np.column_stack(around.at(turn)) - [period, 0.0]
         count = int(np.ceil(float(np.hypot(*(end - centres[0])[0])) / tool.step_um))
         centres.append(centres[0] + (end - centres[0]) * np.arange(1.0, count + 1)[:, None] / max(count, 1))
+    if design.foot_radius_um > 0.0:
+        # scallops on a convex edge are those of a blunter tip
+        blunt = replace(tool, tip_um=1.0 / (1.0 / tool.tip_um + 1.0 / design.foot_radius_um))
+        length = float((foot.first_rad - foot.last_rad)[0]) * design.foot_radius_um
+        turns = np.linspace(foot.last_rad[0], foot.first_rad[0], int(np.ceil(length / blunt.step_um)) + 1)
+        centres.append(np.column_stack([one[0] for one in around.at(turns[None])])[1:])
     place, height = np.concatenate(centres).T
     order = np.argsort(place)
     return place[order], -height[order] - tool.tip_um

@@ -1,11 +1,12 @@
 """Interreflection of the corrected ridge model: light that reflects two and more times within a groove.
 
-All crests of a ridge profile stand equally high, so light that leaves a side upward past a crest never returns,
-and plateaus send nothing back: only the facet and the wall of one groove exchange light. Both are planes, and
-ridges are long. So two reflections are a double integral over the direction between the sides, with the length
-from which a ray leaves a lit point and meets a seen point in closed form, for the full rough-plastic BRDF at
-both reflections (glossy and diffuse in all four combinations). It is evaluated by Gauss-Legendre panels laid
-around the lobes. From three reflections on, the field within the groove is followed on a grid.
+All crests of a ridge profile stand equally high, so light that leaves a side upward past a crest never returns, and
+plateaus send nothing back: only the facet and the wall of one groove exchange light, and the chords of its foot where
+that is rounded. All are planes that see each other, and ridges are long. So two reflections are a double integral over
+the direction between two sides, with the length from which a ray leaves a lit point and meets a seen point in closed
+form, for the full rough-plastic BRDF at both reflections (glossy and diffuse in all four combinations). It is evaluated
+by Gauss-Legendre panels laid around the lobes. From three reflections on, the field within the groove, whose foot is
+then taken as sharp, is followed on a grid.
 
 Three and more reflections are a Neumann series on this grid of places and directions. The field that arrives at a
 side is binned by distance from the foot (cells), by the angle χ in the xz plane and by the elevation φ. Travel from
@@ -15,6 +16,7 @@ product over all directions, the same at every place.
 
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +28,7 @@ from anisoscope.base.parallel import one_blas_thread
 from anisoscope.parameters.material import SHORTEST_TAIL, Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light.material import Rays, brdf, brdf_table, rays, rays_to
-from anisoscope.sim.light.ridge_profile import ridge_polyline, sharp_groove, visible_shares
+from anisoscope.sim.light.ridge_profile import sharp_groove, visible_shares
 
 FieldArray = npt.NDArray[np.float32]
 
@@ -37,6 +39,8 @@ CELLS = 12
 DIRECTIONS = ANGLES * ELEVATIONS
 NARROWEST = 0.05  # roughness below which the grid would miss a lobe; such lobes are widened to this
 DEEPEST = 30  # reflections followed at most; the rest is closed as a geometric series
+FOOT_CHORDS = 4, 24  # fewest and most of a rounded foot
+CHORD_ALPHAS = 2.0  # turn of a chord, in standard deviations of the slopes
 NEGLIGIBLE = 1e-3  # share of the series at which the rest may be closed
 
 
@@ -388,44 +392,54 @@ _STEPS, _LONG_STEPS = (1.7, 3.4), (0.8, 1.7, 3.4, 7.0, 15.0)
 BATCH = 64  # poses followed together, for the sake of memory
 
 
-@dataclass(frozen=True, eq=False)
-class _Sides:
-    """Facet (0) and wall (1) of one groove, as P directions see them.
+class _Sides(NamedTuple):
+    """Two sides of one groove, the left one (0) and the right one (1), as P directions see them.
 
     Attributes:
         local: for each side (P, 3) directions in its frame: along the ridges, up the side, normal.
-        visible: for each side (P, 2) visible interval, distances from the foot in µm.
+        visible: for each side (P, 2) visible interval in µm, distances from the line in which their planes meet.
     """
 
     local: tuple[FloatArray, FloatArray]
     visible: tuple[FloatArray, FloatArray]
 
 
-def _groove(design: RidgeDesign) -> tuple[FloatArray, tuple[float, float]]:
-    """(2, 2) unit vectors (x, z) from the foot up facet and wall, and their lengths in µm."""
-    x, z = ridge_polyline(design)
-    up = np.array([[x[0] - x[1], z[0] - z[1]], [x[2] - x[1], z[2] - z[1]]])
-    length = np.hypot(up[:, 0], up[:, 1])
-    return up / length[:, None], (float(length[0]), float(length[1]))
+class _Valley:
+    """Sides of one groove from left to right: its facet, the chords of a rounded foot, and its wall."""
 
+    def __init__(self, design: RidgeDesign, chords: int) -> None:
+        line = design.outline(foot_chords=chords)
+        self.x, self.z = line.x_um[0], line.z_um[0]
+        self.count = 2 + (chords if design.foot_radius_um > 0.0 else 0)
+        step = np.stack([np.diff(self.x), np.diff(self.z)], axis=-1)[: self.count]
+        self.length = np.hypot(*step.T)
+        self.along = step / np.maximum(self.length, 1e-300)[:, None]
 
-def _sides(directions: FloatArray, design: RidgeDesign) -> _Sides:
-    """Facet and wall as (P, 3) unit vectors in the sample frame see them."""
-    x, z = ridge_polyline(design)
-    up, lengths = _groove(design)
-    tangents = directions[:, 0] / directions[:, 2]
-    shares = visible_shares(x, z, tangents)[:, :2]
-    local, visible = [], []
-    for side, turn in ((0, 1.0), (1, -1.0)):  # normals: facet (sin θ, cos θ), wall toward −x
-        x_up, z_up = up[side]
-        normal = directions[:, 0] * turn * z_up - directions[:, 2] * turn * x_up
-        across = directions[:, 0] * x_up + directions[:, 2] * z_up
-        local.append(np.stack([directions[:, 1], across, np.maximum(normal, 0.0)], axis=-1))
-        part = lengths[side] * np.where(normal > 0, shares[:, side], 0.0)
-        at_crest = (tangents >= 0) == (side == 0)
-        low = np.where(at_crest, lengths[side] - part, 0.0)
-        visible.append(np.stack([low, low + part], axis=-1))
-    return _Sides((local[0], local[1]), (visible[0], visible[1]))
+    def opening(self, pair: tuple[int, int]) -> float:
+        """Angle between two sides, the left one first, radians."""
+        return float(np.arccos(np.clip(-self.along[pair[0]] @ self.along[pair[1]], -1.0, 1.0)))
+
+    def shares(self, directions: FloatArray) -> FloatArray:
+        """(P, K) visible shares of the sides along unit vectors (P, 3) in the sample frame."""
+        return visible_shares(self.x, self.z, directions[:, 0] / directions[:, 2])[:, : self.count]
+
+    def seen(self, directions: FloatArray, shares: FloatArray, pair: tuple[int, int]) -> _Sides:
+        """Two sides, the left one first, as directions (P, 3) see them."""
+        left, right = pair
+        # distances along both planes to the line in which they meet
+        gap = np.array([self.x[right] - self.x[left + 1], self.z[right] - self.z[left + 1]])
+        low = np.linalg.solve(self.along[[left, right]].T, gap) if right > left + 1 else np.zeros(2)
+        from_left = directions[:, 0] >= 0.0
+        local, visible = [], []
+        for side, turn, start in ((left, -1.0, low[0]), (right, 1.0, low[1])):
+            x_up, z_up = turn * self.along[side]
+            normal = directions[:, 2] * self.along[side, 0] - directions[:, 0] * self.along[side, 1]
+            across = directions[:, 0] * x_up + directions[:, 2] * z_up
+            local.append(np.stack([directions[:, 1], across, np.maximum(normal, 0.0)], axis=-1))
+            part = self.length[side] * np.where(normal > 0, shares[:, side], 0.0)
+            begin = start + np.where(from_left == (side == left), self.length[side] - part, 0.0)
+            visible.append(np.stack([begin, begin + part], axis=-1))
+        return _Sides((local[0], local[1]), (visible[0], visible[1]))
 
 
 def panel_steps(material: Material) -> FloatArray:
@@ -483,7 +497,8 @@ def interreflection(
     Args:
         to_light: (P, 3) unit vectors in the sample frame, above the horizon.
         to_camera: (P, 3) unit vectors in the sample frame, above the horizon.
-        design: the ridges; of rounded crests the sharp groove counts (`ridge_profile.sharp_groove`).
+        design: the ridges; of rounded crests the sharp groove counts (`ridge_profile.sharp_groove`);
+            light that reflects three and more times finds a sharp foot.
         material: the plastic.
         bounces: largest number of reflections; None follows all.
         nodes: Gauss-Legendre nodes per panel for two reflections.
@@ -496,14 +511,27 @@ def interreflection(
     """
     if bounces is not None and bounces < 1:
         raise ModelError(f"light reflects at least once, not {bounces} times")
-    if design.edge_radius_um > 0.0:
-        design = sharp_groove(design)
+    design = sharp_groove(design)
     if bounces == 1 or design.height_um == 0.0 or len(to_light) == 0:
         return np.zeros(len(to_light))
-    light, camera = _sides(to_light, design), _sides(to_camera, design)
-    up, lengths = _groove(design)
-    opening = float(np.arccos(np.clip(up[0] @ up[1], -1.0, 1.0)))
-    total = _twice(light, camera, opening, material, nodes)
+    sharp = _Valley(replace(design, foot_radius_um=0.0), 1)
+    rounded = design.foot_radius_um > 0.0
+    valley = _Valley(design, _foot_chords(material, nodes)) if rounded else sharp
+    shares = [valley.shares(one) for one in (to_light, to_camera)]
+    total = np.zeros(len(to_light))
+    for pair in combinations(range(valley.count), 2):
+        light, camera = (
+            valley.seen(one, share, pair) for one, share in zip((to_light, to_camera), shares, strict=True)
+        )
+        total += _twice(light, camera, valley.opening(pair), material, nodes)
     if bounces is None or bounces > 2:
-        total += _more_often(light, camera, lengths, opening, material, bounces)
+        light, camera = (sharp.seen(one, sharp.shares(one), (0, 1)) for one in (to_light, to_camera))
+        lengths = float(sharp.length[0]), float(sharp.length[1])
+        total += _more_often(light, camera, lengths, sharp.opening((0, 1)), material, bounces)
     return np.asarray(total / (design.pitch_um * to_camera[:, 2]))
+
+
+def _foot_chords(material: Material, nodes: int) -> int:
+    """Chords of a foot: none of a quarter of a circle turns by more than `CHORD_ALPHAS` times α, with all nodes."""
+    turn = CHORD_ALPHAS * material.narrowest_alpha * NODES / nodes
+    return int(np.clip(np.ceil(0.5 * np.pi / turn), *FOOT_CHORDS))

@@ -5,8 +5,8 @@ reached by light from direction ω exactly if no point further toward the light 
 running extremum of s gives the visible part of every segment without approximation. For ridges with
 perpendicular walls this reduces to the one-sided G1 = 1/((1 + t·tan θr)·cos² θr) where t > tan θr.
 
-A rounded crest is an arc. Its chords would be little facets of their own, and one of them may stand in the mirror
-direction; so chords only say which part of the arc is visible, while its light is integrated over its normals.
+A rounded crest or foot is an arc. Its chords would be little facets of their own, and one of them may stand in the
+mirror direction; so chords only say which part of the arc is visible, while its light is integrated over its normals.
 """
 
 from dataclasses import dataclass, replace
@@ -56,7 +56,7 @@ def outline_of(x_um: FloatArray, z_um: FloatArray) -> Outline:
 
 
 def ridge_outline(design: RidgeDesign, widest_rad: float | None = None) -> Outline:
-    """The outline of ridges; a rounded crest is cut into chords that turn by at most ``widest_rad``."""
+    """The outline of ridges; rounded crests and feet are cut into chords that turn by at most ``widest_rad``."""
     line = design.outline(widest_rad)
     flat = outline_of(line.x_um[0], line.z_um[0])
     turn = line.turn_rad[0]
@@ -65,7 +65,10 @@ def ridge_outline(design: RidgeDesign, widest_rad: float | None = None) -> Outli
     arcs = np.flatnonzero(~np.isnan(turn[:, 0]))
     first, last = turn[arcs, 0], turn[arcs, 1]
     angle = (first + 0.5 * (last - first) * (1.0 + node[:, None])).ravel()
-    length = (0.5 * design.edge_radius_um * (first - last) * weight[:, None]).ravel()
+    half = 0.5 * np.abs(first - last)
+    chord = np.hypot(np.diff(line.x_um[0]), np.diff(line.z_um[0]))[arcs]
+    around = chord * np.divide(half, np.sin(half), out=np.ones_like(half), where=half > 0.0)
+    length = (0.5 * around * weight[:, None]).ravel()
     return Outline(
         flat.x_um,
         flat.z_um,
@@ -76,7 +79,7 @@ def ridge_outline(design: RidgeDesign, widest_rad: float | None = None) -> Outli
 
 
 def sharp_groove(design: RidgeDesign) -> RidgeDesign:
-    """The groove between sharp crests in which light of a rounded one goes to and fro.
+    """The groove between sharp crests in which light of a rounded one goes to and fro; its foot is that of the design.
 
     Facet and wall are shortened by `ROUNDED` of what the rounding takes from the wall, or by the lost height where that
     is more.
@@ -88,11 +91,11 @@ def sharp_groove(design: RidgeDesign) -> RidgeDesign:
 
 
 def ridge_polyline(design: RidgeDesign, chords: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """One period of the ridge profile, crest to crest, a rounded crest in chords.
+    """One period of the ridge profile, crest to crest, arcs in chords.
 
     Args:
         design: the ridges.
-        chords: so many equal ones; as many as `anisoscope.parameters.ridge_outline` asks for by default.
+        chords: so many equal ones of the crest; as many as `anisoscope.parameters.ridge_outline` asks for by default.
 
     Returns:
         x, z in µm, both (K + 1,): the last point is the first one shifted by the pitch. Facets fall toward +x.

@@ -106,10 +106,12 @@ def cross_talk(shown, own, other):
     return abs(weight[1] / weight[0])
 
 
-@pytest.mark.parametrize("radius", [1.0, 8.0])
-def test_direct_light_of_the_exported_body(bench, tmp_path, radius):
-    """Of ten pitches in the middle of a field, seen from above."""
-    design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius)
+@pytest.mark.parametrize(
+    ("radius", "foot", "depth"), [(1.0, 0.0, 2), (8.0, 0.0, 2), (1.0, 3.0, 2), (1.0, 3.0, 8)]
+)
+def test_light_of_the_exported_body(bench, tmp_path, radius, foot, depth):
+    """Of ten pitches in the middle of a field, seen from above: direct light, and light of up to seven reflections."""
+    design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius, foot_radius_um=foot)
     write_body(Body(Plan(("A",), {"A": 0.0}, 1.0), design, 1000.0), tmp_path / "part.stl", "part")
     stages = (0.0, 45.0, 90.0, 180.0)
     lean, around = np.radians(LIGHT_DEG), np.radians(stages)
@@ -117,14 +119,15 @@ def test_direct_light_of_the_exported_body(bench, tmp_path, radius):
         [np.sin(lean) * np.cos(around), -np.sin(lean) * np.sin(around), np.full(4, np.cos(lean))]
     )
     camera = np.broadcast_to([0.0, 0.0, 1.0], light.shape)
-    expected = corrected.radiance(light, camera, design, Material(ALPHA, ALPHA, ALBEDO))
+    expected = corrected.radiance(light, camera, design, Material(ALPHA, ALPHA, ALBEDO), bounces=depth - 1)
     works = {
         f"Mitsuba at {stage:g}°": lambda one=stage: rendered(
-            tmp_path / "part.stl", 0.5, 0.5, 256, one, 2, 64
+            tmp_path / "part.stl", 0.5, 0.5, 256, one, depth, 64
         ).mean()
         for stage in stages
     }
-    run = bench.compare(f"direct light of a body with crests of {radius:g} µm", works, rounds=1, warm=False)
+    title = f"light of a body with crests of {radius:g} and feet of {foot:g} µm, {depth - 1} reflections"
+    run = bench.compare(title, works, rounds=1, warm=False)
     off = np.array([run[name].result for name in works]) / expected - 1.0
     bench.note("off the prediction: " + ", ".join(f"{one:+.2%}" for one in off))
     assert np.abs(off).max() < 0.005

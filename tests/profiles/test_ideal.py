@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -156,9 +158,28 @@ def test_a_rounded_crest_is_what_a_ball_reaches(wall):
     assert np.max(sharp - design.profile(x)) > 1.0
 
 
+@pytest.mark.parametrize("wall", ["perpendicular", "vertical", 25.0])
+def test_a_rounded_foot_is_a_crest_upside_down(wall):
+    """Turned by half a circle the ridges are the same; a plateau cuts both."""
+    crest, foot = (RidgeDesign(100.0, 15.0, wall, **{f"{end}_radius_um": 6.0}) for end in ("edge", "foot"))
+    x = np.arange(0.5, 100.0, 0.5)
+    turned = crest.full_height_um - foot.profile(foot.facet_width_um - x)
+    np.testing.assert_allclose(turned, crest.profile(x), atol=1e-9)
+    full = replace(foot, height_loss=0.8)
+    np.testing.assert_allclose(full.profile(x), np.minimum(foot.profile(x), full.height_um), atol=1e-9)
+    for one in (foot, full, replace(crest, foot_radius_um=3.0)):
+        corners = one.outline(widest_rad=0.02)
+        inner = corners.x_um[0] + 1e-9
+        ends = np.abs(one.profile(inner) - corners.z_um[0])
+        assert np.quantile(ends, 0.9) < 1e-4  # but for a vertical wall
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
+        {"foot_radius_um": -1.0},
+        {"foot_radius_um": 1000.0},
+        {"foot_radius_um": 12.0, "edge_radius_um": 12.0},
         {"wall": -1.0},
         {"wall": 80.0},
         {"wall": "slanting"},

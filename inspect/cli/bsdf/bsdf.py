@@ -109,7 +109,9 @@ class SourceOptions:
         from anisoscope.cli.profile.profile import parse_pixel
         from anisoscope.profiles.files.load import read_height_map
 
-        ridges.refuse(["wall", "height_loss", "edge_radius_um"], "belongs to ridges (--ridge-angle)")
+        ridges.refuse(
+            ["wall", "height_loss", "edge_radius_um", "foot_radius_um"], "belongs to ridges (--ridge-angle)"
+        )
         how: dict[str, Any] = {
             "optics": self.optics,
             "lamp_half_angle_deg": self.lamp_half_angle,

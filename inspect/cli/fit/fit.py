@@ -163,8 +163,8 @@ FreeOption = Annotated[
     str,
     Parameter(
         help="Free parameters, comma-separated: ridge_angle, alpha_along, alpha_across, height_loss, seating_x, "
-        "seating_y, k, albedo, index, tail, second_weight, second_width, edge_radius, draft, matte; all: the first "
-        "seven."
+        "seating_y, k, albedo, index, tail, second_weight, second_width, edge_radius, foot_radius, draft, "
+        "matte; all: the first seven."
     ),
 ]
 MODEL = Group(

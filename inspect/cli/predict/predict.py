@@ -271,7 +271,7 @@ def predict(
         uncertainties.refuse(map_alone, "belongs to a height map")
     else:
         uncertainties.refuse(design_alone, "belongs to a design (--ridge-angle)")
-    _check_waves(waves, model, roughness)
+    _check_waves(waves, model, roughness, height_map)
     pixel_um = None
     if pixel is not None:
         from anisoscope.cli.profile.profile import parse_pixel
@@ -421,12 +421,16 @@ def _check_use(use: UseOptions, *, as_json: bool, spectrum: bool) -> None:
         )
 
 
-def _check_waves(waves: WaveOptions, model: Model | None, roughness: str) -> None:
+def _check_waves(waves: WaveOptions, model: Model | None, roughness: str, height_map: Path | None) -> None:
     if waves.interpolate < 1:
         raise UsageError(f"--interpolate must be 1 or more, not {waves.interpolate}")
     if model in BY_RAYS and waves != WAVE_DEFAULTS:
         raise UsageError(
             f"--wavelengths, --interpolate and --steps are for waves; --model {model} knows rays only"
+        )
+    if waves.steps is not None and (height_map is None or model == "geometric"):
+        raise UsageError(
+            "--steps is for waves on a height map: leave it out of designs and of --model geometric"
         )
     if model in ("wave", "both") and roughness != "lobe":
         raise UsageError(
@@ -445,10 +449,11 @@ def _check_surface(
         what = "a height map has the heights it has" if height_map is not None else "printed knows none"
         raise UsageError(f"--height-loss needs a design under --model corrected; {what}")
     if height_map is not None:
-        ridges.refuse(("wall", "edge_radius_um"), "belongs to a design (--ridge-angle)")
+        ridges.refuse(("wall", "edge_radius_um", "foot_radius_um"), "belongs to a design (--ridge-angle)")
     if model == "printed":
         ridges.refuse(
-            ("edge_radius_um",), "needs --model corrected; --model printed knows the ridge angle only"
+            ("edge_radius_um", "foot_radius_um"),
+            "needs --model corrected; --model printed knows the ridge angle only",
         )
     if height_map is None and role != "part":
         raise UsageError("--role tool belongs to a height map; a design is that of the part")

@@ -284,7 +284,7 @@ class SurfaceOptions:
             surface = ridge_sample(design, self.rough, self.burrs, self.seed)
             return surface, {"pitch_um": design.pitch_um, "levelling": "none", "name": words}
         why = "belongs to ideal ridges (--ridge-angle), not to a height map"
-        ridges.refuse(["wall", "height_loss", "edge_radius_um"], why)
+        ridges.refuse(["wall", "height_loss", "edge_radius_um", "foot_radius_um"], why)
         if self.rough or self.burrs:
             raise UsageError(f"--rough and --burrs {why.replace('belongs', 'belong')}")
         pixel, role = parse_pixel(self.pixel), base.role if of_recipe else "part"
@@ -300,7 +300,8 @@ def _words(design: RidgeDesign) -> str:
     words = f"Ideal ridges, {design.ridge_angle_deg:g}°, pitch {design.pitch_um:g} µm, {wall}"
     if design.height_loss:
         words += f", {100 * design.height_loss:g} % of the height missing"
-    return words + (f", crest radius {design.edge_radius_um:g} µm" if design.edge_radius_um else "")
+    words += f", crest radius {design.edge_radius_um:g} µm" if design.edge_radius_um else ""
+    return words + (f", foot radius {design.foot_radius_um:g} µm" if design.foot_radius_um else "")
 
 
 def rig_sentence(rig: Convention, tilt: float) -> str:

@@ -221,6 +221,7 @@ def photograph(
             "pitch_um": design.pitch_um,
             "draft_deg": float(np.degrees(design.draft_rad)),
             "edge_radius_um": design.edge_radius_um,
+            "foot_radius_um": design.foot_radius_um,
             "resolved_alpha": resolved,
             "states": TRIAL_STATES,
         },

@@ -465,6 +465,8 @@ def recipe_of(plan: Plan, design: RidgeDesign, product: str) -> dict[str, object
         ridges["wall"] = design.wall
     if design.edge_radius_um > 0.0:
         ridges["edge_radius_um"] = design.edge_radius_um
+    if design.foot_radius_um > 0.0:
+        ridges["foot_radius_um"] = design.foot_radius_um
     fields: dict[str, object] = {
         "file": "plan.csv",
         "module_mm": plan.module_mm,

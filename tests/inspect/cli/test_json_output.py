@@ -180,7 +180,8 @@ landscape landscape.axes landscape.names landscape.scores nominal_optimum optimu
 optimum.hills optimum.mean optimum.nominal_contrast optimum.parameters optimum.parameters.at_bound
 optimum.parameters.flat optimum.parameters.kept optimum.parameters.name optimum.parameters.sampling_sd
 optimum.parameters.scores optimum.parameters.values optimum.part optimum.part.albedo
-optimum.part.alpha_across optimum.part.alpha_along optimum.part.edge_radius optimum.part.height_loss
+optimum.part.alpha_across optimum.part.alpha_along optimum.part.edge_radius optimum.part.foot_radius
+optimum.part.height_loss
 optimum.part.index optimum.part.internal_reflection optimum.part.pitch optimum.part.ridge_angle
 optimum.part.second_lobe optimum.part.tail optimum.part.wall optimum.score optimum.sd
 scoring scoring.contrast scoring.convention scoring.convention.facet_azimuth_deg

@@ -64,6 +64,12 @@ def test_what_the_model_lacks_is_found_by_its_rival(design, lobe, model, own):
     assert alone.u > 0.2  # as the Birge ratio has it
 
 
+def test_the_radius_of_feet_is_found():
+    asked = traced(RidgeDesign(PITCH, 11.0, foot_radius_um=6.0)).freed((*USUAL, "foot_radius_um"))
+    one = {e.name: e for e in fit(asked, starts=0).estimates}
+    assert abs(one["foot_radius_um"].value - 6.0) < 3.0 * one["foot_radius_um"].u < 1.5
+
+
 def test_a_model_that_holds_stays_as_it_is():
     asked = traced(RidgeDesign(PITCH, 11.0))
     found, alone = fit_or_rival(asked), fit(asked)

@@ -175,11 +175,11 @@ def test_without_a_reference_poses_are_compared_and_the_rest_is_named() -> None:
     assert "no reference of its fixture" in found.not_watched[0]
     dim = watched(lambda image, angle: image * (0.9 if angle == 90.0 else 1.0), None).fault
     assert "at 90° the white of the markers is 10.0% darker" in (dim or "")
-    grey = watched(lambda image, _: image + 0.05 * 0.75 / np.pi, None).fault
+    grey = watched(lambda image, _: image + 0.08 * 0.75 / np.pi, None).fault
     assert "limits.black_share" in (grey or "")
     # a print of grey black is the user's own choice
     wide = LimitsPart(black_share=0.2)
-    assert watched(lambda image, _: image + 0.05 * 0.75 / np.pi, None, wide).fault is None
+    assert watched(lambda image, _: image + 0.08 * 0.75 / np.pi, None, wide).fault is None
 
 
 def test_a_tilt_that_was_not_taught_is_named(reference: FixtureReference) -> None:

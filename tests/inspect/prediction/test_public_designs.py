@@ -63,23 +63,33 @@ def test_a_unit_that_repeats_under_a_gaussian_lamp_is_its_orders():
 
 
 def test_a_folder_of_designs_is_predicted_and_compared(tmp_path, monkeypatch, capsys):
-    """Files as they are published, whose light is that of the orders above."""
-    folder = tmp_path / "a_pixelsize=0.8_white" / "sigma=0.1_noise=0.0"
+    """Files as they are published, whose light is that of the orders above; the edges of the map are wrong."""
+    tool = runpy.run_path(str(TOOL))
+    folder = tmp_path / "a_uniform_pixelsize=0.8_red_32" / "sigma=0.3_noise=0.0"
     folder.mkdir(parents=True)
-    height = unit()
+    cells = unit()[::2, ::2]
+    corner, middle = tool["blur"](0.8, 0.3, 32)
+    height = middle @ cells @ middle.T
     weights = np.interp(NM, matching_functions()[0], matching_functions()[1][:, 1])
     light = np.tensordot(weights / weights.sum(), [orders(height, 1e-3 * nm)[0] for nm in NM], axes=1)
     for name, channels in (
-        ("hmap", {"Y": height.astype(np.float32)}),
+        ("hmap", {"Y": (corner @ cells @ corner.T).astype(np.float32)}),
         ("scale=8_render", {"RGB": np.repeat(light[..., None], 3, axis=2).astype(np.float32)}),
     ):
         OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, channels).write(str(folder / f"{name}.exr"))
-    tool = runpy.run_path(str(TOOL))
+    found = tool["Design"](folder / "hmap.exr")
+    np.testing.assert_allclose(found.cells, cells, atol=1e-5)
     monkeypatch.setattr(sys, "argv", ["public_designs.py", str(tmp_path)])
     assert tool["main"]() == 0
     row = [cell.strip() for cell in capsys.readouterr().out.splitlines()[2].split("|")[1:-1]]
-    assert row[1:4] == ["0.1", "2.6", "0.3"]
-    assert float(row[5].rstrip("%")) < 1.0
+    assert row[1:4] == ["0.8", "2.6", "0.3"]
+    published, whole, pieces = (float(one.rstrip("%")) for one in row[4:])
+    assert whole < 1.0 < published
+    assert pieces < 2.0
+    monkeypatch.setattr(sys, "argv", ["public_designs.py", str(tmp_path), "--design", "1"])
+    assert tool["main"]() == 0
+    row = [cell.strip() for cell in capsys.readouterr().out.splitlines()[2].split("|")[1:-1]]
+    assert float(row[5].rstrip("%")) < float(row[4].rstrip("%"))
     monkeypatch.setattr(sys, "argv", ["public_designs.py", str(tmp_path / "none")])
     with pytest.raises(SystemExit, match=r"holds no hmap\.exr"):
         tool["main"]()

@@ -59,6 +59,12 @@ def test_crests_and_walls_of_the_design_are_those_of_the_file(read):
     assert surface.design.u_edge_radius_share == 0.4
     with pytest.raises(RecipeError, match=r"design\.edge_radius_um .* larger than the pitch"):
         read(surface={**DESIGN, "design": {**table, "edge_radius_um": 400.0}})
+    rounded = read(surface={**DESIGN, "design": {**table, "foot_radius_um": 2.5}}).surface
+    assert rounded.ridge_design().foot_radius_um == 2.5
+    with pytest.raises(RecipeError, match=r"design\.foot_radius_um.* larger than the pitch"):
+        read(surface={**DESIGN, "design": {**table, "foot_radius_um": 400.0}})
+    with pytest.raises(RecipeError, match=r"radii whose sum is at most"):
+        read(surface={**DESIGN, "design": {**table, "edge_radius_um": 8.0, "foot_radius_um": 12.0}})
 
 
 def test_the_spread_of_the_ridge_angle_is_nil_unless_it_is_stated(read):

@@ -68,9 +68,9 @@ def test_profile_is_what_a_ball_inside_the_material_reaches(angle, radius):
     assert np.interp(at, x, z, period=100.0) == pytest.approx(reached.max(axis=1), abs=0.03)
 
 
-@pytest.mark.parametrize("radius", [2.0, 20.0])
-def test_relief_of_the_same_profile_agrees(radius):
-    design = RidgeDesign(100.0, 10.0)
+@pytest.mark.parametrize(("radius", "foot"), [(2.0, 0.0), (20.0, 0.0), (2.0, 8.0), (0.0, 8.0)])
+def test_relief_of_the_same_profile_agrees(radius, foot):
+    design = RidgeDesign(100.0, 10.0, foot_radius_um=foot)
     x, z = ridge_polyline(replace(design, edge_radius_um=radius))
     at = np.arange(0.0, 100.0 + 0.025, 0.05)
     heights = np.interp(at, np.concatenate([x - 100.0, x[1:]]), np.concatenate([z, z[1:]]))

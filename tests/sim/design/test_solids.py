@@ -110,18 +110,21 @@ def profile_of_stl(path, row_mm):
     return points[:, 0], points[:, 1]
 
 
-@pytest.mark.parametrize("radius", [1.0, 8.0])
-def test_light_of_the_body_is_the_predicted_one(tmp_path, radius):
+@pytest.mark.parametrize(
+    ("radius", "foot", "reflections", "stages"),
+    [(1.0, 0.0, 1, 4), (8.0, 0.0, 1, 4), (1.0, 4.0, 1, 4), (1.0, 4.0, 5, 2)],
+)
+def test_light_of_the_body_is_the_predicted_one(tmp_path, radius, foot, reflections, stages):
     """Within .5 %: the STL under the path tracer, which knows heights alone, and the model of the design."""
-    design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius)
+    design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius, foot_radius_um=foot)
     write_body(Body(Plan(("A",), {"A": 0.0}, 0.3), design, BASE_UM), tmp_path / "part.stl", "part")
     x, z = profile_of_stl(tmp_path / "part.stl", 0.1501)
     at = np.arange(125.0, 175.0 + 0.005, 0.01)
     surface = HeightMap(np.broadcast_to(np.interp(at, x, z), (3, at.size)).copy(), 0.01, 0.01)
-    tracer = PathTracer(surface, Plastic(0.08, 0.08, 0.1), pitch_um=50.0, reflections=1)
-    sides = directions(pose_grid((0.0, 45.0, 90.0, 180.0), (-10.0, 0.0, 10.0)), Convention())
+    tracer = PathTracer(surface, Plastic(0.08, 0.08, 0.1), pitch_um=50.0, reflections=reflections)
+    sides = directions(pose_grid((180.0, 90.0, 45.0, 0.0)[:stages], (-10.0, 0.0, 10.0)), Convention())
     found = [tracer.radiance(*pose).mean(dtype=float) for pose in zip(*sides, strict=True)]
-    expected = corrected.radiance(*sides, design, Material(0.08, 0.08, 0.1))
+    expected = corrected.radiance(*sides, design, Material(0.08, 0.08, 0.1), bounces=reflections)
     assert found == pytest.approx(expected, rel=5e-3)
 
 

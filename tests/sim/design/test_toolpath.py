@@ -101,11 +101,11 @@ def left(cuts, places, tool):
     return height
 
 
-def on_insert(tmp_path, count=4000):
+def on_insert(tmp_path, body, count=4000):
     """Points (M, 3) in µm on the STL of the insert, as another program reads it, and their normals."""
     import pyvista
 
-    write_body(Body(PLAN, DESIGN, 100.0), tmp_path / "insert.stl", "insert")
+    write_body(body, tmp_path / "insert.stl", "insert")
     mesh = pyvista.read(tmp_path / "insert.stl")
     corners = 1000.0 * np.asarray(mesh.points, np.float64)[mesh.faces.reshape(-1, 4)[:, 1:]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -117,12 +117,12 @@ def on_insert(tmp_path, count=4000):
     return np.einsum("nk,nkc->nc", weight, corners[one]), normal[one] / area[one, None]
 
 
-@pytest.mark.parametrize("half_angle", [DRAFT, 4.0])
-def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(tmp_path, half_angle):
+@pytest.mark.parametrize(("half_angle", "foot"), [(DRAFT, 0.0), (4.0, 0.0), (4.0, 1.0)])
+def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(tmp_path, half_angle, foot):
     """Within .02 µm along the normal of the STL; corners of borders keep the radius of the tip."""
-    tool = Tool(TIP, half_angle)
-    cuts = run(insert_path(Body(PLAN, DESIGN, 100.0), tool), tmp_path / "insert.nc")
-    points, normal = on_insert(tmp_path)
+    tool, body = Tool(TIP, half_angle), Body(PLAN, replace(DESIGN, foot_radius_um=foot), 100.0)
+    cuts = run(insert_path(body, tool), tmp_path / "insert.nc")
+    points, normal = on_insert(tmp_path, body)
     off = (left(cuts, points[:, :2], tool) - points[:, 2]) * normal[:, 2]
     assert off.min() > -0.015  # chords of the STL, and what files round
     fields = points[:, :2] % 100.0 - 50.0
