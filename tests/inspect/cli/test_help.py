@@ -110,7 +110,9 @@ def test_the_page_of_a_command_shows_ten_options_and_names_the_panels_of_the_oth
             assert f"anisoscope {' '.join(words)} --help-all" in page
     assert run(["predict", "--help"]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
-    assert re.match(r"\d\d more options \(Ridges, Plastic, .*Angular map\): anisoscope predict --help-all$", line)
+    assert re.match(
+        r"\d\d more options \(Ridges, Plastic, .*Angular map\): anisoscope predict --help-all$", line
+    )
     assert run(["help", "predict", "--help-all"]) == 0
     page = capsys.readouterr().out
     assert "more options" not in page
