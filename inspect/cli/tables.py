@@ -90,4 +90,4 @@ def hand_out(
         return
     for table in page.tables:
         print_table(table.title, table.columns, table.rows, table.note or None)
-    print_lines(page.subtitle, *page.notes)
+    print_lines(page.subtitle, *page.notes, *([page.answer] if page.answer else []))

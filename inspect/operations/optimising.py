@@ -23,6 +23,7 @@ LABELS = {
     "alpha_along": "alpha along [1]",
     "alpha_across": "alpha across [1]",
 }
+UNITS = {"ridge_angle": "°", "pitch": " µm", "alpha_along": "", "alpha_across": ""}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +54,46 @@ class Best:
 
     def page(self) -> StudyPage:
         """Charts, tables and notes."""
-        charts: list[Chart | Map] = [*self._map(), *(self._chart(one) for one in self.optimum.slices)]
+        slices = (self._chart(one) for one in self.optimum.slices)
+        charts: list[Chart | Map] = [*self._map(), *slices, self._drawing()]
         tables = [self._parameters(), self._designs(), self._around()]
-        return StudyPage("Best ridge design", self.scoring.text, charts, tables, self._notes())
+        return StudyPage(
+            "Best ridge design", self.scoring.text, charts, tables, self._notes(), self._answer()
+        )
+
+    def _answer(self) -> str:
+        best = self.optimum
+        found = ", ".join(
+            f"{LABELS[one.name].partition(' [')[0]} {getattr(best.part, one.name):.3g}{UNITS[one.name]} "
+            f"({one.kept[0]:.3g} to {one.kept[1]:.3g} keep 99 %)"
+            for one in best.slices
+        )
+        scatter = (
+            ""
+            if self.nominal is None
+            else f", {best.scored.mean:.3g} ± {best.scored.sd:.2g} (1 sd) over the parts"
+        )
+        return f"Most contrast: {found}; contrast {best.nominal.mean:.3g} {self.unit} as designed{scatter}."
+
+    def _drawing(self) -> Chart:
+        """Section of three ridges of the optimum, to scale."""
+        design = self.optimum.part.design
+        x = np.linspace(0.0, 3.0 * design.pitch_um, 3001)
+        curve = Curve("ridges", x, design.profile(x))
+        return Chart(
+            "Section of the best ridges, to scale",
+            "x [µm]",
+            "height [µm]",
+            (curve,),
+            points=False,
+            to_scale=True,
+        )
 
     def _parameters(self) -> Table:
         columns = ("parameter", "optimum", "keeps 99 % of the score", "sd between samples", "remark")
-        return Table("Optimum", columns, tuple(self._parameter(one) for one in self.optimum.slices))
+        rows = tuple(self._parameter(one) for one in self.optimum.slices)
+        shown = len(columns) if any(row[-1] for row in rows) else -1
+        return Table("Optimum", columns[:shown], tuple(row[:shown] for row in rows))
 
     def _parameter(self, one: Slice) -> tuple[str, ...]:
         at = f"at the {one.at_bound} bound" if one.at_bound else ""

@@ -246,6 +246,28 @@ def comparison_numbers(found: Comparison) -> list[tuple[str, str, str, str]]:
     ]
 
 
+def comparison_answer(found: Comparison) -> str:
+    """The result in one sentence, ± with a coverage factor of 2: relief, volumes lost and gained."""
+
+    def volume(quantity: Quantity, word: str) -> str:
+        value, reach = quantity.value or 0.0, 2.0 * (quantity.u or 0.0)
+        if abs(value) <= reach or value == 0.0:
+            return f"no volume {word}" + (f" (± {reach:.2g} µm³)" if reach else "")
+        digits = 1 - int(np.floor(np.log10(reach or abs(value))))
+        shown = (f"{round(number, digits):,.{max(digits, 0)}f}" for number in (value, reach))
+        return f"{' ± '.join(shown).replace(',', chr(0x2009))} µm³ {word}"
+
+    height, said = found.replication.height, "B against A"
+    if height.value is not None and height.u is not None:
+        change, reach = 100.0 * (height.value - 1.0), 200.0 * height.u
+        lower = f"{abs(change):.1f} ± {reach:.1f} % {'lower' if change < 0.0 else 'higher'}"
+        said += f": ridges {lower}" if abs(change) > reach else f": ridges as high (± {reach:.1f} %)"
+    else:
+        said += ": no ridges in common"
+    volumes = f"{volume(found.lost.volume_um3, 'lost')}, {volume(found.gained.volume_um3, 'gained')}"
+    return f"{said}; {volumes} (k = 2)."
+
+
 def comparison_notes(found: Comparison) -> list[str]:
     """Notes on the registration."""
     placed, notes = found.placed, []
@@ -313,6 +335,7 @@ def write_comparison_page(
         "line_chart": line_chart(found, chosen),
         "numbers": comparison_numbers(found),
         "notes": comparison_notes(found),
+        "answer": comparison_answer(found),
         "ridges": ridge_table(found, contrasts),
         "contrasts": contrast_table(contrasts) if contrasts else None,
         "relief": relief_picture(found) if found.mirrored else None,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.quality.gauge import GaugeStudy
+from anisoscope.quality.gauge import GOOD_SHARE, POOR_SHARE, GaugeStudy
 from anisoscope.quality.linearity import GaugeLinearity
 from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, PAPER, RED, new_figure, svg_uri
 
@@ -189,7 +189,8 @@ def write_gauge_page(path: Path, title: str, source: str, study: GaugeStudy) -> 
             "parts differently.",
         ),
     )
-    good = study.share_of_study(gauge) <= 0.3 and (study.share_of_tolerance(gauge) or 0.0) <= 0.3
+    largest = max(study.share_of_study(gauge), study.share_of_tolerance(gauge) or 0.0)
+    good = True if largest < GOOD_SHARE else None if largest <= POOR_SHARE else False
     _write(
         path, (title, source), (study.verdict, good), pictures, (components(study), anova(study)), study.notes
     )
@@ -538,7 +539,7 @@ def process_tables(study: MeasurementProcess) -> tuple[Grid, ...]:
 def _write(
     path: Path,
     heading: tuple[str, str],
-    verdict: tuple[str, bool],
+    verdict: tuple[str, bool | None],
     pictures: Sequence[Picture],
     tables: Sequence[Grid],
     notes: Sequence[str],

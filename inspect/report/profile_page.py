@@ -1,6 +1,7 @@
 """Page of one height map: appearance, ridges, and origin."""
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -245,14 +246,30 @@ def angle_chart(found: RidgeMeasurement) -> str:
         return svg_uri(figure)
 
 
+ORIGIN_WORDS = {
+    "sha256": "SHA-256",
+    "reader": "read by",
+    "pixel_um": "pixel size along y, x [µm]",
+    "missing_share": "missing share of the points",
+    "z_unit": "unit of the heights",
+    "xy_unit": "unit of the positions",
+    "um_per_count": "height of one count [µm]",
+    "first_row": "first row of the picture",
+}
+"""Names of entries of an origin that their keys do not say."""
+
+
 def _origin_lines(origin: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Origin of a map as pairs of name and text, nested entries with dotted names."""
+    """Origin of a map as pairs of name and text; nested entries are named with what holds them."""
     lines: list[tuple[str, str]] = []
-    for name, value in origin.items():
+    for key, value in origin.items():
+        name = ORIGIN_WORDS.get(key) or re.sub(r" (um|mm|nm|deg)$", r" [\1]", key.replace("_", " "))
+        name = name.replace("[um]", "[µm]").replace("[deg]", "[°]")
         if isinstance(value, dict):
-            lines += _origin_lines(value, f"{prefix}{name}.")
+            lines += _origin_lines(value, f"{prefix}{name}, ")
         elif value not in (None, "", [], ()):
-            lines.append((f"{prefix}{name}", str(value)))
+            text = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+            lines.append((f"{prefix}{name}", text))
     return lines
 
 

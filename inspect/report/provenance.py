@@ -39,9 +39,12 @@ class CalibrationRow:
 
 
 def when(text: str, zone: tzinfo | None = None) -> str:
-    """A time for people, to the second, in a zone that it names; that of this computer if none is given."""
+    """A time for people, to the second, in a zone that it names, with UTC in brackets; by default the local zone."""
     time = datetime.fromisoformat(text)
-    return f"{(time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(zone):%Y-%m-%d %H:%M:%S %Z}"
+    local = (time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(zone)
+    utc = local.astimezone(UTC)
+    day = "" if utc.date() == local.date() else f"{utc:%Y-%m-%d} "
+    return f"{local:%Y-%m-%d %H:%M:%S %Z}" + (f" ({day}{utc:%H:%M} UTC)" if local.utcoffset() else "")
 
 
 def turn_text(value: float) -> str:

@@ -69,6 +69,7 @@ class Chart:
         log_x: the x axis logarithmic.
         mark_x: position of an upright line.
         points: mark the points.
+        to_scale: both axes have one scale, as in a drawing.
     """
 
     title: str
@@ -79,6 +80,7 @@ class Chart:
     log_x: bool = False
     mark_x: float | None = None
     points: bool = True
+    to_scale: bool = False
 
     def draw(self, axes: "Axes") -> None:
         """Draw into axes."""
@@ -110,6 +112,8 @@ class Chart:
             axes.axvline(self.mark_x, color=MUTED, linewidth=0.9, linestyle=":")
         if len(self.curves) > 1:
             axes.legend(frameon=False, fontsize=7.5)
+        if self.to_scale:
+            axes.set_aspect("equal")
         axes.grid()
         axes.set_xlabel(self.x_label)
         axes.set_ylabel(self.y_label)
@@ -172,13 +176,17 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class StudyPage:
-    """What a study shows: in the terminal tables, subtitle and notes, in HTML all of it, as a picture the charts."""
+    """Results of a study: tables, subtitle, notes and answer in the terminal, in HTML with the charts.
+
+    The answer is one sentence, where the study has one.
+    """
 
     title: str
     subtitle: str
     charts: Sequence[Chart | Map]
     tables: Sequence[Table]
     notes: Sequence[str]
+    answer: str = ""
 
     def write(self, path: Path | str) -> None:
         """Write the page, atomically.
@@ -186,7 +194,8 @@ class StudyPage:
         Raises:
             RecordError: the file cannot be written.
         """
-        pictures = [(chart_uri(chart), chart.title) for chart in self.charts]
+        wide = len(self.charts) == 1
+        pictures = [(chart_uri(chart, wide=wide), chart.title) for chart in self.charts]
         write_page(Path(path), "study.html", {**vars(self), "pictures": pictures})
 
     def write_picture(self, path: Path | str) -> None:
@@ -199,12 +208,14 @@ class StudyPage:
         write_picture(Path(path), self.charts)
 
 
-def chart_uri(chart: Chart | Map) -> str:
-    """A chart as a data URI."""
+def chart_uri(chart: Chart | Map, *, wide: bool = False) -> str:
+    """A chart as a data URI; ``wide`` is for one that fills the width of a page."""
     import matplotlib as mpl
 
     with mpl.rc_context(page_style()):
         figure = chart_figure(1, 1)
+        if wide:
+            figure.set_size_inches(2.0 * _PANEL[0], 1.2 * _PANEL[1])
         chart.draw(figure.subplots())
         return svg_uri(figure)
 

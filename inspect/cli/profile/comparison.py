@@ -21,7 +21,7 @@ from anisoscope.cli.profile.many import (
 )
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.prediction.contrast_change import ContrastCauses
@@ -201,12 +201,14 @@ def _print(
     found: "Comparison", first: Path, second: Path, contrasts: "tuple[ContrastCauses, ...]", out: Path | None
 ) -> None:
     from anisoscope.report.comparison_page import (
+        comparison_answer,
         comparison_notes,
         comparison_numbers,
         contrast_table,
         ridge_table,
     )
 
+    print_lines(comparison_answer(found))
     print_table(
         f"{second.name} against {first.name}",
         ["quantity", "value", "u (k = 1)", "unit"],

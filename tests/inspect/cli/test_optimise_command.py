@@ -1,5 +1,7 @@
 """``anisoscope optimise`` as a user calls it."""
 
+import re
+
 import pytest
 
 
@@ -34,9 +36,14 @@ def test_robust_beside_nominal_with_page_and_picture(anisoscope, tmp_path):
     assert "robust" in done.out
     assert "nominal" in done.out
     assert "ridge angle [°]" in done.out
+    answer = done.out.splitlines()[-1]
+    assert re.match(
+        r"Most contrast: ridge angle [\d.]+° \([\d.]+ to [\d.]+ keep 99 %\).* over the parts\.$", answer
+    )
     assert picture.read_bytes().startswith(b"\x89PNG")
     text = page.read_text(encoding="utf-8")
-    assert "data:image/svg+xml" in text
+    assert f'id="answer">{answer}<' in text
+    assert text.count("data:image/svg+xml") >= 2  # score and section
     assert '="http' not in text
 
 

@@ -1,6 +1,7 @@
 """``anisoscope profile compare`` as a user calls it."""
 
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -40,6 +41,8 @@ def test_difference_page_and_numbers(anisoscope, maps, tmp_path):
     for mark in ('id="difference"', 'id="uncertainty"', 'id="line"', 'id="ridges"', "volume lost"):
         assert mark in text
     assert "outlined" in text
+    answer = re.search(r"B against A: ridges as high \(± [\d.]+ %\); ([\d.]+) ± ([\d.]+) µm³ lost", text)
+    assert float(answer[1]) == pytest.approx(450.0, abs=float(answer[2]))
     with Image.open(tmp_path / "wear.png") as picture:
         red = np.asarray(picture.convert("RGB")).astype(int)
     assert np.count_nonzero(np.abs(red - (0xC6, 0x2F, 0x30)).max(axis=2) < 40) > 50  # outline of the pit

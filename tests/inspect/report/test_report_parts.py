@@ -142,8 +142,8 @@ def test_provenance_says_who_what_with_what(make_report_record):
 def test_times_are_local_and_name_their_zone():
     winter, summer = "2026-01-04T23:30:00+00:00", "2026-07-04T23:30:00.123456"
     copenhagen = ZoneInfo("Europe/Copenhagen")
-    assert when(winter, copenhagen) == "2026-01-05 00:30:00 CET"
-    assert when(summer, copenhagen) == "2026-07-05 01:30:00 CEST"
+    assert when(winter, copenhagen) == "2026-01-05 00:30:00 CET (2026-01-04 23:30 UTC)"
+    assert when(summer, copenhagen) == "2026-07-05 01:30:00 CEST (2026-07-04 23:30 UTC)"
 
 
 def test_a_serial_cannot_leave_its_string_in_a_style_sheet():

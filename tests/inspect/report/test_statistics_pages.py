@@ -261,3 +261,16 @@ def test_nothing_is_cut_off_on_a_printed_a4_page(page, pages, name):
         assert page.evaluate(f"{wide}.length") == 0
     finally:
         page.call("Emulation.setEmulatedMedia", media="")
+
+
+@pytest.mark.parametrize(("noise", "shade"), [(0.02, "good"), (0.2, "fair"), (0.6, "bad")])
+def test_a_gauge_page_is_green_amber_or_red_by_its_share(tmp_path, noise, shade):
+    rng = np.random.default_rng(8)
+    values = rng.normal(size=(10, 1, 1)) + noise * rng.normal(size=(10, 3, 3))
+    write_gauge_page(
+        tmp_path / "g.html",
+        "Gauge",
+        "file",
+        gauge_study(GaugeData(tuple("abcdefghij"), ("A", "B", "C"), values)),
+    )
+    assert f'class="verdict {shade}"' in (tmp_path / "g.html").read_text("utf-8")
