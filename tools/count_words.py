@@ -5,21 +5,35 @@ import sys
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-GROUP = re.compile(r":caption: (.*?)\n\n(.*?)```", re.DOTALL)
-BACKGROUND = "Background and evidence"
+TOCTREE = re.compile(r"```\{toctree\}\n:hidden:\n(?::caption: ([^\n]*)\n)?\n(.*?)```", re.DOTALL)
+EVIDENCE = "Evidence"
+
+
+def groups(index: Path) -> dict[str, list[Path]]:
+    """Pages that the navigation of an index page lists, by the caption of their group; without one, `EVIDENCE`."""
+    return {
+        caption or EVIDENCE: [(index.parent / f"{name}.md").resolve() for name in listed.split()]
+        for caption, listed in TOCTREE.findall(index.read_text(encoding="utf-8"))
+    }
 
 
 def words() -> dict[str, dict[str, int]]:
     """Words of every page that is in the repository, by the caption of its group in the index."""
-    found: dict[str, dict[str, int]] = {}
-    for caption, listed in GROUP.findall((DOCS / "index.md").read_text(encoding="utf-8")):
-        pages = [DOCS / f"{name}.md" for name in listed.split()]
-        found[caption] = {
+    found = groups(DOCS / "index.md")
+    found[EVIDENCE] += groups(DOCS / "evidence" / "index.md")[EVIDENCE]
+    return {
+        caption: {
             str(page.relative_to(DOCS)): sum(map(is_word, page.read_text(encoding="utf-8").split()))
             for page in pages
             if page.exists() and "reference" not in page.parts
         }
-    return found
+        for caption, pages in found.items()
+    }
+
+
+def for_users() -> int:
+    """Words of all pages outside the evidence."""
+    return sum(sum(pages.values()) for caption, pages in words().items() if caption != EVIDENCE)
 
 
 def is_word(text: str) -> bool:
@@ -29,12 +43,10 @@ def is_word(text: str) -> bool:
 
 def main() -> None:
     """Print the words of each page, each group, and of all pages for users."""
-    total = 0
     for caption, pages in words().items():
         sys.stdout.write(f"{sum(pages.values()):7d}  {caption}\n")
         sys.stdout.writelines(f"{count:7d}    {page}\n" for page, count in pages.items())
-        total += sum(pages.values()) * (caption != BACKGROUND)
-    sys.stdout.write(f"{total:7d}  for users\n")
+    sys.stdout.write(f"{for_users():7d}  for users\n")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "docs").glob("*.md")),
-    *sorted((ROOT / "docs" / "start").glob("*.md")),
+    *(page for folder in ("start", "evidence") for page in sorted((ROOT / "docs" / folder).glob("*.md"))),
 ]
 BLOCK = re.compile(r"^```(?:sh|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 IN_LINE = re.compile(r"`(anisoscope [^`]+)`")

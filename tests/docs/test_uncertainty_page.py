@@ -1,4 +1,4 @@
-"""The numbers of docs/uncertainty.md are those of the commands that it names."""
+"""The numbers of docs/uncertainty.md, and of its evidence, are those of the commands that they name."""
 
 import re
 from dataclasses import fields
@@ -17,7 +17,10 @@ from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import predict_design
 from anisoscope.sim.light.geometry import pose_grid
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "uncertainty.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = "".join(
+    (DOCS / name).read_text(encoding="utf-8") for name in ("uncertainty.md", "evidence/uncertainty.md")
+)
 POSES = pose_grid((0.0, 90.0, 180.0))
 
 
