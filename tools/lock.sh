@@ -11,9 +11,10 @@ trap 'rm -rf "$work"' EXIT
 for set in dev ""; do
     file=requirements${set:+-$set}.lock
     what=${set:+--extra $set}
+    run="--extra view --extra formats" # of what runs, make demo installs these extras
     # what runs is locked after what tests, and in its versions
     "$work/venv/bin/uv" pip compile --quiet --upgrade --python "$python" --generate-hashes --strip-extras \
         --no-header --no-annotate --no-emit-index-url --no-emit-find-links \
-        ${what:---constraint requirements-dev.lock} --output-file "$work/$file" pyproject.toml
+        ${what:---constraint requirements-dev.lock $run} --output-file "$work/$file" pyproject.toml
     { echo "# made by make lock; versions that were tested together"; cat "$work/$file"; } > "$file"
 done

@@ -14,10 +14,23 @@ from anisoscope.operations.project_place import PROJECT_NAME, project_path
 
 State = Literal["ok", "note", "missing"]
 OPTIONAL = {
-    "pypylon": "Basler cameras: pip install 'anisoscope[basler]'",
-    "distributed": "sweeps on a Dask cluster: pip install 'anisoscope[cluster]'",
+    "vtk": ("view", "3-D views, heights from STL and PLY"),
+    "SurfaceTopography": ("formats", "height maps in further formats of instruments"),
+    "OpenEXR": ("exr", "height maps as OpenEXR"),
+    "fastapi": ("console", "the console in the browser"),
+    "Authlib": ("openid", "logins by an OpenID provider"),
+    "asyncua": ("line", "OPC UA, MQTT and Modbus/TCP to the controller of a line"),
+    "pypylon": ("basler", "Basler cameras"),
+    "harvesters": ("genicam", "cameras by their makers' GenTL producers"),
+    "pymmcore": ("micromanager", "devices by Micro-Manager's adapters"),
+    "bluesky": ("bluesky", "stage, camera and light in Bluesky"),
+    "s3fs": ("archive", "an archive in an object store"),
+    "imagecodecs": ("jpegxl", "frames packed as JPEG XL"),
+    "rfc3161-client": ("timestamp", "time stamps of authorities"),
+    "distributed": ("cluster", "sweeps on a Dask cluster"),
+    "cupy-cuda12x": ("gpu", "waves on a graphics card"),
 }
-"""Packages that only some commands need, and what for."""
+"""Packages that only some commands need: their extra, and what for."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +87,11 @@ def _packages() -> Iterator[Finding]:
         yield Finding(
             "packages", "ok", f"anisoscope {version('anisoscope')}, and all {len(wanted)} that it needs"
         )
-    for name, remedy in OPTIONAL.items():
+    for name, (extra, purpose) in OPTIONAL.items():
         try:
             yield Finding(name, "ok", version(name))
         except PackageNotFoundError:
-            yield Finding(name, "note", f"not installed; {remedy}")
+            yield Finding(name, "note", f"not installed; {purpose}: pip install 'anisoscope[{extra}]'")
 
 
 def _kernels() -> Finding:

@@ -135,7 +135,7 @@ class Renderer:
 
     def _result(self, found: dict[str, bytes | None], code: int) -> Picture3D:
         if found["png"] is None and self._missing:
-            return Picture3D(None, "VTK is not installed (pip install vtk trame-vtk)")
+            return Picture3D(None, "VTK is not installed (pip install 'anisoscope[view]')")
         if found["png"] is None:
             return Picture3D(None, f"the renderer ended with code {code}; {NEEDS}")
         scene = found.get("zip")

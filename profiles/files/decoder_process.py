@@ -5,6 +5,7 @@ ones, and replaced when a file has stopped it. Heights come back as an npy file.
 """
 
 import atexit
+import importlib.util
 import json
 import os
 import queue
@@ -31,6 +32,8 @@ PATIENCE = 10.0
 """Times so long may reading take on a machine that does other things as well."""
 BYTES_PER_SECOND = 2**20
 ADVICE = "the file is damaged, or of a kind that this reader does not know; export x3p"
+NEEDED = {"library": ("SurfaceTopography", "formats"), "mesh": ("pyvista", "view"), "exr": ("OpenEXR", "exr")}
+"""Kinds of decoders whose library comes with an extra: its module and the extra."""
 HEALTHY = "this reader does not know files of this kind; export x3p"
 COMMAND = [sys.executable, "-P", "-m", "anisoscope.profiles.files.decoder_worker"]
 ONE_THREAD = {
@@ -128,6 +131,21 @@ class _Keeper:
 _keeper = _Keeper()
 
 
+def require_decoder(kind: str, name: str) -> None:
+    """Refuse a file whose decoder is not installed.
+
+    Args:
+        kind: as for `decode`.
+        name: of the file.
+
+    Raises:
+        HeightMapError: the module is missing; the text names its extra.
+    """
+    module, extra = NEEDED.get(kind, ("json", ""))
+    if importlib.util.find_spec(module) is None:
+        refuse(name, "format", f"{module} is not installed", f"pip install 'anisoscope[{extra}]'")
+
+
 def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], npt.NDArray[Any]]:
     """Decode a file in the guarded process.
 
@@ -143,8 +161,9 @@ def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], np
         What the decoder says about the file, with ``reader`` (its name and version), and the raw numbers.
 
     Raises:
-        HeightMapError: the decoder failed, died, or went beyond its limits.
+        HeightMapError: the decoder is not installed, failed, died, or went beyond its limits.
     """
+    require_decoder(kind, path.name)
     size = path.stat().st_size
     seconds = SECONDS + size / BYTES_PER_SECOND
     with _keeper.lock:

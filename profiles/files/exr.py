@@ -6,7 +6,6 @@ unit: pixel and unit are asked for, and the heights are channel Z, Y, or the onl
 picture. Decoding is done by OpenEXR in the guarded process.
 """
 
-import importlib.util
 import re
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import numpy.typing as npt
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import scaled
-from anisoscope.profiles.files.decoder_process import decode
+from anisoscope.profiles.files.decoder_process import decode, require_decoder
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, HeightMap, Layer
@@ -25,11 +24,6 @@ from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, Heigh
 MAGIC = b"\x76\x2f\x31\x01"
 NOTE = re.compile(r"heights in um; pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
 LAYERS = {INTENSITY: ("Y",), COLOUR: ("R", "G", "B"), INTERPOLATED: (INTERPOLATED,)}
-
-
-def _require_library(name: str) -> None:
-    if importlib.util.find_spec("OpenEXR") is None:
-        refuse(name, "format", "OpenEXR is not installed", "pip install 'anisoscope[exr]'")
 
 
 def _noted(name: str, text: object) -> tuple[float, float] | None:
@@ -56,7 +50,6 @@ def read_exr(path: Path | str, given: Given | None = None) -> HeightMap:
     """
     path = Path(path)
     name, given = path.name, given or Given()
-    _require_library(name)
     answer, raw = decode("exr", path, channels=[])
     noted = _noted(name, answer.get("heightMap"))
     if noted is not None and (given.pixel_um or given.z_unit):
@@ -85,7 +78,7 @@ def write_exr(surface: HeightMap, path: Path | str) -> None:
         HeightMapError: OpenEXR is not installed, or the file cannot be written.
     """
     path = Path(path)
-    _require_library(path.name)
+    require_decoder("exr", path.name)
     import OpenEXR  # noqa: PLC0415 - an extra
 
     note = f"heights in um; pixel_um (y, x): {surface.pixel_y_um!r}, {surface.pixel_x_um!r}"

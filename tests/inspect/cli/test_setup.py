@@ -3,6 +3,8 @@
 import json
 import re
 import subprocess
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -11,11 +13,14 @@ from anisoscope.base.language import language
 from anisoscope.cli import app, run
 from anisoscope.kinds.registry import kind_of
 from anisoscope.operations import project_place
+from anisoscope.operations.installation import OPTIONAL
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.comparison import turned_over
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import ridges
 from anisoscope.rig.rigfile import read_rig
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
@@ -175,3 +180,11 @@ def test_the_bench_file_of_a_virtual_rig_is_no_rig_file(tmp_path, capsys):
     assert (
         f"`anisoscope rig sim bench {bench} --pty --write-rig rig.toml` serves it" in capsys.readouterr().err
     )
+
+
+def test_doctor_knows_every_extra_by_a_package_of_it():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    of_users = set(extras) - {"dev", "benchmark"}
+    assert {extra for extra, _ in OPTIONAL.values()} == of_users
+    for package, (extra, _) in OPTIONAL.items():
+        assert any(one.lower().startswith(package.lower()) for one in extras[extra]), package

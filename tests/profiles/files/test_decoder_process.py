@@ -104,3 +104,19 @@ def test_the_process_is_kept_and_its_folder_removed(decode, monkeypatch):
     decoder_process._keeper.drop()
     assert not process.folder.exists()
     assert process.process.returncode is not None
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "remedy"),
+    [
+        ("mesh", "a.stl", "pyvista is not installed; pip install 'anisoscope[view]'"),
+        ("library", "a.plux", "SurfaceTopography is not installed; pip install 'anisoscope[formats]'"),
+        ("exr", "a.exr", "OpenEXR is not installed; pip install 'anisoscope[exr]'"),
+    ],
+)
+def test_a_decoder_that_is_not_installed_is_named_with_its_extra(kind, name, remedy, tmp_path, monkeypatch):
+    (tmp_path / name).write_bytes(b"something")
+    monkeypatch.setattr(decoder_process.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(HeightMapError) as problem:
+        decoder_process.decode(kind, tmp_path / name)
+    assert remedy in str(problem.value)
