@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, UsageError
@@ -101,6 +100,8 @@ def fit_peak(readings: FloatArray, sharpness: FloatArray) -> Peak:
         readings: (n,) in mm, rising, at least five.
         sharpness: (n,) of any unit, all positive.
     """
+    from scipy.optimize import least_squares  # noqa: PLC0415 - a third of the start of every command at the rig
+
     top = float(sharpness.max())
     scaled, span = sharpness / top, float(readings[-1] - readings[0])
     middle = float(readings[int(np.argmax(sharpness))])

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -14,10 +14,6 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import AnisoscopeError, NotConnected, UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.language import message
-from anisoscope.commissioning.record import default_record_path
-from anisoscope.live_view.autofocus import Autofocus, Focus, Sweep, depth_of_field_mm
-from anisoscope.live_view.picture import as_png, to_show
-from anisoscope.live_view.view import look_at, saturated_share
 from anisoscope.rig.acquisition.opening import Devices, open_axis, open_devices, open_eye, open_lamp
 from anisoscope.rig.frame import Frame, write_frame
 from anisoscope.rig.rigfile import (
@@ -32,6 +28,9 @@ from anisoscope.rig.rigfile import (
 )
 from anisoscope.rig.stage import RotationStage, Unit, check_limits, motion_state, within_a_turn
 from anisoscope.rig.transport import shared_ports
+
+if TYPE_CHECKING:  # these load OpenCV and the models of records, which a motion does without
+    from anisoscope.live_view.autofocus import Focus, Sweep
 
 Axis = Literal["stage", "tilt", "x", "y", "z"]
 LightState = Literal["on", "off", "as-is"]
@@ -51,6 +50,8 @@ def is_taught(rig: Path, file: RigAxes) -> bool:
 
     A rig file that names a calibration says so, or a record of its commissioning beside it.
     """
+    from anisoscope.commissioning.record import default_record_path
+
     channels = {} if file.light is None else file.light.channels
     named = file.calibration is not None or any(one.flat or one.fixture for one in channels.values())
     return named or default_record_path(rig).exists()
@@ -394,6 +395,9 @@ def snap(
         UsageError: another kind of file, one that exists, or a number of frames outside 1 to 10,000.
         RigFileError, RigError: rig file or hardware.
     """
+    from anisoscope.live_view.picture import as_png, to_show
+    from anisoscope.live_view.view import look_at
+
     target = Path(out)
     picture = target.with_suffix(".png") if preview else None
     if target.suffix.lower() not in {".tif", ".tiff"}:
@@ -438,6 +442,8 @@ def _take(
     devices: Devices, file: RigFile, exposure_s: float, gain: float, frames: int, light: LightState
 ) -> tuple[Frame, float]:
     """The mean of some frames, and the largest saturated share among them."""
+    from anisoscope.live_view.view import saturated_share
+
     camera = devices.camera
     assert camera is not None
     settings = camera.configure(exposure_s, gain)
@@ -473,7 +479,7 @@ def _angles(devices: Devices, file: RigFile) -> tuple[float, float]:
     return stage_deg, math.nan if tilt is None else file.tilt.place(tilt.position_deg())
 
 
-def _search_keys(found: Focus) -> dict[str, Any]:
+def _search_keys(found: "Focus") -> dict[str, Any]:
     return {
         "best_mm": found.best,
         "reached_mm": found.reached,
@@ -495,7 +501,7 @@ class Focused:
         depth_of_field_mm: by wavelength and aperture of the rig file; None where it has not both.
     """
 
-    found: Focus = field(metadata=json_field(by=_search_keys, merged=True))
+    found: "Focus" = field(metadata=json_field(by=_search_keys, merged=True))
     place_mm: float
     depth_of_field_mm: float | None
 
@@ -509,7 +515,7 @@ class Focused:
 def focus(
     rig: Path | str,
     exposure_s: float,
-    sweep: Sweep,
+    sweep: "Sweep",
     gain: float = 1.0,
     *,
     light: LightState = "on",
@@ -532,6 +538,8 @@ def focus(
         MeasurementError: no peak within the sweep.
         RigFileError, RigError: rig file or hardware.
     """
+    from anisoscope.live_view.autofocus import Autofocus, depth_of_field_mm
+
     file = read_rig(Path(rig), channel=channel)
     if file.z is None:
         raise UsageError("nothing moves the focus there: the rig file has no table [z]")
