@@ -156,7 +156,10 @@ def distinct(problem: Problem, found: list[Minimum]) -> list[Minimum]:
 
 
 def minimise(problem: Problem, start: Values, weight: FloatArray, *, fine: bool = True) -> Minimum:
-    """Local minimum from one start, and its weighted sum of squares."""
+    """Local minimum from one start, and its weighted sum of squares.
+
+    A coarse search takes the derivatives of light that reflects more than once from its start.
+    """
     from scipy.optimize import least_squares  # noqa: PLC0415 - half a second that --help should not pay
 
     low, high = (np.array(ends) for ends in zip(*(PARAMETERS[n].bounds for n in problem.free), strict=True))
@@ -168,8 +171,21 @@ def minimise(problem: Problem, start: Values, weight: FloatArray, *, fine: bool 
         def residual(x: FloatArray, base: Values = base, interface: float = interface) -> FloatArray:
             return np.asarray(weight @ problem.predicted(_with(problem, base, x), interface) - weighted)
 
-        def slope(x: FloatArray, base: Values = base, interface: float = interface) -> FloatArray:
-            return np.asarray(weight @ derivatives(problem, _with(problem, base, x), interface))
+        kept: list[FloatArray] = []
+
+        def slope(
+            x: FloatArray,
+            base: Values = base,
+            interface: float = interface,
+            kept: list[FloatArray] = kept,
+        ) -> FloatArray:
+            place = _with(problem, base, x)
+            if fine or not problem.scene.follows:
+                return np.asarray(weight @ derivatives(problem, place, interface))
+            direct = derivatives(replace(problem, scene=replace(problem.scene, bounces=1)), place, interface)
+            if not kept:
+                kept.append(derivatives(problem, place, interface) - direct)
+            return np.asarray(weight @ (direct + kept[0]))
 
         inside = 1e-9 * (high - low)
         x = np.clip([PARAMETERS[n].internal(values[n]) for n in problem.free], low + inside, high - inside)

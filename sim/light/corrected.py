@@ -5,6 +5,8 @@ sharp groove: L = L_direct(true profile) + [L_all − L_direct](groove with face
 two are added, because the groove's share of indirect light is not that of a profile with another crest.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
@@ -59,8 +61,11 @@ def radiance(
 
 
 def outline_for(design: RidgeDesign, material: Material) -> Outline:
-    """The outline of ridges, a rounded crest in chords that are fine enough for the lobe of the plastic."""
-    return ridge_outline(design, max(material.narrowest_alpha / CHORDS_PER_ALPHA, NARROWEST_CHORD))
+    """The outline of ridges, arcs in chords that are fine enough for the lobe of the plastic."""
+    return _outline(design, max(material.narrowest_alpha / CHORDS_PER_ALPHA, NARROWEST_CHORD))
+
+
+_outline = lru_cache(maxsize=8)(ridge_outline)  # fits ask for one design again and again
 
 
 def indirect_radiance(
