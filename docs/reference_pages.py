@@ -75,7 +75,11 @@ def api_page() -> str:
             groups["Errors"].append(f".. autoexception:: anisoscope.api.{name}")
         else:
             groups["Types"].append(f".. autoclass:: anisoscope.api.{name}\n   :members:")
-    lines = ["# Python API", "", "[Examples of all names](../api.md). Lengths are in µm, angles in degrees."]
+    lines = [
+        "# Python API",
+        "",
+        "[Examples of all names](python-examples.md). Lengths are in µm, angles in degrees.",
+    ]
     for title, names in groups.items():
         lines += ["", f"## {title}", ""]
         lines += [f"```{{eval-rst}}\n{name}\n```\n" for name in names]
@@ -159,6 +163,7 @@ def write_reference(folder: Path) -> None:
     pages |= {
         "command-line.md": commands_index(commands),
         "python.md": api_page(),
+        "python-examples.md": (ROOT / "docs" / "examples" / "api.md").read_text(encoding="utf-8"),
         "messages.md": messages_page(),
     }
     for place in ("commands", "notebooks"):

@@ -3,7 +3,7 @@
 These names are what scripts and notebooks may rely on; defaults are those of the command line, lengths are in µm and
 angles in degrees. **Everything else in this distribution is internal** and may change without notice, but for what a
 device driver needs of `anisoscope.rig` (docs/own-driver.md) and a kind of part of `anisoscope.kinds.plugin`
-(docs/own-kind.md). Every name has an example in docs/api.md.
+(docs/own-kind.md). Every name has an example in docs/examples/api.md.
 
 The module behind a name is imported when the name is first used.
 """

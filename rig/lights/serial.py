@@ -3,7 +3,7 @@
 The controller switches itself off when it hears nothing; while the light is on, a thread keeps talking to it. What
 was switched is read back, and measured where the board has a sensor.
 
-Driver and board exchange lines of ASCII (docs/protocols.md).
+Driver and board exchange lines of ASCII (docs/interfaces.md).
 """
 
 import contextlib

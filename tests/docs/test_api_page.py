@@ -17,7 +17,7 @@ from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "api.md"
+PAGE = ROOT / "docs" / "examples" / "api.md"
 ARCHIVE = ROOT / "tests" / "data" / "inspections" / "ridges.tar.xz"
 RECIPE = """schema = 1
 product = "ridged test plate"

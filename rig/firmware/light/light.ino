@@ -1,4 +1,4 @@
-// A dimmable light for anisoscope: lines of ASCII at 115200 baud, described byte by byte in docs/protocols.md.
+// A dimmable light for anisoscope: lines of ASCII at 115200 baud, described byte by byte in docs/interfaces.md.
 //
 // Any Arduino with PWM. LAMP drives the gate of a logic-level MOSFET or the dimming input of an LED driver;
 // SENSE (optional) reads a photodiode or the voltage over a shunt, low-pass filtered, 0 ... full scale at 100 %.

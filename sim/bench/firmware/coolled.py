@@ -1,4 +1,4 @@
-"""Firmware of LED controllers of CoolLED (pE-300 series, pE-4000), line by line (docs/protocols.md)."""
+"""Firmware of LED controllers of CoolLED (pE-300 series, pE-4000), line by line (docs/interfaces.md)."""
 
 import re
 import time

@@ -1,4 +1,4 @@
-"""Firmware of the filter wheels FW102C and FW212C of Thorlabs, command by command (docs/protocols.md)."""
+"""Firmware of the filter wheels FW102C and FW212C of Thorlabs, command by command (docs/interfaces.md)."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence

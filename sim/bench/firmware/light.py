@@ -1,4 +1,4 @@
-"""Firmware of the light controller of ``rig/firmware/light``, line by line (docs/protocols.md).
+"""Firmware of the light controller of ``rig/firmware/light``, line by line (docs/interfaces.md).
 
 It is off at power-up and when a host opens the line, and switches itself off when the host has said nothing for the
 time of its watchdog.

@@ -453,7 +453,7 @@ def test_the_docs_say_where_faults_are_thrown():
         for loop, callbacks in LOOPS.items()
     ]
     table = "\n".join(["| service | faults thrown in |", "|---|---|", *rows, ""])
-    page = Path(__file__).resolve().parents[3] / "docs" / "line.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "evidence" / "line.md"
     text = page.read_text(encoding="utf-8")
     before, _, rest = text.partition(MARKS[0])
     _, _, after = rest.partition(MARKS[1])

@@ -1,4 +1,4 @@
-"""Forgeries that were thought of, each tried: what notices it. The table in docs/signatures.md is written by this test.
+"""Forgeries that were thought of, each tried: what notices it. A test writes the table in docs/evidence/forgeries.md.
 
 The records are small ones, written, signed, entered and archived by what the program does that with.
 """
@@ -789,7 +789,7 @@ def test_the_table_of_the_docs_is_this_one():
     lines += [f"| {what} | {' | '.join(found)} | {words} |" for what, _, _, found, words in FORGERIES]
     lines += [f"| {what} | – | – | – | out of reach: {words} |" for what, words in BEYOND]
     table = "\n".join(lines) + "\n"
-    page = DOCS / "signatures.md"
+    page = DOCS / "evidence" / "forgeries.md"
     text = page.read_text(encoding="utf-8")
     before, _, rest = text.partition(BEGUN)
     _, _, after = rest.partition(ENDED)

@@ -1,4 +1,6 @@
-"""docs/rig-faults.md is what inspections say to faults of the rig; ANISOSCOPE_WRITE_DOCS=1 with -m soak writes it.
+"""The first table of docs/faults.md is what inspections say to faults of the rig.
+
+ANISOSCOPE_WRITE_DOCS=1 with -m soak writes it.
 
 Every fault meets a good and a defective part, on the virtual rig that breaks as its bench file says, or in frames of a
 sound inspection that are broken afterwards (``broken_frames``).
@@ -21,7 +23,7 @@ SPEC = importlib.util.spec_from_file_location("broken_frames", Path(__file__).wi
 BROKEN = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(BROKEN)
 
-PAGE = Path(__file__).parents[3] / "docs" / "rig-faults.md"
+PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 PARTS = {"good": 10.0, "defective": 8.0}
 RECIPE = {
     "acquisition": {"frames_per_pose": 4, "dark_frames": 4},
@@ -83,21 +85,11 @@ SEATED = {"part seated turned by 180°", "part mirrored", "part turned by 180° 
 OPEN: set[tuple[str, str]] = set()
 """Faults that still turn a verdict round."""
 
-HEAD = """# What an inspection says to a fault of the rig
-
-This table is written by the test that checks it (`tests/inspect/inspection/test_rig_faults.py`). A good part (10°) and
-a defective one (8°, FAIL on a sound rig) of one recipe are inspected while the rig is broken: *live* by `[faults]` of
-the [virtual rig](virtual-rig.md#faults-of-the-rig), or in *frames* of a sound inspection that are broken afterwards.
-The rig knows the [reference of its fixture](registration.md#the-rig-is-watched).
-A fault of the rig must never pass a defective part, nor fail a good one. The last column is the reason of an INVALID
-defective part, else its finding and action, of most before the diagnosis. **Bold** verdicts are still turned round.
-A defective part that lies turned as well stays FAIL, and goes to a reviewer instead of an order to the mould. A slip by
-exactly 180° looks alike to the gate of directions; it shows in the first pose, which is photographed again at the end.
-[What a driver does when its stage fails](faults.md).
-
-| fault | by | good part | defective part | what it says |
-|---|---|---|---|---|
-"""
+MARKS = (
+    "<!-- inspections: written by tests/inspect/inspection/test_rig_faults.py -->\n",
+    "<!-- end of inspections -->",
+)
+HEAD = "| fault | by | good part | defective part | what it says |\n|---|---|---|---|---|\n"
 
 
 @dataclass(frozen=True)
@@ -232,12 +224,16 @@ def test_a_sound_rig_is_never_at_fault(laid_out, undiagnosed):
     assert verdicts.count("FAIL") == 0
 
 
+def parts_of_page():
+    """The page before its first table, the table, and the rest."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(MARKS[0])
+    found, _, after = rest.partition(MARKS[1])
+    return before + MARKS[0], found, MARKS[1] + after
+
+
 def test_the_page_has_a_row_per_fault():
-    rows = [
-        line.split(" | ")[:2]
-        for line in PAGE.read_text(encoding="utf-8").splitlines()
-        if line.startswith("| ")
-    ]
+    _, found, _ = parts_of_page()
+    rows = [line.split(" | ")[:2] for line in found.splitlines() if line.startswith("| ")]
     assert [(by, fault.removeprefix("| ")) for fault, by in rows[1:]] == all_faults()
 
 
@@ -245,8 +241,9 @@ def test_the_page_has_a_row_per_fault():
 def test_the_page_of_rig_faults_is_true(outcome):
     table = [(by, fault, *(outcome(by, fault, part) for part in PARTS)) for by, fault in all_faults()]
     text = HEAD + "\n".join(row(*line) for line in table) + "\n"
+    before, found, after = parts_of_page()
     if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
-        PAGE.write_text(text, encoding="utf-8")
-    if not PAGE.exists() or PAGE.read_text(encoding="utf-8") != text:
+        PAGE.write_text(before + text + after, encoding="utf-8")
+    elif found != text:
         pytest.fail(f"{PAGE.name} is out of date: run this test with -m soak and ANISOSCOPE_WRITE_DOCS=1")
     assert {line[:2] for line in table if wrong(*line[2:])} == OPEN

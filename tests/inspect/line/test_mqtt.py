@@ -418,7 +418,7 @@ def test_the_assertions_of_sparkplug_that_can_be_seen_hold_one_by_one(session):
     assert {name: check(messages) for name, check in SEEN.items()} == dict.fromkeys(SEEN, True)
     assert said == [f"connected to {said[0].split()[-1]}"]
     lines = "\n".join(f"| `{name}` | holds |" for name in sorted(SEEN))
-    page = ROOT / "docs" / "sparkplug.md"
+    page = ROOT / "docs" / "evidence" / "line.md"
     head = "<!-- assertions: written by the tests -->\n| assertion | |\n|---|---|\n"
     table = f"{head}{lines}\n<!-- end of assertions -->"
     written = page.read_text(encoding="utf-8")

@@ -1,6 +1,7 @@
 """The server of OPC 40100-1 against its NodeSet and asyncua's client: states, arguments, results, refusals, faults.
 
-docs/line-states.md is what `test_every_transition_under_every_fault` (soak) finds, and ANISOSCOPE_WRITE_DOCS=1 writes.
+The states in docs/interfaces.md are what `test_every_transition_under_every_fault` (soak) finds, and writes with
+ANISOSCOPE_WRITE_DOCS=1.
 """
 
 import asyncio
@@ -38,7 +39,7 @@ Controller, Loop, content = (
 )
 RESULT_READY, READY, JOB_STARTED, STATE_CHANGED = 1024, 1023, 1013, 1018
 ERROR_EVENT, RECIPE_PREPARED, INFORMATION = 1019, 1022, 1038
-PAGE = Path(__file__).parents[3] / "docs" / "line-states.md"
+PAGE = Path(__file__).parents[3] / "docs" / "interfaces.md"
 UA = {"ua": "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"}
 OUTER = dict.fromkeys(opcua.OPERATIONAL, "Operational")
 NOTHING = ua.Variant(0, ua.VariantType.Int32)
@@ -541,21 +542,18 @@ def test_every_transition_under_every_fault(tried):
     for state, method, cells in rows:
         if method not in {"StartSingleJob", "Abort", "Stop", "StartContinuous"}:
             assert {cell.split(";")[0] for cell in cells} == {STEPS[state, method].to}
-    text = page(rows)
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(MARKS[0])
+    text = before + MARKS[0] + table(rows) + MARKS[1] + rest.partition(MARKS[1])[2]
     if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
-        PAGE.write_text(text)
-    assert PAGE.read_text() == text
+        PAGE.write_text(text, encoding="utf-8")
+    assert PAGE.read_text(encoding="utf-8") == text
 
 
-def page(rows):
+MARKS = "<!-- states: written by tests/inspect/line/test_opcua.py -->\n", "<!-- end of states -->"
+
+
+def table(rows):
     lines = [
-        "# States of the line, and faults",
-        "",
-        "Written by `tests/inspect/line/test_opcua.py`: every method in every state in which the specification has it,",
-        "called by asyncua's client while nothing is wrong, and while a device of the rig is. A cell is the state at",
-        "the end, with the output argument *Error* where it is not 0. Every other pair of state and method is answered",
-        "`BadInvalidState`, and the state stays. But for StartSingleJob nothing moves, and no folder appears.",
-        "",
         "| state | method | no fault | " + " | ".join(FAULTS) + " |",
         "|---|---|---|" + "---|" * len(FAULTS),
         *(f"| {state} | {method} | {' | '.join(cells)} |" for state, method, cells in rows),

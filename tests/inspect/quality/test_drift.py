@@ -108,7 +108,7 @@ def wandering(share, count, length, rng):
 @pytest.mark.statistics
 @pytest.mark.parametrize(("share", "low", "high"), [(0.05, 0.0, 0.03), (0.1, 0.03, 0.12), (0.2, 0.25, 0.42)])
 def test_series_that_wander_by_themselves_raise_alarms(share, low, high):
-    """The limit of the test: 1, 7, 33 % of series of 1,000 parts (docs/statistics.md)."""
+    """The limit of the test: 1, 7, 33 % of series of 1,000 parts (docs/evidence/statistics.md)."""
     ranks = ranks_of(wandering(share, 400, 1000, np.random.default_rng(13)))
     rate = float((log_evidence(ranks).max(axis=1) >= LIMIT).mean())
     assert low <= rate <= high, rate

@@ -126,7 +126,7 @@ RESULTS = {
     "alpha": ("alpha_along", "alpha_across"),
 }
 MAPS = 20
-PAGE = Path(__file__).parents[3] / "docs" / "ridges.md"
+PAGE = Path(__file__).parents[3] / "docs" / "evidence" / "ridges.md"
 BEGIN, END = (
     "<!-- common effects: written by the soak test of this name -->\n",
     "<!-- end of common effects -->",

@@ -1,4 +1,6 @@
-"""docs/faults.md is what the conformance tests expect, fault by fault; ANISOSCOPE_WRITE_DOCS=1 with -m soak writes it.
+"""The tables of devices in docs/faults.md are what the conformance tests expect, fault by fault.
+
+ANISOSCOPE_WRITE_DOCS=1 with -m soak writes them.
 
 Its times are those of the simulated device's clock, with the driver's usual options and the device's usual speed.
 """
@@ -38,7 +40,8 @@ BEYOND = {("grbl", "slow:100000", "home"), ("apt", "stall", "home")}
 # Until the stage stops moving nothing is wrong.
 AT_REST = {"stall", "overshoot", "lost-homing", "lost-reply"}
 ACTION = re.compile(r"; (calibrate|check|correct|find|home|let|look|lower|remove|send|unpark|wait)\b")
-HEAD = """# What a driver does when its stage fails
+MARK = "<!-- devices: written by tests/rig/stages -->\n"
+HEAD = """## What a driver does when its stage fails
 
 This table is written by the tests that check it (`tests/rig/stages`), on every kind of line: in process, pseudo
 terminal, TCP. Where a class of error stands, the driver raises it, tells the stage to stop, and closes the port; no
@@ -55,7 +58,7 @@ message ends with what to do, and every frame taken before is on disk.
 
 The table has {devices} faults of devices, {lines} of [lines](#the-line) and {cameras} of [cameras](#the-camera).
 """
-WIRE = """## The line
+WIRE = """### The line
 
 What lines do rather than devices, each with a fake in `tests/rig/stages/test_wire.py`, `tests/rig/test_stage.py`.
 A device that says nothing is waited for twice as long again, once, to tell a slow one from a silent one. A motion that
@@ -72,7 +75,7 @@ takes more than 8 s says every 8 s what is waited for, and how long it may take.
 | readings a turn off: 359.997° at zero, 0 for 360 | all that turn | goes on |
 """
 CAMERA = """
-## The camera
+### The camera
 
 What cameras and their lines do, each with a fake in the test that the last column names (`tests/rig`).
 
@@ -273,7 +276,7 @@ def table_of(cases, outcomes, undisturbed):
     lines = [HEAD.format(durations=durations, limit=LIMIT_S, **own)]
     head = ["| stage | fault | message has | home | move | inspect |", "|---|---|---|---|---|---|"]
     for kind in FaultKind:
-        lines += [f"## {kind}", "", sentences[kind], "", *head]
+        lines += [f"### {kind}", "", sentences[kind], "", *head]
         for case in cases.values():
             rows = [fault for fault in case.faults if fault.partition(":")[0] == str(kind)]
             lines += [row(case, fault, outcomes) for fault in rows]
@@ -334,7 +337,8 @@ def test_the_page_of_faults_is_true_and_errors_come_in_time(all_cases, monkeypat
     }
     outcomes = disturbed([(case, fault) for case in all_cases.values() for fault in case.faults], monkeypatch)
     text = table_of(all_cases, outcomes, undisturbed)
+    before, _, found = PAGE.read_text(encoding="utf-8").partition(MARK)
     if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
-        PAGE.write_text(text, encoding="utf-8")
-    if not PAGE.exists() or PAGE.read_text(encoding="utf-8") != text:
+        PAGE.write_text(before + MARK + text, encoding="utf-8")
+    elif found != text:
         pytest.fail(f"{PAGE.name} is out of date: run this test with -m soak and ANISOSCOPE_WRITE_DOCS=1")

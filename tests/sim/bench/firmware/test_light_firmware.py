@@ -1,4 +1,4 @@
-"""Lines of the light controller as in docs/protocols.md; the sketch, built for this machine, gives the same answers."""
+"""Lines of the light controller as in docs/interfaces.md; the sketch, built for this machine, answers the same."""
 
 import shutil
 import subprocess
