@@ -19,7 +19,7 @@ from anisoscope.decision.exclusion import Exclusion, open_defects, open_sizes, w
 from anisoscope.decision.predictive import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.decision.surface_exclusion import excluded_of, lacking_text, parts_needed, remedy_text
-from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
+from anisoscope.imaging.defect_regions import find_regions
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.parameters.geometry import Pose
@@ -49,8 +49,7 @@ class Decision:
         contrasts: the contrasts of consecutive stage angles.
         d2: squared Mahalanobis distance of all deviations from the prediction; with golden parts T² from their mean.
         dof: number of independent contrasts.
-        p_value: probability of a larger distance for a part as predicted (or as the golden parts); where golden parts
-            limit the area too, both tests share one level (Holm 1979).
+        p_value: probability of a larger distance for a part as predicted (or as the golden parts).
         reference: good parts compared with, or the parts of the lot that are alike; None for none.
         conformance_probability: that all deviations truly lie within their tolerances, or None.
         area: the result for the contrast map, or None.
@@ -150,20 +149,11 @@ def decide(
         decisive = golden if p_value <= alone else None
         p_value = min(2.0 * min(p_value, alone), 1.0)
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
-    known = None if golden is None or of_lot else golden.known_shares(recipe)
-    cells = None if recipe.area is None else cell_map(measured, expected.poses, recipe.area)
-    area, deviating = judge_area(
-        measured,
-        expected.poses,
-        recipe.area,
-        rule.coverage,
-        known,
-        alpha=rule.alpha,
-        p_means=p_value,
-        cells=cells,
-    )
-    regions = _regions(cells, measured, recipe)
-    number = 0 if golden is None else len(golden.parts)
+    cells = None if recipe.area is None else cell_map(measured, recipe)
+    if cells is not None and golden is not None and not of_lot:
+        cells = cells.by(golden.cell_limits)
+    area, deviating = judge_area(measured, cells, recipe.area, rule.coverage)
+    regions = () if cells is None else find_regions(cells, measured.grid)
     where = "; ".join(_where(pairs, rule.alpha)) or ", ".join(
         deviating_between_tilts(expected, measured, rule.alpha)
     )
@@ -173,7 +163,9 @@ def decide(
     if measured.mirroring is not None:
         verdict, own = Verdict.FAIL, reasons if verdict is Verdict.FAIL else ()
         reasons = (_of_mirroring(measured.mirroring), *own)
-    if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
+    if verdict is Verdict.PASS and (
+        blind := _blind(predictive, recipe, 0 if golden is None else len(golden.parts))
+    ):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
     exclusions: tuple[Exclusion, ...] = ()
     common = exclusions
@@ -259,12 +251,6 @@ def _blind(predictive: PredictiveTest | None, recipe: SurfaceRecipe, golden: int
         f"{worst.defect} would be found in {worst.power:.0%} of parts only, {power:.0%} are required (defects.power): "
         f"{counted(golden, 'golden part')} and these poses find {worst.detectable:.1f} times that size in 9 of 10 parts"
     )
-
-
-def _regions(cells: CellMap | None, measured: Measured, recipe: SurfaceRecipe) -> tuple[RegionRecord, ...]:
-    if cells is None or recipe.area is None:
-        return ()
-    return find_regions(deviation_map(cells), threshold_map(cells), measured.grid)
 
 
 def _budget(components: tuple[Component, ...], variances: list[FloatArray]) -> tuple[BudgetRecord, ...]:
@@ -353,15 +339,11 @@ def _combine(
     """
     findings = [(pair.verdict, _of_tolerance(pair, rule)) for pair in pairs if pair.tolerance is not None]
     if area is not None:
-        line = (
-            f"{_share(area, area.share)} of the area deviates in the contrast map (limit {_limit_of(area)})"
-        )
+        line = f"{area.share:.1%} of the area deviates in the contrast map (limit {area.max_share:.1%})"
         findings.append((area.verdict, line))
-    tests = [p_value] if area is None or area.p_value is None else [p_value, area.p_value]
-    significant = bool(holm(np.array(tests))[0] < rule.alpha)
+    significant = p_value < rule.alpha
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
-    level = f"level {rule.alpha:g}, shared with the area" if len(tests) > 1 else f"level {rule.alpha:g}"
-    line = f"all contrasts together: p {p_value_text(p_value)} for a part {alike} ({level})"
+    line = f"all contrasts together: p {p_value_text(p_value)} for a part {alike} (level {rule.alpha:g})"
     if significant and like is not None:
         line = f"{line}, a significant deviation like that of {like.defect} (score {like.score:.1f})"
     elif significant:
@@ -381,14 +363,6 @@ def _of_mirroring(cells: npt.NDArray[np.bool_]) -> str:
         f"{np.mean(cells):.1%} of the area is saturated where the same flanks elsewhere are not: it mirrors, as where "
         "a ridge is missing or flat"
     )
-
-
-def _share(area: AreaRecord, share: float) -> str:
-    return f"{share:.2%}" if area.learnt else f"{share:.1%}"
-
-
-def _limit_of(area: AreaRecord) -> str:
-    return _share(area, area.max_share) + (", learnt from golden parts" if area.learnt else "")
 
 
 def _of_tolerance(pair: ContrastRecord, rule: DecisionPart) -> str:

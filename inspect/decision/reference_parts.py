@@ -23,7 +23,7 @@ from anisoscope.base.significance import hotelling, log_basis
 from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT
 from anisoscope.decision.lot_reference import alike
-from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares
+from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
 from anisoscope.recipe.base import AcquisitionPart, RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import Record
@@ -67,8 +67,6 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         thing: what is inspected, in messages.
         tests: number of tests that share the level of the recipe, that of the area among them.
         shares_level: the other ones, in words.
-        judges_area: whether recipes limit the deviating area.
-        area_parts: number of parts from which its limit is learnt; below `MIN_PARTS` where it is the narrower one.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -85,8 +83,6 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
     thing: ClassVar[str] = "part"
     tests: ClassVar[int] = 2
     shares_level: ClassVar[str] = "contrasts"
-    judges_area: ClassVar[bool] = False
-    area_parts: ClassVar[int] = MIN_PARTS
 
     # ---- what a kind supplies ---------------------------------------------------------------------------------
 
@@ -336,11 +332,9 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         if rule is None or limit_is_given(rule):
             return None
         shares, cells = self.area_shares(rule), [count for _, count in self._areas(rule) if count]
-        if not cells or len(shares) < self.area_parts:
+        if not cells or len(shares) < MIN_PARTS:
             return None
-        known = KnownShares(shares, cells[-1])
-        few = len(shares) < MIN_PARTS
-        return None if few and known.limit(recipe.decision.alpha / self.tests) >= rule.max_share else known
+        return KnownShares(shares, cells[-1])
 
     def area_limit(self, recipe: RecipeT) -> float | None:
         """Limit of the area learnt from these parts, for a part that is consistent in all else."""
@@ -362,13 +356,8 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
             return f"limit of the area: {rule.max_share:.2%}, as the recipe says in area.max_share"
         return (
             f"limit of the area: {rule.max_share:.2%}; from {MIN_PARTS} {self.noun}s judged {self.judged_text(rule)} "
-            f"on it is learnt from them{self._few_text()}, now there are {count}"
+            f"on it is learnt from them, now there are {count}"
         )
-
-    def _few_text(self) -> str:
-        if self.area_parts == MIN_PARTS:
-            return ""
-        return f" (from {self.area_parts} on where theirs is narrower)"
 
     def area_content(self, recipe: RecipeT) -> dict[str, Any]:
         """JSON keys about the limit of the area: the limit that applies, or None, and its origin."""
@@ -385,23 +374,25 @@ Absent = Annotated[None, Field(exclude_if=lambda value: value is None)]
 class GoldenPart(ReferenceRow):
     """One golden part: identity, time of inspection, and (P,) ln radiances.
 
-    ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
-    do not record the threshold. ``unlabelled`` marks parts of a lot of unknown quality.
+    ``area_share`` is the share of the ``cells`` whose score exceeded ``limit``; sets of earlier versions have no limit,
+    but the ln ratio of their cells, ``cell_deviation``. ``unlabelled`` marks parts of a lot of unknown quality.
     """
 
     log_radiance: tuple[float, ...]
     lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
     unlabelled: Annotated[bool, Field(exclude_if=lambda value: not value)] = False
     area_share: float | None
-    cell_deviation: float | Literal["auto"] | None = None
+    cell_deviation: Annotated[
+        float | Literal["auto"] | None, Field(exclude_if=lambda value: value is None)
+    ] = None
+    limit: Annotated[float | None, Field(exclude_if=lambda value: value is None)] = None
     cells: int | None = None
     verdict: str
 
     def deviating_area(self, rule: Any) -> tuple[float, int | None] | None:  # noqa: ANN401 - of the kind
-        """Share and number of cells, if the part was inspected with this threshold."""
-        if self.area_share is None or self.cell_deviation != rule.cell_deviation:
-            return None
-        return self.area_share, self.cells
+        """Share and number of cells, if they were judged by their scores."""
+        del rule
+        return None if self.area_share is None or self.limit is None else (self.area_share, self.cells)
 
 
 class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
@@ -481,9 +472,12 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
     lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
     refused: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
 
-    judges_area: ClassVar[bool] = True
-    area_parts: ClassVar[int] = LEAST_PARTS
     predictive: ClassVar[bool] = True
+
+    @property
+    def cell_limits(self) -> tuple[float, ...]:
+        """Limits of the scores of the cells, of every part that has one."""
+        return tuple(part.limit for part in self.parts if part.limit is not None)
 
     @property
     def needed(self) -> int:
@@ -565,7 +559,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
     ) -> tuple[Record, SurfaceRecipe]:
         """The poses of the recipe, where the part was inspected in more of them, without its deviating area.
 
-        The area counts cells that deviate in any pair of poses, of which this recipe has fewer.
+        The area counts cells that deviate in all poses together, of which this recipe has fewer.
         """
         seen = {(pose.stage_deg, pose.tilt_deg): pose for pose in record.poses}
         wanted = [(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses()]
@@ -591,21 +585,11 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
 
     @classmethod
     def area_of(cls, record: Record, recipe: SurfaceRecipe) -> dict[str, Any]:
-        """Share, cells and threshold."""
-        rule, area = recipe.area, surface_of(record).area
-        return {
-            "area_share": None if rule is None or area is None else area.share,
-            "cell_deviation": None if rule is None or area is None else rule.cell_deviation,
-            "cells": None if rule is None or area is None else area.cells,
-        }
-
-    def area_rule(self, recipe: SurfaceRecipe) -> Any:  # noqa: ANN401 - of the kind
-        """The recipe's table [area]."""
-        return recipe.area
-
-    def judged_text(self, rule: Any) -> str:  # noqa: ANN401 - of the kind
-        """With the threshold of the rule."""
-        return f"at cell_deviation {rule.cell_deviation}"
+        """Share, cells and limit of their scores."""
+        area = None if recipe.area is None else surface_of(record).area
+        if area is None or area.limit is None:
+            return {"area_share": None}
+        return {"area_share": area.share, "limit": area.limit, "cells": area.cells}
 
 
 def counted(count: int, what: str) -> str:

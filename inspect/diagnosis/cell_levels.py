@@ -1,7 +1,7 @@
 """Levels of the cells of a predicted contrast map: the share that deviates follows for the thresholds of any part.
 
-With ``area.cell_deviation = "auto"`` the thresholds are those of the part, and its good cells scatter more than those
-of a smooth predicted surface. Signatures therefore state by how much their cells deviate, in levels.
+Thresholds are those of the part, and its good cells scatter more than those of a smooth predicted surface. Signatures
+therefore state by how much their cells deviate, in levels.
 
 A camera smears a picture: its lens, its pixels, and what resamples them put some of the light of a cell into its
 neighbours, and a grain that is much smaller than a cell is hidden by it. Levels are stated for several smears.
@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.defect_regions import MarkForm, form_of
-from anisoscope.imaging.deviation_map import cell_deviations
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 
 STEP = 0.025
@@ -31,6 +30,68 @@ USUAL_SMEAR = 0.08
 """In pitches: that of a camera of 8 pixels a pitch."""
 U_SMEAR = 0.2
 """Relative standard uncertainty of the smear: the lens is not measured."""
+
+NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
+MIN_NEIGHBOURS = 3
+SCATTERS = 5.0  # robust standard deviations by which a cell may be off its flank
+LEAST_DEVIATION = 0.05  # what registration and the edges of cells leave
+
+
+def cell_thresholds(ratios: FloatArray) -> FloatArray:
+    """(pairs,) ln ratios that the texture of a predicted surface sets: `SCATTERS` times its scatter about the flanks.
+
+    Args:
+        ratios: (pairs, cell rows, cell cols) ln ratios.
+    """
+    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).reshape(len(ratios), -1)
+    scatter = 1.4826 * np.median(off, axis=1)  # of normal values: their standard deviation
+    return np.asarray(np.maximum(SCATTERS * scatter, LEAST_DEVIATION))
+
+
+def cell_deviations(ratios: FloatArray, thresholds: FloatArray | float) -> FloatArray:
+    """Deviation of every cell from the value expected at its place.
+
+    Each line of cells (a column) runs along one flank of one ridge, so its median is the value of that flank, and
+    marks stand out against it. A whole line that differs by more than its threshold from the same flank of the
+    neighbouring ridges belongs to a missing or deformed ridge: all of it deviates. Smaller differences between lines
+    come from where the raster cuts the flanks, and are ignored.
+
+    Args:
+        ratios: (pairs, cell rows, cell cols) ln ratios, `CELLS_PER_PITCH` columns a pitch.
+        thresholds: (pairs,), or one of all.
+
+    Returns:
+        The same shape.
+    """
+    lines = np.median(ratios, axis=1)
+    off_lines = lines - _same_flank(lines)
+    whole = np.where(np.abs(off_lines) > np.reshape(thresholds, (-1, 1)), off_lines, 0.0)
+    return np.asarray(ratios - lines[:, None, :] + whole[:, None, :])
+
+
+def _same_flank(lines: FloatArray) -> FloatArray:
+    """(pairs, cols) median of the same flank on the neighbouring ridges; the line itself where these are too few."""
+    pairs, cols = lines.shape
+    steps = CELLS_PER_PITCH * np.array([j for j in range(-NEIGHBOURS, NEIGHBOURS + 1) if j])
+    at = np.arange(cols)[:, None] + steps
+    inside = (at >= 0) & (at < cols)
+    neighbours = np.where(inside, lines[:, np.clip(at, 0, cols - 1)], np.nan)
+    countable = inside.sum(axis=1) >= MIN_NEIGHBOURS
+    found = lines.copy()
+    if countable.any():
+        found[:, countable] = _median_of_known(neighbours[:, countable])
+    assert found.shape == (pairs, cols)
+    return found
+
+
+def _median_of_known(values: FloatArray) -> FloatArray:
+    """Median along the last axis without NaN; three times faster than nanmedian where that axis is short."""
+    rising = np.sort(values, axis=-1)  # NaN last
+    count = np.count_nonzero(~np.isnan(values), axis=-1)[..., None]
+    low, high = (
+        np.take_along_axis(rising, np.maximum(place, 0), axis=-1) for place in ((count - 1) // 2, count // 2)
+    )
+    return np.asarray(0.5 * (low + high)[..., 0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,7 +101,7 @@ def signature_key(
         else hashlib.sha256(bounded_bytes(surface, MOST_PICTURE_BYTES)).hexdigest(),
         "material": vars(recipe.material.material()),
         "poses": recipe.poses.model_dump(mode="json"),
-        "cells": None if recipe.area is None else recipe.area.cell_deviation,
+        "cells": recipe.area is not None,
         "light_angle_deg": light_angle_deg,
         "causes": [(one.name, one.extents, one.doubt) for one in causes.causes(recipe)],
         "tails": TAILS,

@@ -22,10 +22,16 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import TAIL, Cause, all_causes, tail_cause
-from anisoscope.diagnosis.cell_levels import U_SMEAR, USUAL_SMEAR, SmearedLevels, contrasts
+from anisoscope.diagnosis.cell_levels import (
+    U_SMEAR,
+    USUAL_SMEAR,
+    SmearedLevels,
+    cell_deviations,
+    cell_thresholds,
+    contrasts,
+)
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.defect_regions import MarkForm, form_of
-from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_thresholds
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
@@ -81,12 +87,11 @@ class Signature:
         change: (S, P) ln L − ln L of the good part.
         share: (S,) share of the cells of the contrast map that deviate, beyond those of the good part.
         tangents: response to the inputs of the prediction along the cause; None: as on the good part.
-        levels: of the cells of the contrast map at every extent; None where the recipe states its threshold, or where
-            no map was predicted.
+        levels: of the cells of the contrast map at every extent; None where no map was predicted.
         forms: (S, 3) `MarkForm.in_line`, ``along`` and ``aligned`` of the deviating cells; NaN where none deviates,
             None without a map.
         u_share: (S,) standard uncertainty of the share, by the number of marks and the smear of the picture; None
-            where the recipe states its threshold.
+            before thresholds are known.
     """
 
     cause: Cause
@@ -183,7 +188,7 @@ class Signatures:
         left_out: causes impossible on this surface, with the reason.
         tail: signature of a lobe with another tail, which is no cause but a sign of another plastic; None if not
             computed.
-        levels: of the cells of the good part; None where the recipe states its threshold.
+        levels: of the cells of the good part; None where no map was predicted.
         thresholds: (pairs,) that the cells of a height map set by their own texture, without noise; None where the
             recipe states its threshold, and for a design, which has no texture.
     """
@@ -200,7 +205,7 @@ class Signatures:
     def by_thresholds(
         self, thresholds: Sequence[float] | None, smear: float = USUAL_SMEAR, cells: int | None = None
     ) -> "Signatures":
-        """The same with the shares that the thresholds of a part give, unless the recipe states a threshold.
+        """The same with the shares that the thresholds of a part give.
 
         Args:
             thresholds: (pairs,) of the part.
@@ -360,7 +365,7 @@ class _Scene:
         self.pitch_um = recipe.surface.pitch_um
         self.state = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
         self.azimuth_deg = recipe.poses.facet_azimuth_deg
-        self.cell_deviation = None if recipe.area is None else recipe.area.cell_deviation
+        self.judges_area = recipe.area is not None
         self.design = None if recipe.surface.design is None else recipe.surface.ridge_design()
         self.turning = part_uncertainty(recipe).ridge_angle_deg > 0.0
         self.relief = (
@@ -497,7 +502,7 @@ class _Scene:
         """The surface in all poses, with its contrast map where the recipe has a limit of the area."""
         relief = self._relief_of(surface)
         convention = Convention(state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
-        if not with_map or self.cell_deviation is None:
+        if not with_map or not self.judges_area:
             model = fixed(self._with_reflections(relief_model(relief), groove))
             found = evaluate(model, [state], self.poses, convention)[0]
             return _Look(found if self._constant is None else found + self._constant)
@@ -508,7 +513,7 @@ class _Scene:
             assert self._stand_in is not None
             indirect = self._stand_in.of(groove)(to_light, to_camera, self._lobe(state.material))
         side, material = self.pitch_um / CELLS_PER_PITCH, self._lobe(state.material)
-        fine = self._per_cell if self.cell_deviation == "auto" else 1
+        fine = self._per_cell
         means, cells = radiance_of_cells(relief, to_light, to_camera, material, side / fine)
         return _Look(means + indirect, *self._deviating(cells + indirect[:, None, None], fine))
 
@@ -520,15 +525,13 @@ class _Scene:
 
     def _deviating(
         self, cells: FloatArray, per_cell: int
-    ) -> tuple[float, SmearedLevels | None, tuple[float, ...], MarkForm | None]:
-        """Share of deviating cells, levels where the thresholds are those of every part, thresholds, and form."""
-        assert self.cell_deviation is not None
+    ) -> tuple[float, SmearedLevels, tuple[float, ...], MarkForm | None]:
+        """Share of deviating cells, their levels, the thresholds that the surface itself sets, and form."""
         pairs = consecutive_pairs(self.poses)
         ratios = contrasts(cells, per_cell, pairs)
-        thresholds = cell_thresholds(ratios, self.cell_deviation)
-        found = CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
-        levels = SmearedLevels.of(cells, per_cell, pairs) if self.cell_deviation == "auto" else None
-        over = found.deviating()
+        thresholds = cell_thresholds(ratios)
+        over = np.any(np.abs(cell_deviations(ratios, thresholds)) > thresholds[:, None, None], axis=0)
+        levels = SmearedLevels.of(cells, per_cell, pairs)
         return float(np.mean(over)), levels, tuple(map(float, thresholds)), form_of(over)
 
 

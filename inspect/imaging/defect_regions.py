@@ -29,19 +29,9 @@ SPOT_CELLS = 6
 
 
 def deviation_map(cells: CellMap) -> FloatArray:
-    """(cell rows, cell cols) deviation of every cell in ln ratio, for the pair of angles where it is largest."""
-    return np.asarray(np.take_along_axis(cells.off, _most(cells)[None], axis=0)[0])
-
-
-def threshold_map(cells: CellMap) -> FloatArray:
-    """(cell rows, cell cols) thresholds of the pairs that `deviation_map` shows."""
-    return np.asarray(cells.thresholds[_most(cells)])
-
-
-def _most(cells: CellMap) -> npt.NDArray[np.intp]:
-    if np.all(cells.thresholds == cells.thresholds[0]):
-        return np.asarray(np.abs(cells.off).argmax(axis=0))
-    return np.asarray((np.abs(cells.off) / cells.thresholds[:, None, None]).argmax(axis=0))
+    """(cell rows, cell cols) deviation of every cell in ln ratio, for the pair of angles where it shows most."""
+    most = (np.abs(cells.off) / cells.thresholds[:, None, None]).argmax(axis=0)
+    return np.asarray(np.take_along_axis(cells.off, most[None], axis=0)[0])
 
 
 def chance_of_a_cell(deviation: FloatArray, threshold: float) -> float:
@@ -73,24 +63,21 @@ def chance_of_a_group(cells: int, among: int, chance: float) -> float:
     return float(-np.expm1(-np.exp(min(log_expected, 5.0))))
 
 
-def find_regions(
-    deviation: FloatArray, thresholds: FloatArray | float, grid: Grid, chance: float | None = None
-) -> tuple[RegionRecord, ...]:
+def find_regions(cells: CellMap, grid: Grid, chance: float | None = None) -> tuple[RegionRecord, ...]:
     """Groups of deviating cells, sorted by chance probability, then by size, largest first.
 
     Args:
-        deviation: (cell rows, cell cols), as from `deviation_map`; the first row lies farthest along the ridges.
-        thresholds: those of the cells, as from `threshold_map`, or one of all.
+        cells: how the cells deviate; the first row lies farthest along the ridges.
         grid: raster of the aligned pictures, for places.
         chance: probability that a cell of a good part deviates, where it is known from good parts.
     """
-    over = np.abs(deviation) > thresholds
+    over = cells.deviating()
     if not over.any():
         return ()
-    largest = float(np.max(thresholds))
-    alike = deviation * (largest / np.asarray(thresholds))
-    q = chance_of_a_cell(alike, largest) if chance is None else chance
+    middle = float(np.median(cells.score))
+    q = chance_of_a_cell(cells.score, cells.limit - middle) if chance is None else chance
     count, labels = cv2.connectedComponents(over.astype(np.uint8), connectivity=8)
+    deviation = deviation_map(cells)
     regions = [_region(labels == k, deviation, grid, q) for k in range(1, count)]
     return tuple(sorted(regions, key=lambda region: (region.p_value, -region.cells)))
 

@@ -1,135 +1,96 @@
-"""Deviation map: the cells of the contrast map that deviate from their flank, and the decision on their area."""
+"""Deviation map: where a part differs from its own ridges, in all poses together.
 
-from dataclasses import dataclass
-from typing import Literal
+Every point of the ridges is compared with the mean profile over their phase (`phase_map`), pose by pose, so that the
+pattern of the flanks, the lamp, and the level of the part are no deviation. The deviations of ln L of the P poses have
+a covariance for every part of the pitch, from most of the points themselves; D² in it has P degrees of freedom whatever
+the texture and the number of poses. A cell is judged by the mean of ln(1 + D²) of its points, against a limit from
+those of most cells of the part or of golden parts.
+"""
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
+
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import holm
-from anisoscope.imaging.area_limit import KnownShares
-from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
+from anisoscope.imaging.phase_map import phase_map
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Image, Measured
 from anisoscope.parameters.geometry import Pose
-from anisoscope.recipe.surface import AreaPart
+from anisoscope.recipe.surface import MOST_DEVIATION, AreaPart, SurfaceRecipe
 from anisoscope.record.schema import AreaRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
 
 MAX_CELL_NOISE = 0.25
+LEAST_POINTS = 3.0
+"""Points a pitch from which on the phase of the ridges is found; below, places are those of the raster."""
+BINS = 24
+"""Parts of a pitch, each with its own expected radiances and covariance."""
+FINE = 32
+"""Steps a bin between which an expected radiance is not interpolated."""
+BIN_POINTS = 20
+"""Points that a bin needs for every pose."""
+U_PLACE = 0.02
+"""Standard uncertainty of the place of a ridge in pitches, of which walls are brighter or darker as a whole."""
+CALM_UM = 3.0
+"""Standard deviation of the average over points."""
+MOST_LOG = 1.5
+"""Deviation of ln L as which a greater one counts: one grain does not decide its cell alone."""
+SCATTERS = 5.0
+"""By how many (median − 16 % quantile) of the cells a cell may be above their median."""
+LEAST_SPREAD = 0.02  # of the scores
+LEAST_SCATTER = 0.005
+"""Standard deviation of ln L that registration leaves at the least."""
+KEPT_CHANCE = 0.1
+"""Chance of the points of a good part that the covariance leaves out as marks."""
+LEAST_BLUR = 0.3
+"""Standard deviation in points below which an average is of one point."""
+_SAMPLE = 2000
+"""Points of a bin that determine its medians and covariance."""
+_ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """The contrast map of a part.
+    """How the cells of a part deviate.
 
     Attributes:
-        ratios: (pairs, cell rows, cell cols) ln ratios.
-        off: the same shape, the deviation of every cell from its flank.
-        thresholds: (pairs,) ln ratios beyond which a cell deviates.
+        score: (cell rows, cell cols) mean of ln(1 + D²).
+        limit: score beyond which a cell deviates, by the cells of the part.
+        off: (pairs, cell rows, cell cols) deviation of the ln ratio of a pair of poses.
+        thresholds: (pairs,) ln ratios of about which a cell deviates that deviates in one pair alone.
+        u_score: standard uncertainty of a score against its limit.
     """
 
-    ratios: FloatArray
+    score: FloatArray
+    limit: float
     off: FloatArray
     thresholds: FloatArray
+    u_score: float
 
     def deviating(self) -> npt.NDArray[np.bool_]:
-        """(cell rows, cell cols) True where a cell deviates in some pair."""
-        return np.asarray(np.any(np.abs(self.off) > self.thresholds[:, None, None], axis=0))
+        """(cell rows, cell cols) True where a cell deviates."""
+        return np.asarray(self.score > self.limit)
 
-    def u_share(self, noise: FloatArray) -> float:
-        """Standard uncertainty of the share of deviating cells, from noise and from their number.
+    def by(self, limits: Sequence[float]) -> "CellMap":
+        """The same with the limit of golden parts, the mean of theirs.
 
-        Noise puts a cell near its threshold on either side, every cell by itself: with the probability p that a cell
-        deviates the share varies by √(Σ p (1 − p))/N; half a cell is the resolution. That noise makes more cells
-        deviate than it hides is left in the share, as it is on golden parts.
-
-        Args:
-            noise: (pairs,) standard uncertainty of the ln ratio of a cell.
+        A part that is spoiled all over has a higher one of its own, so that it hides its marks.
         """
+        return replace(self, limit=min(self.limit, float(np.mean(limits)))) if limits else self
+
+    @property
+    def u_share(self) -> float:
+        """Standard uncertainty of the share of deviating cells, from that of the scores and from their number."""
         from scipy.special import ndtr  # noqa: PLC0415 - start-up time
 
-        beyond = np.abs(self.off) - self.thresholds[:, None, None]
-        scores = beyond / np.maximum(noise, 1e-12)[:, None, None]
-        chance = 1.0 - np.prod(ndtr(-scores), axis=0)
+        chance = ndtr((self.score - self.limit) / self.u_score)
         variance = np.sum(chance * (1.0 - chance)) / chance.size**2
         return float(np.sqrt(variance + (0.5 / chance.size) ** 2))
-
-
-NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
-MIN_NEIGHBOURS = 3
-SCATTERS = 5.0  # robust standard deviations by which a cell may be off its flank
-LEAST_DEVIATION = 0.05  # what registration and the edges of cells leave
-
-
-def cell_thresholds(
-    ratios: FloatArray, cell_deviation: float | Literal["auto"], noise: float = 0.0
-) -> FloatArray:
-    """(pairs,) ln ratios beyond which a cell deviates.
-
-    "auto" is five times what the cells of a pair scatter by about their flanks (from the median of the absolute
-    deviations), at least four times their noise and `LEAST_DEVIATION`. A mark stands out in the pair whose good cells
-    are most alike; where texture scatters them more than any fixed number, as in poses off the mirror direction, they
-    do not deviate.
-
-    Args:
-        ratios: (pairs, cell rows, cell cols) ln ratios.
-        cell_deviation: of the recipe.
-        noise: standard uncertainty of the ln ratio of a cell from noise.
-    """
-    if cell_deviation != "auto":
-        return np.full(len(ratios), cell_deviation)
-    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).reshape(len(ratios), -1)
-    scatter = 1.4826 * np.median(off, axis=1)  # of normal values: their standard deviation
-    least = max(LEAST_DEVIATION, noise / MAX_CELL_NOISE)
-    return np.asarray(np.maximum(SCATTERS * scatter, least))
-
-
-def cell_deviations(ratios: FloatArray, thresholds: FloatArray | float) -> FloatArray:
-    """Deviation of every cell from the value expected at its place.
-
-    Each line of cells (a column) runs along one flank of one ridge, so its median is the value of that flank, and
-    marks stand out against it. A whole line that differs by more than its threshold from the same flank of the
-    neighbouring ridges belongs to a missing or deformed ridge: all of it deviates. Smaller differences between lines
-    come from where the raster cuts the flanks, and are ignored.
-
-    Args:
-        ratios: (pairs, cell rows, cell cols) ln ratios, `CELLS_PER_PITCH` columns a pitch.
-        thresholds: (pairs,), or one of all.
-
-    Returns:
-        The same shape.
-    """
-    lines = np.median(ratios, axis=1)
-    off_lines = lines - _same_flank(lines)
-    whole = np.where(np.abs(off_lines) > np.reshape(thresholds, (-1, 1)), off_lines, 0.0)
-    return np.asarray(ratios - lines[:, None, :] + whole[:, None, :])
-
-
-def _same_flank(lines: FloatArray) -> FloatArray:
-    """(pairs, cols) median of the same flank on the neighbouring ridges; the line itself where these are too few."""
-    pairs, cols = lines.shape
-    steps = CELLS_PER_PITCH * np.array([j for j in range(-NEIGHBOURS, NEIGHBOURS + 1) if j])
-    at = np.arange(cols)[:, None] + steps
-    inside = (at >= 0) & (at < cols)
-    neighbours = np.where(inside, lines[:, np.clip(at, 0, cols - 1)], np.nan)
-    countable = inside.sum(axis=1) >= MIN_NEIGHBOURS
-    found = lines.copy()
-    if countable.any():
-        found[:, countable] = _median_of_known(neighbours[:, countable])
-    assert found.shape == (pairs, cols)
-    return found
-
-
-def _median_of_known(values: FloatArray) -> FloatArray:
-    """Median along the last axis without NaN; three times faster than nanmedian where that axis is short."""
-    rising = np.sort(values, axis=-1)  # NaN last
-    count = np.count_nonzero(~np.isnan(values), axis=-1)[..., None]
-    low, high = (
-        np.take_along_axis(rising, np.maximum(place, 0), axis=-1) for place in ((count - 1) // 2, count // 2)
-    )
-    return np.asarray(0.5 * (low + high)[..., 0])
 
 
 def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
@@ -138,88 +99,227 @@ def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
     return np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(poses)])
 
 
-def cell_map(measured: Measured, poses: tuple[Pose, ...], rule: AreaPart) -> CellMap:
-    """The contrast map of a part, with a recipe's threshold."""
-    ratios = cell_log_ratios(measured, poses)
-    thresholds = cell_thresholds(ratios, rule.cell_deviation, float(_noise(measured, poses).max()))
-    return CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
+_MADE: WeakKeyDictionary[Measured, CellMap] = WeakKeyDictionary()
 
 
-def _noise(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
-    """(pairs,) standard uncertainty of the ln ratio of a cell from noise."""
-    noise = measured.cell_noise
-    return np.array([np.hypot(noise[i], noise[j]) for i, j in consecutive_pairs(poses)])
+def remember(measured: Measured, found: CellMap) -> None:
+    """Use a stored map for a measurement without pictures."""
+    _MADE[measured] = found
+
+
+def cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
+    """How the cells of a part deviate from its own ridges; made once a measurement.
+
+    Args:
+        measured: the part; where its pictures are not kept, its cells stand for them.
+        recipe: pitch and poses.
+    """
+    if measured not in _MADE:
+        _MADE[measured] = _cell_map(measured, recipe)
+    return _MADE[measured]
+
+
+def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
+    pictures = measured.aligned or tuple(measured.cells.astype(np.float32))
+    pixel_um = recipe.surface.pitch_um / CELLS_PER_PITCH
+    if measured.aligned:
+        pixel_um = 1000.0 * measured.grid.pixel_mm
+    points = _Points.of(pictures, pixel_um, recipe)
+    off = points.off(CALM_UM / pixel_um)
+    covariance = points.covariance(off)
+    size = measured.cells.shape[:0:-1]
+
+    def of_cells(values: Image) -> FloatArray:
+        return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+
+    score = of_cells(np.log1p(points.distance(off, covariance)))
+    middle, low = np.quantile(score, [0.5, 0.16])
+    spread = max(float(middle - low), LEAST_SPREAD)
+    limit = float(middle) + SCATTERS * spread
+    cells = np.stack([of_cells(one) for one in off])
+    pairs = consecutive_pairs(recipe.poses.poses())
+    beyond = max(np.expm1(limit) - len(pictures), 1.0)
+    scatter = np.maximum(1.4826 * np.median(np.abs(cells), axis=(1, 2)), LEAST_SCATTER)
+    noisy = float(np.mean(np.minimum(measured.cell_noise / scatter, 1.0)))
+    middles = np.median(covariance, axis=0)
+    return CellMap(
+        score,
+        limit,
+        np.stack([cells[i] - cells[j] for i, j in pairs]).astype(np.float32).astype(np.float64),
+        np.array([np.sqrt(beyond * (middles[i, i] + middles[j, j] - 2.0 * middles[i, j])) for i, j in pairs]),
+        spread * float(np.hypot(noisy, 20.0 / np.sqrt(score.size))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points of the pictures in the order of their phase.
+
+    Attributes:
+        logs: (P, rows, cols) ln L; NaN where unknown.
+        fine: (rows, cols) phase in `FINE` steps a bin.
+        order: (N,) points by bin.
+        ends: (B + 1,) where the bins begin and end in it.
+    """
+
+    logs: Image
+    fine: npt.NDArray[np.intp]
+    order: npt.NDArray[np.intp]
+    ends: npt.NDArray[np.intp]
+
+    @staticmethod
+    def of(pictures: Sequence[Image], pixel_um: float, recipe: SurfaceRecipe) -> "_Points":
+        pitch_um = recipe.surface.pitch_um
+        rows, cols = pictures[0].shape
+        try:
+            place = phase_map(pictures, pixel_um, pitch_um, None, LEAST_POINTS).place
+        except MeasurementError:  # no pattern to be compared with, or too few ridges
+            place = np.broadcast_to((np.arange(cols) + 0.5) * pixel_um / pitch_um, (rows, cols))
+        logs = np.stack([np.log(np.maximum(one, 1e-9)) for one in pictures]).astype(np.float32)
+        count = int(np.clip(place.size / (BIN_POINTS * len(logs)), 1, BINS))
+        fine = (np.mod(place, 1.0) * (count * FINE)).astype(np.intp) % (count * FINE)
+        number = (fine // FINE).ravel()
+        order = np.argsort(number.astype(np.uint8), kind="stable")
+        return _Points(logs, fine, order, np.searchsorted(number[order], np.arange(count + 1)))
+
+    @property
+    def bins(self) -> int:
+        return len(self.ends) - 1
+
+    def _bin(self, number: int) -> npt.NDArray[np.intp]:
+        return self.order[self.ends[number] : self.ends[number + 1]]
+
+    def _medians(self, values: Image) -> FloatArray:
+        """(P, B) medians over the phase; a bin without points lies between its neighbours."""
+        poses = len(values)
+        flat = values.reshape(poses, -1)
+        found = np.full((poses, self.bins), np.nan)
+        for number in range(self.bins):
+            chosen = self._bin(number)
+            if len(chosen):
+                some = flat[:, chosen[:: max(1, len(chosen) // _SAMPLE)]]
+                known = np.isfinite(some).any(axis=1)
+                found[known, number] = np.nanmedian(some[known], axis=1)
+        for row in found:
+            filled = np.flatnonzero(np.isfinite(row))
+            row[:] = np.interp(np.arange(self.bins), filled, row[filled], period=self.bins)
+        return found
+
+    def _rising(self, medians: FloatArray) -> Image:
+        """(P, B · `FINE`) profiles that rise evenly from the middle of a bin to that of the next."""
+        steps = (np.arange(self.bins * FINE) + 0.5) / FINE - 0.5
+        rows = [np.interp(steps, np.arange(self.bins), row, period=self.bins) for row in medians]
+        return np.stack(rows).astype(np.float32)
+
+    def off(self, sigma: float) -> Image:
+        """(P, rows, cols) deviation of ln L from the profile, averaged over ``sigma`` points; 0 where unknown.
+
+        The profile rises evenly from bin to bin, and by what that leaves in the middle of one.
+        """
+        rising = self._rising(self._medians(self.logs))
+        found = np.stack([logs - table[self.fine] for logs, table in zip(self.logs, rising, strict=True)])
+        for off, row in zip(found, self._medians(found).astype(np.float32), strict=True):
+            np.subtract(off, np.repeat(row, FINE)[self.fine], out=off)
+            np.clip(np.nan_to_num(off), -MOST_LOG, MOST_LOG, out=off)
+            if sigma > LEAST_BLUR:
+                cv2.GaussianBlur(off, (0, 0), sigma, dst=off, borderType=cv2.BORDER_REFLECT)
+        return found
+
+    def covariance(self, off: Image) -> FloatArray:
+        """(B, P, P) covariance of the deviations in every bin, of most of its points."""
+        from scipy.special import chdtri  # noqa: PLC0415 - start-up time
+
+        poses = len(off)
+        flat = off.reshape(poses, -1)
+        middle, most = chdtri(poses, 0.5), chdtri(poses, KEPT_CHANCE)
+        found = np.zeros((self.bins, poses, poses))
+        for number in range(self.bins):
+            chosen = self._bin(number)
+            values = flat[:, chosen[:: max(1, len(chosen) // _SAMPLE)]].astype(np.float64)
+            if not values.size:
+                continue
+            scale = np.maximum(1.4826 * np.median(np.abs(values), axis=1), LEAST_SCATTER)
+            scaled = values / scale[:, None]
+            kept = np.all(np.abs(scaled) < 4.0, axis=0)
+            matrix = np.eye(poses)
+            for _ in range(_ROUNDS):
+                if kept.sum() <= poses:
+                    break
+                matrix = scaled[:, kept] @ scaled[:, kept].T / kept.sum() + 1e-6 * np.eye(poses)
+                squares = np.sum(scaled * np.linalg.solve(matrix, scaled), axis=0)
+                usual = max(float(np.median(squares)) / middle, 1e-3)
+                matrix *= usual
+                kept = squares < usual * most
+            found[number] = matrix * np.outer(scale, scale)
+        empty = np.diff(self.ends) == 0
+        if empty.any():
+            found[empty] = np.median(found[~empty], axis=0)
+        return found + U_PLACE**2 * self._steepness()
+
+    def _steepness(self) -> FloatArray:
+        """(B, P, P) mean products of the slopes of the profiles per pitch, over every bin and its neighbours."""
+        slopes = np.gradient(self._rising(self._medians(self.logs)), axis=1) * (self.bins * FINE)
+        each = slopes.reshape(len(slopes), self.bins, FINE)
+        products = np.einsum("pbf,qbf->bpq", each, each) / FINE
+        return np.asarray(np.mean([np.roll(products, step, axis=0) for step in (-1, 0, 1)], axis=0))
+
+    def distance(self, off: Image, covariance: FloatArray) -> Image:
+        """(rows, cols) D² of the deviations of every point."""
+        poses, rows, cols = off.shape
+        flat = off.reshape(poses, -1)
+        least = LEAST_SCATTER**2 * np.eye(poses)
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance + least)).astype(np.float32)
+        found = np.empty(rows * cols, dtype=np.float32)
+        for number in range(self.bins):
+            chosen = self._bin(number)
+            white = whiten[number] @ flat[:, chosen]
+            found[chosen] = np.einsum("pn,pn->n", white, white)
+        return found.reshape(rows, cols)
 
 
 def judge_area(
-    measured: Measured,
-    poses: tuple[Pose, ...],
-    rule: AreaPart | None,
-    coverage: float,
-    known: KnownShares | None = None,
-    *,
-    alpha: float = 0.01,
-    p_means: float = 1.0,
-    cells: CellMap | None = None,
+    measured: Measured, cells: CellMap | None, rule: AreaPart | None, coverage: float
 ) -> tuple[AreaRecord | None, npt.NDArray[np.bool_] | None]:
-    """Decide on the deviating area of a part from its contrast map.
+    """Decide on the deviating area of a part.
 
     Args:
         measured: the part.
-        poses: P poses.
-        rule: threshold and limit.
+        cells: how its cells deviate.
+        rule: limit of the area.
         coverage: guard band by the standard uncertainty of the share.
-        known: shares of golden parts; their limit has no guard band, because their scatter includes that of the
-            measurement.
-        alpha: level of the means and of the area of golden parts together (Holm 1979).
-        p_means: p value of the means.
-        cells: the contrast map, if already computed.
 
     Returns:
         The result and (cell rows, cell cols) where cells deviate; None and None without a rule.
 
     Raises:
-        MeasurementError: the noise of the cells exceeds what the threshold allows.
+        MeasurementError: noise hides all but gross deviations of the cells.
     """
-    if rule is None:
+    if rule is None or cells is None:
         return None, None
-    found = cell_map(measured, poses, rule) if cells is None else cells
-    over, each_noise, least = _over(found, measured), _noise(measured, poses), float(found.thresholds.min())
-    noise = float(each_noise.max())
-    if noise > (1.0 + 1e-9) * MAX_CELL_NOISE * least:
+    noise = float(np.sqrt(2.0) * measured.cell_noise.max())
+    if noise > (1.0 + 1e-9) * MAX_CELL_NOISE * MOST_DEVIATION:
         raise MeasurementError(
-            f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
-            f"{least:g} (limit {MAX_CELL_NOISE * least:.3f}): "
+            f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of {MOST_DEVIATION:g} "
+            f"(limit {MAX_CELL_NOISE * MOST_DEVIATION:.3f}): "
             "take more frames_per_pose, a longer exposure_s, or brackets (acquisition.brackets)"
         )
-    share, u = float(np.mean(over)), found.u_share(each_noise)
-    each = tuple(map(float, found.thresholds)) if rule.cell_deviation == "auto" else None
-    if known is not None:
-        return _limit_by_golden(share, u, known, alpha, p_means).model_copy(
-            update={"cell_deviations": each}
-        ), over
+    over = cells.deviating()
+    if measured.mirroring is not None:  # saturated by a defect
+        over = over | measured.mirroring
+    share, u = float(np.mean(over)), cells.u_share
     limit, guard = rule.max_share, coverage * u
     verdict = Verdict.INCONCLUSIVE
     if share <= limit - guard:
         verdict = Verdict.PASS
     elif share >= limit + guard:
         verdict = Verdict.FAIL
-    return AreaRecord(
-        share=share, u=u, max_share=limit, cells=over.size, verdict=verdict, cell_deviations=each
-    ), over
-
-
-def _over(found: CellMap, measured: Measured) -> npt.NDArray[np.bool_]:
-    """Cells that deviate, those that a defect saturates among them."""
-    over = found.deviating()
-    return over if measured.mirroring is None else over | measured.mirroring
-
-
-def _limit_by_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaRecord:
-    chance = known.chance(share)
-    fails = holm(np.array([p_means, chance]))[1] < alpha
-    limit = known.limit(alpha if p_means < 0.5 * alpha else 0.5 * alpha)
-    verdict = Verdict.FAIL if fails else Verdict.PASS
-    return AreaRecord(
-        share=share, u=u, max_share=limit, cells=known.cells, verdict=verdict, learnt=True, p_value=chance
+    area = AreaRecord(
+        share=share,
+        u=u,
+        max_share=limit,
+        cells=over.size,
+        verdict=verdict,
+        cell_deviations=tuple(map(float, cells.thresholds)),
+        limit=cells.limit,
     )
+    return area, over

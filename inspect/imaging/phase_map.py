@@ -46,25 +46,32 @@ class PhaseMap:
     scatter: float
 
 
-def phase_map(aligned: Sequence[Image], pixel_um: float, pitch_um: float, wall: float) -> PhaseMap:
+def phase_map(
+    aligned: Sequence[Image],
+    pixel_um: float,
+    pitch_um: float,
+    wall: float | None,
+    least_points: float = POINTS_RESOLVED,
+) -> PhaseMap:
     """Find the ridges in aligned pictures.
 
     Args:
         aligned: P pictures (rows, cols) whose columns follow the ridges within some degrees.
         pixel_um: distance of their points.
         pitch_um: pitch of the recipe; that of the pictures may differ by some percent.
-        wall: width of the wall as a share of the pitch.
+        wall: width of the wall as a share of the pitch; None: places count from anywhere.
+        least_points: points that a pitch needs.
 
     Raises:
-        MeasurementError: the pitch has fewer than `POINTS_RESOLVED` points, the pictures hold fewer than three
+        MeasurementError: the pitch has fewer points, the pictures hold fewer than three
             ridges, or show no ridges.
     """
     pitch = pitch_um / pixel_um
     rows, cols = aligned[0].shape
-    if pitch < POINTS_RESOLVED:
+    if pitch < least_points:
         raise MeasurementError(
             f"a pitch of {pitch_um:g} µm has {pitch:.1f} points of {pixel_um:g} µm, facets are seen from "
-            f"{POINTS_RESOLVED:g} on: take a lens of greater magnification"
+            f"{least_points:g} on: take a lens of greater magnification"
         )
     if min(rows, cols) < LEAST_PITCHES * pitch:
         raise MeasurementError(
@@ -88,7 +95,8 @@ def phase_map(aligned: Sequence[Image], pixel_um: float, pitch_um: float, wall: 
     at_row, at_col = (_unit_places(size, step) for size in (rows, cols))
     turned = np.asarray(np.polynomial.polynomial.polygrid2d(at_row, at_col, surface), dtype=np.float64)
     place = (np.arange(cols) - 0.5 * (cols - 1)) / pitch + turned / (2.0 * np.pi)
-    place -= crest_of(aligned, place, wall)
+    if wall is not None:
+        place -= crest_of(aligned, place, wall)
     slope_rows, slope_cols = _mean_slopes(surface, (rows, cols))
     across = 1.0 / pitch + slope_cols
     frequency = float(np.hypot(across, slope_rows))

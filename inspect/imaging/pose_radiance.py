@@ -249,7 +249,7 @@ def _check_region(
     if share > recipe.limits.saturated_share:
         rows, cols = _window(view, grid)
         largest = float(np.nanmax(view.image.value[rows, cols], initial=0.0))
-        bright = _mirroring(saturated > 0.01, picture, recipe, per_cell, largest)
+        bright = _mirroring(saturated > 0.01, picture, recipe.limits, per_cell, largest)
         np.copyto(picture, largest, where=np.isnan(picture) & (saturated > 0.0))
     if share > recipe.limits.saturated_share and bright is None:
         raise Saturated(
@@ -264,14 +264,14 @@ def _check_region(
 
 
 def _mirroring(
-    saturated: npt.NDArray[np.bool_], picture: Image, recipe: SurfaceRecipe, per_cell: int, largest: float
+    saturated: npt.NDArray[np.bool_], picture: Image, limits: LimitsPart, per_cell: int, largest: float
 ) -> npt.NDArray[np.bool_] | None:
     """Cells that a defect saturates, which mirrors where the same flanks elsewhere do not; None: over-exposed.
 
     Args:
         saturated: (rows, cols) points of the region.
         picture: of the same size.
-        recipe: by how much a cell must deviate, and the share of points that may saturate elsewhere.
+        limits: the share of points that may saturate elsewhere.
         per_cell: points a side of a cell.
         largest: radiance that was measured near them, which they have at least.
     """
@@ -285,15 +285,14 @@ def _mirroring(
     near = cv2.resize(
         cv2.dilate(cells.astype(np.uint8), np.ones((3, 3))), (cols, rows), interpolation=cv2.INTER_NEAREST
     )
-    rule = MOST_DEVIATION if recipe.area is None else recipe.area.cell_deviation
-    least = largest / np.exp(MOST_DEVIATION if rule == "auto" else rule)
+    least = largest / np.exp(MOST_DEVIATION)
     means = _cell_means(picture, per_cell)
     for phase in range(CELLS_PER_PITCH):
         own, taken = means[:, phase::CELLS_PER_PITCH], cells[:, phase::CELLS_PER_PITCH]
         if taken.mean() > 0.5 or np.median(own[~taken]) > least:
             return None
     elsewhere = float(np.mean(saturated & (near == 0)))
-    return None if elsewhere > recipe.limits.saturated_share else cells
+    return None if elsewhere > limits.saturated_share else cells
 
 
 def _cell_means(picture: Image, side: int) -> FloatArray:

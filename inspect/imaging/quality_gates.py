@@ -110,10 +110,7 @@ def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> 
     """
     notes = check_edges(measured.cells, measured.grid, recipe)
     notes += check_ridges(measured.aligned, [view.stage_deg for view in views], measured.grid, recipe)
-    rule = MOST_DEVIATION if recipe.area is None else recipe.area.cell_deviation
-    if rule == "auto":
-        rule = MOST_DEVIATION
-    return notes + check_dirt(views, measured, 0.5 * rule)
+    return notes + check_dirt(views, measured, 0.5 * MOST_DEVIATION)
 
 
 @dataclass(frozen=True)

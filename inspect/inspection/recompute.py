@@ -13,6 +13,7 @@ from anisoscope.inspection.folder import JOB
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.manifest import reopen
 from anisoscope.inspection.pipeline import judge
+from anisoscope.recipe.surface import NO_CELL_DEVIATION
 from anisoscope.record.schema import Record, read_record
 
 TOLERANCE = 1e-8
@@ -100,6 +101,11 @@ def recompute(folder: Path | str, on_progress: Advance = silent) -> Recomputed:
     if before.get("u", 0.0) > after.get("u", 0.0):
         unrecorded.add("details.area.u, for which all cells near the limit were moved together")
         after["u"] = before["u"]
+    if before and "cell_deviation" in (recorded.recipe.get("area") or {}):
+        unrecorded.add("what follows of the marks, whose cells were judged by one ln ratio a pair of poses")
+        new["details"] |= {name: old["details"][name] for name in ("area", "regions")}
+        new |= {name: old[name] for name in ("reasons", "diagnosis", "conclusion") if name in old}
+        new["notes"] = [note for note in new["notes"] if note != NO_CELL_DEVIATION]
     # gates did not say then what they could not see
     if "part_turn_deg" not in recorded.recipe.get("limits", {}):
         new["notes"] = [note for note in new["notes"] if not note.startswith("not watched: ")]

@@ -167,8 +167,8 @@ class References(ABC):
             recipe: the recipe.
             light_angle_deg: the rig's angle between light and camera.
         """
-        del light_angle_deg
-        return radiance_table(known, recipe)
+        del recipe, light_angle_deg
+        return radiance_table(known)
 
 
 def reference_on(
@@ -430,7 +430,7 @@ def reporting(kind: object) -> Reporting:
     return kind if isinstance(kind, Reporting) else _PLAIN
 
 
-def radiance_table(known: RadianceSet[Any], recipe: RecipeBase) -> CommandOutput:
+def radiance_table(known: RadianceSet[Any]) -> CommandOutput:
     """Reference parts that are compared by their radiances, and how much they vary."""
     contrasts = known.contrasts()
     scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
@@ -447,17 +447,14 @@ def radiance_table(known: RadianceSet[Any], recipe: RecipeBase) -> CommandOutput
     rows.append(["mean", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
     rows.append(["scatter", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)])
     columns = ["part", "inspected", "verdict", *names]
-    lines: tuple[str, ...] = ()
-    if known.judges_area:
+    shares = [part.area_share for part in known.parts]
+    if any(share is not None for share in shares):
         columns.insert(3, "area")
-        shares = [part.area_share for part in known.parts]
         shown = ["–" if share is None else f"{share:.2%}" for share in shares]
         for row, share in zip(rows, [*shown, "", ""], strict=True):
             row.insert(3, share)
-        content |= known.area_content(recipe)
-        lines = (known.area_limit_text(recipe),)
     table = Table(f"{known.noun}s: {known.product}", columns, rows, known.lacking)
-    return CommandOutput(content, (table,), lines)
+    return CommandOutput(content, (table,))
 
 
 def _at(pose: tuple[float, float]) -> str:

@@ -1,7 +1,7 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from anisoscope.diagnosis.rig_causes import rig_faults
 from anisoscope.imaging.angle_map import AngleMap
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
-from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map
+from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map, remember
 from anisoscope.imaging.pose_radiance import (
     CELLS_PER_PITCH,
     STAGE_ANGLE,
@@ -87,7 +87,13 @@ from anisoscope.prediction.part_scatter import (
 from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.base import LimitsPart
-from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, check_lamp, check_material, read_surface_recipe
+from anisoscope.recipe.surface import (
+    NO_CELL_DEVIATION,
+    SurfaceRecipe,
+    check_lamp,
+    check_material,
+    read_surface_recipe,
+)
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import (
     DiagnosisRecord,
@@ -279,7 +285,7 @@ class SurfaceKind(
         return decide(expected, measured, recipe, golden, parts, waiting=waiting, left_out=left_out)
 
     def kept(self, recipe: RecipeT, measured: Measured) -> Mapping[str, Any]:
-        """Radiances, cells and uncertainties; the pictures are in the frames."""
+        """Radiances, cells and how they deviate, uncertainties; the pictures are in the frames."""
         grid, parts = measured.grid, measured.components
         marked = {} if measured.mirroring is None else {"mirroring": measured.mirroring}
         return {
@@ -296,6 +302,11 @@ class SurfaceKind(
             "grid_turn_deg": grid.turn_deg,
             "drift": np.nan if measured.drift is None else measured.drift,
             "stage_deg": recipe.uncertainty.stage_deg,
+            **(
+                {}
+                if recipe.area is None
+                else {f"local_{k}": v for k, v in vars(cell_map(measured, recipe)).items()}
+            ),
         }
 
     def needs_frames(self, recorded: Mapping[str, Any], recipe: RecipeT) -> str | None:
@@ -308,11 +319,11 @@ class SurfaceKind(
         return None
 
     def deviations(self, kept: Mapping[str, Any], recorded: Mapping[str, Any]) -> tuple[CellMap, float]:
-        """The contrast map by the recipe's own rule, or by the default one where it has none."""
+        """How the cells deviate from the ridges of the part; by the cells alone where that was not stored."""
         recipe = self.recipe.model_validate(recorded, extra="ignore")
         measured = _measured(kept)
         side_mm = recipe.surface.pitch_um / 1000.0 / CELLS_PER_PITCH
-        return cell_map(measured, recipe.poses.poses(), recipe.area or AreaPart()), side_mm
+        return cell_map(measured, recipe), side_mm
 
     def decide_again(
         self, kept: Mapping[str, Any], recipe: RecipeT, expected: Expectation, reference: Reference | None
@@ -389,6 +400,9 @@ class SurfaceKind(
         lacking = reference and reference.lacking
         refused = reference.refused_text if isinstance(reference, GoldenSet) else None
         unlike = unlike_text(decided)
+        changed = (
+            NO_CELL_DEVIATION if recipe.area is not None and recipe.area.cell_deviation is not None else None
+        )
         return Explanation(
             diagnosis,
             {
@@ -403,7 +417,16 @@ class SurfaceKind(
             },
             tuple(
                 note
-                for note in (lacking, refused, unlike, unexplained, compared.note, unfitted, unplaced)
+                for note in (
+                    lacking,
+                    refused,
+                    unlike,
+                    changed,
+                    unexplained,
+                    compared.note,
+                    unfitted,
+                    unplaced,
+                )
                 if note
             ),
             "" if diagnosis.verdict is None else rig_reason(diagnosis),
@@ -620,7 +643,7 @@ class SurfaceKind(
             differences=means / expected.radiance[:, None, None] - 1.0,
             difference_text=averaged,
             size_mm=measured.grid.size_mm,
-            ratios=cell_log_ratios(measured, expected.poses) if cells is None else cells.ratios,
+            ratios=cell_log_ratios(measured, expected.poses),
             deviating=decided.deviating,
             deviation=None if cells is None else deviation_map(cells),
             surface=expected.surface,
@@ -801,7 +824,7 @@ def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Meas
     """Measurement from its arrays; ``slopes``: (P,) weight of the stage angle by another prediction."""
     parts = zip(kept["sources"], kept["relative"], kept["shared"], strict=True)
     drift = float(kept["drift"])
-    return Measured(
+    found = Measured(
         radiance=kept["radiance"],
         components=tuple(
             Component(
@@ -824,3 +847,8 @@ def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Meas
         drift=None if np.isnan(drift) else drift,
         mirroring=kept.get("mirroring"),
     )
+    if "local_score" in kept:
+        local = {one.name: np.asarray(kept[f"local_{one.name}"]) for one in fields(CellMap)}
+        values: dict[str, Any] = {k: v.item() if v.ndim == 0 else v for k, v in local.items()}
+        remember(found, CellMap(**values))
+    return found

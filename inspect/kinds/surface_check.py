@@ -11,12 +11,12 @@ from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.decision import contrast_gradient
 from anisoscope.decision.surface_exclusion import parts_needed, planned_limits, remedy_text
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
+from anisoscope.diagnosis.cell_levels import LEAST_DEVIATION
 from anisoscope.diagnosis.discriminating_poses import cached_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures
-from anisoscope.imaging.deviation_map import LEAST_DEVIATION
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
@@ -86,7 +86,8 @@ class SurfaceCheck(RecipeCheck):
         lamps: second lamps that would add something, the nearest wavelength first, where they are tried.
         never: pairs of causes that neither these poses separate, nor any tilt or lamp that was tried.
         roughness: of the whole plastic, by the height map and the recipe's lobe, in one line; None without a map.
-        thresholds: assumed for the cells where every part sets its own, in one line; None where the recipe states one.
+        thresholds: assumed for the cells, of which every part sets its own, in one line; None without a limit of the
+            area.
         angles: what the angle map will tell, in one line; None of a surface without ridges.
     """
 
@@ -241,15 +242,14 @@ def _thresholds_text(
     if known.thresholds is not None:
         each = ", ".join(f"{one:.2f}" for one in known.thresholds)
         return (
-            f"area.cell_deviation is auto: by the texture of the height map cells deviate beyond {each} (one a pair of "
+            f"marks: by the texture of the height map cells deviate beyond a ln ratio of about {each} (one a pair of "
             f"angles; more where noise scatters them), which shows {_marks(causes)}"
         )
     even = causes_by(known.by_thresholds([LEAST_DEVIATION] * pairs))
     return (
-        "area.cell_deviation is auto: the thresholds are not known yet, because a design has no texture. Every part "
-        f"sets its own, five times what its cells scatter by and at least {LEAST_DEVIATION:g}; {MOST_DEVIATION:g} is "
-        f"assumed here, which shows {_marks(causes)}; at {LEAST_DEVIATION:g} it would be {_marks(even)}. The first "
-        "inspection states its thresholds"
+        "marks: from which ln ratio on cells deviate is not known yet, because a design has no texture, and every part "
+        f"sets its own limit by what its points scatter; {MOST_DEVIATION:g} is assumed here, which shows "
+        f"{_marks(causes)}; at {LEAST_DEVIATION:g} it would be {_marks(even)}. The first inspection states it"
     )
 
 

@@ -300,19 +300,23 @@ class DecisionPart(DecisionBase):
 
 
 MOST_DEVIATION = 0.3
-"""Deviation of a cell (ln ratio) that a recipe has unless it says otherwise."""
+"""Ln ratio by which a cell of a plain defect is off, where nothing is known of the texture of the part."""
+NO_CELL_DEVIATION = (
+    "area.cell_deviation has no effect any more: cells are judged by D² in all poses together, against the scatter of "
+    "the part itself; leave it out"
+)
 
 
 class AreaPart(Part):
-    """Decision rule for the contrast map: cells a quarter of a pitch wide, against the median along their flank.
+    """Decision rule for the deviation map (`anisoscope.imaging.deviation_map`): the largest share of deviating cells.
 
-    A cell deviates if its ln ratio differs by more than ``cell_deviation``; the part fails if more than
-    ``max_share`` of the area does. "auto" takes for every pair of angles what its cells scatter by
-    (`anisoscope.imaging.deviation_map.cell_thresholds`).
+    ``cell_deviation`` was the ln ratio beyond which a cell deviates; recipes with it are read, and it has no effect.
     """
 
-    cell_deviation: Positive | Literal["auto"] = MOST_DEVIATION
-    max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
+    cell_deviation: Annotated[
+        Positive | Literal["auto"] | None, Field(exclude_if=lambda value: value is None)
+    ] = None
+    max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.02
 
 
 class RigUncertainty(CommonUncertainty):

@@ -184,8 +184,9 @@ class TiltContrastRecord(_Part):
 class AreaRecord(_Part):
     """The contrast map judged: share of its cells that deviate, and the standard uncertainty of that share.
 
-    ``learnt`` if the limit is that of golden parts, ``p_value`` the chance that a part like them shows as much;
-    ``cell_deviations`` what "auto" of the recipe is for each pair, None where the recipe gives one number.
+    ``limit`` is the score beyond which a cell deviates; None where cells were judged by one ln ratio, or of a print.
+    ``cell_deviations`` are ln ratios, one a pair, from about which on a cell deviates that does so in this pair alone.
+    ``learnt`` if ``max_share`` is that of golden parts, ``p_value`` the chance that a part like them shows as much.
     """
 
     share: float
@@ -196,6 +197,7 @@ class AreaRecord(_Part):
     learnt: bool = False
     p_value: float | None = None
     cell_deviations: tuple[float, ...] | None = None
+    limit: float | None = None
 
 
 class CalibrationUse(InputFile):

@@ -65,7 +65,6 @@ class GoldenPrints(ReferenceSet[GoldenPrint, PrintRecipe]):
     thing: ClassVar[str] = "print"
     tests: ClassVar[int] = 3
     shares_level: ClassVar[str] = "lobe, colours"
-    judges_area: ClassVar[bool] = True
 
     def logs(self) -> FloatArray:
         """(n, 3P) ln of the channels of every print, channels fastest."""

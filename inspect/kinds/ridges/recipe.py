@@ -84,8 +84,7 @@ height_loss = 0.1  # share of the height
 wear_um = 10.0  # radius of worn edges
 
 [area]
-cell_deviation = "auto"  # a cell of the contrast map deviates beyond this ln ratio; "auto": 5 × what cells scatter by
-# max_share = 0.03  # share of the area that may deviate; left out it is learnt from golden parts, 0.03 without
+max_share = 0.02  # share of the area that may deviate from the other ridges of the part
 
 [uncertainty]  # standard uncertainties of the rig that one inspection cannot see
 light_angle_deg = 0.1

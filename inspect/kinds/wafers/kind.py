@@ -8,7 +8,6 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cause_words import CauseWords
 from anisoscope.decision.reference_parts import GoldenSet
-from anisoscope.imaging.area_limit import MIN_PARTS
 from anisoscope.imaging.part_turn import check_follows
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.predicted_cells import even_cells
@@ -122,7 +121,6 @@ class WaferSet(GoldenSet):
     """The good wafers of one recipe: compared by their own scatter, because recipes state none between them."""
 
     predictive = False
-    area_parts = MIN_PARTS
 
 
 def tile_means(cells: FloatArray) -> FloatArray:

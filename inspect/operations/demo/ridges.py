@@ -60,7 +60,7 @@ def _recipe(folder: Path, rng: np.random.Generator, advance: Advance) -> dict[st
             "deviation": "fail",
             "unexcluded": "inconclusive",
         },
-        "area": {"cell_deviation": 0.3, "max_share": 0.03},
+        "area": {"max_share": 0.02},
         "uncertainty": {"seating_tilt_deg": 0.05},
     }
 

@@ -26,7 +26,7 @@ from anisoscope.base.cache import Cache, Entry
 from anisoscope.base.errors import MeasurementError, Saturated
 from anisoscope.calibration.white_reference import make_reference
 from anisoscope.imaging.defect_regions import MarkForm, form_of
-from anisoscope.imaging.deviation_map import judge_area
+from anisoscope.imaging.deviation_map import cell_map, judge_area
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, linearise, stack
 from anisoscope.imaging.pose_radiance import Measured, drift_error, measure
 from anisoscope.imaging.registration.placement import Placement, View
@@ -539,10 +539,11 @@ def _area_of(measured: Measured, size: Size, name: RecipeName) -> Row:
     seen = replace(
         measured,
         radiance=measured.radiance[chosen],
+        aligned=tuple(measured.aligned[k] for k in chosen),
         cells=measured.cells[chosen],
         cell_noise=measured.cell_noise[chosen],
     )
-    area, over = judge_area(seen, recipe.poses.poses(), recipe.area, recipe.decision.coverage)
+    area, over = judge_area(seen, cell_map(seen, recipe), recipe.area, recipe.decision.coverage)
     assert area is not None
     assert over is not None
     form = form_of(over) or MarkForm(0, 0.0, 0.0, 0.0)

@@ -163,7 +163,7 @@ class Inspector:
             "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": list(self.tilts_deg)},
             "acquisition": {"exposure_s": 0.001, "frames_per_pose": 2, "dark_frames": 2},
             "region": {"size_mm": [2.4, 0.7]},
-            "area": {"cell_deviation": 0.8},
+            "area": {"max_share": 0.02},
             "uncertainty": {"seating_tilt_deg": 0.1},
         }
         if self.lots:

@@ -262,7 +262,7 @@ def recipe_of(name: RecipeName, size: Size, material: MaterialFile | None = None
         "poses": {"stage_and_tilt_deg": [(pose.stage_deg, pose.tilt_deg) for pose in POSES[name]]},
         "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": FRAMES, "dark_frames": 8},
         "region": {"size_mm": [size.ridges * PITCH_UM / 1000.0, size.pitches * PITCH_UM / 1000.0]},
-        "area": {"cell_deviation": "auto"},  # as new recipes say
+        "area": {"max_share": 0.02},
         "uncertainty": {"seating_tilt_deg": 0.1, "tilt_deg": TILT_ZERO_DEG},
         "scatter": {"alpha_share": ALPHA_SPREAD, "albedo_share": ALBEDO_SPREAD},
         "decision": {"unexcluded": "inconclusive"},

@@ -442,18 +442,13 @@ def test_where_parts_deviate_is_laid_over_each_other(client_of, tmp_path, with_b
     assert "cavity 3: 2 parts" in words
     assert "1 not on this computer: made at east in /data/inspections" in words
     share, mean = map(picture_of, re.findall(r'<image href="([^"]+)"', page.text))
-    # from the cells that were kept, by another way: ln ratios of poses that follow each other, less those of the flank
+    # from what was kept, by another way: cells above their limit, and ln ratios of poses that follow each other
     number, offs = 0.0, []
     for one in with_burrs:
         with np.load(one.folder / "measured.npz") as kept:
-            cells = np.log(kept["cells"].astype(float))
-        stages = [pose.stage_deg for pose in one.record.poses]
-        order = np.argsort(stages)
-        assert np.all(np.diff(order) == 1)
-        ratios = cells[:-1] - cells[1:]
-        offs.append(ratios - np.median(ratios, axis=1, keepdims=True))
-        limit = one.record.recipe["area"]["cell_deviation"]
-        number = number + np.any(np.abs(offs[-1]) > limit, axis=0)
+            score, limit, off = (np.asarray(kept[f"local_{name}"]) for name in ("score", "limit", "off"))
+        offs.append(off.astype(float))
+        number = number + (score > limit)
     assert number.max() >= 1
     np.testing.assert_allclose(share, number / number.max(), atol=0.01)
     both = np.mean(offs, axis=0)

@@ -9,18 +9,17 @@ import pytest
 from anisoscope.base.errors import CalibrationError
 from anisoscope.base.significance import hotelling
 from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, RadianceSet, counted, write_golden
-from anisoscope.imaging.area_limit import KnownShares
 
 POSES = ((0.0, 0.0), (90.0, 0.0), (180.0, 0.0))
 
 
-def part(number, log_radiance, share=None, threshold=None, cells=None):
+def part(number, log_radiance, share=None, limit=None, cells=None):
     return GoldenPart(
         serial=f"G{number}",
         inspected_at="2026-01-02T03:04:05+00:00",
         log_radiance=tuple(log_radiance),
         area_share=share,
-        cell_deviation=threshold,
+        limit=limit,
         cells=cells,
         verdict="PASS",
     )
@@ -46,7 +45,7 @@ def test_the_order_of_the_entries_in_a_file_is_that_of_earlier_versions(tmp_path
         "inspected_at",
         "log_radiance",
         "area_share",
-        "cell_deviation",
+        "limit",
         "cells",
         "verdict",
     ]
@@ -80,12 +79,11 @@ def test_a_part_that_was_inspected_in_more_poses_serves_a_recipe_with_fewer(make
     assert GoldenSet.restricted(record, tilted, turned) == (record, tilted)
 
 
-def test_cells_are_those_of_the_rows_that_count(make_recipe, rng):
-    recipe = make_recipe()
-    shares = rng.gamma(2.0, 2e-3, 12)
-    rows = [part(k, (0.0, 0.0, 0.0), share, 0.3, 400) for k, share in enumerate(shares)]
-    others = [part(k, (0.0, 0.0, 0.0), 0.5, 0.2, 25) for k in range(20, 23)]
-    assert golden([*rows, *others]).known_shares(recipe) == KnownShares(tuple(shares), 400)
+def test_limits_of_cells_are_those_of_the_rows_that_have_one(make_recipe):
+    rows = [part(k, (0.0, 0.0, 0.0), 0.01, limit, 400) for k, limit in enumerate((3.0, None, 3.2))]
+    found = golden(rows)
+    assert found.cell_limits == (3.0, 3.2)
+    assert found.area_shares(make_recipe().area) == (0.01, 0.01)
 
 
 def test_parts_serve_from_one_more_than_directions_on_and_only_if_they_vary(rng):
@@ -101,15 +99,6 @@ def test_parts_serve_from_one_more_than_directions_on_and_only_if_they_vary(rng)
 def test_where_the_recipe_states_the_scatter_one_part_serves():
     one = golden([part(1, (-1.0, -2.0, -3.0))])
     assert (one.needed, one.lacking, golden([]).lacking is None) == (1, None, False)
-
-
-@pytest.mark.parametrize(("shares", "learnt"), [((0.009, 0.01, 0.011), True), ((0.001, 0.01, 0.02), False)])
-def test_three_parts_narrow_the_limit_of_the_area_and_never_widen_it(make_recipe, shares, learnt):
-    rows = [part(k, (0.0, 0.0, 0.0), share, 0.3, 4000) for k, share in enumerate(shares)]
-    limit = golden(rows).area_limit(make_recipe())
-    assert (limit is not None) is learnt
-    assert limit is None or max(shares) < limit < 0.03
-    assert golden(rows[:2]).area_limit(make_recipe()) is None
 
 
 def test_t_squared_is_hotellings_of_the_ratios(rng):

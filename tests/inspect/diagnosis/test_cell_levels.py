@@ -1,4 +1,4 @@
-"""Local defects where the thresholds of the contrast map are those of every part (``area.cell_deviation = "auto"``)."""
+"""Local defects where the thresholds of the contrast map are those of every part."""
 
 from dataclasses import replace
 
@@ -7,18 +7,17 @@ import pytest
 
 from anisoscope.decision.decision import decide
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
-from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, Deviating, SmearedLevels
+from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, Deviating, SmearedLevels, cell_deviations
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.diagnosis.signature_cache import _packed, _unpacked, cached_signatures
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_map
+from anisoscope.imaging.deviation_map import cell_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.defect_injection import inject_defect
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
-from anisoscope.recipe.surface import AreaPart
 from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
 from detection_study.product import LIGHT_DEG, Size, recipe_of
@@ -38,7 +37,6 @@ def recipe():
         update={
             "surface": found.surface.model_copy(update={"design": design, "reflections": "direct"}),
             "material": found.material.model_copy(update=pale),
-            "area": found.area.model_copy(update={"cell_deviation": "auto"}),
         }
     )
 
@@ -104,17 +102,13 @@ def test_burrs_are_named_with_the_thresholds_of_the_part(recipe, few):
 def test_texture_seen_off_the_mirror_direction_is_no_defect():
     """At tilts good cells scatter by more than any fixed threshold that marks exceed."""
     tilted = recipe_of("tilted", Size())
-    poses, rules = tilted.poses.poses(), {one: AreaPart(cell_deviation=one) for one in (0.3, "auto")}
     shares = {}
     for coverage in (0.0, 0.02):
         cells = cells_of_part(tilted, coverage)
         seen = measured(cells, cells.mean(axis=(1, 2)))
-        shares[coverage] = {
-            one: cell_map(seen, poses, rule).deviating().mean() for one, rule in rules.items()
-        }
-    assert shares[0.0][0.3] > 0.05
-    assert shares[0.0]["auto"] < 0.015
-    assert shares[0.02]["auto"] > 0.03
+        shares[coverage] = cell_map(seen, tilted).deviating().mean()
+    assert shares[0.0] < 0.015
+    assert shares[0.02] > 0.02
 
 
 def test_levels_give_the_share_and_the_form_of_every_threshold(rng):
@@ -123,7 +117,7 @@ def test_levels_give_the_share_and_the_form_of_every_threshold(rng):
     levels = CellLevels.of(ratios)
     for thresholds in ((0.3, 0.05, 0.125), (0.1, 0.3, 0.2), (0.05, 0.05, 0.05)):
         each = np.array(thresholds)
-        direct = CellMap(ratios, cell_deviations(ratios, each), each).deviating()
+        direct = np.any(np.abs(cell_deviations(ratios, each)) > each[:, None, None], axis=0)
         assert levels.share(thresholds) == pytest.approx(direct.mean())
         np.testing.assert_array_equal(levels.deviating(thresholds), direct)
 

@@ -71,7 +71,7 @@ def recipe_of(tilts, reflections="all"):
             "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": tilts},
             "acquisition": {"exposure_s": 0.001},
             "region": {"size_mm": [2.4, 0.7]},
-            "area": {"cell_deviation": 0.3},
+            "area": {"max_share": 0.02},
             "uncertainty": {"seating_tilt_deg": 0.1},
         }
     )  # fmt: skip

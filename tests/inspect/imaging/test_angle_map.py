@@ -10,113 +10,11 @@ import pytest
 from anisoscope.base.errors import MeasurementError, UsageError
 from anisoscope.imaging.angle_map import angle_map, planned_worth
 from anisoscope.imaging.phase_map import phase_map
-from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.imaging.registration.placement import Grid
-from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.operations.facets import form_of, write_angle_map
-from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.files.load import read_height_map
-from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import add_facet_roughness
-from anisoscope.sim.light.geometry import directions
-from anisoscope.sim.pathtracer.plastic import Plastic
-from anisoscope.sim.pathtracer.tracer import PathTracer
-
-POINT_UM, PICTURE_UM, BLUR_UM = 2.0, 4.0, 3.0
-UPRIGHT = tuple(Pose(angle, 0.0) for angle in (0.0, 90.0, 180.0))
-TEXTURE = 0.03
-PHASE = 0.37
-
-
-def recipe_of(angle_deg=10.0, pitch_um=100.0, alpha=0.08, tail=0.0):
-    whole = float(np.hypot(alpha, TEXTURE))
-    return RidgeRecipe.model_validate(
-        {
-            "schema": 1,
-            "product": "traced ridges",
-            "surface": {"pitch_um": pitch_um, "design": {"ridge_angle_deg": angle_deg}},
-            "material": {
-                "alpha_along": whole, "alpha_across": whole, "albedo": 0.1, "u_albedo": 0.003,
-                "tail": tail, "u_tail": 0.0,
-            },
-            "poses": {"angles_deg": [0.0, 90.0, 180.0]},
-            "acquisition": {"exposure_s": 0.001},
-            "region": {"size_mm": [1.2, 0.8]},
-            "uncertainty": {"seating_tilt_deg": 0.1},
-        }
-    )  # fmt: skip
-
-
-class Part:
-    """A part of ridges that lean differently, with waves of its form, and what the camera sees of it.
-
-    ``formed`` adds heights over (x, y) in µm.
-    """
-
-    def __init__(self, seed, poses, *, angle=10.0, pitch=100.0, alpha=0.08, lobe="beckmann", size=(1200, 800),
-                 spread=0.15, flat_ridge=None, formed=None):  # fmt: skip
-        rng = np.random.default_rng(seed)
-        cols, rows = (int(one / POINT_UM) + 1 for one in size)
-        x = np.arange(cols) * POINT_UM - PHASE * pitch
-        ridge = np.floor(x / pitch).astype(int)
-        height = np.zeros(cols)
-        for number in np.unique(ridge):
-            lean = 0.0 if number == flat_ridge else angle + spread * rng.standard_normal()
-            chosen = ridge == number
-            height[chosen] = RidgeDesign(pitch, lean).profile(x[chosen])
-        surface = HeightMap(np.tile(height, (rows, 1)), POINT_UM, POINT_UM, {})
-        if formed is not None:
-            at_x, at_y = np.meshgrid(np.arange(cols) * POINT_UM, np.arange(rows) * POINT_UM)
-            surface = surface.with_height(surface.height_um + formed(at_x, at_y))
-        self.surface = add_facet_roughness(surface, TEXTURE, TEXTURE, 8.0, rng)
-        self.poses = poses
-        tracer = PathTracer(
-            self.surface, Plastic(alpha, alpha, 0.1, 1.5, lobe), reflections=3, paths=8192, seed=seed
-        )
-        self.pictures = []
-        for light, camera in zip(*directions(poses, Convention(10.0)), strict=True):
-            seen = cv2.GaussianBlur(tracer.radiance(light, camera), (0, 0), BLUR_UM / POINT_UM)[::-1]
-            small = cv2.resize(seen, (seen.shape[1] // 2, seen.shape[0] // 2), interpolation=cv2.INTER_AREA)
-            noise = 1.0 + 0.005 * rng.standard_normal(small.shape)
-            self.pictures.append((small * noise).astype(np.float32))
-
-    def measured(self):
-        shape = self.pictures[0].shape
-        grid = Grid((0.0, 0.0), PICTURE_UM / 1000.0, shape, 0.0)
-        return Measured(
-            np.array([one.mean() for one in self.pictures]), (), tuple(self.pictures), np.zeros((1, 1, 1)), np.zeros(1),
-            grid, None,
-        )  # fmt: skip
-
-    def map_by(self, recipe, cell_um=48.0, parts=()):
-        known = expectation(recipe, 10.0)
-        expected = replace(
-            known, poses=self.poses, components=tuple(parts), radiance=np.ones(len(self.poses))
-        )
-        return angle_map(recipe, expected, self.measured(), cell_um)
-
-    def leans(self, found):
-        """(A, C) true leans across and along of the cells of a map, averaged over them."""
-        rows, cols = self.pictures[0].shape
-        z = self.surface.height_um[: 2 * rows + 1, : 2 * cols + 1]
-        slopes = np.diff(z, axis=1)[:-1] / POINT_UM, np.diff(z, axis=0)[:, :-1] / POINT_UM
-        x = (np.arange(2 * cols) + 0.5 - cols) * POINT_UM
-        y = (np.arange(2 * rows) + 0.5 - rows) * POINT_UM
-        leans = []
-        for slope, sign in zip(slopes, (-1.0, 1.0), strict=True):
-            whole = np.zeros((2 * rows + 1, 2 * cols + 1))
-            whole[1:, 1:] = np.cumsum(np.cumsum(slope, axis=0), axis=1)
-            half_x, half_y = (0.5 * one for one in found.cell_um)
-            left, right = (np.searchsorted(x, 1000.0 * found.across_mm + s) for s in (-half_x, half_x))
-            low, high = (np.searchsorted(y, 1000.0 * found.along_mm + s) for s in (-half_y, half_y))
-            total = (
-                whole[np.ix_(high, right)] - whole[np.ix_(low, right)] - whole[np.ix_(high, left)]
-                + whole[np.ix_(low, left)]
-            )  # fmt: skip
-            leans.append(sign * np.degrees(np.arctan(total / np.outer(high - low, right - left))))
-        return leans
+from detection_study.traced import TEXTURE, UPRIGHT, Part, recipe_of
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from anisoscope.decision.reference_parts import GoldenPart, GoldenSet
 from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares, learnt_limit
 
 CELLS, ALPHA = 2800, 0.01
@@ -62,27 +61,3 @@ def test_a_share_that_a_golden_part_has_shown_is_no_surprise(rng):
     assert KnownShares(tuple(shares), CELLS).chance(float(shares.max())) == 1.0
     assert KnownShares((0.0,) * 25, CELLS).chance(0.0) == 1.0
     assert 0.0 < KnownShares((0.0,) * 25, CELLS).chance(1.0 / CELLS) < 0.05
-
-
-def parts(shares, cell_deviation=0.3):
-    one = {"inspected_at": "2026-01-02T03:04:05+00:00", "log_radiance": (0.0, 0.0, 0.0), "verdict": "PASS"}
-    return tuple(
-        GoldenPart(serial=f"G{k}", area_share=share, cell_deviation=cell_deviation, cells=CELLS, **one)
-        for k, share in enumerate(shares)
-    )
-
-
-def test_the_recipes_own_limit_wins_and_other_thresholds_do_not_count(make_recipe, rng):
-    recipe = make_recipe()
-    shares = rng.gamma(2.0, 2e-3, 25)
-    known = GoldenSet(
-        product="x",
-        recipe_key=GoldenSet.key_of(recipe),
-        poses=((0.0, 0.0), (90.0, 0.0), (180.0, 0.0)),
-        parts=parts(shares),
-    )
-    assert known.area_limit(recipe) == learnt_limit(shares, CELLS, 0.5 * recipe.decision.alpha)
-    assert known.area_limit(recipe) < 0.02 < recipe.area.max_share
-    assert known.area_limit(make_recipe(area={"max_share": 0.05})) is None
-    assert known.area_limit(make_recipe(area={"cell_deviation": 0.2})) is None
-    assert known.model_copy(update={"parts": parts(shares, None)}).area_limit(recipe) is None

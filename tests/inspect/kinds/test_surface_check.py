@@ -119,8 +119,7 @@ BURRS = CauseModel(
 
 
 def test_thresholds_of_a_design_are_said_to_be_unknown_and_those_of_a_map_are_its_own(make_recipe, tmp_path):
-    auto = {"area": {"cell_deviation": "auto"}, "surface": {"reflections": "direct"}}
-    line = check_recipe(make_recipe(**auto), 10.0, model=BURRS).thresholds
+    line = check_recipe(make_recipe(surface={"reflections": "direct"}), 10.0, model=BURRS).thresholds
     assert "not known yet, because a design has no texture" in line
     assumed, even = (float(one) for one in re.findall(r"burrs from ([0-9.]+) %", line))
     assert even <= assumed
@@ -128,9 +127,7 @@ def test_thresholds_of_a_design_are_said_to_be_unknown_and_those_of_a_map_are_it
     rough = add_facet_roughness(smooth, 0.04, 0.04, 8.0, np.random.default_rng(3))
     write_height_map(rough, tmp_path / "rough.x3p")
     of_map = {"height_map": tmp_path / "rough.x3p", "design": None, "reflections": "direct"}
-    line = check_recipe(make_recipe(**{**auto, "surface": of_map}), 10.0, model=BURRS).thresholds
+    line = check_recipe(make_recipe(surface=of_map), 10.0, model=BURRS).thresholds
     first, second = (float(one) for one in re.findall(r"0\.\d\d", line)[:2])
     assert 0.1 < second < first < 0.8
     assert "burrs from" in line
-    stated = make_recipe(surface={"reflections": "direct"})
-    assert check_recipe(stated, 10.0, model=BURRS).thresholds is None

@@ -349,7 +349,7 @@ RECORD = {
         "version": 3,
         "decision": {"alpha": 0.001, "deviation": "warn", "coverage": 1.645},
         "acquisition": {"exposure_s": 0.006, "gain": 1.0, "frames_per_pose": 4},
-        "area": {"cell_deviation": 0.3},
+        "area": {"max_share": 0.02},
         "region": {"center_mm": [0.0, 0.0]},
         "poses": {"facet_azimuth_deg": 0.0},
     },

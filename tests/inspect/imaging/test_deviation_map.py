@@ -1,0 +1,123 @@
+"""Cells that deviate in parts rendered by the path tracer: marks are found without golden parts, good cells are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anisoscope.imaging.deviation_map import cell_map
+from anisoscope.parameters.geometry import Pose
+from anisoscope.recipe.poses import PosesPart
+from detection_study.traced import UPRIGHT, Part, recipe_of
+
+NINE = tuple(Pose(angle, tilt) for tilt in (0.0, -10.0, 10.0) for angle in (0.0, 90.0, 180.0))
+CHANGED_UM, SPOILED = 0.2, 0.15
+"""Change of a height of a mark, and share of a cell that has it; cells where none is above a quarter are good."""
+SIZE = (1640, 1240)
+PITCH_UM = 96.0  # a whole number of points a cell, as regions have it
+MARKS = {
+    "good": {},
+    "scratches": {"spoiled": ("scratches", {"density_per_mm2": 11.7})},
+    "burrs": {"spoiled": ("burrs", {"coverage": 0.02})},
+    "missing": {"flat_ridge": 8},
+}
+
+
+def recipe_with(poses):
+    table = PosesPart(stage_and_tilt_deg=tuple((pose.stage_deg, pose.tilt_deg) for pose in poses))
+    return recipe_of(pitch_um=PITCH_UM).model_copy(update={"poses": table})
+
+
+@pytest.fixture(scope="module")
+def parts():
+    """A part of every kind in nine poses."""
+    return {
+        name: Part(20 + k, NINE, pitch=PITCH_UM, size=SIZE, spread=0.1, **how)
+        for k, (name, how) in enumerate(MARKS.items())
+    }
+
+
+def found_in(part, poses=range(9), changed=lambda picture: picture):
+    seen = part.measured(list(poses), pitch_um=PITCH_UM, margin=1)
+    seen = replace(seen, aligned=tuple(changed(one) for one in seen.aligned))
+    return cell_map(seen, recipe_with([NINE[k] for k in poses]))
+
+
+@pytest.mark.parametrize("poses", [range(3), range(9)], ids=["three poses", "nine poses"])
+def test_a_good_part_hardly_deviates_whatever_the_number_of_poses(parts, poses):
+    assert found_in(parts["good"], poses).deviating().mean() < 0.015
+
+
+@pytest.mark.parametrize(
+    ("name", "poses", "least"),
+    [
+        ("scratches", range(9), 0.7),
+        ("scratches", range(3), 0.4),
+        ("burrs", range(9), 0.75),
+        ("burrs", range(3), 0.55),
+    ],
+)
+def test_marks_are_found_without_golden_parts(parts, name, poses, least):
+    over = found_in(parts[name], poses).deviating()
+    mark = parts[name].spoiled_share(CHANGED_UM, pitch_um=PITCH_UM, margin=1) >= SPOILED
+    good = parts[name].spoiled_share(0.25 * CHANGED_UM, pitch_um=PITCH_UM, margin=1) == 0.0
+    hit, missed, false = np.sum(over & mark), np.sum(~over & mark), np.sum(over & good)
+    assert 2.0 * hit / (2.0 * hit + missed + false) > least
+    assert over.mean() > 0.02
+
+
+@pytest.mark.parametrize("poses", [range(3), range(9)], ids=["three poses", "nine poses"])
+def test_a_missing_ridge_deviates_all_along(parts, poses):
+    over = found_in(parts["missing"], poses).deviating()
+    whole = over.mean(axis=0) > 0.9
+    assert 3 <= whole.sum() <= 5
+    assert over[:, ~whole].mean() < 0.03
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda one: 0.7 * one,
+        lambda one: one + np.float32(0.005 * one.mean()),
+        lambda one: (one / one.mean()) ** np.float32(0.95),
+        lambda one: np.roll(one, 1, axis=1),
+    ],
+    ids=["lamp", "ambient light", "gamma", "shift"],
+)
+def test_lamp_ambient_light_gamma_and_shift_change_next_to_nothing(parts, changed):
+    for name in ("good", "scratches"):
+        plain, other = (found_in(parts[name], changed=one).deviating() for one in (lambda one: one, changed))
+        assert abs(plain.mean() - other.mean()) < 0.003
+
+
+def test_one_pose_that_is_darker_is_no_deviation(parts):
+    seen = parts["good"].measured(pitch_um=PITCH_UM, margin=1)
+    dark = replace(seen, aligned=(0.9 * seen.aligned[0], *seen.aligned[1:]))
+    recipe = recipe_with(NINE)
+    np.testing.assert_allclose(cell_map(seen, recipe).score, cell_map(dark, recipe).score, atol=1e-3)
+
+
+def test_without_pictures_the_cells_are_compared(parts):
+    """As of inspections of earlier versions, whose frames are not kept: coarser, but no other verdict."""
+    recipe = recipe_with(UPRIGHT)
+    shares = []
+    for name in ("good", "burrs"):
+        seen = replace(parts[name].measured([0, 1, 2], pitch_um=PITCH_UM, margin=1), aligned=())
+        shares.append(cell_map(seen, recipe).deviating().mean())
+    assert shares[0] < 0.01
+    assert shares[1] > 0.015
+
+
+def test_three_ridges_and_a_spoiled_half_are_judged(parts):
+    seen = parts["good"].measured([0, 1, 2], pitch_um=PITCH_UM, margin=1)
+    step = seen.aligned[0].shape[1] // (seen.cells.shape[2] // 4)
+    few = replace(
+        seen, aligned=tuple(one[:, : 3 * step] for one in seen.aligned), cells=seen.cells[:, :, :12]
+    )
+    assert cell_map(few, recipe_with(UPRIGHT)).deviating().mean() < 0.02
+    rng = np.random.default_rng(1)
+    half = [one.copy() for one in seen.aligned]
+    for one in half:
+        one[: len(one) // 2] *= rng.lognormal(0.0, 0.5, (len(one) // 2, one.shape[1])).astype(np.float32)
+    over = cell_map(replace(seen, aligned=tuple(half)), recipe_with(UPRIGHT))
+    assert over.by((3.0,)).deviating().mean() > 0.1
