@@ -28,6 +28,7 @@ html_title = "anisoscope"
 html_show_sphinx = False
 html_show_copyright = False
 html_copy_source = False
+html_search_scorer = str(Path(__file__).with_name("search_order.js"))
 
 
 def setup(app: Sphinx) -> None:
