@@ -4,6 +4,8 @@ Contrasts of pairs of angles depend on each other: (0°, 90°), (90°, 180°) an
 facts. All deviations together are weighed in the basis ln L − ln L of the first pose, of which there are poses − 1.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
@@ -67,33 +69,74 @@ def mahalanobis(deviation: FloatArray, covariance: FloatArray) -> tuple[float, i
     return float(np.sum((whitening(covariance) @ deviation) ** 2)), dof
 
 
-def hotelling(value: FloatArray, sample: FloatArray) -> tuple[float, float]:
-    """Hotelling's T² of one new observation against n earlier ones, and its p value.
+LEAST_SAMPLE = 3
+"""Smallest number of earlier observations with which a new one is compared."""
+PRIOR_FREEDOM = 0.5
+"""Degrees of freedom as which a stated size of a scatter counts."""
+DOUBT = 0.5
+"""Standard deviation of ln of how far the scatter in each direction is off its stated form."""
+_DRAWN, _BLOCK, _SEED = 20000, 2000, 11
 
-    T² = n/(n + 1)·(x − x̄)ᵀS⁻¹(x − x̄), and T²·(n − m)/(m·(n − 1)) is F-distributed with m and n − m degrees of
-    freedom (Hotelling 1931; Montgomery, Introduction to Statistical Quality Control, phase II). The scatter S of the
-    earlier parts holds the uncertainty of the measurement already.
+
+def like_sample(value: FloatArray, sample: FloatArray, stated: FloatArray) -> tuple[float, float]:
+    """T² of one new observation from n earlier ones, and its p value; the form of their scatter is stated before.
+
+    The size of the scatter is that of the sample: s² = (ν₀ + q)/(ν₀ + m(n − 1)) with q = Σ (xᵢ − x̄)ᵀS₀⁻¹(xᵢ − x̄) and
+    ν₀ = `PRIOR_FREEDOM` (scaled inverse χ² prior; Gelman et al., Bayesian Data Analysis, 2.6). Its form is the stated
+    one, which counts as m observations (inverse Wishart prior; ibid., 3.6), so that three observations serve, and many
+    have a scatter of their own: S = (m s² S₀ + Σ (xᵢ − x̄)(xᵢ − x̄)ᵀ)/(m + n − 1), T² = n/(n + 1)·(x − x̄)ᵀS⁻¹(x − x̄).
+    Its distribution is drawn for normal observations that scatter in the stated form, and with a doubt of it
+    (`DOUBT`); the greater probability counts.
 
     Args:
-        value: (m,) of the new part.
-        sample: (n, m) of the earlier ones, n > m.
+        value: (m,) of the new observation.
+        sample: (n, m) of the earlier ones, n ≥ `LEAST_SAMPLE`.
+        stated: (m, m) S₀, in any unit.
 
     Raises:
-        MeasurementError: too few earlier parts, or they do not vary in every direction.
+        MeasurementError: too few earlier observations, or no scatter is stated in some direction.
     """
     n, m = sample.shape
-    if n <= m:
+    if n < LEAST_SAMPLE:
+        raise MeasurementError(f"{n} good parts do not show how good parts vary: at least {LEAST_SAMPLE} do")
+    if rank(stated) < m:
         raise MeasurementError(
-            f"{n} good parts cannot tell how {m} contrasts vary: at least {m + 1} are needed, {3 * m} are sensible"
+            "some value of good parts is stated without any uncertainty or scatter: state some under [uncertainty] in "
+            "the recipe"
         )
-    scatter = np.atleast_2d(np.cov(sample, rowvar=False))
-    if np.linalg.matrix_rank(scatter) < m:
-        raise MeasurementError(
-            "the good parts do not vary independently in all contrasts: were some of them added twice?"
-        )
-    off = value - sample.mean(axis=0)
-    t2 = n / (n + 1.0) * float(off @ np.linalg.solve(scatter, off))
-    return t2, float(f_tail(t2 * (n - m) / (m * (n - 1.0)), m, n - m))
+    white = whitening(stated)
+    t2 = float(_t_squared((white @ value)[None], (sample @ white.T)[None])[0])
+    freedom = m + n - 1.0
+    theory = _theory(np.array([t2]), m, freedom)
+    chances = [float(calibrated_at(theory, _drawn(m, n, doubt), _COUNTED)[0]) for doubt in (0.0, DOUBT)]
+    return t2, min(max(chances), 1.0)
+
+
+def _t_squared(value: FloatArray, sample: FloatArray) -> FloatArray:
+    """(N,) T² of (N, m) whitened observations from (N, n, m) earlier ones."""
+    n, m = sample.shape[1:]
+    off = sample - sample.mean(axis=1, keepdims=True)
+    size = (PRIOR_FREEDOM + np.sum(off**2, axis=(1, 2))) / (PRIOR_FREEDOM + m * (n - 1.0))
+    squares = np.swapaxes(off, 1, 2) @ off
+    scatter = (m * size[:, None, None] * np.eye(m) + squares) / (m + n - 1.0) * (1.0 + 1.0 / n)
+    away = value - sample.mean(axis=1)
+    return np.asarray(np.einsum("ni,ni->n", away, np.linalg.solve(scatter, away[..., None])[..., 0]))
+
+
+def _theory(t2: FloatArray, m: int, freedom: float) -> FloatArray:
+    """P values of T² as of a scatter known to these degrees of freedom."""
+    rest = freedom - m + 1.0
+    return np.maximum(f_tail(t2 * rest / (freedom * m), m, rest), 1e-300)
+
+
+@lru_cache(maxsize=64)
+def _drawn(m: int, n: int, doubt: float) -> FloatArray:
+    """Quantiles, at `_COUNTED`, of the theoretical p values of drawn observations."""
+    rng, found = np.random.default_rng(_SEED), []
+    for _ in range(_DRAWN // _BLOCK):
+        each = rng.standard_normal((_BLOCK, n + 1, m)) * np.exp(doubt * rng.standard_normal((_BLOCK, 1, m)))
+        found.append(_theory(_t_squared(each[:, 0], each[:, 1:]), m, m + n - 1.0))
+    return quantiles(np.concatenate(found), _COUNTED)
 
 
 def holm(p_values: FloatArray) -> FloatArray:
@@ -174,6 +217,7 @@ def _below(h: float, k: float, rho: float) -> float:
 
 LEVELS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 """Probabilities at which p values are counted."""
+_COUNTED = np.concatenate([[0.001, 0.003], LEVELS])
 
 
 def calibrated(p_values: FloatArray, drawn: FloatArray, levels: FloatArray = LEVELS) -> FloatArray:

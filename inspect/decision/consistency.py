@@ -6,31 +6,25 @@ good parts is simulated by drawing golden sets and parts from the stated uncerta
 distribution.
 """
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import calibrated, chi2_tail, f_tail, hotelling, log_basis, mahalanobis
-from anisoscope.decision.predictive import MAX_BIRGE, PredictiveTest, Scatter, predictive_test
+from anisoscope.base.significance import chi2_tail, like_sample, log_basis, mahalanobis
+from anisoscope.decision.predictive import PredictiveTest, Scatter, predictive_test
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.lobe_doubt import LobeDoubt, weights_between
 from anisoscope.prediction.part_scatter import PartScatter
 from anisoscope.prediction.profile_likelihood import (
     SETTLED,
-    Combined,
     nearest,
     nearest_anywhere,
     nearest_states,
 )
 from anisoscope.prediction.propagation import TAIL
-from anisoscope.prediction.second_order import Response
 
-DRAWS = 10000
-_SEED = 11
-_BLOCK = 1000
 _SINGULAR = 1e-9
 _TAILS = 9  # of the lobe that are looked at together
 _TOGETHER = 200  # parts
@@ -50,7 +44,7 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
     if expected.states is not None:
         own = contrast_covariance(expected.outside_states + measured.components, basis)
         if regular(own):
-            d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
+            d2, _ = nearest_anywhere(expected.states, basis, off, own)
             return d2, len(basis), float(chi2_tail(d2, len(basis)))
     alone = own_covariance(expected, measured)
     if (expected.lobes is not None or expected.response is not None) and regular(alone):
@@ -145,26 +139,6 @@ def _nearest_lobe(
     return least
 
 
-def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -> tuple[float, int, float]:
-    """T² from the mean of golden parts, the number of contrasts, and its p value for a good part.
-
-    Args:
-        expected: the prediction; it determines the non-normal scatter of good parts, not their mean.
-        measured: the part.
-        golden: (n, P − 1) contrasts of the golden parts in the basis of `log_basis`.
-
-    Raises:
-        MeasurementError: too few golden parts, or they do not vary in every direction.
-    """
-    basis = log_basis(len(expected.poses))
-    t2, normal = hotelling(basis @ np.log(measured.radiance), golden)
-    alone = own_covariance(expected, measured)
-    if expected.response is None or not regular(alone):
-        return t2, len(basis), normal
-    drawn = golden_chances(expected.response.within(basis), alone, len(golden))
-    return t2, len(basis), float(calibrated(np.array([normal]), drawn)[0])
-
-
 def scatter_of(parts: PartScatter, measured: Measured) -> Scatter:
     """Scatter of the contrasts of good parts on one rig, with the errors of this inspection.
 
@@ -202,14 +176,16 @@ def golden_test(
     golden: FloatArray,
     alpha: float,
     batches: int | None = None,
+    varies: tuple[str, ...] = (),
 ) -> tuple[float, int, float, PredictiveTest | None]:
     """T² from the mean of golden parts, the number of contrasts, the p value, and the predictive test behind it.
 
-    Hotelling's test by the golden parts' own scatter is taken where no scatter is stated, or where many golden parts
-    contradict the stated one.
+    Where no scatter between parts is stated, its form is that of the budget (`base.significance.like_sample`).
 
     Args:
         scatter: stated scatter of good parts, or None.
+        varies: beginnings of the names of sources that differ from part to part, where no scatter is stated; none for
+            all.
         expected: the prediction.
         measured: the part.
         golden: (n, P − 1) contrasts of the golden parts in the basis of `log_basis`.
@@ -219,14 +195,14 @@ def golden_test(
     Raises:
         MeasurementError: too few golden parts for the test, or nothing is stated as uncertain.
     """
-    if scatter is None:
-        return *from_golden(expected, measured, golden), None
     basis = log_basis(len(expected.poses))
     value = basis @ np.log(measured.radiance)
+    if scatter is None:
+        single = tuple(one for one in measured.components if one.source not in OF_THE_RIG)
+        own = tuple(one for one in expected.components if not varies or one.source.startswith(varies))
+        t2, p_value = like_sample(value, golden, contrast_covariance(own + single, basis))
+        return t2, len(basis), p_value, None
     found = predictive_test(scatter, golden, value, alpha, batches)
-    if len(golden) >= 3 * len(basis) and found.birge is not None and found.birge > MAX_BIRGE:
-        t2, p_value = hotelling(value, golden)
-        return t2, len(basis), p_value, replace(found, decides=False)
     return found.t2, found.dof, found.p_value, found
 
 
@@ -253,30 +229,3 @@ def regular(covariance: FloatArray) -> bool:
     """Whether no combination of the values is without uncertainty."""
     values = np.linalg.eigvalsh(covariance)
     return bool(values[0] > _SINGULAR * values[-1])
-
-
-def golden_chances(response: Response, covariance: FloatArray, count: int) -> FloatArray:
-    """Normal-theory p values of T² of good parts drawn from the stated uncertainties.
-
-    Args:
-        response: of the m contrasts.
-        covariance: (m, m) of the errors outside the response.
-        count: golden parts in a set, more than m.
-
-    Returns:
-        (DRAWS,) p values, ascending; uniform where the response is linear.
-    """
-    rng = np.random.default_rng(_SEED)
-    pool, parts = (response.draw(covariance, DRAWS, rng) for _ in range(2))
-    m = covariance.shape[0]
-    t2 = np.empty(DRAWS)
-    for start in range(0, DRAWS, _BLOCK):
-        block = slice(start, start + _BLOCK)
-        golden = pool[rng.integers(0, DRAWS, (len(parts[block]), count))]
-        mean = golden.mean(axis=1)
-        inner = golden - mean[:, None]
-        scatter = inner.transpose(0, 2, 1) @ inner / (count - 1.0)
-        off = parts[block] - mean
-        t2[block] = np.einsum("ni,ni->n", off, np.linalg.solve(scatter, off[..., None])[..., 0])
-    t2 *= count / (count + 1.0)
-    return np.sort(f_tail(t2 * (count - m) / (m * (count - 1.0)), m, count - m))

@@ -140,7 +140,7 @@ def decide(
         d2, dof, p_value = from_prediction(expected, measured)
     else:
         d2, dof, p_value, predictive = golden_test(
-            scatter, expected, measured, golden.contrasts(), rule.alpha, golden.batches
+            scatter, expected, measured, golden.contrasts(), rule.alpha, golden.batches, golden.varies
         )
     of_lot = golden is not None and golden.lot is not None
     decisive = golden
@@ -158,7 +158,7 @@ def decide(
         deviating_between_tilts(expected, measured, rule.alpha)
     )
     named = predictive if decisive is not None else None
-    like = named.strongest if named is not None and named.decides else None
+    like = None if named is None else named.strongest
     verdict, reasons = _combine(pairs, p_value, area, rule, _alike(decisive), where, like)
     if measured.mirroring is not None:
         verdict, own = Verdict.FAIL, reasons if verdict is Verdict.FAIL else ()

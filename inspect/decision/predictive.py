@@ -153,7 +153,6 @@ class PredictiveTest:
         directions: one a named defect.
         birge: ratio of the golden parts' scatter to the stated one; None for a single golden part.
         size: s², variance of good parts over the stated one, as the golden parts and the stated size have it together.
-        decides: whether this test decides; not where many golden parts contradict the stated scatter.
     """
 
     t2: float
@@ -164,7 +163,6 @@ class PredictiveTest:
     directions: tuple[Direction, ...]
     birge: float | None
     size: float = 1.0
-    decides: bool = True
 
     @property
     def strongest(self) -> Direction | None:

@@ -19,7 +19,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
 from anisoscope.base.regular_file import bounded_bytes
-from anisoscope.base.significance import hotelling, log_basis
+from anisoscope.base.significance import LEAST_SAMPLE, like_sample, log_basis
 from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT
 from anisoscope.decision.lot_reference import alike
@@ -54,7 +54,7 @@ RecipeT = TypeVar("RecipeT", bound=RecipeBase)
 class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
     """The good parts of one recipe.
 
-    A kind gives `row_of`, `values` and `directions`, and overrides what else differs.
+    A kind gives `row_of`, and overrides what else differs.
 
     Attributes:
         kind: name in files of kinds that state it, or None.
@@ -97,15 +97,6 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         Raises:
             CalibrationError: the inspection says nothing about a good part.
         """
-        raise NotImplementedError
-
-    def values(self) -> FloatArray:
-        """(n, k) values of every part, of which the scatter is the reference."""
-        raise NotImplementedError
-
-    @property
-    def directions(self) -> int:
-        """Number of directions in which the values must vary, at most k."""
         raise NotImplementedError
 
     @classmethod
@@ -297,27 +288,16 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
 
     @property
     def needed(self) -> int:
-        """Smallest number of parts for a covariance of all directions (Hotelling's T²)."""
-        return self.directions + 1
-
-    @property
-    def sensible(self) -> int:
-        """Number of parts of which the scatter is known well enough: three a direction."""
-        return 3 * self.directions
+        """Smallest number of parts that show how much good ones vary."""
+        return LEAST_SAMPLE
 
     @property
     def lacking(self) -> str | None:
         """Reason why the parts do not serve as the reference yet, or None."""
         count = len(self.parts)
-        if count < self.needed:
-            return (
-                f"{counted(count, self.noun)}: from {self.needed} on {self.thing}s are compared with them, "
-                f"{self.sensible} are sensible"
-            )
-        scatter = np.atleast_2d(np.cov(self.values(), rowvar=False))
-        if np.linalg.matrix_rank(scatter) < self.directions:
-            return f"{count} {self.noun}s: they do not vary independently, so that they are not compared with"
-        return None
+        if count >= self.needed:
+            return None
+        return f"{counted(count, self.noun)}: from {self.needed} on {self.thing}s are compared with them"
 
     def _areas(self, rule: Any) -> list[tuple[float, int | None]]:  # noqa: ANN401 - of the kind
         return [area for part in self.parts if (area := part.deviating_area(rule)) is not None]
@@ -434,29 +414,22 @@ class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
         """Number of parts of a lot of unknown quality."""
         return sum(part.unlabelled for part in self.parts)
 
-    def values(self) -> FloatArray:
-        """(n, P − 1) contrasts."""
-        return self.contrasts()
-
-    @property
-    def directions(self) -> int:
-        """P − 1."""
-        return len(self.poses) - 1
-
-    def t_squared(self, radiance: FloatArray) -> tuple[float, int, float]:
-        """Hotelling's T² of one more part from these parts.
+    def t_squared(self, radiance: FloatArray, u: FloatArray) -> tuple[float, int, float]:
+        """T² of one more part from these parts (`base.significance.like_sample`).
 
         Args:
             radiance: (P,) of the part, 1/sr.
+            u: (P,) relative standard deviations of good parts, as far as they are known; their size does not matter.
 
         Returns:
             T², its degrees of freedom P − 1, and the probability of a larger one for a part like these.
 
         Raises:
-            MeasurementError: the parts are too few, or do not vary in every direction (`lacking`).
+            MeasurementError: the parts are too few (`lacking`), or nothing is stated to vary.
         """
-        t2, p_value = hotelling(log_basis(len(radiance)) @ np.log(radiance), self.contrasts())
-        return t2, self.directions, p_value
+        basis = log_basis(len(radiance))
+        t2, p_value = like_sample(basis @ np.log(radiance), self.contrasts(), (basis * u**2) @ basis.T)
+        return t2, len(basis), p_value
 
 
 class GoldenSet(RadianceSet[SurfaceRecipe]):
@@ -464,7 +437,8 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
 
     Attributes:
         predictive: a part is compared with one golden part or more, by the scatter that the recipe states
-            (`anisoscope.decision.predictive`); otherwise with as many as their own scatter needs.
+            (`anisoscope.decision.predictive`); otherwise with three or more, by the form of the budget.
+        varies: beginnings of the names of sources in the budget that differ from part to part; none for all.
         lot: lot of a part, where these are the other parts of it, of unknown quality.
         refused: reasons why further parts of it do not serve, a line each.
     """
@@ -473,6 +447,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
     refused: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
 
     predictive: ClassVar[bool] = True
+    varies: ClassVar[tuple[str, ...]] = ()
 
     @property
     def cell_limits(self) -> tuple[float, ...]:
@@ -481,7 +456,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
 
     @property
     def needed(self) -> int:
-        """One, where the recipe states the scatter; otherwise one more than the contrasts."""
+        """One, where the recipe states the scatter; otherwise three."""
         return 1 if self.predictive else super().needed
 
     @property
@@ -489,7 +464,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         """Reason why the parts do not serve as the reference yet, or None."""
         if self.lot is not None:
             return self._waiting
-        return None if self.predictive and self.parts else super().lacking
+        return super().lacking
 
     @property
     def _waiting(self) -> str | None:

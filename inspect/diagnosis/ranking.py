@@ -195,7 +195,7 @@ def _left(row: _Hypothesis, data: int, evidence: Evidence) -> float:
 
 
 def _chance(left: float, dof: int, evidence: Evidence) -> float:
-    """Probability of a greater distance: χ², or Hotelling's T² if golden parts estimate the covariance."""
+    """Probability of a greater distance: χ², or F if golden parts estimate the covariance."""
     if evidence.learnt is None:
         return float(chi2_tail(left, dof))
     free = max(evidence.learnt.freedom, float(dof))

@@ -16,6 +16,7 @@ from anisoscope.base.errors import AnisoscopeError, CalibrationError, HeightMapE
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import bounded_text
+from anisoscope.base.significance import LEAST_SAMPLE
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.consistency import contrast_scatter, scatter_of
 from anisoscope.decision.decision import Decision, decide
@@ -273,7 +274,7 @@ class SurfaceKind(
             if golden is not None:
                 raise
             parts = None
-        if golden is not None and parts is None and len(golden.parts) <= golden.directions:
+        if golden is not None and parts is None and len(golden.parts) < LEAST_SAMPLE:
             golden = None
         if golden is not None and golden.lot is not None:
             if parts is None:

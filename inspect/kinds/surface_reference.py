@@ -218,7 +218,7 @@ def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> G
         mean=tuple(contrasts.mean(axis=0)),
         contrasts=tuple(tuple(row) for row in contrasts),
         measured=tuple(mine),
-        test="hotelling" if found is None or not found.decides else "predictive",
+        test="sized" if found is None else "predictive",
         birge=None if found is None else found.birge,
         size=None if found is None else found.size,
         batches=golden.batches,

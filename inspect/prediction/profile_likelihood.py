@@ -5,8 +5,10 @@ of a part is that from the nearest state of the inputs: min over z of |z|² + (d
 covariance of the independent errors. Where f is linear this is the Mahalanobis distance of the full covariance.
 """
 
+from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Protocol
+from functools import lru_cache
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -18,7 +20,11 @@ _COSTLY_STEPS = 100
 SETTLED = 1e-9
 """Relative change of a squared distance below which its search ends."""
 _CONVERGENCE = 1e-4  # tolerance of a squared distance whose evaluations are costly
-_ASIDE = 1.5  # u
+_INSIDE = 0.999  # of the range, where a search begins
+_VAGUE = (1.0, 30.0, 300.0)  # variance of an expansion, over that of the errors, in turn
+_GRIDDED, _NODES, _REACH = 3, 17, 3.2  # inputs that bend most; nodes along each, u to either side
+_DARKEST = 0.02  # of the radiance: an expansion may fall below zero
+_TRIED, _SEARCHED = 16, 4  # minima of the grid: by the model, and as starts
 
 FARTHEST = 8.0
 """Standard uncertainties to which states are looked at where a model does not know all; no good part is beyond."""
@@ -176,9 +182,7 @@ def nearest_costly(
     settled: float,
     farthest: float | FloatArray,
 ) -> tuple[float, FloatArray]:
-    """The same for one part with costly states, and the (K,) state itself.
-
-    The tangent follows the steps (Broyden 1965), and is computed anew where they no longer help.
+    """The same for one part with costly states, and the (K,) state itself: least squares within a trust region.
 
     Args:
         curve: of the m values, with K inputs.
@@ -188,62 +192,105 @@ def nearest_costly(
         settled: relative change of the distance below which the search ends.
         farthest: range of the search for every input.
     """
-    weight = np.linalg.inv(covariance)
+    from scipy.optimize import least_squares  # noqa: PLC0415 - start-up time
 
-    def misfit(z: FloatArray, value: FloatArray) -> float:
-        return float(z @ z + (deviation - value) @ weight @ (deviation - value))
+    white, far = np.linalg.inv(np.linalg.cholesky(covariance)), np.zeros(len(start)) + farthest
 
-    z, value, tangent, fresh = start, curve.change(start), curve.tangent(start), True
-    left = misfit(z, value)
-    for _ in range(_COSTLY_STEPS):
-        pull = tangent.T @ weight
-        down = np.linalg.solve(np.eye(len(z)) + pull @ tangent, pull @ (deviation - value) - z)
-        before, share, was_fresh = left, 1.0, fresh
-        for _ in range(_HALVINGS if fresh else 2):
-            trial = np.clip(z + share * down, -farthest, farthest)
-            there = curve.change(trial)
-            if (found := misfit(trial, there)) < left:
-                step = trial - z
-                tangent = tangent + np.outer(there - value - tangent @ step, step) / (step @ step)
-                z, value, left, fresh = trial, there, found, False
-                break
-            share *= 0.5
-        if before - left <= settled * (1.0 + before):
-            if was_fresh:
-                break
-            tangent, fresh = curve.tangent(z), True
-    return left, z
+    def rest(z: FloatArray) -> FloatArray:
+        return np.concatenate([z, white @ (deviation - curve.change(z))])
+
+    def slopes(z: FloatArray) -> FloatArray:
+        return np.vstack([np.eye(len(z)), -white @ curve.tangent(z)])
+
+    found = least_squares(
+        rest,
+        np.clip(start, -_INSIDE * far, _INSIDE * far),
+        slopes,
+        bounds=(-far, far),
+        ftol=settled,
+        max_nfev=_COSTLY_STEPS,
+    )
+    return float(2.0 * found.cost), np.asarray(found.x)
 
 
 def nearest_anywhere(
-    curve: Curve, deviation: FloatArray, covariance: FloatArray, farthest: float | FloatArray = FARTHEST
-) -> float:
-    """The same for one part with costly states, where an input may act by its square alone.
+    states: BoundedCurve, basis: FloatArray, deviation: FloatArray, covariance: FloatArray
+) -> tuple[float, FloatArray]:
+    """The same for one part with costly states and several minima, and the (K,) state itself.
 
-    Such an input has no tangent at its nominal value, and a step would never leave it: the search is repeated from its
-    end with one such input displaced to either side.
+    Radiance is nearly quadratic in what turns amplitudes of waves (edges, widths, depths), and the distance has a
+    minimum for each phase of theirs. About a state the radiances are therefore expanded to second order; the inputs
+    that bend most lie on a grid, with the others by linear least squares at every node; a search with the model itself
+    begins at the best minima of the grid. The expansion is repeated about the state that was found.
 
     Args:
-        curve: of the m values, with K inputs.
+        states: change of ln L of P poses, with K inputs.
+        basis: (m, P) combinations that are compared.
         deviation: (m,).
         covariance: (m, m).
-        farthest: range of the search in standard uncertainties, for all inputs or (K,) for each.
     """
-    count = len(curve.sources)
-    ends = curve.change(np.vstack([np.eye(count), -np.eye(count)]))
-    slope, bend = 0.5 * (ends[:count] - ends[count:]), 0.5 * (ends[:count] + ends[count:])
-    turning = np.flatnonzero(np.abs(bend).max(axis=1) > np.abs(slope).max(axis=1))
+    arrays = (np.ascontiguousarray(one, dtype=np.float64) for one in (basis, deviation, covariance))
+    known = cast("Hashable", states)
+    left, state = _nearest_anywhere(known, *(one.tobytes() for one in arrays), len(deviation))
+    return left, np.array(state)
 
-    def search(start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        one, metric = deviation[None], covariance[None]
-        return nearest_states(curve, one, metric, start, settled=_CONVERGENCE, farthest=farthest)
 
-    left, z = search(np.zeros((1, count)))
-    if not turning.size:
-        return float(left[0])
-    aside = np.repeat(z, 2 * turning.size, axis=0)
-    aside[np.arange(len(aside)), np.repeat(turning, 2)] = np.tile([-_ASIDE, _ASIDE], turning.size)
-    rest = deviation - curve.change(aside)
-    misfit = np.sum(aside**2, axis=1) + np.einsum("ni,ij,nj->n", rest, np.linalg.inv(covariance), rest)
-    again, _ = search(aside[[int(np.argmin(misfit))]])
-    return float(min(left[0], again[0]))
+@lru_cache(maxsize=64)
+def _nearest_anywhere(
+    known: Hashable, basis: bytes, deviation: bytes, covariance: bytes, m: int
+) -> tuple[float, tuple[float, ...]]:
+    states = cast("BoundedCurve", known)
+    off, metric = np.frombuffer(deviation), np.frombuffer(covariance).reshape(m, m)
+    curve, count = Combined(states, np.frombuffer(basis).reshape(m, -1)), len(states.sources)
+    least, best = np.inf, np.zeros(count)
+    for vague in _VAGUE:
+        for start in _starts(curve, off, metric, best, vague):
+            found = nearest_costly(curve, off, metric, start, settled=_CONVERGENCE, farthest=states.farthest)
+            if found[0] < least:
+                least, best = found
+        if least < m:  # as near as good parts are
+            break
+    return least, tuple(best.tolist())
+
+
+def _starts(
+    curve: Combined, off: FloatArray, metric: FloatArray, centre: FloatArray, vague: float
+) -> FloatArray:
+    """(n, K) states from which the model is searched; errors of the expansion are ``vague`` times those of a part."""
+    from scipy.ndimage import minimum_filter  # noqa: PLC0415 - start-up time
+
+    count, basis = len(centre), curve.basis
+    ends = curve.curve.change(centre + np.vstack([np.zeros(count), np.eye(count), -np.eye(count)]))
+    here, up, down = ends[0], np.exp(ends[1 : count + 1] - ends[0]), np.exp(ends[count + 1 :] - ends[0])
+    white = np.linalg.inv(np.linalg.cholesky(metric))
+    bends = np.linalg.norm((0.5 * np.log(up * down)) @ basis.T @ white.T, axis=1)
+    turning = np.argsort(-bends)[: min(_GRIDDED, count)]
+    slope, bend = 0.5 * (up - down).T, np.zeros((len(here), count, count))
+    bend[:, range(count), range(count)] = (up + down - 2.0).T
+    pairs = [(i, j) for i in turning for j in range(count) if j not in turning or j > i]
+    paired = np.array([centre + np.eye(count)[i] + np.eye(count)[j] for i, j in pairs])
+    both = np.exp(curve.curve.change(paired) - here)
+    for (i, j), radiance in zip(pairs, both, strict=True):
+        bend[:, i, j] = bend[:, j, i] = radiance - up[i] - up[j] + 1.0
+    axis, rest = np.linspace(-_REACH, _REACH, _NODES), np.setdiff1d(np.arange(count), turning)
+    nodes = np.stack(np.meshgrid(*[axis] * len(turning), indexing="ij"), axis=-1).reshape(-1, len(turning))
+    z = np.tile(centre, (len(nodes), 1))
+    z[:, turning] = nodes
+    step = z - centre
+    half = np.tensordot(step, 0.5 * bend, axes=(-1, 2))
+    radiance = np.maximum(1.0 + ((half + slope) @ step[..., None])[..., 0], _DARKEST)
+    tangent = ((slope + 2.0 * half) / radiance[..., None])[..., rest]
+    gap = off - (here + np.log(radiance)) @ basis.T
+    pull = basis @ tangent
+    gap += pull @ centre[rest]
+    weighed = np.linalg.solve(vague * metric + pull @ np.swapaxes(pull, 1, 2), gap[..., None])
+    left = np.sum(nodes**2, axis=1) + np.einsum("ni,ni->n", gap, weighed[..., 0])
+    z[:, rest] = (np.swapaxes(pull, 1, 2) @ weighed)[..., 0]
+    grid = left.reshape((_NODES,) * len(turning))
+    lowest = np.flatnonzero((grid == minimum_filter(grid, 3)).ravel())
+    tried = np.vstack([centre, z[lowest[np.argsort(left[lowest])][:_TRIED]]])
+    tried = np.clip(tried, -FARTHEST, FARTHEST)
+    missed = (off - curve.change(tried)) @ white.T
+    return np.asarray(
+        tried[np.argsort(np.sum(tried**2, axis=1) + np.sum(missed**2, axis=1) / vague)[:_SEARCHED]]
+    )

@@ -408,7 +408,7 @@ class GoldenRecord(_Part):
     older records, ``batches`` the number of their lots or days, ``unjudged`` the number of parts of a lot of unknown
     quality, ``lot`` the lot where they are its other parts; ``p_distance`` and ``p_direction`` are the p values of the
     squared distance and of the scores of ``directions``; ``test`` is the one that decided, "predictive" by the stated
-    scatter or "hotelling" by that of the golden parts.
+    scatter, "sized" by one of the form of the budget, "hotelling" (earlier versions) by that of the golden parts alone.
     """
 
     parts: int
@@ -419,7 +419,7 @@ class GoldenRecord(_Part):
     p_distance: float | None = None
     p_direction: float | None = None
     directions: tuple[DirectionRecord, ...] = ()
-    test: Literal["predictive", "hotelling"] = "hotelling"
+    test: Literal["predictive", "sized", "hotelling"] = "hotelling"
     size: float | None = None
     batches: int | None = None
     unjudged: int = 0

@@ -87,7 +87,7 @@ def surface_finding(record: Record) -> str:
         area = found.area
         return f"{100.0 * area.share:.1f} % of the area deviates (limit {100.0 * area.max_share:g} %)"
     tilts = [one for one in found.between_tilts if one.p_value < record.recipe["decision"]["alpha"]]
-    if tilts and worst.tolerance is None:
+    if tilts and worst.tolerance is None and record.verdict != "PASS":
         most = min(
             tilts, key=lambda one: (one.p_value, -abs(one.measured - one.predicted) / max(one.u, 1e-12))
         )

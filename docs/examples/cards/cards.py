@@ -113,7 +113,7 @@ class Cards(Kind[CardRecipe, Prediction, Measured, Judgement], References, Repor
         reasons = (f"the card is off by {off:+.3f} 1/sr (limit {recipe.card.limit:g})",)
         good = usable(reference)
         if isinstance(good, RadianceSet):
-            _, _, p_value = good.t_squared(measured.radiance)
+            _, _, p_value = good.t_squared(measured.radiance, np.full(measured.radiance.size, 0.01))
             if p_value < recipe.decision.alpha:
                 return Judgement(Verdict.FAIL, (f"not like the good cards (p = {p_value:.2g})", *reasons))
         return Judgement(Verdict.PASS if abs(off) <= recipe.card.limit else Verdict.FAIL, reasons)

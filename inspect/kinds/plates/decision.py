@@ -125,7 +125,7 @@ def decide_plate(
     d2, dof = mahalanobis(basis @ off, basis @ covariance @ basis.T)
     p_value, compared = float(chi2_tail(d2, dof)), None
     if golden is not None:
-        d2, dof, p_value = golden.t_squared(middle)
+        d2, dof, p_value = golden.t_squared(middle, covariance)
         compared = GoldenPlatesRecord(parts=len(golden.parts), t2=d2, p_value=p_value)
     offsets = field_offsets(expected, ln, middle)
     tested, scatters = compared_fields(expected, recipe, offsets, golden)

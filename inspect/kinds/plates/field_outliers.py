@@ -1,4 +1,4 @@
-"""Does a single field differ from the fields of its class? Hotelling's T² with their scatter, and Holm over all fields.
+"""Does a single field differ from the fields of its class? T² with their scatter, and Holm over all fields.
 
 Ln L of a field in P poses, less the middle of its class, is compared with the covariance of the class, estimated so
 that fields with defects do not enter it: without those beyond the tolerance, from the 95 % that lie closest together

@@ -74,7 +74,7 @@ class PlacementRecord(_Part):
 
 
 class GoldenPlatesRecord(_Part):
-    """Comparison of the classes with golden plates: how many, Hotelling's T² and its p value."""
+    """Comparison of the classes with golden plates: how many, T² and its p value."""
 
     parts: int
     t2: float

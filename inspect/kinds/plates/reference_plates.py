@@ -11,7 +11,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError
-from anisoscope.base.significance import hotelling, log_basis
+from anisoscope.base.significance import like_sample, log_basis
 from anisoscope.decision.reference_parts import ReferenceRow, ReferenceSet
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.plates.recipe import PlateRecipe
@@ -70,20 +70,19 @@ class GoldenPlates(ReferenceSet[GoldenPlate, PlateRecipe]):
         logs = np.array([one.ln_classes for one in self.parts]).reshape(len(self.parts), -1)
         return np.asarray(logs @ log_basis(logs.shape[1]).T)
 
-    @property
-    def directions(self) -> int:
-        """C·P − 1."""
-        return max(sum(len(one) for one in part.ln_classes) for part in self.parts) - 1 if self.parts else 1
+    def t_squared(self, ln_classes: FloatArray, covariance: FloatArray) -> tuple[float, int, float]:
+        """T² of the (C, P) ln L of the classes of one more plate, its degrees of freedom, and p value.
 
-    def t_squared(self, ln_classes: FloatArray) -> tuple[float, int, float]:
-        """Hotelling's T² of the (C, P) ln L of the classes of one more plate, its degrees of freedom, and p value.
+        Args:
+            ln_classes: (C, P).
+            covariance: (C·P, C·P) of them by all that is uncertain, whose form good plates scatter in.
 
         Raises:
-            MeasurementError: the plates are too few, or do not vary in every direction.
+            MeasurementError: the plates are too few, or nothing is stated to vary.
         """
-        value = log_basis(ln_classes.size) @ ln_classes.ravel()
-        t2, p_value = hotelling(value, self.values())
-        return t2, self.directions, p_value
+        basis = log_basis(ln_classes.size)
+        t2, p_value = like_sample(basis @ ln_classes.ravel(), self.values(), basis @ covariance @ basis.T)
+        return t2, len(basis), p_value
 
     def offsets(self, shape: tuple[int, ...]) -> FloatArray:
         """(n, P, rows, cols) offsets of the fields.

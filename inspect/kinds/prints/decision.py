@@ -4,11 +4,12 @@ Precedence: INVALID > FAIL > INCONCLUSIVE > PASS. Guard band after ISO 14253-1, 
 of ridged parts. c is not judged: between light and camera stand 10°, and Δc = 0.3 makes ΔE of about 1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import root
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.significance import chi2_tail, mahalanobis
@@ -16,7 +17,12 @@ from anisoscope.decision.exclusion import MORE_TILTS, Exclusion, with_exclusions
 from anisoscope.kinds.kind import Results
 from anisoscope.kinds.prints.colour_map import PrintMap, map_of
 from anisoscope.kinds.prints.excluded_defects import deviation_of, excluded_of
-from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources
+from anisoscope.kinds.prints.expectation import (
+    OF_ONE_INSPECTION,
+    PrintExpectation,
+    rig_sources,
+    scatter_of_prints,
+)
 from anisoscope.kinds.prints.lobe_fit import NoLobe, PrintFit, fit_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.missing_ink import Bare, sheet_description, without_ink
@@ -56,8 +62,8 @@ class PrintDecision:
         colours: one a pose.
         fit: lobe, level and colour; None where there is no lobe.
         map: local differences, or None where the recipe asks for none.
-        d2: squared Mahalanobis distance of ln of all channels from the prediction; with golden prints Hotelling's T² of
-            what is fitted, from their mean.
+        d2: squared Mahalanobis distance of ln of all channels from the prediction; with golden prints T² of what is
+            fitted, from their mean.
         dof: how many numbers that are.
         p_value: probability of a larger distance for a print as predicted; with golden prints of any of their tests.
         sources: of uncertainty, of prediction and measurement.
@@ -107,7 +113,6 @@ def decide_print(
         fit = fit_print(expected.scene, logs, (*expected.common, *of_rig))
     except NoLobe as problem:
         return _without_lobe(expected, measured, recipe, str(problem))
-    colours = colours_of(expected, measured, fit, covariance)
     found, comparison = None, None
     if recipe.area is not None:
         found = map_of(measured, expected, fit, recipe.area, recipe.decision.coverage)
@@ -115,11 +120,15 @@ def decide_print(
         linear, alpha = linear_fit(expected, (*expected.common, *of_rig)), recipe.decision.alpha
         known = golden.known_shares(recipe)
         area = None if known is None or found is None else (known, found.record.share)
-        comparison = compare_with_golden(golden, expected, logs, linear, area, alpha)
+        stated = scatter_of_prints(recipe, expected)
+        comparison = compare_with_golden(golden, expected, logs, linear, stated, area, alpha)
         d2, dof, p_value = comparison.t2, len(comparison.measured), comparison.p_value
         if found is not None and comparison.area is not None:
             found = found.with_learnt_limit(comparison.area, alpha)
+    colours = colours_of(expected, measured, fit, covariance)
     judge = Judge(expected, fit, recipe, (*expected.common, *of_rig))
+    if golden is not None:
+        judge, colours = _from_golden(expected, measured, recipe, golden, (judge, colours))
     quantities = (*judge.quantities(), judge.colour(colours))
     if found is not None:
         quantities = (*quantities, judge.curl(found))
@@ -147,6 +156,35 @@ def decide_print(
         comparison,
         exclusions=exclusions,
     )
+
+
+def _from_golden(
+    expected: PrintExpectation,
+    measured: MeasuredPrint,
+    recipe: PrintRecipe,
+    golden: GoldenPrints,
+    alone: tuple[Judge, tuple[ColourRecord, ...]],
+) -> tuple[Judge, tuple[ColourRecord, ...]]:
+    """The fit and the colours of a print from the mean of the golden prints: errors common to all prints cancel.
+
+    The print is compared as if the golden mean were what the ink file predicts.
+    """
+    of_rig = rig_sources(recipe, expected)
+    base, mean = np.log(expected.channels).ravel(), golden.logs().mean(axis=0)
+    logs = np.log(measured.channels).ravel() - mean + base
+    own = (*measured.sources, *(one for one in of_rig if one.name in OF_ONE_INSPECTION))
+    scatter = np.cov(golden.logs(), rowvar=False) / len(golden.parts)
+    sources = (*own, Source("mean of the golden prints", "prediction", root(scatter).T))
+    weights = (*expected.common, *measured.sources, *of_rig)
+    fit = fit_print(expected.scene, logs, weights)
+    origin = fit_print(expected.scene, mean, weights).state
+    moved = replace(measured, channels=np.exp(logs).reshape(-1, 3))
+    differences = colours_of(expected, moved, fit, total(sources, logs.size))
+    colours = tuple(
+        one.model_copy(update={"delta_e": other.delta_e, "u_delta_e": other.u_delta_e})
+        for one, other in zip(alone[1], differences, strict=True)
+    )
+    return Judge(expected, fit, recipe, sources, origin), colours
 
 
 def _without_lobe(
@@ -226,7 +264,8 @@ def _combine(
     findings = [(one.verdict, sentence(one)) for one in quantities]
     if found is not None and recipe.area is not None:
         findings.append((found.record.verdict, _of_area(found.record, recipe.area, comparison)))
-    fails = significant and rule.deviation == "fail"
+    stated = comparison is None or "deviation" in rule.model_fields_set
+    fails = significant and (rule.deviation == "fail" or not stated)
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
     findings.sort(key=lambda finding: order.index(finding[0]))

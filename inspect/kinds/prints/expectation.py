@@ -10,7 +10,7 @@ from anisoscope.kinds.prints.colour import Eye, eye_of
 from anisoscope.kinds.prints.lobe_fit import check_poses
 from anisoscope.kinds.prints.model import Scene, State, roughness_matrix, squared_slopes
 from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.kinds.prints.sources import Source, of_channels, of_each, of_poses, shared
+from anisoscope.kinds.prints.sources import Source, of_channels, of_each, of_poses, shared, total
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
@@ -21,6 +21,10 @@ from anisoscope.sim.light.ink.angles import half_vector
 MODEL = "ink"
 ROUGHNESS = "roughness of the ink"
 _DARK = 1e-9
+OF_ONE_INSPECTION = ("stage angle", "tilt of the arm")
+"""Sources that the recipe states of the rig and that differ from one inspection to the next."""
+LEAST_ALPHA_SHARE, FILM_NM, OF_EACH = 0.01, 0.5, 0.001
+"""Scatter of good prints in form: roughness where none is stated, shift by the film, and each channel for itself."""
 MOST_SLOPES = 40.0
 """tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that no prediction is made."""
 
@@ -160,6 +164,21 @@ def _fitted(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tu
         shared("seating tilt about x", "prediction", rig.seating_tilt_deg * scene.slope("seat_x_deg", state)),
         shared("seating tilt about y", "prediction", rig.seating_tilt_deg * scene.slope("seat_y_deg", state)),
     )
+
+
+def scatter_of_prints(recipe: PrintRecipe, expected: PrintExpectation) -> FloatArray:
+    """(3P, 3P) covariance of ln of the channels of good prints about their mean, of which the form counts.
+
+    As the ink is uncertain, so prints of it vary; besides, flakes align otherwise, and films are otherwise thick.
+    """
+    scene, alpha = expected.scene, recipe.print.u_alpha_share or LEAST_ALPHA_SHARE
+    between = [
+        shared(name, "prediction", size * scene.slope(name))
+        for name, size in (("ratio", alpha), ("skew", alpha), ("shift_nm", FILM_NM))
+    ]
+    own = [one for one in rig_sources(recipe, expected) if one.name in OF_ONE_INSPECTION]
+    each = of_each("ink model", "prediction", np.full(expected.channels.size, OF_EACH))
+    return total((*expected.fitted, *between, *own, each), expected.channels.size)
 
 
 def rig_sources(

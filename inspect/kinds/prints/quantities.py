@@ -33,12 +33,18 @@ class Quantity(QuantityRecord):
 
 
 class Judge:
-    """The fitted quantities against their limits."""
+    """The fitted quantities against their limits; ``origin`` is the state of the golden mean, if the fit is from it."""
 
     def __init__(
-        self, expected: PrintExpectation, fit: PrintFit, recipe: PrintRecipe, sources: tuple[Source, ...]
+        self,
+        expected: PrintExpectation,
+        fit: PrintFit,
+        recipe: PrintRecipe,
+        sources: tuple[Source, ...],
+        origin: State | None = None,
     ) -> None:
         self.expected, self.fit, self.recipe, self.sources = expected, fit, recipe, sources
+        self.origin = origin
         self.ink, self.limits = expected.scene.ink, recipe.tolerances
         self.brightest = int(np.argmax(expected.channels.sum(axis=1)))
 
@@ -47,7 +53,7 @@ class Judge:
         part, rig, limits = self.recipe.print, self.recipe.uncertainty, self.limits
         found = []
         for name, azimuth in (("x", 0.0), ("y", 90.0)):
-            nominal = roughness_along(self.ink, State(), azimuth)
+            nominal = roughness_along(self.ink, self.origin or State(), azimuth)
 
             def along(state: State, azimuth: float = azimuth) -> FloatArray:
                 return np.log([roughness_along(self.ink, state, azimuth)])
@@ -58,7 +64,8 @@ class Judge:
         found.append(self._ratio("ratio", "ln of roughness at 90° over 0°", 0.0, 90.0))
         found.append(self._ratio("skew", "ln of roughness at 135° over 45°", 45.0, 135.0))
         level = (("level of the ink", part.u_rho_share), ("colour of the ink", part.u_colour_share))
-        found.append(self._scalar("gain", "level of the ink", self._level, 1.0, limits.gain_share, level))
+        gain = float(np.exp((self._level(self.origin or State()) - self._level(State()))[0]))
+        found.append(self._scalar("gain", "level of the ink", self._level, gain, limits.gain_share, level))
         scale = self._chroma_scale()
         colour = (("colour of the ink", part.u_colour_share * scale),)
         found.append(
@@ -101,7 +108,7 @@ class Judge:
                 [roughness_along(self.ink, state, second) / roughness_along(self.ink, state, first)]
             )
 
-        nominal = float(log_ratio(State())[0])
+        nominal = float(log_ratio(self.origin or State())[0])
         one = self._scalar(name, title, log_ratio, nominal, self.limits.ln_ratio, ())
         return one.model_copy(update={"value": nominal + one.deviation})
 
@@ -174,7 +181,7 @@ class Judge:
         """Standard uncertainty of a number with (9,) derivatives, and what every source contributes."""
         per_channel = slope @ self.fit.gain
         rows = [(s.name, str(s.kind), float(np.linalg.norm(per_channel @ s.factor))) for s in self.sources]
-        rows += [(name, "prediction", float(u)) for name, u in own]
+        rows += [(name, "prediction", float(u)) for name, u in own if self.origin is None]
         return float(np.linalg.norm([row[2] for row in rows])), tuple(rows)
 
     def _guarded(

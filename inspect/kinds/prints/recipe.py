@@ -286,7 +286,7 @@ curl_deg = 0.5  # how much it changes across the region
 
 [decision]
 alpha = 0.01  # level of significance of all channels together
-deviation = "warn"  # "fail": a significant deviation within the limits fails the print
+# deviation = "warn"  # a significant deviation within the limits: "warn" or "fail"; left out "fail" with golden prints
 remeasure = 1  # how often an INCONCLUSIVE print is photographed again
 unexcluded = "inconclusive"  # a print that may have a defect of [defects] does not pass; "note": it passes, with a note
 

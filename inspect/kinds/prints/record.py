@@ -141,7 +141,7 @@ class GoldenFitRecord(_Part):
 class GoldenColourRecord(_Part):
     """Colour of one pose compared with the golden prints, all corrected for their lean.
 
-    ``delta_e`` is the CIEDE2000 from their mean, ``spread`` the root mean square of theirs, ``t2`` Hotelling's T² of
+    ``delta_e`` is the CIEDE2000 from their mean, ``spread`` the root mean square of theirs, ``t2`` T² of
     the three channels; ``p_value`` is adjusted over all tests (Holm).
     """
 

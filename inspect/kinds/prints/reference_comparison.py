@@ -1,11 +1,11 @@
-"""Test of a print against the golden prints: Hotelling's T² of all that is fitted, and of the colour of every pose.
+"""Test of a print against the golden prints: T² of all that is fitted, and of the colour of every pose.
 
-The scatter of 25 prints cannot weigh the 63 channels of 21 poses. What is weighed are combinations of them: the nine
+The scatter of few prints cannot weigh the 63 channels of 21 poses. What is weighed are combinations of them: the nine
 parameters of the fit (roughness in every direction, lean, levels, form of the lobe), taken linearly about the print
 that the recipe predicts, so that they are normal if the channels are; and pose by pose the three channels, without what
-the lean makes, because the lean may be that of the seat and is one of the nine. The scatter of golden prints holds the
-uncertainty of the measurement already. Lobe, colours and, where its limit is learnt, the area share one level, and so
-do the poses' colours (Holm 1979).
+the lean makes, because the lean may be that of the seat and is one of the nine. The scatter of good prints has the form
+of the budget, and the size that golden prints show (`base.significance.like_sample`). Lobe, colours and, where its
+limit is learnt, the area share one level, and so do the poses' colours (Holm 1979).
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import holm, hotelling
+from anisoscope.base.significance import holm, like_sample
 from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
@@ -60,7 +60,7 @@ class GoldenComparison:
         count: n, how many they are.
         fitted: (n, 9) parameters of the golden prints from those of the predicted print, as of `lobe_fit.PARAMETERS`.
         measured: (9,) those of this print.
-        t2: Hotelling's T² of the nine.
+        t2: T² of the nine.
         p_fitted: probability of more for a print like the golden ones, Holm-adjusted.
         colours: one a pose.
         logs: (3P,) mean of the golden prints' ln of the channels.
@@ -127,6 +127,7 @@ def compare_with_golden(
     expected: PrintExpectation,
     logs: FloatArray,
     fit: LinearFit,
+    stated: FloatArray,
     area: tuple[KnownShares, float] | None = None,
     alpha: float = 0.01,
 ) -> GoldenComparison:
@@ -137,21 +138,23 @@ def compare_with_golden(
         expected: the prediction.
         logs: (3P,) ln of the print's channels.
         fit: what is weighed, of all prints alike.
+        stated: (3P, 3P) covariance of ln of the channels of good prints by all that is uncertain of one: its form.
         area: area shares of the golden prints, and the share that deviates here; None where they lack them.
         alpha: level of all tests together.
 
     Raises:
-        MeasurementError: the golden prints are too few, or do not vary in every direction.
+        MeasurementError: the golden prints are too few.
     """
     base = np.log(expected.channels).ravel()
     slopes, gain = fit.slopes, fit.gain
     known, mine = golden.logs() - base, logs - base
     fitted, own = known @ gain.T, gain @ mine
-    t2, p_fitted = hotelling(own, fitted)
+    t2, p_fitted = like_sample(own, fitted, gain @ stated @ gain.T)
     flat = np.eye(base.size) - slopes[:, LEAN] @ gain[LEAN]
     others = (known @ flat.T).reshape(len(known), -1, 3)
     here = (flat @ mine).reshape(-1, 3)
-    tests = [hotelling(here[k], others[:, k]) for k in range(len(here))]
+    level = (flat @ stated @ flat.T).reshape(len(here), 3, len(here), 3)
+    tests = [like_sample(here[k], others[:, k], level[k, :, k]) for k in range(len(here))]
     of_poses = holm(np.array([p for _, p in tests]))
     p_values = [p_fitted, float(of_poses.min())]
     shares = None if area is None else _area(*area, p_values, alpha)

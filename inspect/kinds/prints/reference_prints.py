@@ -15,7 +15,6 @@ from anisoscope.base.errors import CalibrationError
 from anisoscope.decision.reference_parts import ReferenceRow, ReferenceSet
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.prints.lighting import lamp_and_sensitivities
-from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
 from anisoscope.kinds.prints.record import PrintDetails, Triple, print_of
 from anisoscope.record.schema import Record
@@ -69,15 +68,6 @@ class GoldenPrints(ReferenceSet[GoldenPrint, PrintRecipe]):
     def logs(self) -> FloatArray:
         """(n, 3P) ln of the channels of every print, channels fastest."""
         return np.array([part.log_channels for part in self.parts]).reshape(len(self.parts), -1)
-
-    def values(self) -> FloatArray:
-        """(n, 3P) ln of the channels."""
-        return self.logs()
-
-    @property
-    def directions(self) -> int:
-        """Number of fitted parameters."""
-        return len(PARAMETERS)
 
     @classmethod
     def row_of(cls, record: Record, recipe: PrintRecipe) -> GoldenPrint:

@@ -3,8 +3,9 @@
 One good print is a single sample; its limits come from the uncertainty of the inspection. Golden prints show how good
 prints vary. A limit then has two parts: the value that one more good print reaches, and the guard band of the rule, so
 that a stated share of good prints is below limit − guard band in all quantities at once (Bonferroni: the remaining
-probability is divided equally among the quantities). The value that one more good print reaches is the upper prediction
-limit of a normal sample, |m| + t·√(s² (1 + 1/n) + u²), for quantities with a sign; lengths and CIEDE2000 are taken as
+probability is divided equally among the quantities). Deviations are from the mean of the golden prints, on either side.
+The value that one more good print reaches is the prediction limit of a normal sample, t·√(s² (1 + 1/n) + u²), for
+quantities with a sign; lengths and CIEDE2000 are taken as
 L^(2/3), which is nearly normal for the length of a normal vector (Wilson and Hilferty 1931). u is the standard
 uncertainty of the measurement: an error common to golden prints of one rig and one flat is not in their scatter, and
 changes with the next calibration.
@@ -111,10 +112,9 @@ def golden_tolerances(
     found: dict[str, tuple[float, str]] = {}
     for name, one in spreads.items():
         reached = _reached(name, one, alpha)
-        mean = "" if name in LENGTHS else f" (their mean is {one.deviations.mean():+.2g})"
         words = (
             f"{len(one.deviations)} golden prints: at least {share:.0%} of good prints pass all limits; the next one "
-            f"reaches {reached:.2g}{mean}, guard band {one.guard:.2g}"
+            f"reaches {reached:.2g} from their mean, guard band {one.guard:.2g}"
         )
         if reached + one.guard > found.get(KEYS[name], (0.0, ""))[0]:
             found[KEYS[name]] = (reached + one.guard, words)
@@ -143,7 +143,7 @@ def _reached(name: str, one: _Spread, alpha: float) -> float:
     if name not in LENGTHS:
         factor = float(stdtrit(count - 1, 1.0 - 0.5 * alpha))
         spread = np.sqrt(float(one.deviations.var(ddof=1)) * more + one.u**2)
-        return float(abs(one.deviations.mean()) + factor * spread)
+        return float(factor * spread)
     roots = np.cbrt(one.deviations**2)
     factor = float(stdtrit(count - 1, 1.0 - alpha))
     reach = (float(roots.mean()) + factor * float(roots.std(ddof=1)) * np.sqrt(more)) ** 1.5
@@ -155,7 +155,7 @@ def _quantities(golden: GoldenPrints, recipe: PrintRecipe, expected: PrintExpect
     """Values of every quantity in golden prints, by the present recipe and prediction."""
     plain = recipe.model_copy(update={"area": None})
     measured = [_measured(logs, plain) for logs in golden.logs()]
-    decisions = [decide_print(expected, one, plain) for one in measured]
+    decisions = [decide_print(expected, one, plain, golden) for one in measured]
     found: dict[str, _Spread] = {}
     for k, first in enumerate(decisions[0].quantities):
         rows = [decision.quantities[k] for decision in decisions]

@@ -118,9 +118,10 @@ OPTICS = WaferOptics()
 
 
 class WaferSet(GoldenSet):
-    """The good wafers of one recipe: compared by their own scatter, because recipes state none between them."""
+    """The good wafers of one recipe: etching and seat vary between them, in the form of the budget."""
 
     predictive = False
+    varies = (DEPTH, WIDTH, SCATTER, "seating tilt")
 
 
 def tile_means(cells: FloatArray) -> FloatArray:

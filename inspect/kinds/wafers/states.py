@@ -35,7 +35,7 @@ STATE_OF: Mapping[str, tuple[str, float]] = {
 }
 """State of each named defect, by its words, and its sign."""
 BEYOND = ", beyond the slope"
-_STEP = 0.02  # u, of a derivative
+_STEP = 0.002  # u, of a derivative
 _WIDTHS = 2.0  # u, between the widths that are drawn
 _ETCHED = 40.0
 _LEAST_WIDTH_NM = 20.0

@@ -7,8 +7,8 @@ from scipy.stats import chi2
 
 from anisoscope.base.covariance import root
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import calibrated, hotelling, log_basis, mahalanobis
-from anisoscope.decision.consistency import from_golden, from_prediction, golden_chances, nearest_lobe
+from anisoscope.base.significance import calibrated, log_basis, mahalanobis
+from anisoscope.decision.consistency import from_prediction, nearest_lobe
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention
@@ -74,31 +74,6 @@ def test_poses_without_any_error_of_their_own_are_weighed_too():
     nothing = Expectation("corrected", POSES, RADIANCE, (), np.zeros(6), None, Convention())
     with pytest.raises(MeasurementError, match="no source of uncertainty"):
         from_prediction(nothing, measured(np.zeros(6), ()))
-
-
-def test_golden_parts_flag_as_many_as_the_level_says_where_the_normal_theory_does_not(rng):
-    parts, basis = good_parts(6000, rng), log_basis(6)
-    normal = []
-    for _ in range(40):
-        golden = parts[rng.permutation(6000)[:20]] @ basis.T
-        normal += [hotelling(basis @ change, golden)[1] for change in parts[rng.permutation(6000)[:30]]]
-    drawn = golden_chances(RESPONSE.within(basis), basis @ OWN.covariance() @ basis.T, 20)
-    found = calibrated(np.array(normal), drawn)
-    assert np.mean(np.array(normal) < 0.01) > 1.4 * np.mean(found < 0.01)
-    # parts of one golden set are alike: of 40 sets the rate has a standard deviation of .0039
-    assert np.mean(found < 0.01) == pytest.approx(0.01, abs=0.012)
-    t2, dof, p = from_golden(expected(), measured(parts[0]), parts[1:21] @ basis.T)
-    again, plain = hotelling(basis @ np.log(measured(parts[0]).radiance), parts[1:21] @ basis.T)
-    assert (t2, dof) == (pytest.approx(again), 5)
-    assert p == pytest.approx(calibrated(np.array([plain]), drawn)[0])
-
-
-def test_a_straight_response_leaves_the_chance_of_golden_parts_alone():
-    basis = log_basis(6)
-    flat = Response(("a", "b"), SLOPE, np.zeros((6, 2, 2))).within(basis)
-    drawn = golden_chances(flat, basis @ OWN.covariance() @ basis.T, 15)
-    levels = np.array([0.5, 0.1, 0.01])
-    np.testing.assert_allclose(calibrated(levels, drawn), levels, rtol=0.25)
 
 
 def test_calibrated_chances_rise_and_have_no_floor(rng):

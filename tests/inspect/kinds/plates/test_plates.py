@@ -374,7 +374,6 @@ def test_golden_plates_replace_the_prediction_and_take_the_pattern_of_the_mould(
     golden = GoldenPlates(
         product="p", recipe_key="k", poses=((0.0, 0.0), (90.0, 0.0)), parts=tuple(row(n) for n in range(10))
     )
-    assert golden.directions == 3
     assert golden.lacking is None
     worn = changed(expected, [(3, 4)], "worn")
     alone = decide_plate(expected, plate(50, worn), recipe).details

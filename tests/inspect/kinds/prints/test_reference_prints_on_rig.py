@@ -85,7 +85,7 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, good_print, 
         command.add(done.folder, recipe=recipe_path)
     job = prepare(recipe_path, rig_path, "P-2")
     assert usable(job.reference) is None
-    assert job.reference.lacking.startswith("1 golden print: from 10 on")
+    assert job.reference.lacking.startswith("1 golden print: from 3 on")
 
     for file, old, new, match in (
         (rig_path, "led-white", "d65", "seen with the lamp 'led-white .*, now it is 'D65'"),

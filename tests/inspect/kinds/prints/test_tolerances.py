@@ -73,10 +73,9 @@ def test_one_more_good_print_exceeds_what_golden_prints_reach_as_rarely_as_said(
     off = mean + rng.standard_normal((trials, count + 1)) + u * rng.standard_normal((trials, 1))
     later = off[:, -1] + u * rng.standard_normal(trials)  # after the next calibration
     over = [
-        abs(own) > _reached("gain", _Spread(known, 0.0, 2.0**0.5 * u), alpha)
+        abs(own - known.mean()) > _reached("gain", _Spread(known, 0.0, 2.0**0.5 * u), alpha)
         for known, own in zip(off[:, :-1], later, strict=True)
     ]
-    # of a mean that is far off only one side can be exceeded
     assert 0.2 * alpha < np.mean(over) < 1.25 * alpha
     lengths = np.hypot(*rng.standard_normal((2, trials, count + 1)))
     over = [row[-1] > _reached("tilt", _Spread(row[:-1], 0.0, 0.0), alpha) for row in lengths]
@@ -121,7 +120,7 @@ def test_good_prints_pass_limits_that_golden_prints_teach_and_defects_fail(make_
     taught = recipe.model_copy(update={"tolerances": recipe.tolerances.model_copy(update=new)})
 
     def judged(logs):
-        return decide_print(expected, _measured(logs, taught), taught).verdict
+        return decide_print(expected, _measured(logs, taught), taught, golden).verdict
 
     assert [judged(drawn()) for _ in range(16)].count(Verdict.PASS) >= 14  # 99 % pass
     assert {str(more): judged(drawn(more)) for more in LISTED} == {str(more): Verdict.FAIL for more in LISTED}

@@ -1,5 +1,6 @@
 """Limits of depth and width of wafers: parts drawn by the model itself, with every input as uncertain as stated."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,12 @@ from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency import contrast_covariance
 from anisoscope.decision.decision import decide
 from anisoscope.decision.exclusion import ONE_SIDED
+from anisoscope.decision.reference_parts import GoldenPart
 from anisoscope.decision.surface_exclusion import excluded_by_states, planned_limits
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.kinds.wafers.kind import OPTICS, WAFERS
+from anisoscope.kinds.surface_reference import golden_record
+from anisoscope.kinds.wafers.kind import OPTICS, WAFERS, WaferSet
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.kinds.wafers.states import DEPTH, WIDTH
 from anisoscope.prediction.expectation import Component, expectation
@@ -175,3 +178,36 @@ def test_a_record_without_sizes_is_judged_as_it_was(recipe):
     assert WAFERS.as_recorded(recipe, table).defects.of_wafers == recipe.defects.of_wafers
     del table["defects"]["etch_depth_nm"], table["defects"]["etch_width_nm"]
     assert WAFERS.as_recorded(recipe, table).defects.of_wafers == ()
+
+
+@pytest.mark.parametrize("count", [3, 5, 6, 7, 25])
+def test_golden_wafers_serve_from_three_on_in_any_number(recipe, expected, count):
+    """Good ones vary in etching and seat; one more is like them, and one that is 20 nm too deep is not."""
+    rng, states = np.random.default_rng(count), expected.states
+    varies = np.array([one.startswith(WaferSet.varies) for one in states.sources])
+    shared = rng.normal(size=len(varies))
+
+    def good():
+        off = states.change(np.where(varies, rng.normal(size=len(varies)), shared))
+        return expected.radiance * np.exp(off + NOISE * rng.normal(size=len(off)))
+
+    rows = tuple(
+        GoldenPart(
+            serial=str(k),
+            inspected_at="",
+            log_radiance=tuple(np.log(good())),
+            area_share=None,
+            verdict="PASS",
+        )
+        for k in range(count)
+    )
+    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
+    golden = WaferSet(product="wafers", recipe_key="", poses=poses, parts=rows)
+    assert golden.lacking is None
+    one = seen(good())
+    found = decide(expected, one, recipe, golden, exclude=False)
+    assert found.p_value > 1e-3
+    assert np.isfinite(json.loads(golden_record(golden, one, found).model_dump_json())["measured"]).all()
+    deep = states.with_defect(expected.states.defects[0], 20.0 / recipe.defects.etch_depth_nm)
+    wrong = seen(expected.radiance * np.exp(deep.change(np.zeros(len(deep.sources)))))
+    assert decide(expected, wrong, recipe, golden, exclude=False).p_value < 1e-3

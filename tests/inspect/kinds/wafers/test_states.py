@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from anisoscope.base.significance import log_basis
 from anisoscope.kinds.wafers.etched import WaferLight
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.lighting import recipe_wafer, wafer_light
@@ -121,7 +122,7 @@ def test_a_wafer_that_is_off_within_what_is_stated_is_as_far_as_that(expected):
     states, own = expected.states, 1e-6 * np.eye(6)
     for depth in (-2.0, 2.0):
         z = moved(states, depth=depth, seating_tilt_about_x=1.5, light=-1.0)
-        found = nearest_anywhere(states, states.change(z), own)
+        found = nearest_anywhere(states, np.eye(6), states.change(z), own)[0]
         assert found <= z @ z + 1e-3
         assert found > 0.7 * z @ z
 
@@ -132,7 +133,7 @@ def test_a_part_that_is_nothing_of_the_kind_is_far_off_and_no_state_is_asked_for
     """What no state explains drives the search to the ends: D² says so, not an error."""
     states, own = expected.states, 1e-6 * np.eye(6)
     for off in (np.array([2.0, -2.0, 2.0, -1.0, 1.0, 3.0]), np.array([0.0, 0.0, 0.0, 5.0, -5.0, 5.0])):
-        assert nearest_anywhere(states, off, own) > 1e4
+        assert nearest_anywhere(states, np.eye(6), off, own)[0] > 1e4
     for ends in (np.full(len(states.sources), FARTHEST), np.full(len(states.sources), -FARTHEST)):
         assert np.isfinite(states.change(ends)).all()
 
@@ -140,7 +141,7 @@ def test_a_part_that_is_nothing_of_the_kind_is_far_off_and_no_state_is_asked_for
 def test_wrong_etching_is_as_far_off_as_it_is_wrong_however_far(expected):
     """Twenty standard uncertainties of depth are 400, not what a bound of the search leaves."""
     states, own = expected.states, 1e-6 * np.eye(6)
-    found = nearest_anywhere(states, states.change(moved(states, depth=20.0)), own, states.farthest)
+    found = nearest_anywhere(states, np.eye(6), states.change(moved(states, depth=20.0)), own)[0]
     assert 0.7 * 400.0 < found <= 400.0 + 1e-2
 
 
@@ -162,3 +163,42 @@ def test_waves_of_the_edges_are_states_of_the_wafer(recipe, expected):
     rows = {component.source for component in found.components}
     assert any(row.startswith(EDGES[1]) for row in rows)
     assert not any(component.source.startswith("edges") for component in expected.components)
+
+
+@pytest.fixture(scope="module")
+def of_two_passes(recipe, tmp_path_factory):
+    """Recipes of a wafer of two passes, whose edges are not known, by the uncertainty of its seat."""
+    folder = tmp_path_factory.mktemp("two-passes")
+    cells = np.random.default_rng(3).integers(0, 2, (2, 32, 32))
+    height = np.kron(-0.1073 * cells[0] - 0.1575 * cells[1], np.ones((8, 8)))
+    write_height_map(HeightMap(height, SIDE_UM / 256, SIDE_UM / 256), folder / "tile.npz")
+    surface = recipe.surface.model_copy(update={"height_map": folder / "tile.npz"})
+
+    def of(seat_deg):
+        rig = recipe.uncertainty.model_copy(update={"seating_tilt_deg": seat_deg, "step_edges_nm": None})
+        return recipe.model_copy(update={"surface": surface, "uncertainty": rig})
+
+    return of
+
+
+def test_a_wafer_of_two_passes_is_no_farther_than_its_own_state(of_two_passes):
+    """Every phase of the edges has a minimum of its own: the search finds one as deep as where the wafer is."""
+    states, rng = expectation(of_two_passes(0.05), 0.0, OPTICS).states, np.random.default_rng(1)
+    basis, own = log_basis(6), 2.5e-5 * np.eye(5)
+    for _ in range(4):
+        z, noise = rng.standard_normal(len(states.sources)), rng.standard_normal(5)
+        seen = basis @ states.change(z) + 5e-3 * noise
+        assert nearest_anywhere(states, basis, seen, own)[0] <= z @ z + noise @ noise + 0.01
+
+
+def test_the_distance_falls_where_more_is_uncertain(of_two_passes):
+    wide = expectation(of_two_passes(0.08), 0.0, OPTICS)
+    basis, own = log_basis(6), 2.5e-5 * np.eye(5)
+    rng = np.random.default_rng(2)
+    seen = basis @ wide.states.change(1.5 * rng.standard_normal(len(wide.states.sources)))
+    found = [
+        nearest_anywhere(expectation(of_two_passes(u_deg), 0.0, OPTICS).states, basis, seen, own)[0]
+        for u_deg in (0.05, 0.055, 0.06, 0.07, 0.08)
+    ]
+    assert found[0] > 1.0
+    assert max(np.diff(found)) < 0.1 * found[0]
