@@ -1,11 +1,14 @@
 """Ridged parts rendered by the path tracer, which shares nothing with the prediction, as a camera sees them."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 
-from anisoscope.imaging.angle_map import angle_map
+from anisoscope.base.arrays import FloatArray
+from anisoscope.imaging.angle_map import AngleMap, angle_map
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
@@ -25,7 +28,9 @@ TEXTURE = 0.03
 PHASE = 0.37
 
 
-def recipe_of(angle_deg=10.0, pitch_um=100.0, alpha=0.08, tail=0.0):
+def recipe_of(
+    angle_deg: float = 10.0, pitch_um: float = 100.0, alpha: float = 0.08, tail: float = 0.0
+) -> RidgeRecipe:
     whole = float(np.hypot(alpha, TEXTURE))
     return RidgeRecipe.model_validate(
         {
@@ -51,8 +56,23 @@ class Part:
     with a generator. ``changed`` (rows, cols) of the pictures is the largest change of a height by the defect in µm.
     """
 
-    def __init__(self, seed, poses, *, angle=10.0, pitch=100.0, alpha=0.08, lobe="beckmann", size=(1200, 800),
-                 spread=0.15, flat_ridge=None, formed=None, spoiled=None, phase=PHASE, albedo=0.1):  # fmt: skip
+    def __init__(
+        self,
+        seed: int,
+        poses: Sequence[Pose],
+        *,
+        angle: float = 10.0,
+        pitch: float = 100.0,
+        alpha: float = 0.08,
+        lobe: Any = "beckmann",
+        size: tuple[float, float] = (1200, 800),
+        spread: float = 0.15,
+        flat_ridge: int | None = None,
+        formed: Callable[[FloatArray, FloatArray], FloatArray] | None = None,
+        spoiled: Any = None,
+        phase: float = PHASE,
+        albedo: float = 0.1,
+    ) -> None:
         rng = np.random.default_rng(seed)
         cols, rows = (int(one / POINT_UM) + 1 for one in size)
         x = np.arange(cols) * POINT_UM - phase * pitch
@@ -74,18 +94,20 @@ class Part:
         change = np.abs(self.surface.height_um - good.height_um)[::-1]
         rows, cols = (size // 2 for size in change.shape)
         self.changed = change[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).max(axis=(1, 3))
-        self.poses = poses
+        self.poses = tuple(poses)
         tracer = PathTracer(
             self.surface, Plastic(alpha, alpha, albedo, 1.5, lobe), reflections=3, paths=8192, seed=seed
         )
-        self.pictures = []
-        for light, camera in zip(*directions(poses, Convention(10.0)), strict=True):
+        self.pictures: list[Any] = []
+        for light, camera in zip(*directions(self.poses, Convention(10.0)), strict=True):
             seen = cv2.GaussianBlur(tracer.radiance(light, camera), (0, 0), BLUR_UM / POINT_UM)[::-1]
             small = cv2.resize(seen, (seen.shape[1] // 2, seen.shape[0] // 2), interpolation=cv2.INTER_AREA)
             noise = 1.0 + 0.005 * rng.standard_normal(small.shape)
             self.pictures.append((small * noise).astype(np.float32))
 
-    def measured(self, poses=None, pitch_um=100.0, margin=None):
+    def measured(
+        self, poses: Sequence[int] | None = None, pitch_um: float = 100.0, margin: int | None = None
+    ) -> Measured:
         """Measurement in some of the poses, without ``margin`` pitches at every side; None: of the whole picture."""
         per_cell = round(pitch_um / CELLS_PER_PITCH / PICTURE_UM)
         rows, cols = (self._inner(size, per_cell, margin) for size in self.pictures[0].shape)
@@ -101,29 +123,29 @@ class Part:
             np.full(len(pictures), 0.001), Grid((0.0, 0.0), PICTURE_UM / 1000.0, shape, 0.0), None,
         )  # fmt: skip
 
-    def spoiled_share(self, least_um, pitch_um=100.0, margin=0):
+    def spoiled_share(self, least_um: float, pitch_um: float = 100.0, margin: int = 0) -> FloatArray:
         """(cell rows, cell cols) share of every cell of `measured` whose height was changed by more than so much."""
         per_cell = round(pitch_um / CELLS_PER_PITCH / PICTURE_UM)
         rows, cols = (self._inner(size, per_cell, margin) for size in self.changed.shape)
         over = (self.changed[rows, cols] > least_um).astype(np.float64)
         high, wide = (size // per_cell for size in over.shape)
-        return over.reshape(high, per_cell, wide, per_cell).mean(axis=(1, 3))
+        return np.asarray(over.reshape(high, per_cell, wide, per_cell).mean(axis=(1, 3)))
 
     @staticmethod
-    def _inner(size, per_cell, margin):
+    def _inner(size: int, per_cell: int, margin: int | None) -> slice:
         if margin is None:
             return slice(0, size)
         pitch = CELLS_PER_PITCH * per_cell
         return slice(margin * pitch, (size // pitch - margin) * pitch)
 
-    def map_by(self, recipe, cell_um=48.0, parts=()):
+    def map_by(self, recipe: RidgeRecipe, cell_um: float = 48.0, parts: Sequence[Any] = ()) -> AngleMap:
         known = expectation(recipe, 10.0)
         expected = replace(
             known, poses=self.poses, components=tuple(parts), radiance=np.ones(len(self.poses))
         )
         return angle_map(recipe, expected, self.measured(pitch_um=recipe.surface.pitch_um), cell_um)
 
-    def leans(self, found):
+    def leans(self, found: AngleMap) -> list[FloatArray]:
         """(A, C) true leans across and along of the cells of a map, averaged over them."""
         rows, cols = self.pictures[0].shape
         z = self.surface.height_um[: 2 * rows + 1, : 2 * cols + 1]
