@@ -149,7 +149,7 @@ def test_the_check_of_a_recipe_says_how_many_good_plates_stay_undecided(expected
             "good plates may end undecided: decision.tolerance = 0.29" in line for line in check.complaints
         )
         assert said == complained
-        assert "T/U" in check.output().tables[1].columns
+        assert "T/U" in check.output().behind[1].columns
 
 
 def test_what_looks_like_no_defect_is_not_named(expected):
