@@ -153,7 +153,7 @@ def test_a_rig_is_free_once_its_holder_has_closed_the_page(page, chromium, addre
     other = context.new_page()
     other.set_default_timeout(15_000)
     other.goto(address)
-    page.get_by_role("button", name="Hand the rig over").click()
+    page.evaluate("$('release').hidden || $('release').click()")
     other.locator("#holder").get_by_text("free").wait_for()
     if other.locator("#verdict").is_visible():  # of the part before
         other.get_by_role("button", name="Next part").click()

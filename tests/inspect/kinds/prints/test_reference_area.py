@@ -7,7 +7,7 @@ from anisoscope.cli.recipe import golden as command
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.kinds.prints.decision import decide_print
-from anisoscope.kinds.prints.expectation import rig_sources
+from anisoscope.kinds.prints.expectation import rig_sources, scatter_of_prints
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.reference_comparison import compare_with_golden, linear_fit
@@ -102,13 +102,14 @@ def test_lobe_colours_and_area_share_one_level(few):
     recipe, expected = few
     golden = golden_of(few, np.random.default_rng(2).gamma(4.0, 0.001, 30).tolist())
     fit = linear_fit(expected, (*expected.common, *rig_sources(recipe, expected)))
+    stated = scatter_of_prints(recipe, expected)
     known, good = golden.known_shares(recipe), golden.logs().mean(axis=0)
     far = good + 0.3 * expected.scene.slope("alpha")
     for logs, parts in ((good, 3.0), (far, 2.0)):
-        limit = compare_with_golden(golden, expected, logs, fit, (known, 0.02), 0.01).area.limit
+        limit = compare_with_golden(golden, expected, logs, fit, stated, (known, 0.02), 0.01).area.limit
         assert limit == pytest.approx(known.limit(0.01 / parts))
         for share, fails in ((0.99 * limit, False), (1.01 * limit, True)):
-            found = compare_with_golden(golden, expected, logs, fit, (known, share), 0.01)
+            found = compare_with_golden(golden, expected, logs, fit, stated, (known, share), 0.01)
             assert (found.area.p_value < 0.01) is fails
     alone = compare_with_golden(golden, expected, good + 0.02, fit)
     shared = compare_with_golden(golden, expected, good + 0.02, fit, (known, 0.0), 0.01)
