@@ -111,8 +111,8 @@ def test_lobe_colours_and_area_share_one_level(few):
         for share, fails in ((0.99 * limit, False), (1.01 * limit, True)):
             found = compare_with_golden(golden, expected, logs, fit, stated, (known, share), 0.01)
             assert (found.area.p_value < 0.01) is fails
-    alone = compare_with_golden(golden, expected, good + 0.02, fit)
-    shared = compare_with_golden(golden, expected, good + 0.02, fit, (known, 0.0), 0.01)
+    alone = compare_with_golden(golden, expected, good + 0.02, fit, stated)
+    shared = compare_with_golden(golden, expected, good + 0.02, fit, stated, (known, 0.0), 0.01)
     assert shared.p_value >= alone.p_value
 
 
