@@ -518,8 +518,15 @@ LEGAL = [
 
 
 def rows_of_page():
+    """Cells by state and method; an empty cell of the page is that of no fault."""
     lines = [line.strip("|").split("|") for line in PAGE.read_text().splitlines() if line.startswith("|")]
-    return {(cells[0].strip(), cells[1].strip()): [cell.strip() for cell in cells[2:]] for cells in lines}
+    rows = [[cell.strip() for cell in cells] for cells in lines]
+    return {(state, method): [cell or cells[0] for cell in cells] for state, method, *cells in rows}
+
+
+def changed(cells):
+    """Cells of a row, of those with a fault only what differs from no fault."""
+    return [cells[0], *("" if cell == cells[0] else cell for cell in cells[1:])]
 
 
 def test_states_and_methods_are_those_of_the_page(tried, server, controller, loop, at, gate):
@@ -556,7 +563,7 @@ def table(rows):
     lines = [
         "| state | method | no fault | " + " | ".join(FAULTS) + " |",
         "|---|---|---|" + "---|" * len(FAULTS),
-        *(f"| {state} | {method} | {' | '.join(cells)} |" for state, method, cells in rows),
+        *(f"| {state} | {method} | {' | '.join(changed(cells))} |" for state, method, cells in rows),
         "",
         "A job whose rig fails ends with a ResultReady event of ResultState 4 (failed) and an ErrorEvent that names",
         "the device; *Reset* leads to Preoperational, from where the next job shows whether the fault is gone.",
