@@ -20,7 +20,7 @@ from anisoscope.decision.predictive import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.decision.surface_exclusion import excluded_of, lacking_text, parts_needed, remedy_text
 from anisoscope.imaging.defect_regions import find_regions
-from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
+from anisoscope.imaging.deviation_map import CROWDED, CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.expectation import Component, Expectation
@@ -160,9 +160,7 @@ def decide(
     named = predictive if decisive is not None else None
     like = None if named is None else named.strongest
     verdict, reasons = _combine(pairs, p_value, area, rule, _alike(decisive), where, like)
-    if measured.mirroring is not None:
-        verdict, own = Verdict.FAIL, reasons if verdict is Verdict.FAIL else ()
-        reasons = (_of_mirroring(measured.mirroring), *own)
+    verdict, reasons = _with_marks(verdict, reasons, measured, cells)
     if verdict is Verdict.PASS and (
         blind := _blind(predictive, recipe, 0 if golden is None else len(golden.parts))
     ):
@@ -356,6 +354,22 @@ def _combine(
     decisive = tuple(line for found, line in findings if found == verdict)
     warn = significant and verdict == Verdict.PASS
     return verdict, (("warning: significant deviation within the tolerance",) if warn else ()) + decisive
+
+
+def _with_marks(
+    verdict: Verdict, reasons: tuple[str, ...], measured: Measured, cells: CellMap | None
+) -> tuple[Verdict, tuple[str, ...]]:
+    """The same where marks cover much of the part, or saturate a pose."""
+    if cells is not None and cells.over > CROWDED and verdict is Verdict.FAIL:
+        crowded = (
+            "so many cells deviate that only the calmest quarter of each pitch shows the texture of a good part: the "
+            "share of the area is a lower bound"
+        )
+        reasons = (*reasons, crowded)
+    if measured.mirroring is None:
+        return verdict, reasons
+    own = reasons if verdict is Verdict.FAIL else ()
+    return Verdict.FAIL, (_of_mirroring(measured.mirroring), *own)
 
 
 def _of_mirroring(cells: npt.NDArray[np.bool_]) -> str:

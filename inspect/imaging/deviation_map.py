@@ -5,6 +5,9 @@ pattern of the flanks, the lamp, and the level of the part are no deviation. The
 a covariance for every part of the pitch, from most of the points themselves; D² in it has P degrees of freedom whatever
 the texture and the number of poses. A cell is judged by the mean of ln(1 + D²) of its points, against a limit from
 those of most cells of the part or of golden parts.
+
+Marks at the crests of half of the ridges are most of the points there. What a good part may scatter by is therefore
+bounded by the calmest third of the pitch, as the facets are, and so is the limit.
 """
 
 from collections.abc import Sequence
@@ -47,6 +50,12 @@ LEAST_SCATTER = 0.005
 """Standard deviation of ln L that registration leaves at the least."""
 KEPT_CHANCE = 0.1
 """Chance of the points of a good part that the covariance leaves out as marks."""
+CALM_SHARE = 0.25
+"""Share of the pitch that scatters least: it shows the texture of the part, whatever the rest hides."""
+WALLS = 0.035
+"""Standard deviation of ln L that walls of good parts have at most besides the texture of the facets."""
+CROWDED = 1.4
+"""Limit by all cells over that by the calm points from which on marks have raised it, no texture."""
 LEAST_BLUR = 0.3
 """Standard deviation in points below which an average is of one point."""
 _SAMPLE = 2000
@@ -64,6 +73,7 @@ class CellMap:
         off: (pairs, cell rows, cell cols) deviation of the ln ratio of a pair of poses.
         thresholds: (pairs,) ln ratios of about which a cell deviates that deviates in one pair alone.
         u_score: standard uncertainty of a score against its limit.
+        over: limit by all cells over that by the calmest part of the pitch; from `CROWDED` on marks hide each other.
     """
 
     score: FloatArray
@@ -71,6 +81,7 @@ class CellMap:
     off: FloatArray
     thresholds: FloatArray
     u_score: float
+    over: float = 1.0
 
     def deviating(self) -> npt.NDArray[np.bool_]:
         """(cell rows, cell cols) True where a cell deviates."""
@@ -126,16 +137,15 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
         pixel_um = 1000.0 * measured.grid.pixel_mm
     points = _Points.of(pictures, pixel_um, recipe)
     off = points.off(CALM_UM / pixel_um)
-    covariance = points.covariance(off)
+    covariance, calm = points.covariance(off)
     size = measured.cells.shape[:0:-1]
 
     def of_cells(values: Image) -> FloatArray:
         return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float64)
 
-    score = of_cells(np.log1p(points.distance(off, covariance)))
-    middle, low = np.quantile(score, [0.5, 0.16])
-    spread = max(float(middle - low), LEAST_SPREAD)
-    limit = float(middle) + SCATTERS * spread
+    logs = np.log1p(points.distance(off, covariance))
+    score = of_cells(logs)
+    limit, spread, over = _limits(score, of_cells(logs * calm), of_cells(calm))
     cells = np.stack([of_cells(one) for one in off])
     pairs = consecutive_pairs(recipe.poses.poses())
     beyond = max(np.expm1(limit) - len(pictures), 1.0)
@@ -148,7 +158,39 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
         np.stack([cells[i] - cells[j] for i, j in pairs]).astype(np.float32).astype(np.float64),
         np.array([np.sqrt(beyond * (middles[i, i] + middles[j, j] - 2.0 * middles[i, j])) for i, j in pairs]),
         spread * float(np.hypot(noisy, 20.0 / np.sqrt(score.size))),
+        over,
     )
+
+
+def _limits(score: FloatArray, calm: FloatArray, share: FloatArray) -> tuple[float, float, float]:
+    """Limit of the cells, their spread, and limit by all of them over that by their calm points.
+
+    The limit by all cells is that of the texture, unless marks have raised it far beyond that of the calm points.
+
+    Args:
+        score: (cell rows, cell cols) mean ln(1 + D²).
+        calm: the same with 0 at all but the calm points.
+        share: of these.
+    """
+    known = share >= max(float(np.quantile(share, 1.0 - CALM_SHARE)), 0.5 * float(share.max()))
+    middles, spreads = [], []
+    for scores, points in ((score, 1.0), (calm[known] / share[known], float(share[known].mean()))):
+        middle, low = np.quantile(scores, [0.5, 0.16])
+        middles.append(float(middle))
+        spreads.append(max(float(middle - low), LEAST_SPREAD) * np.sqrt(points))
+    own, least = (middle + SCATTERS * spread for middle, spread in zip(middles, spreads, strict=True))
+    over = own / least
+    most = max(1.0, 2.0 * CROWDED - over)
+    return least * min(over, most), min(spreads), over
+
+
+def _at_most(matrices: FloatArray, most: FloatArray) -> FloatArray:
+    """(B, P, P) covariances of which no direction has a greater variance than in ``most``."""
+    half = np.linalg.cholesky(most)
+    inverse = np.linalg.inv(half)
+    values, vectors = np.linalg.eigh(inverse @ matrices @ np.swapaxes(inverse, 1, 2))
+    axes = half @ vectors * np.sqrt(np.minimum(values, 1.0))[:, None, :]
+    return np.asarray(axes @ np.swapaxes(axes, 1, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +267,12 @@ class _Points:
                 cv2.GaussianBlur(off, (0, 0), sigma, dst=off, borderType=cv2.BORDER_REFLECT)
         return found
 
-    def covariance(self, off: Image) -> FloatArray:
-        """(B, P, P) covariance of the deviations in every bin, of most of its points."""
+    def covariance(self, off: Image) -> tuple[FloatArray, Image]:
+        """Covariance of the deviations in every bin, of most of its points and at most as of a good part.
+
+        Returns:
+            (B, P, P) covariances, and (rows, cols) 1 at the points of the bins that scatter least.
+        """
         from scipy.special import chdtri  # noqa: PLC0415 - start-up time
 
         poses = len(off)
@@ -254,7 +300,12 @@ class _Points:
         empty = np.diff(self.ends) == 0
         if empty.any():
             found[empty] = np.median(found[~empty], axis=0)
-        return found + U_PLACE**2 * self._steepness()
+        size = np.where(empty, np.inf, np.trace(found, axis1=1, axis2=2))
+        calm = size <= np.quantile(size[~empty], CALM_SHARE)
+        texture, steep = found[calm].mean(axis=0), U_PLACE**2 * self._steepness()
+        walls = WALLS**2 + LEAST_SCATTER**2
+        bounded = _at_most(found + steep, texture + steep + walls * np.eye(poses))
+        return bounded, np.repeat(calm, FINE)[self.fine].astype(np.float32)
 
     def _steepness(self) -> FloatArray:
         """(B, P, P) mean products of the slopes of the profiles per pitch, over every bin and its neighbours."""

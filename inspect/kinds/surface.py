@@ -848,7 +848,7 @@ def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Meas
         drift=None if np.isnan(drift) else drift,
         mirroring=kept.get("mirroring"),
     )
-    if "local_score" in kept:
+    if all(f"local_{one.name}" in kept for one in fields(CellMap)):
         local = {one.name: np.asarray(kept[f"local_{one.name}"]) for one in fields(CellMap)}
         values: dict[str, Any] = {k: v.item() if v.ndim == 0 else v for k, v in local.items()}
         remember(found, CellMap(**values))
