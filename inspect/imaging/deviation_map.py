@@ -189,7 +189,7 @@ def _at_most(matrices: FloatArray, most: FloatArray) -> FloatArray:
     half = np.linalg.cholesky(most)
     inverse = np.linalg.inv(half)
     values, vectors = np.linalg.eigh(inverse @ matrices @ np.swapaxes(inverse, 1, 2))
-    axes = half @ vectors * np.sqrt(np.minimum(values, 1.0))[:, None, :]
+    axes = half @ vectors * np.sqrt(np.clip(values, 0.0, 1.0))[:, None, :]
     return np.asarray(axes @ np.swapaxes(axes, 1, 2))
 
 
