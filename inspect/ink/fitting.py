@@ -29,7 +29,7 @@ from anisoscope.base.rejection import Misfit, best_model, misfit, rejection_word
 from anisoscope.ink.goniometer import Readings
 from anisoscope.sim.light.ink.angles import shift
 from anisoscope.sim.light.ink.distributions import Distribution
-from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.light.ink.ink import Ink, InkUncertainty
 from anisoscope.sim.light.ink.model import albedo_warning
 
 BoolArray = npt.NDArray[np.bool_]
@@ -441,6 +441,39 @@ def _slope(x: FloatArray, y: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 Method = Literal["joint", "paper"]
+SCATTER = (0.01, 0.01, 0.003, 0.1, 0.05)
+"""Scatter of good sheets about the one that was measured: roughness, level, colour, c, form of the lobe."""
+_BANDS = 8.0
+_BIN_DEG = 5.0
+_THIRDS = 3
+
+
+def left_by_angle(grid: Grid, residual: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """The misfit of `InkUncertainty`, in its order: what the fit leaves in steps of 5°, less the scatter of places.
+
+    Args:
+        grid: places and wavelengths.
+        residual: (G, W) ln measured − ln fitted, NaN without a reading.
+    """
+    near = np.rint(grid.half_deg / _BIN_DEG).astype(int)
+    parts = np.array_split(residual, min(_THIRDS, residual.shape[1]), axis=1)
+    counts = [np.isfinite(one).sum(axis=1, keepdims=True) for one in (residual, *parts)]
+    whole, *thirds = (
+        np.nansum(one, axis=1, keepdims=True) / np.maximum(count, 1)
+        for one, count in zip((residual, *parts), counts, strict=True)
+    )
+    # a place without a reading in a third of the spectrum says nothing there
+    apart = np.hstack([(one - whole) * (count > 0) for one, count in zip(thirds, counts[1:], strict=True)])
+    steps, found = np.unique(near), []
+    for values in (whole, apart):
+        each = [values[near == step] for step in steps]
+        scatter = [float(one.var(axis=0, ddof=1).mean()) for one in each if len(one) >= LEAST]
+        random = min(scatter, default=0.0)
+        found.append([max(float(np.mean(one**2)) - random, 0.0) ** 0.5 for one in each])
+    shares = [tuple(float(f"{share:.2g}") for share in one) for one in found]
+    at_deg = tuple(float(_BIN_DEG * step) for step in steps)
+    return at_deg, *shares
+
 
 NOISE = 0.03
 _WEAK_C = 1.0
@@ -533,7 +566,31 @@ class InkFit:
             ModelError: fitted values outside the range of inks.
         """
         rho, c, nm = (tuple(values.tolist()) for values in (self.rho, self.c, self.nm))
-        return Ink(name, self.alpha, nm, rho, c, "brdf", source, distribution=self.distribution)
+        return Ink(
+            name,
+            self.alpha,
+            nm,
+            rho,
+            c,
+            "brdf",
+            source,
+            distribution=self.distribution,
+            uncertainty=self.uncertainty,
+        )
+
+    @property
+    def uncertainty(self) -> InkUncertainty | None:
+        """By the fit, the scatter from sheet to sheet and the misfit; None where u is not determined."""
+        shares = (
+            self.u_alpha / self.alpha,
+            *(float(np.sqrt(np.mean(one**2))) for one in (self.u_rho / self.rho, self.u_c)),
+        )
+        if not np.isfinite(shares).all():
+            return None
+        alpha, level, c = shares
+        several = np.hypot([alpha, level, level / np.sqrt(_BANDS), c, 0.0], SCATTER)
+        alpha, level, colour, c, lobe = (float(f"{min(one, 1.0):.2g}") for one in several)
+        return InkUncertainty(alpha, level, colour, c, lobe, *left_by_angle(self.grid, self.residual))
 
 
 def fit(

@@ -17,12 +17,14 @@ class Details(BaseModel):
     """Fields of a record that belong to one kind of part.
 
     History, statistics and reports use the methods without knowing the kind. ``exclusions`` are the limits of the named
-    defects; none of a part that deviates.
+    defects; none of a part that deviates. ``not_described`` says what does not describe the part, so that it was not
+    judged by it; "" where all does.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     exclusions: Annotated[tuple[ExclusionRecord, ...], Field(exclude_if=lambda found: not found)] = ()
+    not_described: Annotated[str, Field(exclude_if=lambda found: not found)] = ""
 
     def numbers(self) -> dict[str, float]:
         """Measured numbers by stable labels: ``NAME``, with ``u NAME``, ``deviation NAME``, ``tolerance NAME``.

@@ -29,6 +29,8 @@ OUTCOMES: Mapping[str, str] = {
     "inconclusive": "Inspect it again; if it stays undecided, have a reviewer decide (anisoscope history dispose)",
     "open": "Compare it with golden parts or with more parts of its lot, or photograph more poses; until then have "
     "a reviewer decide (anisoscope history dispose)",
+    "misfit": "Teach golden prints (anisoscope golden add) or measure the ink (anisoscope ink fit); until then have a "
+    "reviewer decide (anisoscope history dispose)",
     "invalid": "Put right what the reason names and inspect the part again; nothing is known about the part",
     "unexplained": "Seat it again once; if it fails again, set it aside for a reviewer: no known cause explains it",
     "undiagnosed": "Seat it again once; if it fails again, reject it or have a reviewer decide",
@@ -134,19 +136,27 @@ def _of_verdict(
         if not named:
             return "undiagnosed" if record.diagnosis is None else "unexplained", measured
         return "tied" if rivals else named[0].key, finding
-    if reason.startswith("warning"):
+    if reason.startswith("warning") or _apart(record):
         return "warning", f"The part is within its limits, but deviates. {finding or measured}"
     return "pass", _passed(record, measured)
 
 
 def _undecided(record: Record, measured: str) -> tuple[str, str]:
     """Key of the action, and the finding, of an INCONCLUSIVE part."""
+    if record.details is not None and record.details.not_described:
+        return "misfit", record.details.not_described[0].upper() + record.details.not_described[1:]
     if left_open(record):
         blind = blind_to(record)
         if any(one.startswith("warning") for one in record.reasons):
             return "open", f"The part is within its limits, but not excluded: {blind}"
         return "open", f"No deviation was found, but not excluded: {blind}"
     return "inconclusive", f"Too close to a limit to decide. {measured}"
+
+
+def _apart(record: Record) -> bool:
+    """Whether a single contrast is further off than chance takes it, though all together are not."""
+    alpha = record.recipe["decision"]["alpha"]
+    return any(one.p_value is not None and one.p_value < alpha for one in surface_of(record).contrasts)
 
 
 def _passed(record: Record, measured: str) -> str:
@@ -189,7 +199,7 @@ class _Named(NamedTuple):
 
 
 def _named(record: Record, words: Mapping[str, CauseWords]) -> tuple[_Named, ...]:
-    """The best cause, or the two that act together, if the kind has words for them; else none."""
+    """The best cause, or the two that act together, if the kind has words for them and their size is not zero."""
     diagnosis = record.diagnosis
     if diagnosis is None or not diagnosis.causes or diagnosis.causes[0].cause in {NOTHING, OTHER}:
         return ()
@@ -199,7 +209,13 @@ def _named(record: Record, words: Mapping[str, CauseWords]) -> tuple[_Named, ...
     best = diagnosis.causes[0]
     causes = best.components if best.components and words_of(best.cause, words) is None else (best,)
     found = tuple(_Named(one, *known) for one in causes if (known := words_of(one.cause, words)))
-    return found if len(found) == len(causes) else ()
+    return found if len(found) == len(causes) and not any(_may_be_zero(one.cause) for one in found) else ()
+
+
+def _may_be_zero(cause: CauseRecord | ComponentRecord) -> bool:
+    """Whether the 95 % interval of an extent holds zero, so that it is no finding."""
+    low, high = cause.interval or (None, None)
+    return low is not None and high is not None and low <= 0.0 <= high
 
 
 def _rivals(record: Record, named: tuple[_Named, ...]) -> tuple[str, ...]:

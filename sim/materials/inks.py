@@ -1,7 +1,7 @@
 """Ink files: the parameters of one ink, in TOML with a schema version, or as a CSV table of its spectra."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -14,7 +14,7 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.csv_table import read_table
 from anisoscope.base.errors import ConfigError, ModelError, UsageError
 from anisoscope.base.toml_file import Part, Positive, read_toml_model
-from anisoscope.sim.light.ink.ink import SPECTRALON, Ink, Scale
+from anisoscope.sim.light.ink.ink import SPECTRALON, Ink, InkUncertainty, Scale
 
 COLUMNS = ("wavelength_nm", "rho", "c")
 SYNTHETIC = ("synthetic-red", "synthetic-green", "synthetic-blue")
@@ -32,7 +32,8 @@ class InkFile(Part):
 
     ``alpha`` is an isotropic roughness; ``alpha_x`` and ``alpha_y`` stand in its place where the print is brushed, with
     ``brush_deg`` for the direction of x. ``convention`` is the scale of rho; ``white`` the reflectance of the white
-    reference to which a "factor" refers.
+    reference to which a "factor" refers. ``uncertainty`` says how well it is known; inspections take large ones for an
+    ink without.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
@@ -48,6 +49,7 @@ class InkFile(Part):
     wavelengths_nm: Annotated[tuple[Positive, ...], Field(min_length=2)]
     rho: tuple[float, ...]
     c: tuple[float, ...]
+    uncertainty: InkUncertainty | None = None
 
     @model_validator(mode="after")
     def _holds_an_ink(self) -> Self:
@@ -80,6 +82,7 @@ class InkFile(Part):
             self.alpha_y,
             self.brush_deg,
             self.distribution,
+            self.uncertainty,
         )
 
 
@@ -135,6 +138,10 @@ def ink_text(ink: Ink, comment: Sequence[str] = ()) -> str:
         content |= {"alpha_x": ink.alpha, "alpha_y": ink.alpha_y, "brush_deg": ink.brush_deg}
     for key in ("wavelengths_nm", "rho", "c"):
         content[key] = [float(f"{value:.7g}") for value in getattr(ink, key)]
+    if ink.uncertainty is not None:
+        content["uncertainty"] = {
+            name: value for name, value in asdict(ink.uncertainty).items() if value != ()
+        }
     return "".join(f"# {line}\n" for line in comment) + tomli_w.dumps(content)
 
 

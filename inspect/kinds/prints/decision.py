@@ -4,14 +4,16 @@ Precedence: INVALID > FAIL > INCONCLUSIVE > PASS. Guard band after ISO 14253-1, 
 of ridged parts. c is not judged: between light and camera stand 10°, and Δc = 0.3 makes ΔE of about 1.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import root
-from anisoscope.base.errors import MeasurementError
+from anisoscope.base.errors import MeasurementError, ModelError
 from anisoscope.base.notation import p_value_text
+from anisoscope.base.rejection import Misfit, misfit
 from anisoscope.base.significance import chi2_tail, mahalanobis
 from anisoscope.decision.exclusion import MORE_TILTS, Exclusion, with_exclusions
 from anisoscope.kinds.kind import Results
@@ -20,10 +22,11 @@ from anisoscope.kinds.prints.excluded_defects import deviation_of, excluded_of
 from anisoscope.kinds.prints.expectation import (
     OF_ONE_INSPECTION,
     PrintExpectation,
+    misfit_of,
     rig_sources,
     scatter_of_prints,
 )
-from anisoscope.kinds.prints.lobe_fit import NoLobe, PrintFit, fit_print
+from anisoscope.kinds.prints.lobe_fit import PARAMETERS, NoLobe, PrintFit, fit_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.missing_ink import Bare, sheet_description, without_ink
 from anisoscope.kinds.prints.pose_colours import colours_of
@@ -39,6 +42,7 @@ from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.sources import Source, total
 from anisoscope.record.schema import BudgetRecord
 from anisoscope.record.verdict import Verdict
+from anisoscope.sim.light.ink.ink import UNKNOWN, InkUncertainty
 
 NOT_JUDGED = (
     "c of the ink is not judged: this rig hardly sees it, because light and camera stand close together "
@@ -47,6 +51,20 @@ NOT_JUDGED = (
 
 
 NONE_EXCLUDED = "no defect is excluded, because the print deviates within its limits, or [defects] names none"
+NOT_DESCRIBED = (
+    "the ink file does not describe this print (chi² {chi2:.3g} for {dof:g} degrees of freedom): teach golden prints, "
+    "or measure the ink"
+)
+TOO_UNCERTAIN = (
+    "the ink file knows its prints too badly for these limits: teach golden prints, or measure the ink"
+)
+OF_THE_INK = ("alpha x", "alpha y", "gain", "chromaticity", "delta_e")
+"""Quantities that are counted from the ink file; the others compare poses, or places of the print."""
+_MISFITS = tuple(
+    replace(UNKNOWN, misfit_at_deg=(0.0,), misfit_share=(share,), misfit_colour_share=(0.2 * share,))
+    for share in (0.02, 0.04, 0.08, 0.15, 0.3, 0.6)
+)
+"""Misfits that are tried, the same at all angles, with a fifth that differs between the channels."""
 NAMED = 3
 """Deviations that a reason names, at most."""
 
@@ -70,6 +88,8 @@ class PrintDecision:
         golden: comparison with the golden prints, where these decide what deviates.
         bare: how much of the ink is missing, where there is no lobe.
         exclusions: largest sizes of the named defects that the print may have; none where it deviates.
+        misfit: of the ink file, where it does not describe the print; None where it does, and with golden prints.
+        not_described: why the ink file leaves the print undecided; "" where it does not.
     """
 
     verdict: Verdict
@@ -85,6 +105,8 @@ class PrintDecision:
     golden: GoldenComparison | None = None
     bare: Bare | None = None
     exclusions: tuple[Exclusion, ...] = ()
+    misfit: Misfit | None = None
+    not_described: str = ""
 
 
 def decide_print(
@@ -110,9 +132,14 @@ def decide_print(
     covariance = total(everything, logs.size)
     d2, dof, p_value = _from_prediction(expected, logs, covariance)
     try:
-        fit = fit_print(expected.scene, logs, (*expected.common, *of_rig))
+        fit = fit_print(expected.scene, logs, (*expected.common, *expected.misfit, *of_rig))
     except NoLobe as problem:
         return _without_lobe(expected, measured, recipe, str(problem))
+    lacks = None
+    if golden is None:
+        expected, fit, lacks = _by_ink(expected, recipe, fit, logs, of_rig)
+        everything = (*expected.sources, *of_rig)
+        covariance = total(everything, logs.size)
     found, comparison = None, None
     if recipe.area is not None:
         found = map_of(measured, expected, fit, recipe.area, recipe.decision.coverage)
@@ -126,14 +153,16 @@ def decide_print(
         if found is not None and comparison.area is not None:
             found = found.with_learnt_limit(comparison.area, alpha)
     colours = colours_of(expected, measured, fit, covariance)
-    judge = Judge(expected, fit, recipe, (*expected.common, *of_rig))
     if golden is not None:
-        judge, colours = _from_golden(expected, measured, recipe, golden, (judge, colours))
+        judge, colours = _from_golden(expected, measured, recipe, golden, colours)
+    else:
+        judge = Judge(expected, fit, recipe, (*expected.common, *expected.misfit, *of_rig))
     quantities = (*judge.quantities(), judge.colour(colours))
     if found is not None:
         quantities = (*quantities, judge.curl(found))
+    unfit = "" if golden is not None else _unfit(lacks, quantities)
     verdict, reasons = _combine(
-        quantities, found, recipe, comparison, *_together(p_value, comparison, recipe)
+        quantities, found, recipe, comparison, *_together(p_value, comparison, recipe), unfit
     )
     exclusions: tuple[Exclusion, ...] = ()
     if p_value >= recipe.decision.alpha:
@@ -155,7 +184,70 @@ def decide_print(
         everything,
         comparison,
         exclusions=exclusions,
+        misfit=lacks,
+        not_described=unfit if verdict is Verdict.INCONCLUSIVE else "",
     )
+
+
+def _by_ink(
+    expected: PrintExpectation,
+    recipe: PrintRecipe,
+    fit: PrintFit,
+    logs: FloatArray,
+    of_rig: tuple[Source, ...],
+) -> tuple[PrintExpectation, PrintFit, Misfit | None]:
+    """Prediction and fit with the misfit of the ink file, or the one that this print shows, and the test of it."""
+    rest = (*expected.common, *of_rig)
+    if expected.misfit:
+        stated = recipe.print.of_ink(expected.scene.ink)
+        expected, fit = _with_misfit(expected, fit, logs, rest, (stated,))
+    lacks = _not_described(expected, recipe, fit, logs, (*rest, *expected.misfit))
+    if lacks is not None:
+        expected, fit = _with_misfit(expected, fit, logs, rest, _MISFITS)
+    return expected, fit, lacks
+
+
+def _not_described(
+    expected: PrintExpectation,
+    recipe: PrintRecipe,
+    fit: PrintFit,
+    logs: FloatArray,
+    sources: tuple[Source, ...],
+) -> Misfit | None:
+    """The test of a fitted lobe that the print rejects, also with film, missing ink or another ink free; else None."""
+    found = misfit(expected.scene.ink.name, fit.chi2, logs.size, len(PARAMETERS))
+    scene = expected.scene
+    mixed = [(replace(scene, other=ink), "other") for ink in recipe.print.read_wrong_inks()]
+    for shown_by, cause in ((scene, "shift_nm"), (scene, "missing"), *mixed):
+        if not found.rejected:
+            return None
+        try:
+            wider = fit_print(shown_by, logs, sources, start=fit.state, more=(cause,))
+        except (MeasurementError, ModelError):  # the poses do not tell it, or it leads nowhere
+            continue
+        rival = misfit(cause, wider.chi2, logs.size, len(PARAMETERS) + 1)
+        found = found if rival.rejected else rival
+    return found if found.rejected else None
+
+
+def _with_misfit(
+    expected: PrintExpectation,
+    fit: PrintFit,
+    logs: FloatArray,
+    sources: tuple[Source, ...],
+    tried: Iterable[InkUncertainty],
+) -> tuple[PrintExpectation, PrintFit]:
+    """Prediction and fit with the first misfit of the ink file under which χ² is no more than its freedom."""
+    for known in tried:
+        wider = replace(expected, misfit=misfit_of(expected.scene, known, fit.state))
+        try:
+            again = fit_print(expected.scene, logs, (*sources, *wider.misfit), start=fit.state)
+        except NoLobe:  # nothing is known of the lobe any more
+            break
+        expected, fit = wider, again
+        if fit.chi2 <= fit.dof:
+            break
+    return expected, fit
 
 
 def _from_golden(
@@ -163,7 +255,7 @@ def _from_golden(
     measured: MeasuredPrint,
     recipe: PrintRecipe,
     golden: GoldenPrints,
-    alone: tuple[Judge, tuple[ColourRecord, ...]],
+    alone: tuple[ColourRecord, ...],
 ) -> tuple[Judge, tuple[ColourRecord, ...]]:
     """The fit and the colours of a print from the mean of the golden prints: errors common to all prints cancel.
 
@@ -182,7 +274,7 @@ def _from_golden(
     differences = colours_of(expected, moved, fit, total(sources, logs.size))
     colours = tuple(
         one.model_copy(update={"delta_e": other.delta_e, "u_delta_e": other.u_delta_e})
-        for one, other in zip(alone[1], differences, strict=True)
+        for one, other in zip(alone, differences, strict=True)
     )
     return Judge(expected, fit, recipe, sources, origin), colours
 
@@ -258,14 +350,27 @@ def _combine(
     comparison: GoldenComparison | None,
     significant: bool,
     line: str,
+    unfit: str,
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with the lines of the decisive ones."""
+    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with the lines of the decisive ones.
+
+    A print that the ink file does not describe (``unfit``) fails by what needs no ink file alone.
+    """
     rule = recipe.decision
     findings = [(one.verdict, sentence(one)) for one in quantities]
+    described = not unfit or unfit == TOO_UNCERTAIN
+    if not described:
+        findings = [
+            (one.verdict, sentence(one))
+            for one in quantities
+            if one.name not in OF_THE_INK or one.verdict is Verdict.INCONCLUSIVE
+        ]
+    if unfit:
+        findings.insert(0, (Verdict.INCONCLUSIVE, unfit))
     if found is not None and recipe.area is not None:
         findings.append((found.record.verdict, _of_area(found.record, recipe.area, comparison)))
     stated = comparison is None or "deviation" in rule.model_fields_set
-    fails = significant and (rule.deviation == "fail" or not stated)
+    fails = significant and described and (rule.deviation == "fail" or not stated)
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
     findings.sort(key=lambda finding: order.index(finding[0]))
@@ -275,6 +380,14 @@ def _combine(
         decisive = (f"all {len(quantities)} quantities lie within their limits", decisive[-1])
     warn = significant and verdict is Verdict.PASS
     return verdict, (("warning: significant deviation within the limits",) if warn else ()) + decisive
+
+
+def _unfit(lacks: Misfit | None, quantities: tuple[Quantity, ...]) -> str:
+    """Why the ink file cannot judge a print: it does not describe it, or no print could pass; "" where it can."""
+    if lacks is not None:
+        return NOT_DESCRIBED.format(**vars(lacks))
+    open_ = (one for one in quantities if one.name in OF_THE_INK and one.verdict is Verdict.INCONCLUSIVE)
+    return TOO_UNCERTAIN if any(one.guard >= one.limit for one in open_) else ""
 
 
 def _of_area(found: PrintMapRecord, rule: PrintArea, comparison: GoldenComparison | None) -> str:
@@ -358,6 +471,7 @@ def _details(expected: PrintExpectation, decision: PrintDecision, names: tuple[s
         lobe=None if decision.fit is None else decision.fit.record(ink),
         map=None if decision.map is None else decision.map.record,
         exclusions=tuple(one.record() for one in decision.exclusions),
+        not_described=decision.not_described,
         not_judged=(NOT_JUDGED,),
         golden=None if decision.golden is None else decision.golden.record(),
     )

@@ -45,7 +45,7 @@ def deviation_of(
     if golden is None:
         return logs - np.log(expected.channels).ravel(), total(sources, logs.size), sources
     # how good inks and seats vary shows in the golden prints' scatter
-    own = tuple(source for source in sources if source not in expected.fitted)
+    own = tuple(source for source in sources if source not in (*expected.fitted, *expected.misfit))
     return logs - golden.logs, total(own, logs.size) + golden.covariance, own
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import root
 from anisoscope.base.errors import RecipeError
 from anisoscope.kinds.prints.colour import Eye, eye_of
 from anisoscope.kinds.prints.lobe_fit import check_poses
@@ -15,8 +16,9 @@ from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.vision import Sensitivities, Vision
-from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.ink.angles import half_vector
+from anisoscope.sim.light.ink.ink import InkUncertainty
 
 MODEL = "ink"
 ROUGHNESS = "roughness of the ink"
@@ -27,6 +29,8 @@ LEAST_ALPHA_SHARE, FILM_NM, OF_EACH = 0.01, 0.5, 0.001
 """Scatter of good prints in form: roughness where none is stated, shift by the film, and each channel for itself."""
 MOST_SLOPES = 40.0
 """tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that no prediction is made."""
+_LEANING_DEG = 0.3
+"""By which the half angles of poses differ besides, from flakes that lean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,7 @@ class PrintExpectation:
         channels: (P, 3) radiance in 1/sr that red, green and blue see.
         xyz: (P, 3) XYZ from the spectra, Y = 1 for the perfect diffuser.
         common: sources of uncertainty of the prediction that no fitted parameter is.
+        misfit: what the ink file leaves of the light of its prints, which all prints share.
         fitted: those that are: roughness, level, colour, lobe, seating; by what they make uncertain.
         convention: how the angles are counted.
     """
@@ -50,6 +55,7 @@ class PrintExpectation:
     channels: FloatArray
     xyz: FloatArray
     common: tuple[Source, ...]
+    misfit: tuple[Source, ...]
     fitted: tuple[Source, ...]
     convention: Convention
 
@@ -71,7 +77,7 @@ class PrintExpectation:
     @property
     def sources(self) -> tuple[Source, ...]:
         """All sources of uncertainty of the prediction."""
-        return self.common + self.fitted
+        return self.common + self.misfit + self.fitted
 
 
 def expect_print(
@@ -112,6 +118,7 @@ def expect_print(
         channels,
         np.asarray(np.pi * scene.spectra() @ xyz_weights(lamp, ink.nm)),
         _common(recipe, scene),
+        misfit_of(scene, recipe.print.of_ink(ink)),
         _fitted(recipe, scene),
         Convention(light_angle_deg),
     )
@@ -138,10 +145,36 @@ def sources_at(recipe: PrintRecipe, expected: PrintExpectation, state: State) ->
 def _common(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tuple[Source, ...]:
     part, rig, count = recipe.print, recipe.uncertainty, 3 * len(scene.poses)
     return (
-        shared("c of the ink", "prediction", part.u_c * scene.slope("c", state)),
+        shared("c of the ink", "prediction", part.of_ink(scene.ink).c * scene.slope("c", state)),
         shared("substrate", "prediction", part.u_substrate * _of_substrate(scene, state or State())),
         shared("light angle", "prediction", rig.light_angle_deg * scene.slope("light_angle_deg", state)),
         of_each("ink model", "prediction", np.full(count, rig.model_share)),
+    )
+
+
+def misfit_of(scene: Scene, known: InkUncertainty, state: State | None = None) -> tuple[Source, ...]:
+    """Errors of an ink that depend smoothly on the half angle, of all channels together and of each for itself.
+
+    The half angle is that from the flakes' mean normal, and of a brushed print as of one that is not.
+    """
+    if not known.misfit_at_deg:
+        return ()
+    half = half_vector(*directions(scene.poses, Convention(scene.light_angle_deg)))
+    seen = replace(state or State(), alpha=0.0)
+    flakes = half @ seating_rotation(-seen.tilt_y_deg, seen.tilt_x_deg)
+    widths = np.sqrt(squared_slopes(flakes, roughness_matrix(scene.ink, seen)))
+    half_deg = np.degrees(np.arctan(scene.ink.alpha * widths))
+    width_deg = 0.5 * np.degrees(np.arctan(scene.ink.alpha))
+    alike: FloatArray = root(np.exp(-0.5 * (np.subtract.outer(half_deg, half_deg) / width_deg) ** 2))
+    # flakes that lean a little show each pose another place of the misfit
+    alike = np.hstack([alike, _LEANING_DEG / width_deg * np.eye(len(half_deg))])
+    together, each = (
+        np.interp(half_deg, known.misfit_at_deg, share)[:, None] * alike
+        for share in (known.misfit_share, known.misfit_colour_share)
+    )
+    return (
+        Source("misfit of the ink file", "prediction", np.asarray(np.kron(together, np.ones((3, 1))), float)),
+        Source("misfit of the ink file in colour", "prediction", np.asarray(np.kron(each, np.eye(3)), float)),
     )
 
 
@@ -153,14 +186,14 @@ def _of_substrate(scene: Scene, state: State) -> FloatArray:
 
 
 def _fitted(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tuple[Source, ...]:
-    part, rig, poses = recipe.print, recipe.uncertainty, len(scene.poses)
+    known, rig, poses = recipe.print.of_ink(scene.ink), recipe.uncertainty, len(scene.poses)
     level = [scene.slope(name, state) for name in ("red", "green", "blue")]
     each = np.stack(level).sum(axis=0).reshape(poses, 3)
     return (
-        shared(ROUGHNESS, "prediction", part.u_alpha_share * scene.slope("alpha", state)),
-        shared("level of the ink", "prediction", part.u_rho_share * np.sum(level, axis=0)),
-        of_channels("colour of the ink", "prediction", part.u_colour_share * each),
-        shared("form of the lobe", "prediction", part.u_lobe * scene.slope("lobe", state)),
+        shared(ROUGHNESS, "prediction", known.alpha_share * scene.slope("alpha", state)),
+        shared("level of the ink", "prediction", known.rho_share * np.sum(level, axis=0)),
+        of_channels("colour of the ink", "prediction", known.colour_share * each),
+        shared("form of the lobe", "prediction", known.lobe * scene.slope("lobe", state)),
         shared("seating tilt about x", "prediction", rig.seating_tilt_deg * scene.slope("seat_x_deg", state)),
         shared("seating tilt about y", "prediction", rig.seating_tilt_deg * scene.slope("seat_y_deg", state)),
     )
@@ -171,7 +204,8 @@ def scatter_of_prints(recipe: PrintRecipe, expected: PrintExpectation) -> FloatA
 
     As the ink is uncertain, so prints of it vary; besides, flakes align otherwise, and films are otherwise thick.
     """
-    scene, alpha = expected.scene, recipe.print.u_alpha_share or LEAST_ALPHA_SHARE
+    scene = expected.scene
+    alpha = max(recipe.print.of_ink(scene.ink).alpha_share, LEAST_ALPHA_SHARE)
     between = [
         shared(name, "prediction", size * scene.slope(name))
         for name, size in (("ratio", alpha), ("skew", alpha), ("shift_nm", FILM_NM))

@@ -36,7 +36,7 @@ from anisoscope.kinds.prints.measurement import (
     measure_print,
     region_mean,
 )
-from anisoscope.kinds.prints.recipe import PrintDefects, PrintRecipe, read_print_recipe
+from anisoscope.kinds.prints.recipe import UNSTATED, PrintDefects, PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.recipe_check import RecipeCheck
@@ -168,12 +168,12 @@ class Prints(
         reference: Reference | None,
     ) -> Results:
         """Results for the record."""
-        del recipe
         names = (lamp_and_sensitivities(sitting.rig)[1].name, sitting.frames.filters)
         lacking = reference and reference.lacking
-        return print_results(
-            expected, decided, names, (*measured.unwatched, *((lacking,) if lacking else ()))
-        )
+        notes = (*measured.unwatched, *((lacking,) if lacking else ()))
+        if recipe.print.lacks_uncertainty(expected.scene.ink):
+            notes += (UNSTATED,)
+        return print_results(expected, decided, names, notes)
 
     def diagnose(
         self,
@@ -309,6 +309,12 @@ class Prints(
             return super().finding(record)
         worst = max(found.quantities, key=lambda one: abs(one.deviation) / one.limit)
         ratio = abs(worst.deviation) / worst.limit
+        if (
+            record.verdict == "FAIL"
+            and ratio < 1.0
+            and (found.map is None or found.map.share < found.map.max_share)
+        ):
+            return record.reasons[0][0].upper() + record.reasons[0][1:]
         if found.map is not None and found.map.share / found.map.max_share > max(ratio, 1.0):
             limit = 100.0 * found.map.max_share
             return f"{100.0 * found.map.share:.1f} % of the area deviates (limit {limit:g} %)"

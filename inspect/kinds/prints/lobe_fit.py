@@ -25,7 +25,15 @@ _WILDEST = {"alpha": 2.5, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0, "lobe": 30.0}
 _VAGUE = 0.5
 """Largest standard uncertainty of ln α of a lobe whose width counts as determined."""
 _NO_FIT = "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
-_STEP_LIMIT = {"alpha": 0.4, "ratio": 0.4, "skew": 0.4, "tilt_x_deg": 4.0, "tilt_y_deg": 4.0, "lobe": 0.5}
+_STEP_LIMIT = {
+    "alpha": 0.4,
+    "ratio": 0.4,
+    "skew": 0.4,
+    "tilt_x_deg": 4.0,
+    "tilt_y_deg": 4.0,
+    "lobe": 0.5,
+    "shift_nm": 10.0,
+}
 _TITLES = {
     "alpha": "roughness", "ratio": "ratio of roughness 0°/90°", "skew": "ratio of roughness 45°/135°",
     "tilt_x_deg": "tilt toward +x", "tilt_y_deg": "tilt toward +y", "red": "level of red", "green": "level of green",
@@ -84,7 +92,12 @@ class PrintFit:
 
 
 def fit_print(
-    scene: Scene, log_channels: FloatArray, sources: tuple[Source, ...], *, start: State | None = None
+    scene: Scene,
+    log_channels: FloatArray,
+    sources: tuple[Source, ...],
+    *,
+    start: State | None = None,
+    more: tuple[str, ...] = (),
 ) -> PrintFit:
     """Fit a print.
 
@@ -93,6 +106,7 @@ def fit_print(
         log_channels: (N,) ln of the channels of all poses, channels fastest.
         sources: of uncertainty of the N numbers.
         start: where to begin; the good print if None.
+        more: further fields of `State` that are fitted, after those of `PARAMETERS`.
 
     Raises:
         MeasurementError: the poses do not determine a parameter.
@@ -104,28 +118,31 @@ def fit_print(
             "no source of uncertainty is left for some channel, so that nothing can be weighed: "
             "state some under [uncertainty] in the recipe"
         )
-    weight = whitening(covariance)
+    weight, names = whitening(covariance), (*PARAMETERS, *more)
     state, before = start or State(), np.inf
     for turn in range(_ROUNDS):
-        off, slopes = log_channels - scene.log_channels(state), _slopes(scene, state)
+        off, slopes = log_channels - scene.log_channels(state), _slopes(scene, state, names)
         white, white_off = weight @ slopes, weight @ off
         chi2 = float(white_off @ white_off)
         step, determined = _solved(white, white_off)
-        if determined < len(PARAMETERS):
-            raise NoLobe(_NO_FIT) if turn else MeasurementError(_undetermined(white))
+        if determined < len(names):
+            raise NoLobe(_NO_FIT) if turn else MeasurementError(_undetermined(white, names))
         if abs(before - chi2) < _SETTLED * (1.0 + chi2):
             found = _fitted(state, white, weight, chi2, slopes)
             if found.u("alpha") > _VAGUE:
                 break
             return found
-        state, before = _moved(scene, state, step, log_channels, weight, chi2), chi2
+        state, before = (
+            _moved(scene, state, dict(zip(names, step, strict=True)), log_channels, weight, chi2),
+            chi2,
+        )
         if any(abs(getattr(state, name)) > most for name, most in _WILDEST.items()):
             break
     raise NoLobe(_NO_FIT)
 
 
-def _slopes(scene: Scene, state: State) -> FloatArray:
-    return np.stack([scene.slope(name, state) for name in PARAMETERS], axis=-1)
+def _slopes(scene: Scene, state: State, names: tuple[str, ...] = PARAMETERS) -> FloatArray:
+    return np.stack([scene.slope(name, state) for name in names], axis=-1)
 
 
 def _solved(white: FloatArray, off: FloatArray) -> tuple[FloatArray, int]:
@@ -136,15 +153,14 @@ def _solved(white: FloatArray, off: FloatArray) -> tuple[FloatArray, int]:
 
 
 def _moved(
-    scene: Scene, state: State, step: FloatArray, target: FloatArray, weight: FloatArray, chi2: float
+    scene: Scene, state: State, steps: dict[str, float], target: FloatArray, weight: FloatArray, chi2: float
 ) -> State:
     """A step of Gauss and Newton, shortened until it helps."""
-    limits = np.array([_STEP_LIMIT.get(name, 1.0) for name in PARAMETERS])
-    step = step / max(1.0, float(np.max(np.abs(step) / limits)))
+    share = 1.0 / max(1.0, *(abs(step) / _STEP_LIMIT.get(name, 1.0) for name, step in steps.items()))
     best = None
     for _ in range(12):
-        trial = _at(state, step)
-        step = 0.5 * step
+        trial = replace(state, **{name: getattr(state, name) + share * float(steps[name]) for name in steps})
+        share *= 0.5
         try:
             off = weight @ (target - scene.log_channels(trial))
         except ModelError:  # leans so far that no flake reflects into some pose
@@ -157,17 +173,10 @@ def _moved(
     return best
 
 
-def _at(state: State, step: FloatArray) -> State:
-    return replace(
-        state,
-        **{name: getattr(state, name) + float(value) for name, value in zip(PARAMETERS, step, strict=True)},
-    )
-
-
 def _fitted(state: State, white: FloatArray, weight: FloatArray, chi2: float, slopes: FloatArray) -> PrintFit:
     covariance = np.asarray(np.linalg.inv(white.T @ white), dtype=np.float64)
     gain = covariance @ white.T @ weight
-    return PrintFit(state, covariance, gain, chi2, len(weight) - len(PARAMETERS), slopes)
+    return PrintFit(state, covariance, gain, chi2, len(weight) - slopes.shape[1], slopes)
 
 
 def check_poses(scene: Scene) -> None:
@@ -178,19 +187,19 @@ def check_poses(scene: Scene) -> None:
     """
     slopes = _slopes(scene, State())
     if _solved(slopes, np.zeros(len(slopes)))[1] < len(PARAMETERS):
-        raise RecipeError(_undetermined(slopes))
+        raise RecipeError(_undetermined(slopes, PARAMETERS))
 
 
-def _undetermined(white: FloatArray) -> str:
+def _undetermined(white: FloatArray, names: tuple[str, ...]) -> str:
     """Message that names the parameter that the poses do not determine."""
     scale = np.linalg.norm(white, axis=0)
     _, size, directions = np.linalg.svd(white / np.where(scale > 0.0, scale, 1.0))
     strength = np.pad(size, (0, len(directions) - len(size)))
     lost = directions[strength <= max(_DETERMINED * strength[0], strength[-1])]
-    name = PARAMETERS[int(np.argmax(np.sum(lost**2, axis=0)))]
+    name = names[int(np.argmax(np.sum(lost**2, axis=0)))]
     return (
-        f"the poses of the recipe do not determine the {_TITLES[name]} of a print: add tilts of both signs and stage "
-        "angles 90° and 180° apart"
+        f"the poses of the recipe do not determine the {_TITLES.get(name, name)} of a print: add tilts of both signs "
+        "and stage angles 90° and 180° apart"
     )
 
 

@@ -127,8 +127,15 @@ class Scene:
         return np.asarray(paper + shares[..., None] * (self.channels() - paper))
 
     def log_channels(self, state: State | None = None) -> FloatArray:
-        """(3 P,) ln of `channels`, channels fastest."""
-        return np.asarray(np.log(self.channels(state)).ravel())
+        """(3 P,) ln of `channels`, channels fastest.
+
+        Raises:
+            ModelError: as for `channels`, or a state leaves no light in some channel.
+        """
+        channels = self.channels(state)
+        if channels.min() <= 0.0:
+            raise ModelError("more ink is missing than there is: no light is left in some channel")
+        return np.asarray(np.log(channels).ravel())
 
     def slope(self, name: str, at: State | None = None) -> FloatArray:
         """(3 P,) derivative of ln of the channels with respect to a field of `State`, by central differences."""

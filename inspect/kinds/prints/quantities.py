@@ -50,7 +50,7 @@ class Judge:
 
     def quantities(self) -> tuple[Quantity, ...]:
         """Roughness, its ratios, level, chromaticity, tilt."""
-        part, rig, limits = self.recipe.print, self.recipe.uncertainty, self.limits
+        known, rig, limits = self.recipe.print.of_ink(self.ink), self.recipe.uncertainty, self.limits
         found = []
         for name, azimuth in (("x", 0.0), ("y", 90.0)):
             nominal = roughness_along(self.ink, self.origin or State(), azimuth)
@@ -59,15 +59,15 @@ class Judge:
                 return np.log([roughness_along(self.ink, state, azimuth)])
 
             title = f"roughness along {name}"
-            rough = (("roughness of the ink", part.u_alpha_share),)
+            rough = (("roughness of the ink", known.alpha_share),)
             found.append(self._scalar(f"alpha {name}", title, along, nominal, limits.alpha_share, rough))
         found.append(self._ratio("ratio", "ln of roughness at 90° over 0°", 0.0, 90.0))
         found.append(self._ratio("skew", "ln of roughness at 135° over 45°", 45.0, 135.0))
-        level = (("level of the ink", part.u_rho_share), ("colour of the ink", part.u_colour_share))
+        level = (("level of the ink", known.rho_share), ("colour of the ink", known.colour_share))
         gain = float(np.exp((self._level(self.origin or State()) - self._level(State()))[0]))
         found.append(self._scalar("gain", "level of the ink", self._level, gain, limits.gain_share, level))
         scale = self._chroma_scale()
-        colour = (("colour of the ink", part.u_colour_share * scale),)
+        colour = (("colour of the ink", known.colour_share * scale),)
         found.append(
             self._length("chromaticity", "shift of u′v′", "", self._chroma, limits.chromaticity, colour)
         )

@@ -1,6 +1,7 @@
 """The recipe of a print: its ink instead of a surface and a plastic; poses, exposure and region as of ridged parts."""
 
 import os
+from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, ClassVar, Self
@@ -15,7 +16,7 @@ from anisoscope.recipe.base import CommonUncertainty, RecipeBase
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.sim.light.colour.observer import shares_of_points
-from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.light.ink.ink import UNKNOWN, Ink, InkUncertainty
 from anisoscope.sim.materials.inks import SYNTHETIC, InkFileError, find_ink, read_ink
 
 TILTS_DEG = (0.0, 7.0, 14.0, 20.0, -20.0, -14.0, -7.0)
@@ -41,6 +42,13 @@ def ink_file(name: str) -> Path:
         return path
 
 
+UNSTATED = (
+    "the ink file states no uncertainty, so that large ones are taken: fit the ink anew (anisoscope ink fit), or write "
+    "[uncertainty] into its file"
+)
+_OF_INK = ("alpha_share", "rho_share", "colour_share", "c", "lobe")
+
+
 class PrintPart(Part):
     """Ink of the print, and its inks by mistake.
 
@@ -50,7 +58,8 @@ class PrintPart(Part):
     an inspection of a good print finds it. ``wrong_inks`` are other inks of the house, which the diagnosis looks for.
 
     The ``u_…`` are standard uncertainties: relative of roughness, of level (``u_rho_share``, all wavelengths alike) and
-    of colour (``u_colour_share``, between the colour channels); absolute of c, of the lobe and of the substrate.
+    of colour (``u_colour_share``, between the colour channels); absolute of c, of the lobe and of the substrate. Those
+    of the ink that are left out are the ink file's.
     """
 
     ink: InkName
@@ -58,11 +67,11 @@ class PrintPart(Part):
     substrate: Share = 0.04
     lobe: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.0
     wrong_inks: Annotated[tuple[InkName, ...], Field(max_length=4)] = ()
-    u_alpha_share: Share = 0.01
-    u_rho_share: Share = 0.01
-    u_colour_share: Share = 0.003
-    u_c: NotNegative = 0.1
-    u_lobe: NotNegative = 0.05
+    u_alpha_share: Share | None = None
+    u_rho_share: Share | None = None
+    u_colour_share: Share | None = None
+    u_c: NotNegative | None = None
+    u_lobe: NotNegative | None = None
     u_substrate: Share = 0.01
 
     @model_validator(mode="after")
@@ -78,6 +87,17 @@ class PrintPart(Part):
             InkFileError: its file is missing or wrong.
         """
         return read_ink(ink_file(self.ink))
+
+    def of_ink(self, ink: Ink) -> InkUncertainty:
+        """Uncertainties of the ink as stated here, else in its file, else large ones."""
+        stated = {name: getattr(self, f"u_{name}") for name in _OF_INK}
+        return replace(
+            ink.uncertainty or UNKNOWN, **{name: value for name, value in stated.items() if value is not None}
+        )
+
+    def lacks_uncertainty(self, ink: Ink) -> bool:
+        """Whether neither the ink file nor the recipe says how well the ink is known."""
+        return ink.uncertainty is None and any(getattr(self, f"u_{name}") is None for name in _OF_INK)
 
     def read_wrong_inks(self) -> tuple[Ink, ...]:
         """The inks that may have got into this one; errors as for `read_ink`."""
@@ -252,12 +272,7 @@ wrong_inks = {wrong}  # other inks of the house, which the diagnosis looks for
 coverage = 1.0  # share of the area that carries ink
 substrate = 0.04  # diffuse reflectance of what lies below and between
 lobe = 0.0  # 0: normals are distributed as the ink file says, 1: the other one of GGX and Beckmann; from a good print
-u_alpha_share = 0.01  # standard uncertainties: relative of the roughness,
-u_rho_share = 0.01  # of the level,
-u_colour_share = 0.003  # and between the colours;
-u_c = 0.1  # absolute of the others
-u_lobe = 0.05
-u_substrate = 0.01
+u_substrate = 0.01  # standard uncertainty; those of the ink are in its file
 
 [poses]  # tilts of both signs and angles 0, 90 and 180 tell lobe, tilt and brushing apart
 angles_deg = [0.0, 90.0, 180.0]

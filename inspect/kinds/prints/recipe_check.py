@@ -19,7 +19,7 @@ from anisoscope.kinds.prints.lighting import SYNTHETIC, expectation_of_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.pose_colours import without_lean
 from anisoscope.kinds.prints.quantities import Quantity
-from anisoscope.kinds.prints.recipe import PrintRecipe
+from anisoscope.kinds.prints.recipe import UNSTATED, PrintRecipe
 from anisoscope.kinds.prints.sources import Source, of_poses, total
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.rig.rigfile import RigFile
@@ -150,7 +150,7 @@ def check_print_recipe(recipe: PrintRecipe, expected: PrintExpectation) -> Print
         quantities=quantities,
         causes=causes,
         matrix_residual=expected.eye.residual,
-        complaints=_complaints(recipe, planned, quantities),
+        complaints=_complaints(recipe, expected, planned, quantities),
         excludes=planned_limits((decision.exclusions,)),
         remedy=MORE_TILTS,
     )
@@ -231,9 +231,12 @@ def _poses(expected: PrintExpectation) -> tuple[PlannedPose, ...]:
 
 
 def _complaints(
-    recipe: PrintRecipe, poses: tuple[PlannedPose, ...], quantities: tuple[PlannedQuantity, ...]
+    recipe: PrintRecipe,
+    expected: PrintExpectation,
+    poses: tuple[PlannedPose, ...],
+    quantities: tuple[PlannedQuantity, ...],
 ) -> tuple[str, ...]:
-    found = []
+    found = [UNSTATED] if recipe.print.lacks_uncertainty(expected.scene.ink) else []
     darkest = min(poses, key=lambda one: one.brightness)
     if darkest.brightness < DIM and not recipe.acquisition.brackets:
         found.append(

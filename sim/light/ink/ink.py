@@ -1,9 +1,10 @@
 """One ink: roughness, and spectra of reflectance and of goniochromatism."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
@@ -16,6 +17,42 @@ SPECTRALON = 0.99
 
 _MICROMETRES = 20.0
 _GAP = 4.0
+
+
+_Share = Annotated[float, Field(ge=0.0, le=1.0)]
+_NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+@dataclass(frozen=True)
+class InkUncertainty:
+    """Standard uncertainties of an ink: how well its file describes the light of its prints.
+
+    Relative of roughness, of level (``rho_share``, all wavelengths alike) and of colour (``colour_share``, between red,
+    green and blue); absolute of c and of the form of the lobe. The misfit is what the model left of the readings, in
+    ln, as a systematic error that neighbouring half angles share: rms of all wavelengths together and, besides, of each
+    third of the spectrum, at half angles ``misfit_at_deg``.
+    """
+
+    alpha_share: _Share
+    rho_share: _Share
+    colour_share: _Share
+    c: _NotNegative
+    lobe: _NotNegative
+    misfit_at_deg: tuple[_NotNegative, ...] = ()
+    misfit_share: tuple[_NotNegative, ...] = ()
+    misfit_colour_share: tuple[_NotNegative, ...] = ()
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    def __post_init__(self) -> None:
+        if not len(self.misfit_at_deg) == len(self.misfit_share) == len(self.misfit_colour_share):
+            raise ValueError("misfit_at_deg, misfit_share and misfit_colour_share need as many values")
+        if np.any(np.diff(self.misfit_at_deg) <= 0.0):
+            raise ValueError("misfit_at_deg must rise")
+
+
+UNKNOWN = InkUncertainty(alpha_share=0.1, rho_share=0.1, colour_share=0.03, c=0.3, lobe=0.5)
+"""Of an ink whose file states none."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +72,7 @@ class Ink:
         alpha_y: roughness across the brushing; None for an isotropic print.
         brush_deg: direction along which ``alpha`` holds, counter-clockwise from +x of the surface.
         distribution: of the flakes' normals; "ggx" is the paper's (Eq. 3).
+        uncertainty: how well all this is known; None where nobody says.
 
     Raises:
         ModelError: numbers that no ink can have; the message names the wavelength.
@@ -51,6 +89,7 @@ class Ink:
     alpha_y: float | None = None
     brush_deg: float = 0.0
     distribution: Distribution = "ggx"
+    uncertainty: InkUncertainty | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("alpha", self.alpha), ("alpha_y", self.across)):

@@ -6,6 +6,7 @@ from anisoscope.diagnosis.cause_words import plastic_words
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.kinds.registry import kind_named, kind_names
 from anisoscope.kinds.wafers.causes import WAFER_WORDS, wafer_causes
+from anisoscope.record.surface_details import surface_of
 from anisoscope.report.conclusion import OUTCOMES, concluded
 
 PLASTIC_WORDS = plastic_words()
@@ -22,12 +23,22 @@ def row(name, severity, half, unit="°", **changes):
 def conclude(make_report_record):
     """``conclude(causes, verdict=…)``: finding and action of a part with these causes."""
 
-    def made(*causes, verdict="FAIL", words=PLASTIC_WORDS, nominal=DESIGN, actions=None, p=0.5, **changes):
+    def made(
+        *causes,
+        verdict="FAIL",
+        words=PLASTIC_WORDS,
+        nominal=DESIGN,
+        actions=None,
+        p=0.5,
+        details=None,
+        **changes,
+    ):
         record = make_report_record(
             verdict=verdict, diagnosis={"says": "", "causes": causes, "unexplained_p": p}, **changes
         )
         recipe = record.recipe | ({} if actions is None else {"actions": actions})
-        return concluded(record.model_copy(update={"recipe": recipe}), words, "Contrast is off", nominal)
+        changed = {"recipe": recipe, "details": details or record.details}
+        return concluded(record.model_copy(update=changed), words, "Contrast is off", nominal)
 
     return made
 
@@ -63,6 +74,39 @@ def test_an_unknown_sign_is_one_finding_and_not_two_causes(conclude):
         both.finding == "Etch depth is off by about 22 nm (± 1 nm); the sign cannot be told from these poses."
     )
     assert "too deep" in conclude(causes[0], words=WAFER_WORDS).finding
+
+
+@pytest.mark.parametrize("severity", [-1.8, 0.04, 1.2])
+@pytest.mark.parametrize("half", [0.05, 1.5, 3.0, None])
+@pytest.mark.parametrize("verdict", ["PASS", "FAIL"])
+@pytest.mark.parametrize("warned", [False, True])
+def test_a_cause_that_may_be_nothing_is_no_headline(conclude, severity, half, verdict, warned):
+    """Its interval holds zero: neither its size nor its direction may be said, whatever the verdict."""
+    reasons = ["warning: it deviates"] if warned else ["all contrasts"]
+    found = conclude(row("light-angle", severity, half), verdict=verdict, reasons=reasons)
+    named = "The lamp stands about" in found.finding
+    may_be_zero = half is not None and half >= abs(severity)
+    assert named == (not may_be_zero and (verdict == "FAIL" or warned))
+    assert " 0.0°" not in found.finding
+    if may_be_zero:
+        assert "Contrast is off" in found.finding
+
+
+@pytest.mark.parametrize("p_value", [9e-5, 0.5, None])
+def test_a_part_with_a_significant_contrast_is_not_as_it_should_be(conclude, make_report_record, p_value):
+    details = surface_of(make_report_record())
+    contrasts = [one.model_copy(update={"p_value": p_value}) for one in details.contrasts]
+    found = conclude(verdict="PASS", details=details.model_copy(update={"contrasts": tuple(contrasts)}))
+    wrong = p_value is not None and p_value < 0.01
+    assert found.follows_from == ("warning" if wrong else "pass")
+    assert ("as it should be" in found.finding) == (not wrong)
+
+
+def test_what_does_not_describe_a_part_is_the_finding(conclude, make_report_record):
+    details = surface_of(make_report_record()).model_copy(update={"not_described": "the ink file does not"})
+    found = conclude(verdict="INCONCLUSIVE", details=details)
+    assert (found.follows_from, found.finding) == ("misfit", "The ink file does not.")
+    assert found.action == f"{OUTCOMES['misfit']}."
 
 
 @pytest.mark.parametrize("verdict", ["PASS", "INCONCLUSIVE", "INVALID"])

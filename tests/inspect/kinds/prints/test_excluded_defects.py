@@ -42,17 +42,18 @@ def drawn(recipe, expected, rng, name=""):
     key = next((one for one in found if name.startswith(one)), None)
     state = State() if key is None else found[key]
     ink = next((one for one in part.read_wrong_inks() if name.startswith(one.name)), None)
-    level = part.u_rho_share * z()
+    known = part.of_ink(expected.scene.ink)
+    level = known.rho_share * z()
     more = {
-        "alpha": 0.0 if name.startswith(("flakes less", "flakes fl")) else part.u_alpha_share * z(),
-        "c": part.u_c * z(),
-        "lobe": part.u_lobe * z(),
+        "alpha": 0.0 if name.startswith(("flakes less", "flakes fl")) else known.alpha_share * z(),
+        "c": known.c * z(),
+        "lobe": known.lobe * z(),
         "substrate": part.u_substrate * z(),
         "light_angle_deg": rig.light_angle_deg * z(),
         "arm_deg": rig.tilt_zero_deg * z(),
         "seat_x_deg": rig.seating_tilt_deg * z(),
         "seat_y_deg": rig.seating_tilt_deg * z(),
-        **{colour: level + part.u_colour_share * z() for colour in ("red", "green", "blue")},
+        **{colour: level + known.colour_share * z() for colour in ("red", "green", "blue")},
     }
     made = replace(state, **{key: getattr(state, key) + value for key, value in more.items()})
     logs = replace(expected.scene, other=ink).log_channels(made)
@@ -148,9 +149,7 @@ def test_a_size_smaller_than_the_poses_show_leaves_a_print_undecided(strict):
 
 def test_a_print_that_deviates_within_its_limits_has_no_limits_of_defects(strict):
     recipe, expected = strict
-    off = np.log(expected.channels).ravel() + 0.05 * np.random.default_rng(1).normal(
-        size=expected.channels.size
-    )
+    off = expected.scene.log_channels(State(ratio=0.1))
     wide = dict.fromkeys(type(recipe.tolerances).model_fields, 1000.0)
     asked = recipe.model_copy(update={"tolerances": recipe.tolerances.model_copy(update=wide)})
     decided = decide_print(expected, seen(asked, expected, off), asked)
