@@ -11,7 +11,7 @@ from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, Deviating, Smea
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.diagnosis.signature_cache import _packed, _unpacked, cached_signatures
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.imaging.deviation_map import cell_map
+from anisoscope.imaging.deviation_map import CALM_UM, cell_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention
@@ -56,8 +56,8 @@ def marks(recipe):
     return signatures(recipe, LIGHT_DEG, names=("burrs", "dust"))
 
 
-def cells_of_part(recipe, coverage):
-    """(P, rows, cols) cells of a rough part; the texture is no part of its lobe."""
+def pictures_of_part(recipe, coverage):
+    """(P, rows, cols) radiances of a rough part; the texture is no part of its lobe."""
     rng = np.random.default_rng(1)
     shape = CELL_ROWS * CELL_POINTS + 1, CELL_COLS * CELL_POINTS + 1
     surface = ridges(recipe.surface.ridge_design(), shape, (PIXEL_UM, PIXEL_UM))
@@ -68,9 +68,17 @@ def cells_of_part(recipe, coverage):
     along, across = (float(np.sqrt(one**2 - TEXTURE**2)) for one in (whole.alpha_along, whole.alpha_across))
     lobe = replace(whole, alpha_along=along, alpha_across=across)
     sides = directions(recipe.poses.poses(), Convention(LIGHT_DEG))
-    maps = np.array(list(radiance_maps(Relief(surface, PITCH_UM, max_missing_share=1.0), *sides, lobe)))
+    return np.array(list(radiance_maps(Relief(surface, PITCH_UM, max_missing_share=1.0), *sides, lobe)))
+
+
+def cells_of(maps):
+    """(P, rows, cols) cells of such pictures."""
     blocks = maps.reshape(len(maps), CELL_ROWS, CELL_POINTS, CELL_COLS, CELL_POINTS)
     return blocks.mean(axis=(2, 4), dtype=np.float64)
+
+
+def cells_of_part(recipe, coverage):
+    return cells_of(pictures_of_part(recipe, coverage))
 
 
 def measured(cells, radiance):
@@ -97,6 +105,20 @@ def test_burrs_are_named_with_the_thresholds_of_the_part(recipe, few):
     first = found.causes[0]
     assert first.cause == "burrs"
     assert abs(first.severity - COVERAGE) < 2.0 * first.u
+
+
+@pytest.mark.parametrize("coverage", [0.02, 0.1, 0.2])
+def test_pictures_and_prediction_count_the_same_cells(recipe, marks, coverage):
+    """The share by D² is that of the predicted map by the thresholds of the part, so that it states severities."""
+    maps = pictures_of_part(recipe, coverage).astype(np.float32)
+    cells = cells_of(maps)
+    seen = measured(cells, cells.mean(axis=(1, 2)))
+    grid = Grid((0.0, 0.0), PIXEL_UM / 1000.0, maps.shape[1:])
+    found = cell_map(replace(seen, aligned=tuple(maps), grid=grid), recipe)
+    known = marks.by_thresholds(found.thresholds, CALM_UM / PITCH_UM, found.score.size)
+    predicted = known.found[0].at(coverage)[1]
+    scatter = known.found[0].share_scatter(coverage)
+    assert abs(found.deviating().mean() - predicted) < 2.0 * np.hypot(0.15 * predicted, np.sqrt(scatter))
 
 
 def test_texture_seen_off_the_mirror_direction_is_no_defect():
