@@ -34,6 +34,11 @@ def deviation_map(cells: CellMap) -> FloatArray:
     return np.asarray(np.take_along_axis(cells.off, most[None], axis=0)[0])
 
 
+def signed_scores(cells: CellMap) -> FloatArray:
+    """(cell rows, cell cols) score of every cell over its limit, with the sign of the ln ratio that is off most."""
+    return np.asarray(np.sign(deviation_map(cells)) * cells.score / cells.limit)
+
+
 def chance_of_a_cell(deviation: FloatArray, threshold: float) -> float:
     """Probability that a cell of a good part deviates, from the map itself.
 

@@ -33,7 +33,7 @@ from anisoscope.diagnosis.ranking import TIE
 from anisoscope.diagnosis.rig_causes import rig_faults
 from anisoscope.imaging.angle_map import AngleMap
 from anisoscope.imaging.area_limit import LEAST_PARTS
-from anisoscope.imaging.defect_regions import deviation_map
+from anisoscope.imaging.defect_regions import signed_scores
 from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map, remember
 from anisoscope.imaging.pose_radiance import (
     CELLS_PER_PITCH,
@@ -646,7 +646,7 @@ class SurfaceKind(
             size_mm=measured.grid.size_mm,
             ratios=cell_log_ratios(measured, expected.poses),
             deviating=decided.deviating,
-            deviation=None if cells is None else deviation_map(cells),
+            deviation=None if cells is None else signed_scores(cells),
             surface=expected.surface,
             facets=facets if isinstance(facets, AngleMap) else None,
         )

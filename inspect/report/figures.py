@@ -295,24 +295,22 @@ def deviation_map(
     deviating: npt.NDArray[np.bool_] | None,
     places: Sequence[tuple[float, float]],
     size_mm: tuple[float, float],
-    limit: float,
     frame: MapFrame = MapFrame(),
 ) -> str:
     """By how much every cell is off, with the regions outlined and numbered from 1; pale within the limit.
 
     Args:
-        deviation: (cell rows, cell cols) ln ratio, first row at the top.
+        deviation: (cell rows, cell cols) score over its limit, with a sign, first row at the top.
         deviating: same shape, or None.
         places: (x, y) of the middle of every numbered region in mm from the rotation axis, along the map's axes.
         size_mm: (height, width) of the region.
-        limit: ln ratio beyond which a cell deviates; the scale ends at twice that.
         frame: where it lies.
     """
     from matplotlib.patheffects import withStroke
 
     with new_map_figure(size_mm) as (figure, axes, bar):
         extent = frame.label(axes, size_mm)
-        shown = axes.imshow(deviation, cmap=_calm(), vmin=-2.0 * limit, vmax=2.0 * limit, extent=extent)
+        shown = axes.imshow(deviation, cmap=_calm(), vmin=-2.0, vmax=2.0, extent=extent)
         if deviating is not None:
             axes.add_artist(_outline(deviating, size_mm, frame.middle_mm))
         points = [
@@ -334,8 +332,8 @@ def deviation_map(
                 arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.7},
             )
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
-        ends = [-2.0 * limit, -limit, 0.0, limit, 2.0 * limit]
-        figure.colorbar(shown, cax=bar, label=message("ln ratio off; pale: within the limit"), ticks=ends)
+        label = message("score over its limit; pale: below it")
+        figure.colorbar(shown, cax=bar, label=label, ticks=[-2.0, -1.0, 0.0, 1.0, 2.0])
         bar.yaxis.set_major_formatter(lambda value, _: decimal(f"{value:.3g}").replace("-", "−"))
         return svg_uri(figure)
 

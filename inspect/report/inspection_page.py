@@ -55,7 +55,7 @@ class Pictures:
         difference_text: of what the differences are, in words.
         ratios: (pairs, cell rows, cell cols) ln ratio of the contrast map.
         deviating: (cell rows, cell cols) cells that deviate.
-        deviation: (cell rows, cell cols) ln ratio by which a cell is off.
+        deviation: (cell rows, cell cols) score of the cells over its limit, with a sign.
         surface: the height map of the prediction, levelled.
         raw: pictures as photographed, where they could not be judged.
         logo: of the shop, as a data URI, or None.

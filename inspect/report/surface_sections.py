@@ -7,7 +7,6 @@ import numpy as np
 
 from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.notation import contrast_name, true_minus
-from anisoscope.recipe.surface import MOST_DEVIATION
 from anisoscope.record.schema import BudgetRecord, Record, RegionRecord
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.report import figures
@@ -84,9 +83,8 @@ def _maps(
     maps: dict[str, Any] = {"labels": labels, "maps": [], "chart": None, "deviation_map": None}
     if pictures.deviation is not None:
         places = [_on_map(record, (region.x, region.y)) for region in regions]
-        limit = max((found.area and found.area.cell_deviations) or (MOST_DEVIATION,))
         maps["deviation_map"] = figures.deviation_map(
-            pictures.deviation, pictures.deviating, places, pictures.size_mm, limit, _frame(record)
+            pictures.deviation, pictures.deviating, places, pictures.size_mm, _frame(record)
         )
     if pictures.ratios is not None:
         maps["maps"] = [

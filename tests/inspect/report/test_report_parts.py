@@ -218,7 +218,7 @@ def test_map_and_table_count_from_the_rotation_axis(
     record = make_report_record(recipe=recipe, regions=[region | {"deviation": 0.4, "p_value": 0.001}])
     drawn = {}
 
-    def keep(_deviation, _mask, places, size_mm, _limit, frame):
+    def keep(_deviation, _mask, places, size_mm, frame):
         with figures.new_map_figure(size_mm) as (_, axes, _bar):
             drawn.update(ends=frame.label(axes, size_mm), names=(axes.get_xlabel(), axes.get_ylabel()))
         drawn["places"] = places
