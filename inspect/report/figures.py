@@ -332,8 +332,8 @@ def deviation_map(
                 arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.7},
             )
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
-        label = message("score over its limit; pale: below it")
-        figure.colorbar(shown, cax=bar, label=label, ticks=[-2.0, -1.0, 0.0, 1.0, 2.0])
+        scale = message("score over its limit; pale: below it")
+        figure.colorbar(shown, cax=bar, label=scale, ticks=[-2.0, -1.0, 0.0, 1.0, 2.0])
         bar.yaxis.set_major_formatter(lambda value, _: decimal(f"{value:.3g}").replace("-", "−"))
         return svg_uri(figure)
 
