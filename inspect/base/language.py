@@ -10,11 +10,13 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-LANGUAGES = ("en", "de", "da")
+NAMES = {"en": "English", "de": "Deutsch", "da": "Dansk"}
+LANGUAGES = tuple(NAMES)
 DOMAIN = "anisoscope"
 AS_WRITTEN = frozenset(
     {"path", "file", "folder", "serial", "product", "name", "text", "lot", "port", "command"}
@@ -28,6 +30,7 @@ _EXTENT = re.compile(r" \([^()]*\)(?=;|$)")
 _PARTS = ("; ", ". ", ": ", ", ")
 
 _present = "en"
+_asked: ContextVar[str | None] = ContextVar("_asked", default=None)
 
 
 class _Pattern(NamedTuple):
@@ -40,8 +43,8 @@ class _Pattern(NamedTuple):
 
 
 def language() -> str:
-    """The present language, one of `LANGUAGES`."""
-    return _present
+    """The present language, one of `LANGUAGES`: of the reader who is answered, else of the process."""
+    return _asked.get() or _present
 
 
 def use(name: str) -> None:
@@ -70,6 +73,36 @@ def speaking(name: str) -> Iterator[None]:
         use(before)
 
 
+@contextmanager
+def answering(name: str) -> Iterator[None]:
+    """Use a language for one reader of a server; the process and its other readers keep theirs.
+
+    Args:
+        name: one of `LANGUAGES`.
+    """
+    before = _asked.set(name)
+    try:
+        yield
+    finally:
+        _asked.reset(before)
+
+
+def of_browser(header: str) -> str | None:
+    """The first of our languages that a browser prefers; None where it names none of them.
+
+    Args:
+        header: Accept-Language (RFC 9110, 12.5.4), such as ``da, en-GB;q=0.8``.
+    """
+    found = []
+    for entry in header.split(","):
+        name, _, weight = entry.partition(";")
+        number = weight.strip().removeprefix("q=") or "1"
+        short = name.strip().lower().partition("-")[0]
+        if short in LANGUAGES and re.fullmatch(r"[01](\.\d*)?", number) and float(number) > 0.0:
+            found.append((-float(number), short))
+    return min(found, key=lambda one: one[0])[1] if found else None
+
+
 def of_locale(environment: Mapping[str, str] | None = None) -> str:
     """The language of the locale: LC_ALL, else LC_MESSAGES, else LANG; English where that is none of ours.
 
@@ -89,7 +122,7 @@ def message(text: str, /, **places: object) -> str:
         text: the English message as the catalogue has it, with ``{places}``.
         places: what stands in them; numbers get the decimal mark of the language.
     """
-    found = _catalogue(_present).get(text, text)
+    found = _catalogue(language()).get(text, text)
     return found.format(**{name: _in_place(name, str(value)) for name, value in places.items()})
 
 
@@ -99,7 +132,7 @@ def translated(text: str) -> str:
     A text that the catalogue does not know is looked up by its parts; what remains unknown stays as it is, save the
     decimal marks of its numbers.
     """
-    if _present == "en" or not text:
+    if language() == "en" or not text:
         return text
     found = _looked_up(text)
     return decimal(text) if found is None else found
@@ -107,7 +140,7 @@ def translated(text: str) -> str:
 
 def decimal(text: str) -> str:
     """A text whose numbers have the decimal mark of the present language."""
-    return text if _present == "en" else _DECIMAL.sub(r"\1,\2", text)
+    return text if language() == "en" else _DECIMAL.sub(r"\1,\2", text)
 
 
 _PERCENT = re.compile(r"(?<=\d)%(?![0-9A-Fa-f]{2})")
@@ -125,7 +158,7 @@ def _in_place(name: str, text: str) -> str:
 
 def _looked_up(text: str) -> str | None:
     """The translation of a text as a whole, without its full stop or its extent, or part by part; None without any."""
-    exact = _catalogue(_present).get(text)
+    exact = _catalogue(language()).get(text)
     if exact is not None:
         return exact
     # a message with the mark of a list is no list
@@ -140,7 +173,7 @@ def _looked_up(text: str) -> str | None:
 
 def _by_pattern(text: str, *, lists: bool) -> str | None:
     """The translation of the first message whose pattern this is, of those with or without the mark of a list."""
-    for pattern in _patterns(_present):
+    for pattern in _patterns(language()):
         match = pattern.expression.fullmatch(text) if pattern.lists is lists else None
         if match is not None:
             places = {name: _in_place(name, value) for name, value in match.groupdict().items()}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from anisoscope.base.csv_style import COMMA, STYLES, writing
 from anisoscope.base.errors import UsageError
-from anisoscope.base.language import LANGUAGES, of_locale, speaking, translated
+from anisoscope.base.language import LANGUAGES, of_locale, speaking, translated, use
 
 LOG = logging.getLogger("anisoscope")
 
@@ -99,8 +99,15 @@ def chosen_csv_style() -> str | None:
 
 
 def chosen_language() -> str | None:
-    """The language that the command line names, or None."""
+    """The language that the command line or the project file names, or None."""
     return _present.lang
+
+
+def choose_language(name: str) -> None:
+    """Use the language of the project file; errors as of `anisoscope.base.language.use`."""
+    global _present  # noqa: PLW0603 - as of `listening`
+    use(name)
+    _present = replace(_present, lang=name)
 
 
 @contextmanager

@@ -26,6 +26,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.base.language import LANGUAGES, answering, language, of_browser
 from anisoscope.console.access import SAFE_METHODS, SESSION_S, Access, Needs, Permission, Session, cookie_name
 from anisoscope.console.accounts import ROLES, Accounts, Role
 from anisoscope.console.openid import OpenId
@@ -39,6 +40,7 @@ WRITE_S = 30.0
 KEPT_S = 15
 MOST_LINES = 500
 MOST_CONNECTIONS = 256
+LANGUAGE_COOKIE = "language"
 UNGUARDED = frozenset({"/static/{name}"})
 """Routes of which everybody may read the answer."""
 
@@ -198,6 +200,7 @@ def create_app(
     hosts: frozenset[str],
     *,
     pages: Sequence[Page] = (),
+    lang: str | None = None,
     closing: Callable[[], None] = lambda: None,
 ) -> FastAPI:
     """The application of the console.
@@ -207,6 +210,7 @@ def create_app(
         routers: the routes; each route names what it needs (`anisoscope.console.access.Needs`).
         hosts: as for `Guard`.
         pages: the navigation, its first page is the start.
+        lang: language of browsers whose user has chosen none; None: the browser's, if it is one of ours.
         closing: called at the end.
 
     Raises:
@@ -241,6 +245,7 @@ def create_app(
     app.add_exception_handler(AnyHTTPException, _say_http)
     app.add_exception_handler(RequestValidationError, _say_invalid)
     app.add_middleware(_NewCookies)
+    app.add_middleware(_Language, lang=lang)
     app.add_middleware(Guard, hosts=hosts, scheme="https" if access.secure else "http")
     return app
 
@@ -286,6 +291,24 @@ class _NewCookies:
             await send(message)
 
         await self.app(scope, receive, send_cookie)
+
+
+class _Language:
+    """Answers in the language that the user chose on the page, else the server's, else the browser's."""
+
+    def __init__(self, app: ASGIApp, lang: str | None) -> None:
+        self.app, self.lang = app, lang
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        request = Request(scope)
+        chosen = request.cookies.get(LANGUAGE_COOKIE)
+        if chosen not in LANGUAGES:
+            chosen = self.lang or of_browser(request.headers.get("accept-language", "")) or language()
+        with answering(chosen):
+            await self.app(scope, receive, send)
 
 
 def _wants_page(request: Request) -> bool:

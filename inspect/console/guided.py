@@ -52,7 +52,7 @@ class Step:
     """Step of guided work: the operator's task at the stage, and the action then.
 
     Attributes:
-        ask: what to put on the stage, in the language of the page.
+        ask: what to put on the stage, in the language of the reader.
         work: what is done, in the process of the inspections; None inspects a part.
         serial, operator: of the part to inspect.
     """
@@ -78,7 +78,7 @@ class Guide:
     """One thing that is done by steps.
 
     Attributes:
-        title, about: in the language of the page.
+        title, about: in the language of the reader.
         entries: of its form, behind recipe and reason.
         steps: from what was entered, and from the state.
         needs: what one has to be allowed.
@@ -263,17 +263,25 @@ class Guided:
             self.state.folders += [folder] * bool(folder)
         self._write()
 
-    def shown(self) -> dict[str, Any] | None:
-        """State of guided work for its page."""
-        if self.state is None or self.guide is None:
+    def shown(self, state: GuideState | None) -> dict[str, Any] | None:
+        """A state of guided work for its page, in the language of the reader."""
+        if state is None:
             return None
-        steps, at = self._steps(self.state), self.state.at
+        steps, at = self._steps(state), state.at
+        results = [
+            one
+            | {
+                "rows": [[translated(cell) for cell in row] for row in one["rows"]],
+                "notes": [translated(note) for note in one["notes"]],
+            }
+            for one in state.results[-8:]
+        ]
         return {
-            "title": self.guide.title,
+            "title": guides()[state.key].title,
             "at": at,
             "of": len(steps),
             "ask": steps[at].ask if at < len(steps) else "",
-            "results": self.state.results[-8:],
+            "results": results,
         }
 
     def _steps(self, state: GuideState) -> list[Step]:
@@ -662,7 +670,7 @@ def _focus(asked: Entered, _: GuideState) -> list[Step]:
 
 
 def guides() -> Mapping[Key, Guide]:
-    """All guided work, in the language of the page."""
+    """All guided work, in the language of the reader."""
     parts = message("Parts: their numbers, with commas")
     return {
         "flat": Guide(

@@ -76,9 +76,18 @@ class EventLog:
         return int(number) if run == self.run and number.isdigit() else None
 
     async def stream(
-        self, last_id: str, state: Callable[[], tuple[int, dict[str, Any]]]
+        self,
+        last_id: str,
+        state: Callable[[], tuple[int, dict[str, Any]]],
+        shown: Callable[[dict[str, Any]], dict[str, Any]] = lambda content: content,
     ) -> AsyncIterator[str]:
-        """Server-sent events: those after an id, or the state and what follows it, until the log is closed."""
+        """Server-sent events after an id, or the state and what follows it, until the log is closed.
+
+        Args:
+            last_id: id of the last event that the reader has; "" for none.
+            state: number of the last event and the state, in the language of the reader.
+            shown: the content of an event in that language.
+        """
         woken = asyncio.Event()
         me = (asyncio.get_running_loop(), woken)
         with self._lock:
@@ -91,6 +100,8 @@ class EventLog:
                 if events is None:
                     number, content = state()
                     events = [(number, "state", content)]
+                else:
+                    events = [(number, kind, shown(content)) for number, kind, content in events]
                 for number, kind, content in events:
                     data = json.dumps(content, allow_nan=False)
                     yield f"id: {self.run}-{number}\nevent: {kind}\ndata: {data}\n\n"

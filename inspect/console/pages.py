@@ -9,7 +9,7 @@ from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse
 
 from anisoscope.base.errors import RecordError
-from anisoscope.base.language import decimal, language, message, shown, translated
+from anisoscope.base.language import NAMES, decimal, language, message, shown, translated
 from anisoscope.console.access import Permission
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def render(request: Request, template: str, **content: object) -> HTMLResponse:
     may: dict[Permission, bool] = {name: session.may(name) for name in get_args(Permission)}
     common = {
         "lang": language(),
+        "languages": NAMES.items(),
         "session": session,
         "may": may,
         "single": request.app.state.access.accounts is None,

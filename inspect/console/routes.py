@@ -124,7 +124,9 @@ def _add_readings(router: APIRouter, station: Station) -> None:
     )
     async def events(request: Request, session: Looking, after: str = "") -> StreamingResponse:
         station.check_room()
-        stream = station.log.stream(request.headers.get("last-event-id", after), station.state)
+        stream = station.log.stream(
+            request.headers.get("last-event-id", after), station.state, station.in_words
+        )
         watched = _watched(station, session, stream, request.app.state.access)
         return StreamingResponse(watched, media_type="text/event-stream")
 

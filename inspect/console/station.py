@@ -115,14 +115,19 @@ class Station:
     # Who holds the rig.
 
     def state(self) -> tuple[int, dict[str, Any]]:
-        """Number of the last event, and everything that a page shows."""
+        """Number of the last event, and everything that a page shows, in the language of its reader."""
+        number, content = self._snapshot()
+        return number, self.in_words(content)
+
+    def _snapshot(self) -> tuple[int, dict[str, Any]]:
+        """The state in English, as events have it."""
         with self._lock:
             now = self._now
             return self.log.number, {
                 "run": self.log.run,
                 "state": now.state,
                 "task": now.task,
-                "doing": translated(now.doing),
+                "doing": now.doing,
                 "done": now.done,
                 "total": now.total,
                 "frames": now.frames,
@@ -130,14 +135,38 @@ class Station:
                 "verdict": now.verdict,
                 "checked": now.checked,
                 "failure": now.failure,
-                "notes": now.notes,
-                "guide": self._guided.shown(),
-                "holder": _browser(self._holder),
-                "asking": _browser(self._asking),
+                "notes": [*now.notes],
+                "guide": self._guided.state and self._guided.state.model_copy(deep=True),
+                "holder": self._holder,
+                "asking": self._asking,
             }
 
+    def in_words(self, content: dict[str, Any]) -> dict[str, Any]:
+        """The content of an event in the language of its reader."""
+        shown = content | {"doing": translated(content["doing"])}
+        if "guide" not in content:  # progress
+            return shown
+        for name in ("holder", "asking"):
+            shown[name] = _browser(content[name])
+        shown["notes"] = [translated(one) for one in content["notes"]]
+        shown["guide"] = self._guided.shown(content["guide"])
+        if content["verdict"] is not None:
+            verdict = content["verdict"]
+            words = {name: translated(verdict[name]) for name in ("finding", "action")}
+            words["word"] = message(verdict["verdict"])
+            shown["verdict"] = verdict | words | {"reasons": [translated(one) for one in verdict["reasons"]]}
+        if content["checked"] is not None:
+            checks = [
+                one | {"words": translated(one["words"]), "remark": translated(one["remark"])}
+                for one in content["checked"]["checks"]
+            ]
+            shown["checked"] = content["checked"] | {"checks": checks}
+        if content["failure"] is not None:
+            shown["failure"] = content["failure"] | {"text": translated(content["failure"]["text"])}
+        return shown
+
     def _publish(self) -> None:
-        self.log.add("state", self.state()[1])
+        self.log.add("state", self._snapshot()[1])
         self._report(*_in_short(self._now))
 
     @contextlib.contextmanager
@@ -334,7 +363,7 @@ class Station:
         if kind == "stepped":
             self._guided.has_done(Outcome(content["good"], content["rows"], content["notes"]))
         else:
-            word = message("measured") if guide.blind else message(content["verdict"])
+            word = message("measured") if guide.blind else content["verdict"]
             rows = ((content["serial"], word),)
             good = content["verdict"] != "INVALID"
             self._guided.has_done(Outcome(good, rows, () if good else content["reasons"]), content["folder"])
@@ -393,8 +422,7 @@ class Station:
 
     def _take_progress(self, mine: _Present, content: dict[str, Any]) -> None:
         mine.doing, mine.done, mine.total = content["doing"], content["done"], content["total"]
-        shown = {**content, "doing": translated(content["doing"]), "frames": mine.frames}
-        self.log.add("progress", shown)
+        self.log.add("progress", content | {"frames": mine.frames})
 
     def _take_in(self, mine: _Present, kind: str, content: dict[str, Any]) -> None:
         mine.frames = len(self._film(mine.folder))
@@ -408,15 +436,11 @@ class Station:
         elif kind == "note":
             mine.notes.append(content["text"])
         elif kind == "verdict":
-            mine.verdict, mine.state = _in_words(content), "done"
+            mine.verdict, mine.state = content, "done"
         elif kind == "checked":
-            mine.checked = content
-            for one in content["checks"]:
-                one["words"], one["remark"] = translated(one["words"]), translated(one["remark"])
-            mine.state = "done"
+            mine.checked, mine.state = content, "done"
         elif kind == "failed":
-            mine.failure = content | {"text": translated(content["text"])}
-            mine.state = "failed"
+            mine.failure, mine.state = content, "failed"
         if mine is self._now and not self._runs:
             self.live.go_on()
         self._publish()
@@ -558,9 +582,3 @@ def _in_short(now: _Present) -> "tuple[Doing, str]":
     if now.task.get("kind") == "check" and now.checked is not None and not now.checked["fit"]:
         return "fault", message("the self test found the rig unfit")
     return "idle", ""
-
-
-def _in_words(verdict: dict[str, Any]) -> dict[str, Any]:
-    words = {name: translated(verdict[name]) for name in ("finding", "action")}
-    words["word"] = message(verdict["verdict"])
-    return verdict | words | {"reasons": [translated(one) for one in verdict["reasons"]]}

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.help_page import everyday
+from anisoscope.cli.log import chosen_language
 from anisoscope.cli.options import HistoryOption, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
 
@@ -129,6 +130,7 @@ def serve(
             [station_router(at), fleet_router(place)],
             hosts_of(host, here, name),
             pages=[Page("/station", "Station"), Page("/fleet", "Fleet")],
+            lang=chosen_language(),
             closing=at.end,
         )
         address = f"http{'s' * (tls is not None)}://{host}:{here}/"

@@ -16,6 +16,7 @@ from anisoscope.base.errors import RigError, UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json_line
+from anisoscope.cli.log import chosen_language
 from anisoscope.cli.options import Json, extra_packages
 from anisoscope.cli.rig.options import (
     Channel,
@@ -272,6 +273,7 @@ def _serve(
             [live_router(live, *exposed, jogger, name)],
             hosts,
             pages=[Page("/station", "Picture")],
+            lang=chosen_language(),
             closing=live.pause,
         )
         print(  # noqa: T201

@@ -4,9 +4,8 @@ import os
 from typing import TYPE_CHECKING
 
 from anisoscope.base.csv_style import use_style
-from anisoscope.base.language import use
 from anisoscope.base.signature import use_key
-from anisoscope.cli.log import LOG, chosen_csv_style, chosen_language
+from anisoscope.cli.log import LOG, choose_language, chosen_csv_style, chosen_language
 from anisoscope.operations.project import project_defaults
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def apply_project(app: "App", commands: tuple[str, ...], arguments: "ArgumentCol
     known = project_defaults()
     lang = known.pop("lang", None)
     if lang is not None and chosen_language() is None:
-        use(lang.value)
+        choose_language(lang.value)
     style = known.pop("csv_style", None)
     if style is not None and chosen_csv_style() is None:
         use_style(style.value)

@@ -36,3 +36,8 @@ document.addEventListener("submit", async event => {
   const content = Object.fromEntries(new FormData(form));
   if (await post(form.dataset.post, content) && form.dataset.then) location.href = form.dataset.then;
 });
+
+document.getElementById("language")?.addEventListener("change", event => {
+  document.cookie = `language=${event.target.value}; Path=/; Max-Age=31536000; SameSite=Lax`;
+  location.reload();
+});

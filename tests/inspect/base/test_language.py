@@ -4,11 +4,23 @@ import gettext
 import importlib.util
 import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from anisoscope.base.language import decimal, message, of_locale, shown, speaking, translated, use
+from anisoscope.base.language import (
+    answering,
+    decimal,
+    language,
+    message,
+    of_browser,
+    of_locale,
+    shown,
+    speaking,
+    translated,
+    use,
+)
 from anisoscope.prediction.part_scatter import named_defects
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -150,3 +162,25 @@ def test_the_locale_names_the_language(variables, wanted):
 def test_another_language_is_refused():
     with pytest.raises(ValueError, match="no language 'fr'"):
         use("fr")
+
+
+@pytest.mark.parametrize(
+    ("header", "wanted"),
+    [
+        ("de-AT,de;q=0.9,en;q=0.8", "de"),
+        ("fr, da;q=0.4, en-GB;q=0.7", "en"),
+        ("da;q=0, en;q=0.1", "en"),
+        ("fr-FR, *;q=0.5", None),
+        ("de;q=high", None),
+        ("", None),
+    ],
+)
+def test_a_browser_prefers_a_language(header, wanted):
+    assert of_browser(header) == wanted
+
+
+def test_each_reader_of_a_server_has_its_language_and_the_process_keeps_its_own():
+    with speaking("da"):
+        with ThreadPoolExecutor(1) as pool, answering("de"):
+            here, elsewhere = message("good"), pool.submit(message, "good").result()
+        assert (here, elsewhere, language()) == ("gut", "god", "da")

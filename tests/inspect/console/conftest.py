@@ -57,7 +57,7 @@ def opened_page(chromium):
     def opened(address, but=()):
         asked, said = [], []
         found = chromium.new_page(viewport={"width": 1024, "height": 768})
-        found.set_default_timeout(15_000)
+        found.set_default_timeout(60_000)
         found.on("request", lambda one: asked.append(one.url))
         found.on("console", lambda one: said.append(one.text))
         found.on("pageerror", lambda one: said.append(str(one)))

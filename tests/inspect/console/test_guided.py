@@ -188,7 +188,9 @@ def test_a_gauge_study_is_blind_in_random_order_and_ends_as_the_command_does(gui
     assert sorted(asked) == sorted(2 * every)
     assert sorted(asked[:4]) == every, "a trial is complete before the next"
     again = Guided(at.place.out, at.recipes_folder)
-    assert again.shown() == at._guided.shown(), "the end of the server does not end it"
+    assert again.shown(again.state) == at._guided.shown(at._guided.state), (
+        "the end of the server does not end it"
+    )
     state = guiding.step()
     table = state["guide"]["results"][-1]["rows"]
     (lot,) = {read_record(at.place.out / folder).particulars.lot for folder in at._guided.state.folders}

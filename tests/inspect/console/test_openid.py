@@ -248,7 +248,7 @@ RIGHT = {
     "sub": "1",
     "nonce": "n",
     "iat": time.time(),
-    "exp": time.time() + 3600,
+    "exp": time.time() + 86_400,
 }
 
 

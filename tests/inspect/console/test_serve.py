@@ -121,12 +121,14 @@ def test_with_tls_it_is_killed_in_an_inspection_and_offers_to_resume(rig, tls, t
         assert "; Secure" in answer.headers["set-cookie"]
         assert answer.headers["strict-transport-security"] == "max-age=31536000"
         assert client.post("/api/v1/start", json={"recipe": "plate", "serial": "K-1"}).status_code == 200
-        state_with(client, lambda content: content.get("frames") == 4)
+        state_with(
+            client, lambda content: content.get("frames") == 1
+        )  # and two dark ones; another is being taken
         folder = client.get("/api/v1/status").json()["folder"]
         assert station_in(client, "running")["words"] == "K-1"
     (tmp_path / "pipe").unlink()
     taken = read_journal(tmp_path / "out" / folder).frames
-    assert len(taken) >= 4
+    assert len(taken) >= 3
     assert not (tmp_path / "out" / folder / "record.json").exists()
     with serving(tmp_path, rig, tls) as client:
         log_in(client)

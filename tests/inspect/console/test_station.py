@@ -107,6 +107,25 @@ def test_a_part_is_inspected_and_enters_the_history(browser, at, monkeypatch):
     )
 
 
+def test_every_reader_has_the_events_in_its_language(browser, address):
+    german = Browser(address)
+    german.client.headers["accept-language"] = "de-DE, en;q=0.5"
+    first = german.first()[0]
+    begin(browser, "A-9")
+    assert browser.wait()["verdict"]["word"] == "PASS"
+    assert german.wait()["verdict"]["word"] == "bestanden"
+    doing, last, state = set(), first, {"state": "", "task": {}}
+    while (state["state"], state["task"].get("serial")) != ("done", "A-9"):
+        last, kind, content = german.first(last)
+        doing.add(content["doing"])
+        state = content if kind == "state" else state
+    assert "Dunkelbild bei -10,000°" in doing
+    assert state["verdict"]["word"] == "bestanden"
+    german.client.cookies.set("language", "da")
+    assert german.get("/status")["verdict"]["word"] == "godkendt"
+    german.client.close()
+
+
 def test_every_event_arrives_once_though_the_connection_is_cut_after_each(browser, at):
     if at._busy is not None:
         at._busy.join()
