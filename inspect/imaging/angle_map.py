@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, UsageError
-from anisoscope.imaging.phase_map import PhaseMap, phase_map
+from anisoscope.imaging.phase_map import PhaseMap, phases_of
 from anisoscope.imaging.pose_radiance import Image, Measured
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
@@ -209,7 +209,7 @@ def angle_map(
     recipe = with_design(recipe.deciding())
     scene = _Scene(recipe, expected)
     pixel_um = measured.grid.pixel_mm * 1000.0
-    phases = phase_map(measured.aligned, pixel_um, scene.design.pitch_um, scene.wall)
+    phases = phases_of(measured, scene.design.pitch_um, scene.wall)
     cells = _Cells.of(phases, scene.design, pixel_um, cell_um)
     light = np.stack([cells.means(picture) for picture in measured.aligned])
     full = np.all(np.isfinite(light) & (light > 0.0), axis=0)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
-from anisoscope.imaging.phase_map import phase_map
+from anisoscope.imaging.phase_map import phase_map, phases_of
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Image, Measured
 from anisoscope.parameters.geometry import Pose
 from anisoscope.recipe.surface import MOST_DEVIATION, AreaPart, SurfaceRecipe
@@ -131,11 +131,19 @@ def cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
 
 
 def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
-    pictures = measured.aligned or tuple(measured.cells.astype(np.float32))
-    pixel_um = recipe.surface.pitch_um / CELLS_PER_PITCH
-    if measured.aligned:
-        pixel_um = 1000.0 * measured.grid.pixel_mm
-    points = _Points.of(pictures, pixel_um, recipe)
+    pictures, pitch_um = measured.aligned, recipe.surface.pitch_um
+    pixel_um = 1000.0 * measured.grid.pixel_mm
+    if not pictures:
+        pictures, pixel_um = tuple(measured.cells.astype(np.float32)), pitch_um / CELLS_PER_PITCH
+    try:
+        if measured.aligned:
+            place = phases_of(measured, pitch_um, None, LEAST_POINTS).place
+        else:
+            place = phase_map(pictures, pixel_um, pitch_um, None, LEAST_POINTS).place
+    except MeasurementError:  # no pattern to be compared with, or too few ridges
+        rows, cols = pictures[0].shape
+        place = np.broadcast_to((np.arange(cols) + 0.5) * pixel_um / pitch_um, (rows, cols))
+    points = _Points.of(pictures, place)
     off = points.off(CALM_UM / pixel_um)
     covariance, calm = points.covariance(off)
     size = measured.cells.shape[:0:-1]
@@ -210,13 +218,7 @@ class _Points:
     ends: npt.NDArray[np.intp]
 
     @staticmethod
-    def of(pictures: Sequence[Image], pixel_um: float, recipe: SurfaceRecipe) -> "_Points":
-        pitch_um = recipe.surface.pitch_um
-        rows, cols = pictures[0].shape
-        try:
-            place = phase_map(pictures, pixel_um, pitch_um, None, LEAST_POINTS).place
-        except MeasurementError:  # no pattern to be compared with, or too few ridges
-            place = np.broadcast_to((np.arange(cols) + 0.5) * pixel_um / pitch_um, (rows, cols))
+    def of(pictures: Sequence[Image], place: FloatArray) -> "_Points":
         logs = np.stack([np.log(np.maximum(one, 1e-9)) for one in pictures]).astype(np.float32)
         count = int(np.clip(place.size / (BIN_POINTS * len(logs)), 1, BINS))
         fine = (np.mod(place, 1.0) * (count * FINE)).astype(np.intp) % (count * FINE)

@@ -7,7 +7,8 @@ stand where the mean profile of a pitch differs from the plain facet.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -15,8 +16,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
-
-Image = npt.NDArray[np.float32]
+from anisoscope.imaging.pose_radiance import Image, Measured
 
 POINTS_RESOLVED = 8.0
 """Points a pitch below which facet and wall blur into each other."""
@@ -46,6 +46,35 @@ class PhaseMap:
     scatter: float
 
 
+_MADE: WeakKeyDictionary[Measured, dict[tuple[float, float | None], PhaseMap]] = WeakKeyDictionary()
+
+
+def phases_of(
+    measured: Measured, pitch_um: float, wall: float | None, least_points: float = POINTS_RESOLVED
+) -> PhaseMap:
+    """The ridges in the pictures of a part, found once; arguments and errors as for `phase_map`."""
+    pixel_um = 1000.0 * measured.grid.pixel_mm
+    _check_points(pixel_um, pitch_um, least_points)
+    made = _MADE.setdefault(measured, {})
+    if (pitch_um, None) not in made:
+        made[pitch_um, None] = phase_map(measured.aligned, pixel_um, pitch_um, None, least_points)
+    found = made[pitch_um, None]
+    if wall is not None and (pitch_um, wall) not in made:
+        made[pitch_um, wall] = replace(
+            found, place=found.place - crest_of(measured.aligned, found.place, wall)
+        )
+    return made[pitch_um, wall]
+
+
+def _check_points(pixel_um: float, pitch_um: float, least_points: float) -> None:
+    pitch = pitch_um / pixel_um
+    if pitch < least_points:
+        raise MeasurementError(
+            f"a pitch of {pitch_um:g} µm has {pitch:.1f} points of {pixel_um:g} µm, facets are seen from "
+            f"{least_points:g} on: take a lens of greater magnification"
+        )
+
+
 def phase_map(
     aligned: Sequence[Image],
     pixel_um: float,
@@ -68,36 +97,35 @@ def phase_map(
     """
     pitch = pitch_um / pixel_um
     rows, cols = aligned[0].shape
-    if pitch < least_points:
-        raise MeasurementError(
-            f"a pitch of {pitch_um:g} µm has {pitch:.1f} points of {pixel_um:g} µm, facets are seen from "
-            f"{least_points:g} on: take a lens of greater magnification"
-        )
+    _check_points(pixel_um, pitch_um, least_points)
     if min(rows, cols) < LEAST_PITCHES * pitch:
         raise MeasurementError(
             f"the region holds {min(rows, cols) / pitch:.1f} pitches, the phase of the ridges needs {LEAST_PITCHES}: "
             "make region.size_mm larger"
         )
     step = max(1, int(pitch / POINTS_RESOLVED))
-    small = [_reduced(one, step) for one in aligned]
+    block = max(1, int(0.5 * pitch / step))
+    small = [_reduced(one, step, block) for one in aligned]
     means = [float(one.mean()) for one in small]
+    calm = [one - cv2.GaussianBlur(one, (0, 0), pitch / step, borderType=cv2.BORDER_REFLECT) for one in small]
     surface, scatter = np.zeros((3, 3)), 0.0
     for _ in range(PASSES):
         at_row, at_col = (_unit_places(size, 1) for size in small[0].shape)
         bend = np.asarray(np.polynomial.polynomial.polygrid2d(at_row, at_col, surface), dtype=np.float64)
-        together = _together([_demodulated(one, pitch / step, bend) for one in small], means)
+        together = _together([_demodulated(one, pitch / step, bend, block) for one in calm], means)
         if together is None:
             raise MeasurementError(
                 "no pose shows the ridges clearly enough to find their phase: is the part in the fixture, and in focus?"
             )
         more, scatter = _surface(together)
         surface += more
-    at_row, at_col = (_unit_places(size, step) for size in (rows, cols))
+    at_row, at_col = (_unit_places(size, step * block) for size in (rows, cols))
     turned = np.asarray(np.polynomial.polynomial.polygrid2d(at_row, at_col, surface), dtype=np.float64)
     place = (np.arange(cols) - 0.5 * (cols - 1)) / pitch + turned / (2.0 * np.pi)
     if wall is not None:
         place -= crest_of(aligned, place, wall)
-    slope_rows, slope_cols = _mean_slopes(surface, (rows, cols))
+    known = (rows // (step * block) * step * block, cols // (step * block) * step * block)
+    slope_rows, slope_cols = _mean_slopes(surface, known)
     across = 1.0 / pitch + slope_cols
     frequency = float(np.hypot(across, slope_rows))
     # rows count downwards
@@ -105,8 +133,8 @@ def phase_map(
     return PhaseMap(place, pixel_um / frequency, turn, scatter)
 
 
-def _reduced(picture: Image, step: int) -> Image:
-    rows, cols = (size // step * step for size in picture.shape)
+def _reduced(picture: Image, step: int, block: int) -> Image:
+    rows, cols = (size // (step * block) * step * block for size in picture.shape)
     known = picture[:rows, :cols]
     if not np.isfinite(known.sum(dtype=np.float64)):
         known = np.nan_to_num(known, nan=float(np.nanmean(picture)))
@@ -114,18 +142,20 @@ def _reduced(picture: Image, step: int) -> Image:
     return np.asarray(np.minimum(small, MOST_MEDIANS * np.median(small)), dtype=np.float32)
 
 
-def _demodulated(picture: Image, pitch: float, bend: FloatArray) -> npt.NDArray[np.complex128]:
-    """(rows, cols) complex amplitude of the wave about every point; its phase is that beyond carrier and ``bend``."""
-    rows, cols = picture.shape
-    calm = picture - cv2.GaussianBlur(picture, (0, 0), pitch, borderType=cv2.BORDER_REFLECT)
+def _demodulated(calm: Image, pitch: float, bend: FloatArray, block: int) -> npt.NDArray[np.complex128]:
+    """Complex amplitude of the wave about every block of points; its phase is that beyond carrier and ``bend``."""
+    rows, cols = calm.shape
     carrier = 2.0 * np.pi * (np.arange(cols) - 0.5 * (cols - 1)) / pitch
-    product = calm * np.exp(-1j * (carrier + bend))
-    sigma = SPAN_PITCHES * pitch
+    phase = (carrier + bend).astype(np.float32)
+    sigma, size = SPAN_PITCHES * pitch, (cols // block, rows // block)
     real, imaginary = (
-        cv2.GaussianBlur(np.ascontiguousarray(part), (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-        for part in (product.real, product.imag)
+        cv2.resize(
+            cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_REFLECT),
+            size,
+            interpolation=cv2.INTER_AREA,
+        ).astype(np.float64)
+        for part in (calm * np.cos(phase), -calm * np.sin(phase))
     )
-    assert real.shape == (rows, cols)
     return np.asarray(real + 1j * imaginary)
 
 

@@ -17,7 +17,7 @@ from anisoscope.imaging.height_map_place import (
     reduced_map,
     render,
 )
-from anisoscope.imaging.phase_map import BINS, crest_of, phase_map, profile_over
+from anisoscope.imaging.phase_map import BINS, crest_of, phases_of, profile_over
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import Expectation
@@ -94,7 +94,7 @@ def _profiles(recipe: SurfaceRecipe, expected: Expectation, measured: Measured) 
     columns = (np.arange(rendered[0].shape[1]) + 0.5) * pixel_um * factor / pitch_um
     place = np.broadcast_to(columns, rendered[0].shape)
     place = place - crest_of(rendered, place, wall)
-    seen = phase_map(measured.aligned, pixel_um, pitch_um, wall).place
+    seen = phases_of(measured, pitch_um, wall).place
     rows, cols = measured.cells.shape[1:]
     at = (np.arange(BINS) + 0.5) / BINS
     cells = [
