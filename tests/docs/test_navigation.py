@@ -11,7 +11,7 @@ DOCS = ROOT / "docs"
 SPEC = importlib.util.spec_from_file_location("count_words", ROOT / "tools" / "count_words.py")
 COUNT = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(COUNT)
-WORDS_FOR_USERS = 50_000
+WORDS_FOR_USERS = 45_000
 LINK = re.compile(r"\]\(([^)#]+\.md)")
 QUESTIONS = {
     "I have a rig and a recipe: how do I inspect a part?": ("start/operator", "Every day"),
