@@ -22,7 +22,7 @@ from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.ranking import Diagnosis, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.kinds.prints.decision import PrintDecision
-from anisoscope.kinds.prints.excluded_defects import deviation_of
+from anisoscope.kinds.prints.excluded_defects import deviation_of, direction
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PrintFit
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
@@ -85,13 +85,11 @@ _DOTS = "press: dots grow (pressure, thin ink, screen), or the wrong screen"
 
 def of_ink(state: State) -> list[StateCause]:
     """Causes with their extents, and what state of the print each makes of an extent."""
-    brush = np.array([state.ratio, state.skew])
-    brush = brush / max(float(np.linalg.norm(brush)), 1e-12) if np.any(brush) else np.array([1.0, 0.0])
+    brush = direction(state.ratio, state.skew)
     brush = -brush if brush[0] < 0.0 else brush
     along = _brush_deg(brush)
     across = (along + 90.0) % 180.0
-    lean = np.array([state.tilt_x_deg, state.tilt_y_deg])
-    lean = lean / max(float(np.linalg.norm(lean)), 1e-12) if np.any(lean) else np.array([1.0, 0.0])
+    lean = direction(state.tilt_x_deg, state.tilt_y_deg)
     toward = round(float(np.degrees(np.arctan2(lean[1], lean[0])))) % 360
     both = tuple(sorted({0.0, *(0.8 * s for s in _SIZES), *(-0.4 * s for s in _SIZES)}))
     return [

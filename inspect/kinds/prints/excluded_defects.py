@@ -111,8 +111,8 @@ _OF_ROUGHNESS = {_ROUGHER, _FLATTER}
 def _ways(recipe: PrintRecipe, scene: Scene, fitted: State) -> Iterator[_Way]:
     """Every named defect of the recipe, the state of the print of a size, and the scene that shows it."""
     sizes = recipe.defects
-    brush = _direction(fitted.ratio, fitted.skew)
-    lean = _direction(fitted.tilt_x_deg, fitted.tilt_y_deg)
+    brush = direction(fitted.ratio, fitted.skew)
+    lean = direction(fitted.tilt_x_deg, fitted.tilt_y_deg)
 
     def brushed(e: float) -> State:
         return State(ratio=float(brush[0] * np.log1p(e)), skew=float(brush[1] * np.log1p(e)))
@@ -137,7 +137,7 @@ def _ways(recipe: PrintRecipe, scene: Scene, fitted: State) -> Iterator[_Way]:
             yield NamedDefect(words, 100.0 * size if unit == "%" else size, unit), state, shown_by
 
 
-def _direction(first: float, second: float) -> FloatArray:
+def direction(first: float, second: float) -> FloatArray:
     """Unit vector of a fitted direction; the first axis where there is none."""
     found = np.array([first, second])
     length = float(np.linalg.norm(found))

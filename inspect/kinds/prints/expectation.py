@@ -165,12 +165,18 @@ def misfit_of(scene: Scene, known: InkUncertainty, state: State | None = None) -
     widths = np.sqrt(squared_slopes(flakes, roughness_matrix(scene.ink, seen)))
     half_deg = np.degrees(np.arctan(scene.ink.alpha * widths))
     width_deg = 0.5 * np.degrees(np.arctan(scene.ink.alpha))
-    alike: FloatArray = root(np.exp(-0.5 * (np.subtract.outer(half_deg, half_deg) / width_deg) ** 2))
-    # flakes that lean a little show each pose another place of the misfit
-    alike = np.hstack([alike, _LEANING_DEG / width_deg * np.eye(len(half_deg))])
+    near = root(np.exp(-0.5 * (np.subtract.outer(half_deg, half_deg) / width_deg) ** 2))
+    # flakes that lean a little show each pose another place of the misfit; half of it is of the inclination of light
+    # and camera, which hardly differs between the poses, so that they share its mean square
+    near = np.hstack([near, _LEANING_DEG / width_deg * np.eye(len(half_deg))])
     together, each = (
-        np.interp(half_deg, known.misfit_at_deg, share)[:, None] * alike
-        for share in (known.misfit_share, known.misfit_colour_share)
+        np.column_stack(
+            [np.full(len(size), np.sqrt(np.mean(size**2) / 2.0)), size[:, None] * near / np.sqrt(2.0)]
+        )
+        for size in (
+            np.interp(half_deg, known.misfit_at_deg, share)
+            for share in (known.misfit_share, known.misfit_colour_share)
+        )
     )
     return (
         Source("misfit of the ink file", "prediction", np.asarray(np.kron(together, np.ones((3, 1))), float)),

@@ -21,6 +21,7 @@ from anisoscope.kinds.prints.record import ColourRecord, QuantityRecord
 from anisoscope.kinds.prints.sources import Source
 
 _STEP = 1e-4
+_Rows = tuple[tuple[str, str, float], ...]
 
 
 class Quantity(QuantityRecord):
@@ -29,7 +30,7 @@ class Quantity(QuantityRecord):
     The record holds the contributions in its budget.
     """
 
-    contributions: tuple[tuple[str, str, float], ...] = ()
+    contributions: _Rows = ()
 
 
 class Judge:
@@ -84,23 +85,12 @@ class Judge:
                 worst = max(colours, key=lambda one: one.delta_e - coverage * one.u_delta_e)
                 break
         title = f"ΔE2000 at {worst.stage_deg:g}°, tilt {worst.tilt_deg:g}°"
-        return self._guarded(
-            "delta_e", title, "", worst.delta_e, 0.0, worst.delta_e, worst.u_delta_e, self.limits.delta_e
-        )
+        return self._size("delta_e", title, "", worst.delta_e, worst.u_delta_e, self.limits.delta_e)
 
     def curl(self, found: PrintMap) -> Quantity:
         """Change of the lean of the flakes across the region."""
-        size = float(np.linalg.norm(found.record.curl_deg, 2))
-        return self._guarded(
-            "curl",
-            "change of tilt across the region",
-            "°",
-            size,
-            0.0,
-            size,
-            found.record.u_curl_deg,
-            self.limits.curl_deg,
-        )
+        size, u = float(np.linalg.norm(found.record.curl_deg, 2)), found.record.u_curl_deg
+        return self._size("curl", "change of tilt across the region", "°", size, u, self.limits.curl_deg)
 
     def _ratio(self, name: str, title: str, first: float, second: float) -> Quantity:
         def log_ratio(state: State) -> FloatArray:
@@ -173,16 +163,20 @@ class Judge:
         size, slopes = float(np.linalg.norm(off)), self._slopes(function)
         widest = principal(slopes @ self.fit.covariance @ slopes.T)[1][-1]
         u, rows = self._spread(widest @ slopes, own)
-        return self._guarded(name, title, unit, size, 0.0, size, u, limit, rows)
+        return self._size(name, title, unit, size, u, limit, rows)
 
-    def _spread(
-        self, slope: FloatArray, own: tuple[tuple[str, float], ...]
-    ) -> tuple[float, tuple[tuple[str, str, float], ...]]:
+    def _spread(self, slope: FloatArray, own: tuple[tuple[str, float], ...]) -> tuple[float, _Rows]:
         """Standard uncertainty of a number with (9,) derivatives, and what every source contributes."""
         per_channel = slope @ self.fit.gain
         rows = [(s.name, str(s.kind), float(np.linalg.norm(per_channel @ s.factor))) for s in self.sources]
         rows += [(name, "prediction", float(u)) for name, u in own if self.origin is None]
         return float(np.linalg.norm([row[2] for row in rows])), tuple(rows)
+
+    def _size(
+        self, name: str, title: str, unit: str, size: float, u: float, limit: float, rows: _Rows = ()
+    ) -> Quantity:
+        """A size that should be zero."""
+        return self._guarded(name, title, unit, size, 0.0, size, u, limit, rows)
 
     def _guarded(
         self,
@@ -194,7 +188,7 @@ class Judge:
         deviation: float,
         u: float,
         limit: float,
-        rows: tuple[tuple[str, str, float], ...] = (),
+        rows: _Rows = (),
     ) -> Quantity:
         verdict, guard, conformance = guarded(deviation, u, limit, self.recipe.decision.coverage)
         return Quantity(

@@ -169,7 +169,7 @@ class World:
     """The demo's recipe with a tile of its own, and parts of it."""
 
     def __init__(self, folder, seed):
-        self.rng = np.random.default_rng(seed)
+        self.seed, self.rng = seed, np.random.default_rng(seed)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(demo, "DOTS", DOTS)
             patch.setattr(demo, "TILE_UM", DOTS * demo.DOT_UM)
@@ -207,7 +207,7 @@ class World:
             Component(source, "measurement", np.full(len(found), share), shared=False)
             for source, share in (("pictures", PICTURES), ("points of the lamp", 0.001))
         )
-        return SimpleNamespace(radiance=found, components=own, cells=None, grid=None)
+        return SimpleNamespace(radiance=found, components=own, cells=None, grid=None, mirroring=None)
 
     def golden(self, edges):
         """Good wafers with these edges."""
@@ -239,7 +239,8 @@ class World:
         return found
 
     def against_golden(self, case):
-        """Verdicts of wafers that are compared with sets of good ones with the same edges."""
+        """Verdicts of wafers that are compared with sets of good ones with the same edges; drawn for themselves."""
+        self.rng = np.random.default_rng([self.seed, CASES.index(case)])
         found, edges = [], EDGES[case.edges](self.rng)
         for number in range(case.golden):
             if number % A_SET == 0:
