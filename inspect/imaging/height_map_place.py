@@ -24,6 +24,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import LIBRARIES, Cache
 from anisoscope.base.errors import AnisoscopeError, RegistrationError
+from anisoscope.imaging.phase_map import crest_of, phase_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
@@ -87,10 +88,10 @@ def place_rendered(
     """Match the rendered views of the height map (`render`) to the aligned pictures, both of the same pixel size.
 
     Raises:
-        RegistrationError: the ridges of the map are not visible.
+        MeasurementError: the ridges of the map are not visible.
     """
     pitch = pitch_um / pixel_um
-    phase = ridge_phase(aligned, rendered, pitch)
+    phase = _ridge_shift(aligned, rendered, pixel_um, pitch_um)
     best, second, (across, along) = _features(aligned, rendered, phase, pitch)
     ratio = best / max(second, 1e-6)
     x_um, y_um = across * pixel_um, along * pixel_um
@@ -192,34 +193,17 @@ def _views(
     return np.stack(found)
 
 
-def _wave(picture: Image, pitch: float) -> complex:
-    """Pattern of the ridges: complex amplitude of the first harmonic across, its phase from the picture's centre."""
-    cols = picture.shape[1]
-    across = np.arange(cols) - (cols - 1) / 2.0
-    whole = int(cols / pitch) * pitch
-    inside = np.abs(across) <= whole / 2.0
-    profile = np.nanmean(picture, axis=0)[inside]
-    profile = profile - profile.mean()
-    return complex(np.mean(profile * np.exp(-2j * np.pi * across[inside] / pitch)))
-
-
-def ridge_phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) -> float:
-    """Shift of the map's centre within ± half a pitch, in pixels; poses weighted by the amplitude of their ridges.
-
-    The amplitude is that of the radiance: poses near the mirror direction lead, where reflections add little.
-    """
-    together = sum(
-        (
-            np.conj(_wave(measured, pitch)) * _wave(rendered_map, pitch)
-            for measured, rendered_map in zip(aligned, rendered, strict=True)
-        ),
-        0j,
-    )
-    if abs(together) < 1e-9 * max(float(np.nanmean(one)) for one in aligned) ** 2:
-        raise RegistrationError(
-            "the pictures show nothing of the height map's ridges: the map cannot be matched"
-        )
-    return float(np.angle(together) * pitch / (2.0 * np.pi))
+def _ridge_shift(
+    aligned: Sequence[Image], rendered: Sequence[Image], pixel_um: float, pitch_um: float
+) -> float:
+    """Shift of the map's centre within ± half a pitch, in pixels, by which its crests stand at those of the part."""
+    pitch, cols = pitch_um / pixel_um, rendered[0].shape[1]
+    place = phase_map(aligned, pixel_um, pitch_um, 0.0, 3.0).place
+    middle = tuple(slice((size - 1) // 2, size // 2 + 1) for size in place.shape)
+    centre = float(place[middle].mean())
+    across = np.broadcast_to((np.arange(cols) - 0.5 * (cols - 1)) / pitch, rendered[0].shape)
+    shift = -centre - crest_of(rendered, across, 0.0)
+    return float((shift + 0.5) % 1.0 - 0.5) * pitch
 
 
 def _without_ridges(picture: Image, pitch: float) -> Image:

@@ -15,6 +15,7 @@ from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm
 from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
+from detection_study.traced import UPRIGHT, Part
 
 PITCH_UM, PIXEL_UM = 100.0, 8.0
 MATERIAL = Material(0.06, 0.10, 0.2, 1.5)
@@ -107,3 +108,14 @@ def test_rendered_pictures_show_what_the_camera_sees():
         shift = np.array([[1.0, 0.0, -cols], [0.0, 1.0, -rows]])
         cut = cv2.GaussianBlur(cv2.warpAffine(drawn, shift, (120, 120)), (0, 0), 0.62)
         assert np.corrcoef(cut.ravel(), picture.ravel())[0, 1] > 0.98
+
+
+def test_light_between_the_ridges_moves_no_phase():
+    """A path tracer shows walls that steep facets light: a first harmonic of the pictures is half a pitch off there."""
+    part = Part(200, UPRIGHT, angle=15.0, pitch=96.0, alpha=0.1, size=(800, 480))
+    seen = part.measured(pitch_um=96.0, margin=1).aligned
+    rendered = render(part.surface, UPRIGHT, Material(0.1, 0.1, 0.1, 1.5), Convention(10.0), 4.0, 96.0)
+    found = place_rendered(seen, rendered, 4.0, 96.0)
+    moved = 0.5 * 4.0 * (part.pictures[0].shape[1] - seen[0].shape[1]) - 96.0
+    off = (found.phase_um - moved + 48.0) % 96.0 - 48.0
+    assert abs(off) < 8.0
