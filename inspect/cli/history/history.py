@@ -1,6 +1,7 @@
 """``anisoscope history``, ``show``, ``compare``: past inspections, their dispositions, covariates, and proofs."""
 
 import contextlib
+import dataclasses
 import math
 import unicodedata
 from collections.abc import Mapping, Sequence
@@ -30,7 +31,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import number_name, number_text
-from anisoscope.cli.history.options import ALL, Place, Selection, filters_of, opened
+from anisoscope.cli.history.options import ALL, Place, Selection, filters_of, opened, opened_for
 from anisoscope.cli.progress import progress
 
 COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
@@ -193,7 +194,7 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
         name: getattr(row, name) for name in ("lot", "cavity", "station", "operator") if getattr(row, name)
     }
     facts = {
-        "inspection": str(row.id),
+        "inspection": str(row.id) if row.id else message("in no history"),
         "serial": row.serial,
         "time": _local(row.created_at),
         "recipe": row.recipe,
@@ -577,7 +578,8 @@ def show(
     """Show one inspection: verdict, numbers, reviewers' decisions, and whether its folder is unchanged.
 
     The latest inspection of a part that was inspected several times. `id:7` and `serial:7` distinguish ids from serial
-    numbers. --html writes its report, made again from the frames if it is missing or was changed.
+    numbers; a folder needs no history. --html writes its report, made again from the frames if it is missing or was
+    changed.
 
     Examples:
         anisoscope show A-0001
@@ -588,9 +590,11 @@ def show(
 
     if refresh and html is None:
         raise UsageError("--refresh goes with --html FILE")
-    with opened(place) as found:
+    with opened_for(place, inspection) as (found, alone):
         row = find(found, inspection)
         decided = found.dispositions(row.id)
+    if alone:
+        row = dataclasses.replace(row, id=0)
     origin = None
     if html is not None:
         from anisoscope.inspection.past_pages import inspection_page
@@ -617,7 +621,7 @@ def compare(
     from anisoscope.history.comparing import compare as compared
     from anisoscope.history.store import find
 
-    with opened(place) as found:
+    with opened_for(place, first, second) as (found, _):
         comparison = compared(find(found, first), find(found, second))
         decided = found.dispositions_of([comparison.first.id, comparison.second.id])
     if html is not None:

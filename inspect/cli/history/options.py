@@ -1,7 +1,10 @@
 """Options that the commands about the history share."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
@@ -86,3 +89,40 @@ def opened(place: str | None, *, create: bool = False) -> "History":
     from anisoscope.history.store import open_history
 
     return open_history(meant(place), create=create)
+
+
+@contextmanager
+def opened_for(place: str | None, *names: str) -> "Iterator[tuple[History, bool]]":
+    """A history that has the inspections of these names, open, and whether it was made for them.
+
+    Without a stated history, folders of inspections are looked up in the one beside them; where that lacks one of
+    them, they make a history of their own for the duration of a command.
+
+    Args:
+        place: stated history.
+        names: serial numbers, ids or folders.
+
+    Raises:
+        HistoryError, UsageError: as of `opened`.
+        RecordError: the record of a folder cannot be read.
+    """
+    from anisoscope.history.address import HISTORY_NAME
+    from anisoscope.history.rows import row_of
+    from anisoscope.history.store import open_history
+    from anisoscope.record.schema import RECORD_NAME, read_record
+
+    folders = [Path(name) for name in names if "\0" not in name and (Path(name) / RECORD_NAME).is_file()]
+    if meant(place) != DEFAULT_OUT / HISTORY_NAME or len(folders) < len(names):
+        with opened(place) as found:
+            yield found, False
+        return
+    rows = [row_of(read_record(folder), folder) for folder in folders]
+    beside = folders[0].resolve().parent / HISTORY_NAME
+    if beside.is_file():
+        with open_history(beside) as found:
+            if all(found.row_by_seal(row.seal) is not None for row in rows):
+                yield found, False
+                return
+    with TemporaryDirectory() as folder, open_history(Path(folder) / HISTORY_NAME, create=True) as found:
+        found.append_all(rows)
+        yield found, True

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from anisoscope.history.rows import row_of
+from anisoscope.history.store import open_history
 from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder
@@ -45,6 +47,22 @@ def test_a_folder_that_was_tampered_with(anisoscope, inspected, tmp_path):
     done = anisoscope("recompute", folder)
     assert (done.code, done.err.count("\n")) == (74, 1)
     assert "000_dark.tif" in done.err
+
+
+def test_folders_are_shown_and_compared_without_a_history(anisoscope, inspected, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(inspected, folder)
+    done = anisoscope("show", folder)
+    assert (done.code, done.err) == (0, "")
+    assert done.out.startswith("PASS\n")
+    assert "inspection: in no history" in done.out
+    done = anisoscope("compare", inspected, folder, "--json")
+    assert (done.code, done.err) == (0, "")
+    assert [one["difference"] for one in done.json["contrasts"]] == [0.0] * len(done.json["contrasts"])
+    with open_history(tmp_path / "history.sqlite", create=True) as history:
+        history.append(row_of(read_record(folder), folder))
+    assert "inspection: 1" in anisoscope("show", folder).out
+    assert anisoscope("show", folder, "--history", tmp_path / "no.sqlite").code == 74
 
 
 def test_an_unfinished_folder_is_resumed(anisoscope, inspected, tmp_path):
