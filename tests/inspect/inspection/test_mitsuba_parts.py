@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import pytest
 
+from anisoscope.diagnosis.cell_levels import SMEAR_PX
 from anisoscope.diagnosis.part_diagnosis import evidence_of
 from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
@@ -107,6 +108,9 @@ def test_causes_and_severities(parts, tmp_path, undiagnosed, tilts, golden, firs
         reference = usable(case.reference) if case.decided.golden else None
         told = evidence_of(case.recipe, case.expected, case.measured, case.decided, reference)
         known = cached_signatures(case.recipe, case.expected.convention.light_angle_deg)
+        area = case.decided.area
+        smear = SMEAR_PX * case.measured.grid.pixel_mm * 1000.0 / case.recipe.surface.pitch_um
+        known = known.by_thresholds(area.cell_deviations, smear, area.cells)
         seen.append(diagnose(known, replace(told, pitch=measured_pitch(case.measured, case.recipe))))
         return Explanation()
 
