@@ -46,7 +46,9 @@ _GRIDS = {
     "alpha_along": (0.03, 0.06, 0.12, 0.25),
     "alpha_across": (0.03, 0.06, 0.12, 0.25),
 }
-_ROUNDS = 4  # iterations of updating the table of the interface
+_ROUNDS = 10  # of a fine search
+_STILL = 1e-5  # limits of the parameters by which a round may move them at the end of a fine search
+_SHORTER, _SHORTENED = 4, 0.2  # tries of a round that makes the fit worse, and share of its step that is left
 _EVALUATIONS = {True: 100, False: 40}  # of a fine and of a coarse search
 _TOLERANCE = {True: 1e-10, False: 1e-6}
 _HOPS_DEG = (
@@ -108,16 +110,18 @@ def _neighbours(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
     return all(abs(a - b) <= 1 for a, b in zip(one, other, strict=True))
 
 
-def search(problem: Problem, weight: FloatArray, starts: int, advance: Advance) -> list[Minimum]:
+def search(
+    problem: Problem, weight: FloatArray, starts: int | Sequence[Values], advance: Advance
+) -> list[Minimum]:
     """Minima of a problem, the best first, no two of them alike.
 
     Args:
         problem: what is fitted.
         weight: whitening of its readings.
-        starts: how many starting points are followed; 0 follows the given values only.
+        starts: how many starting points are followed, or these; 0 follows the given values only.
         advance: progress.
     """
-    begin = starting_points(problem, weight, starts)
+    begin = starting_points(problem, weight, starts) if isinstance(starts, int) else starts
     total = len(begin) + len(_HOPS_DEG) + 2
     found: list[Minimum] = []
     for number, values in enumerate(begin):
@@ -158,52 +162,75 @@ def distinct(problem: Problem, found: list[Minimum]) -> list[Minimum]:
 def minimise(problem: Problem, start: Values, weight: FloatArray, *, fine: bool = True) -> Minimum:
     """Local minimum from one start, and its weighted sum of squares.
 
-    A coarse search takes the derivatives of light that reflects more than once from its start.
+    Light that reflects more than once is costly and changes slowly: it is taken as linear in the parameters about where
+    a round starts, and at the end of a fine search nothing moves any more. A coarse search is one round.
     """
+    values, cost = start, float("inf")
+    for _ in range(_ROUNDS if fine else 1):
+        before, interface = values, interface_alpha(values)
+        values, cost = _minimum(problem, values, weight, interface, fine)
+        still = not problem.scene.follows or not _apart(problem.free, values, before, _STILL)
+        if still and interface_alpha(values) == interface:
+            break
+    return values, cost
+
+
+def _minimum(problem: Problem, start: Values, weight: FloatArray, interface: float, fine: bool) -> Minimum:
+    """The minimum of a round, with the table of the interface as it is; never worse than its start."""
     from scipy.optimize import least_squares  # noqa: PLC0415 - half a second that --help should not pay
 
     low, high = (np.array(ends) for ends in zip(*(PARAMETERS[n].bounds for n in problem.free), strict=True))
-    weighted = weight @ problem.readings.value
-    values, cost = start, float("inf")
-    for _ in range(_ROUNDS if fine else 1):
-        interface, base = interface_alpha(values), values
+    inside, weighted = 1e-9 * (high - low), weight @ problem.readings.value
+    begin = np.array([PARAMETERS[n].internal(start[n]) for n in problem.free])
+    begin = np.clip(begin, low + inside, high - inside)
+    direct, scale = problem, np.array([name == "k" for name in problem.free])
+    rest, by_rest = np.zeros_like(problem.readings.value), np.zeros(len(begin))
 
-        def residual(x: FloatArray, base: Values = base, interface: float = interface) -> FloatArray:
-            return np.asarray(weight @ problem.predicted(_with(problem, base, x), interface) - weighted)
+    if problem.scene.follows:
+        here = _with(problem, start, begin)
+        direct = replace(problem, scene=replace(problem.scene, bounces=1))
+        rest = problem.predicted(here, interface) - direct.predicted(here, interface)
+        by_rest = derivatives(problem, here, interface, coarse=not fine)
+        by_rest = by_rest - derivatives(direct, here, interface, coarse=not fine)
+        by_rest[:, scale] = 0.0  # k multiplies all light
 
-        kept: list[FloatArray] = []
+    def more(x: FloatArray) -> FloatArray:
+        return np.asarray(
+            np.exp(np.sum((x - begin)[scale])) * (rest + np.sum(by_rest * (x - begin), axis=-1))
+        )
 
-        def slope(
-            x: FloatArray,
-            base: Values = base,
-            interface: float = interface,
-            kept: list[FloatArray] = kept,
-        ) -> FloatArray:
-            place = _with(problem, base, x)
-            if fine or not problem.scene.follows:
-                return np.asarray(weight @ derivatives(problem, place, interface))
-            direct = derivatives(replace(problem, scene=replace(problem.scene, bounces=1)), place, interface)
-            if not kept:
-                kept.append(derivatives(problem, place, interface) - direct)
-            return np.asarray(weight @ (direct + kept[0]))
+    def residual(x: FloatArray) -> FloatArray:
+        return np.asarray(
+            weight @ (direct.predicted(_with(problem, start, x), interface) + more(x)) - weighted
+        )
 
-        inside = 1e-9 * (high - low)
-        x = np.clip([PARAMETERS[n].internal(values[n]) for n in problem.free], low + inside, high - inside)
+    def slope(x: FloatArray) -> FloatArray:
+        found = derivatives(direct, _with(problem, start, x), interface, coarse=not fine)
+        found += np.exp(np.sum((x - begin)[scale])) * by_rest
+        found[:, scale] += more(x)[:, None]
+        return np.asarray(weight @ found)
+
+    step, first = limits(problem.free), float(np.sum(residual(begin) ** 2))
+    reach = np.inf
+    for _ in range(_SHORTER):
         done: OptimizeResult = least_squares(
             residual,
-            x,
+            begin,
             slope,
-            bounds=(low, high),
-            x_scale=limits(problem.free),
+            bounds=(np.maximum(low, begin - reach * step), np.minimum(high, begin + reach * step)),
+            x_scale=step,
             ftol=_TOLERANCE[fine],
             xtol=_TOLERANCE[fine],
             gtol=_TOLERANCE[fine],
             max_nfev=_EVALUATIONS[fine],
         )
-        values, cost = _with(problem, values, done.x), float(2.0 * done.cost)
-        if interface_alpha(values) == interface:
-            break
-    return values, cost
+        values, cost = _with(problem, start, done.x), float(2.0 * done.cost)
+        if problem.scene.follows:
+            cost = float(np.sum((weight @ problem.predicted(values, interface) - weighted) ** 2))
+        if cost <= first or not problem.scene.follows:
+            return values, cost
+        reach = _SHORTENED * float(np.max(np.abs(done.x - begin) / step))
+    return _with(problem, start, begin), first
 
 
 def rivals_of(problem: Problem, found: list[Minimum]) -> tuple[Mapping[str, float], ...]:
@@ -218,12 +245,14 @@ def rivals_of(problem: Problem, found: list[Minimum]) -> tuple[Mapping[str, floa
     )
 
 
-def _apart(names: tuple[str, ...], one: Mapping[str, float], other: Mapping[str, float]) -> bool:
+def _apart(
+    names: tuple[str, ...], one: Mapping[str, float], other: Mapping[str, float], least: float = 0.1
+) -> bool:
     steps = [
         abs(PARAMETERS[n].internal(one[n]) - PARAMETERS[n].internal(other[n])) / PARAMETERS[n].limit
         for n in names
     ]
-    return max(steps) > 0.1
+    return max(steps) > least
 
 
 STARTS = 3
@@ -356,13 +385,13 @@ def _with_u(one: Estimate) -> str:
     return "not determined" if one.value is None else f"{one.value:.5g} ± {one.u:.2g}"
 
 
-def fit(problem: Problem, advance: Advance = silent, starts: int = STARTS) -> Fit:
+def fit(problem: Problem, advance: Advance = silent, starts: int | Sequence[Values] = STARTS) -> Fit:
     """Fit the free parameters of a problem; with none free, only compare.
 
     Args:
         problem: what to fit.
         advance: told how far the work is.
-        starts: how many starting points are followed, the best of a grid; 0 follows the given values only.
+        starts: how many starting points are followed, the best of a grid, or these; 0 follows the given values only.
 
     Raises:
         UsageError: refractive index or albedo are free and cannot be identified; or nothing fits.
@@ -416,11 +445,13 @@ def fit_or_rival(problem: Problem, advance: Advance = silent) -> Fit:
     Raises:
         UsageError: as of `fit`.
     """
-    own, scene, free = fit(problem, advance), problem.scene, problem.free
+    scene, free, weight = problem.scene, problem.free, whitening(problem.readings.covariance)
+    asked = replace(problem.freed(free), scene=scene.coarse())
+    grid = starting_points(asked, weight, STARTS) if free else []
+    own = fit(problem, advance, grid)
     if not free or scene.model == "printed" or (own.fits and own.p_value is not None):
         return replace(own, tests=(own.misfit,))
-    weight = whitening(problem.readings.covariance)
-    begin = [own.values, *starting_points(replace(own.problem, scene=scene.coarse()), weight, 2)]
+    begin = [own.values, *grid[:2]]
     shaped = scene.material.second_lobe is not None or problem.values["tail"] > 0.0 or "tail" in free
     excluded = {*free, *(("tail", "second_weight") if shaped else ())}
     if problem.values["ridge_angle_deg"] == 0.0 and "ridge_angle_deg" not in free:
@@ -431,10 +462,17 @@ def fit_or_rival(problem: Problem, advance: Advance = silent) -> Fit:
         brighter = [("another albedo", ("albedo",))]
         brighter += [(f"{words}, and another albedo", (*names, "albedo")) for words, names in lacking]
 
+    reached: dict[tuple[str, ...], Mapping[str, float]] = {}
+
     def rival(words: str, names: tuple[str, ...]) -> Fit | None:
         advance(f"the model is rejected; {words}", 1, 2)
         usual = {"tail": _TYPICAL_TAIL} if "tail" in names else {}
-        return _tried(own, problem.freed((*free, *names), usual), begin, words)
+        simpler = reached.get(names[:-1])
+        places = begin if simpler is None else [simpler, own.values]
+        found = _tried(own, problem.freed((*free, *names), usual), places, words)
+        if found is not None:
+            reached[names] = found.values
+        return found
 
     def matte(words: str, names: tuple[str, ...]) -> Fit | None:
         advance(words, 1, 2)
@@ -455,7 +493,8 @@ def fit_or_rival(problem: Problem, advance: Advance = silent) -> Fit:
 def _tried(own: Fit, problem: Problem, begin: Sequence[Mapping[str, float]], words: str) -> Fit | None:
     """The fit of a rival; None where these data do not determine it.
 
-    A rival that is far off with its reflections coarsely integrated is not fitted to the end: only its test is its own.
+    A rival that is far off with its reflections coarsely integrated is not fitted to the end: only its test and values
+    are its own.
     """
     weight, quick = whitening(problem.readings.covariance), replace(problem, scene=problem.scene.coarse())
     starts = [dict(problem.values) | {n: one[n] for n in problem.free if n in one} for one in begin]
@@ -466,7 +505,7 @@ def _tried(own: Fit, problem: Problem, begin: Sequence[Mapping[str, float]], wor
     if not known or cost < FAR_OFF * enough:
         values, cost = minimise(quick, values, weight)
     if known and cost > enough:
-        return replace(own, misfit=misfit(words, cost, count, len(problem.free)))
+        return replace(own, values=values, misfit=misfit(words, cost, count, len(problem.free)))
     try:
         done = fit(replace(problem, values=values), starts=0)
     except UsageError:
@@ -484,8 +523,8 @@ def _with_optics(
         raise UsageError(doubt[0])
     advance("with index or albedo free", 1, 2)
     # a wrong albedo may have misled the search: the given values are another start
-    starts = [values for values, _ in found[:2]] + starting_points(problem, weight, 0)
-    refined = distinct(problem, [minimise(problem, values, weight) for values in starts])
+    starts = [*found[:2], *((values, float("inf")) for values in starting_points(problem, weight, 0))]
+    refined = distinct(problem, [minimise(problem, one, weight) for one, _ in distinct(problem, starts)])
     doubt = _doubt(problem, refined[0][0])
     if doubt is not None:
         raise UsageError(doubt[0])

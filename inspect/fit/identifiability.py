@@ -68,27 +68,31 @@ class Information:
         return tuple(n for n, u in zip(self.names, self.uncertainty, strict=True) if u > 1.0)
 
 
-def derivatives(problem: Problem, values: Mapping[str, float], interface: float | None = None) -> FloatArray:
-    """(N, p) derivative of the values by the internal free parameters, by central differences.
+def derivatives(
+    problem: Problem, values: Mapping[str, float], interface: float | None = None, *, coarse: bool = False
+) -> FloatArray:
+    """(N, p) derivative of the values by the internal free parameters, by central differences; ``coarse``: one-sided.
 
     With `interface` the table of the interface stays as it is.
     """
+    table = interface_alpha(values) if interface is None else interface
+    middle = problem.predicted(values, table) if coarse or "k" in problem.free else None
     columns = []
     for name in problem.free:
         if name == "k":  # the values are proportional to it
-            columns.append(
-                problem.predicted(values, interface_alpha(values) if interface is None else interface)
-            )
+            columns.append(middle)
             continue
         one = PARAMETERS[name]
         here, (low, high) = one.internal(values[name]), one.bounds
         ends = max(here - one.step, low), min(here + one.step, high)
-        sides = []
-        for end in ends:
-            moved = dict(values) | {name: one.external(end)}
-            sides.append(
-                problem.predicted(moved, interface_alpha(values) if interface is None else interface)
-            )
+        if coarse:
+            ends = (here, ends[1]) if ends[1] > here else (here, ends[0])
+        sides = [
+            middle
+            if coarse and end == here
+            else problem.predicted(dict(values) | {name: one.external(end)}, table)
+            for end in ends
+        ]
         columns.append((sides[1] - sides[0]) / (ends[1] - ends[0]))
     return np.stack(columns, axis=1) if columns else np.zeros((len(problem.readings.value), 0))
 
