@@ -19,8 +19,8 @@ largest direction cosine is in no file: that of `REACHES` is taken which is near
 its two neighbours. `pieces` does the same, absolutely, and agrees with what was published: what is left between that
 and a prediction is the pieces, which are no scalar waves where a step is as wide as a pixel.
 
-``--design SECONDS`` designs the targets that have a formula anew, by the search of ``anisoscope design hologram``, with
-as many cells or four times as many, and compares both designs with the target by `pieces`.
+``--design STEPS`` designs the targets that have a formula anew, by the search of ``anisoscope design hologram``, with
+their cells, range of heights and blur, and compares both designs with the target by `pieces`.
 
     python -Im pip install 'anisoscope[exr]'
     python tools/public_designs.py FOLDER
@@ -57,9 +57,9 @@ POINT_DEG = 1e-4
 FARTHEST = 4.5
 """Standard deviations of the coherence, as spectrum, within which orders count."""
 NODES = 8
-GAMMA, LEVELS = 2.2, 64
-COHERENCE = 6.0
-"""Coherence length for the search, in standard deviations of theirs."""
+GAMMA, LEVELS = 2.2, 256
+COHERENCE = 2.0 * np.sqrt(2.0) * np.pi / np.sqrt(12.0)
+"""Coherence length whose square lamp has the variance of their Gaussian one, in standard deviations of theirs."""
 COLOURS = {
     "red": (1.0, 0.0, 0.0), "orange": (1.0, 0.5, 0.0), "yellow": (1.0, 1.0, 0.0), "green": (0.0, 1.0, 0.0),
     "cyan": (0.0, 1.0, 1.0), "blue": (0.0, 0.0, 1.0), "purple": (0.5, 0.0, 1.0), "white": (1.0, 1.0, 1.0),
@@ -278,39 +278,28 @@ def score(found: FloatArray, wanted: FloatArray) -> float:
     return off(shown, aim)
 
 
-def designed(
-    design: Design, wanted: FloatArray, reach: float, seconds: float, seed: int = 1
-) -> tuple[FloatArray, int]:
-    """(256, 256) or (512, 512) heights of an own design of a target, blurred like theirs, and its number of steps.
-
-    It has their unit, range of heights and blur, and cells of theirs or half of it, as its directions need.
-    """
-    times = 1
-    while 0.4 / (4.0 * design.cell_um / times) < 0.5 * reach:
-        times *= 2
-    span = float(np.ptp(design.cells))
+def designed(design: Design, wanted: FloatArray, reach: float, steps: int, seed: int = 1) -> FloatArray:
+    """(256, 256) or so heights of an own design of a target, with their cells, range of heights and blur."""
     task = PictureTask(
         np.ascontiguousarray(wanted.transpose(1, 0, 2)),
-        tuple(np.linspace(0.0, span, LEVELS).tolist()),
+        tuple(np.linspace(0.0, float(np.ptp(design.cells)), LEVELS).tolist()),
         Illuminant("equal energy", (380.0, 780.0), (1.0, 1.0)),
-        cells=CELLS * times,
-        cell_um=design.cell_um / times,
-        coherence_um=min(COHERENCE * design.sigma_um, CELLS * design.cell_um),
+        cells=CELLS,
+        cell_um=design.cell_um,
+        coherence_um=COHERENCE * design.sigma_um,
         reach=0.5 * reach,
+        blur_um=design.blur_um,
+        displayed=True,
     )
-    design_picture(task, np.random.default_rng(seed), 10)  # compiles
-    begin = time.perf_counter()
-    design_picture(task, np.random.default_rng(seed), 20)
-    steps = int(20 * seconds / (time.perf_counter() - begin))
     found = design_picture(task, np.random.default_rng(seed), steps)
-    return design.surface(found.height_um.T), steps
+    return design.surface(found.height_um.T)
 
 
 def main() -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="folder of the published designs, such as output")
-    parser.add_argument("--design", type=float, metavar="SECONDS", help="design targets anew, so long each")
+    parser.add_argument("--design", type=int, metavar="STEPS", help="design targets anew, in so many steps")
     parser.add_argument("--only", default="", help="designs whose folder holds this text")
     given = parser.parse_args()
     designs = [Design(one) for one in sorted(given.folder.rglob("hmap.exr")) if given.only in str(one)]
@@ -352,16 +341,16 @@ def _judged(designs: list[Design], given: argparse.Namespace) -> None:
 
 
 def _designed(designs: list[Design], given: argparse.Namespace) -> None:
-    _head(["design", "cells", "steps", "s", "theirs", "ours"])
+    _head(["design", "s of processor", "theirs", "ours"])
     every = []
     for one in designs:
-        reach = UNIFORM if "_uniform_" in str(one.path) else reach_of(one)
-        wanted = target(one, reach)
-        if wanted is None:
+        if target(one, UNIFORM) is None:
             continue
-        begin = time.perf_counter()
-        own, steps = designed(one, wanted, reach, given.design)
-        took = time.perf_counter() - begin
+        reach = UNIFORM if "_uniform_" in str(one.path) else reach_of(one)
+        wanted = np.asarray(target(one, reach))
+        begin = time.process_time()
+        own = designed(one, wanted, reach, given.design)
+        took = time.process_time() - begin
         scores = [
             score(
                 seen(pieces(height, CELLS * one.cell_um / len(height), one.sigma_um, lights(reach))), wanted
@@ -370,15 +359,7 @@ def _designed(designs: list[Design], given: argparse.Namespace) -> None:
         ]
         every.append(scores)
         name = str(one.path.parent.relative_to(given.folder))
-        _row(
-            [
-                name,
-                f"{len(own) // REPEATED}²",
-                f"{steps}",
-                f"{took:.0f}",
-                *(f"{number:.1%}" for number in scores),
-            ]
-        )
+        _row([name, f"{took:.0f}", *(f"{number:.1%}" for number in scores)])
     better = int(np.sum(np.diff(np.array(every), axis=1) < 0.0))
     sys.stdout.write(f"\n{len(every)} targets: ours are nearer in {better}\n")
 

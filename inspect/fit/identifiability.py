@@ -76,7 +76,7 @@ def derivatives(
     With `interface` the table of the interface stays as it is.
     """
     table = interface_alpha(values) if interface is None else interface
-    middle = problem.predicted(values, table) if coarse or "k" in problem.free else None
+    middle = problem.predicted(values, table) if coarse or "k" in problem.free else np.zeros(0)
     columns = []
     for name in problem.free:
         if name == "k":  # the values are proportional to it

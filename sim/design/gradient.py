@@ -14,6 +14,7 @@ wavelength that the depths tell apart, and a cell gives one: pictures of few ord
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -35,12 +36,17 @@ Labels = npt.NDArray[np.uint16]
 
 FLOOR = 0.003
 """Linear light added before the square root that the error is measured in."""
+DISPLAY = 1.0 / 2.2
+DARKEST = 1e-3
+"""Power of light that a display shows, and linear light added before it in a search."""
 
 BETAS = (0.9, 0.99)
 LARGE = 5.0
 """ΔE from which on differences count by their size."""
 
 BAND_NM = (400.0, 700.0)
+POINTS_A_BLUR = 1.25
+"""Points of a blurred surface in the standard deviation of the blur."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,8 @@ class PictureTask:
         coherence_um: Δc of the source at the wavelength of the design (in colour 550 nm).
         reach: largest |h|.
         bands: wavelengths in a step of a picture in colour.
+        blur_um: standard deviation by which the process blurs the heights of the cells; 0 are sharp steps.
+        displayed: of a picture in colour least squares of what a display shows count, in place of ΔE2000 and SSIM.
 
     Raises:
         ModelError: a picture that is none, or directions beyond what the cells diffract to.
@@ -71,6 +79,8 @@ class PictureTask:
     coherence_um: float = 64.0
     reach: float = 0.12
     bands: int = 10
+    blur_um: float = 0.0
+    displayed: bool = False
 
     def __post_init__(self) -> None:
         shape = self.wanted.shape
@@ -79,7 +89,7 @@ class PictureTask:
         if not np.isfinite(self.wanted).all() or self.wanted.min() < 0.0 or self.wanted.max() <= 0.0:
             raise ModelError("a picture to design has no negative light, and some above 0")
         shortest = self.wavelength_um if self.illuminant is None else 1e-3 * BAND_NM[0]
-        widest = shortest / (4.0 * self.cell_um)
+        widest = shortest / (4.0 * self.cell_um / self.points)
         if not 0.0 < self.reach <= widest:
             raise ModelError(
                 f"cells of {self.cell_um:g} µm diffract {1e3 * shortest:g} nm to |h| = {widest:.3f}, not to "
@@ -91,6 +101,26 @@ class PictureTask:
                 f"a unit of {unit:g} µm must hold the coherence length of {self.coherence_um:g} µm along each axis, "
                 "and steps need two levels"
             )
+
+    @property
+    def points(self) -> int:
+        """Points of the surface along a cell."""
+        return 1 if self.blur_um <= 0.0 else int(np.ceil(POINTS_A_BLUR * self.cell_um / self.blur_um))
+
+    @cached_property
+    def spread(self) -> Floats:
+        """(N·points, N) heights along a line of the blurred, endless surface by those of its cells."""
+        size, places = self.cells * self.points, np.arange(self.cells * self.points)
+        kernel = np.exp(-0.5 * ((places - size // 2) * self.cell_um / self.points / self.blur_um) ** 2)
+        steps = np.kron(np.eye(self.cells), np.ones((self.points, 1)))
+        blur = np.fft.rfft(np.roll(kernel / kernel.sum(), -(size // 2)))
+        return np.asarray(
+            np.fft.irfft(np.fft.rfft(steps, axis=0) * blur[:, None], size, axis=0), dtype=np.float32
+        )
+
+    def surface(self, height_um: FloatArray | Floats) -> FloatArray | Floats:
+        """(N·points, N·points) heights of the surface by the (N, N) of its cells."""
+        return height_um if self.points == 1 else self.spread @ height_um @ self.spread.T
 
     @property
     def h(self) -> FloatArray:
@@ -132,16 +162,16 @@ class _Line:
     """One wavelength of a picture: from the wave to light over the half vectors, and the gradient back to heights."""
 
     def __init__(self, task: PictureTask, wavelength_um: float) -> None:
-        self.cells = task.cells
+        self.cells = task.cells * task.points
         self.turns = 4.0 * np.pi / wavelength_um
         unit = task.cells * task.cell_um
-        order = np.fft.fftfreq(task.cells, 1.0 / task.cells)
+        order = np.fft.fftfreq(self.cells, 1.0 / self.cells)
         # a rect of `box` orders, linear between orders: sampled as the difference of two running sums
         box = max(1.0, unit / task.source(wavelength_um))
         off = np.abs(order[None, :] - (2.0 * task.h / wavelength_um * unit)[:, None])
         inside = np.clip(0.5 * box + 0.5 - off, 0.0, 1.0) / box
         self.orders = np.flatnonzero(inside.any(axis=0))
-        cell = np.sinc(order / task.cells) ** 2
+        cell = np.sinc(order / self.cells) ** 2 if task.points == 1 else np.ones_like(order)
         self.matrix = np.asarray((inside * cell)[:, self.orders], dtype=np.float32)
 
     def wave(self, height_um: FloatArray | Floats) -> Waves:
@@ -219,6 +249,7 @@ class _Wanted:
         if not self.colour:
             self.root = np.sqrt(relative + FLOOR)
             return
+        self.shown = relative**DISPLAY if task.displayed else None
         from scipy.ndimage import gaussian_filter  # noqa: PLC0415 - slow to import
 
         shown, window = encode(relative).srgb, (1.5, 1.5, 0.0)
@@ -239,6 +270,10 @@ class _Wanted:
 
     def scale(self, light: FloatArray) -> float:
         """Factor on the light that brings it closest to the wanted one."""
+        if self.colour and self.shown is not None:
+            shown = np.maximum(light @ XYZ_TO_SRGB.T, 0.0) ** DISPLAY
+            best = float(np.sum(shown * self.shown)) / max(float(np.sum(shown**2)), 1e-30)
+            return float(best ** (1.0 / DISPLAY))
         return float(np.sum(light * self.light) / max(float(np.sum(light * light)), 1e-30))
 
     def error(self, light: FloatArray, scale: float) -> tuple[float, FloatArray]:
@@ -248,6 +283,12 @@ class _Wanted:
             shown = np.sqrt(scale * light + FLOOR)
             rest = shown - self.root
             return float(np.sqrt(np.mean(rest**2))), rest * scale / shown / count
+        if self.shown is not None:
+            linear_light = scale * (light @ XYZ_TO_SRGB.T)
+            power = np.maximum(linear_light, 0.0) + DARKEST
+            off = power**DISPLAY - self.shown
+            slope = off * DISPLAY * power ** (DISPLAY - 1.0) * (linear_light > 0.0)
+            return float(np.sqrt(np.mean(off**2))), slope @ XYZ_TO_SRGB * scale / count
         t = np.maximum(scale * light / SRGB_WHITE, 1e-9)
         linear = t < (6.0 / 29.0) ** 3
         f = np.where(linear, t * (841.0 / 108.0) + 4.0 / 29.0, np.cbrt(t))
@@ -302,15 +343,21 @@ def design_picture(
     for step in range(steps):
         label = np.searchsorted(middles, height)
         lines, weights = _lines(task, rng, fixed)
-        waves = [line.wave(levels)[label] for line in lines]
+        if task.points == 1:
+            waves = [line.wave(levels)[label] for line in lines]
+        else:
+            surface = task.surface(levels[label])
+            waves = [line.wave(surface) for line in lines]
         done = [line.light(wave) for line, wave in zip(lines, waves, strict=True)]
         light = np.einsum("bij,bc->ijc", np.stack([one[0] for one in done]), weights)
         best = wanted.scale(light)
         scale = best if scale == 0.0 else 0.9 * scale + 0.1 * best
         error, by_light = wanted.error(light, scale)
-        total = np.zeros_like(height)
+        total = np.zeros(waves[0].shape, dtype=np.float32)
         for line, wave, one, weight in zip(lines, waves, done, weights, strict=True):
             total += line.gradient((by_light @ weight).astype(np.float32), wave, one[1])
+        if task.points > 1:
+            total = np.asarray(task.spread.T @ total @ task.spread, dtype=np.float32)
         mean = BETAS[0] * mean + (1.0 - BETAS[0]) * total
         square = BETAS[1] * square + (1.0 - BETAS[1]) * total**2
         m = mean / (1.0 - BETAS[0] ** (step + 1))
@@ -353,7 +400,8 @@ def judged(found: DesignedPicture, depth_factor: float = 1.0) -> Judged:
     from skimage.metrics import structural_similarity  # noqa: PLC0415 - slow to import
 
     task = found.task
-    surface = WaveSurface.of(np.tile(depth_factor * found.height_um, (2, 2)), task.cell_um, cells=True)
+    heights = np.tile(np.asarray(task.surface(depth_factor * found.height_um), dtype=np.float64), (2, 2))
+    surface = WaveSurface.of(heights, task.cell_um / task.points, cells=task.points == 1)
     lamp = task.illuminant
     nm = np.array([1e3 * task.wavelength_um]) if lamp is None else TABLE_NM
     weights = np.ones((1, 1)) if lamp is None else xyz_weights(lamp, nm) @ XYZ_TO_SRGB.T

@@ -32,6 +32,8 @@ FIELD_UM, PIXELS, SAMPLES = 100.0, 8, 4
 STAGES = (0.0, 90.0)
 ALPHA, ALBEDO, LIGHT_DEG = 0.08, 0.2, 10.0
 VARIANT, DEPTH = "scalar_rgb", 6
+PAGE = {64: (0.85, 0.95), 256: (0.81, 0.83)}
+"""Likeness of both pictures, of so many fields, that docs/plates.md quotes."""
 
 
 def photographs(fields):
@@ -157,5 +159,5 @@ def test_the_exported_body_shows_both_pictures(bench, tmp_path, fields):
             f"at {stage:g}°: SSIM {similar:.3f} (predicted {predicted[number]:.3f}), cross-talk {mixed:.2%} "
             f"({talk[number]:.2%}); fields are brighter than predicted by {np.median(off):+.1%}, rms {np.std(off):.1%}"
         )
-        assert similar >= 0.8
-        assert mixed <= 0.05
+        assert similar == pytest.approx(PAGE[fields][number], abs=0.01)  # as docs/plates.md has it
+        assert mixed < 0.01

@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from anisoscope.operations.design.etched import layout_of
+from anisoscope.operations.design.pictures import POINTS, etched_picture
+from anisoscope.parameters.fabrication import Fabrication
 from anisoscope.prediction.angular import AngularTask, angular_reflectance
 from anisoscope.profiles.files.load import read_height_map, write_height_map
+from anisoscope.sim.design.designfile import write_design
 from anisoscope.sim.design.maskreading import read_gds
+from anisoscope.sim.design.targets import radial_target
 from anisoscope.sim.light.wave.surface import WaveSurface, on_plateaus, sampling_of
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "design.md"
@@ -94,6 +98,9 @@ def test_a_whole_layout_is_streamed(anisoscope, page, folder):
 def test_what_every_command_designs_is_predicted_from_its_file(page, folder):
     """Heights of designs, dots, patterns and masks come back from every format, as plateaus with the same light."""
     task, seen = AngularTask((450.0,), reach=0.1, points=11), set()
+    ring = radial_target(np.array([0.0, 0.05, 0.1]), np.array([0.2, 1.0, 0.0]), POINTS, 0.2)
+    mixed = etched_picture([ring], max_width_um=6.0, fabrication=Fabrication(grid_um=2.0), nearest=True)
+    write_design(mixed.design, folder / "ring.toml")
     for source in sorted([*folder.glob("*.toml"), *folder.glob("*.npz"), folder / "disc.gds"]):
         if source.suffix == ".gds":
             surface = read_gds(source, size_um=(48.0, 48.0))
@@ -113,7 +120,9 @@ def test_what_every_command_designs_is_predicted_from_its_file(page, folder):
         assert found.stepped
         np.testing.assert_allclose(found.brdf, expected.brdf, rtol=1e-3)
         seen.add(source.name)
-    assert {"wide-x.toml", "hole.toml", "white.toml", "both.toml", "dot.npz", "disc.npz", "shades.npz"} < seen
+    assert {
+        "wide-x.toml", "hole.toml", "white.toml", "both.toml", "ring.toml", "dot.npz", "disc.npz", "shades.npz",
+    } < seen  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 import skimage.data
 
 from anisoscope.kinds.plates.kind import PLATES
-from anisoscope.profiles.files.load import read_height_map
+from anisoscope.profiles.files.load import read_height_map, write_height_map
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +40,11 @@ def test_two_pictures_become_a_plate_and_its_insert(anisoscope, pictures, tmp_pa
     tool = read_height_map(out / "insert.x3p", role="tool")
     np.testing.assert_allclose(tool.height_um, surface.height_um, atol=1e-6)
     np.testing.assert_allclose(read_height_map(out / "part.npz").height_um, surface.height_um, atol=1e-6)
+    for ending in ("sur", "gwy"):
+        write_height_map(surface, tmp_path / f"back.{ending}")
+        back = read_height_map(tmp_path / f"back.{ending}")
+        np.testing.assert_allclose(back.height_um, surface.height_um, atol=1e-4)
+        assert (back.pixel_x_um, back.pixel_y_um) == pytest.approx((surface.pixel_x_um, surface.pixel_y_um))
     with (out / "fields.csv").open() as stream:
         table = list(csv.DictReader(stream))
     assert len(table) == 24 * 32

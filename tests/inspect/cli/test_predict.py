@@ -130,6 +130,15 @@ def test_a_dark_pose_gives_null_not_infinity(anisoscope):
         (["--ridge-angle", 10, "--model", "printed", "--bounces", 2], "direct light only"),
         (["--ridge-angle", 10, "--bounces", 0], "1 or more"),
         (["--ridge-angle", 50], "ridge angle"),
+        (
+            ["--ridge-angle", 10, "--pitch", 50, "--edge-radius", 60],
+            "60 µm is larger than the pitch of 50 µm",
+        ),
+        (
+            ["--ridge-angle", 10, "--pitch", 50, "--foot-radius", 60],
+            "60 µm is larger than the pitch of 50 µm",
+        ),
+        (["--ridge-angle", 30, "--pitch", 50, "--edge-radius", 25, "--foot-radius", 25], "meet on the wall"),
         (["--ridge-angle", 10, "--alpha-along", 0], "alpha along"),
         (["--ridge-angle", 10, "--angles", "0,ninety"], "numbers separated by commas"),
         (["--ridge-angle", 10, "--tilts", "95"], "horizon"),
