@@ -286,9 +286,8 @@ class StageBase(ABC):
         self._left_at_deg = None
         self._samples.clear()
         try:
-            deadline = self._clock() + timeout_s
             begin()
-            reached = self._await(what, target_deg, deadline, timeout_s)
+            reached = self._await(what, target_deg, timeout_s)
         except BaseException:
             with contextlib.suppress(RigError):
                 self._send_stop()
@@ -297,9 +296,10 @@ class StageBase(ABC):
         self._left_at_deg = reached
         return reached
 
-    def _await(self, what: str, target_deg: float, deadline: float, timeout_s: float) -> float:
+    def _await(self, what: str, target_deg: float, timeout_s: float) -> float:
         short_since: float | None = None
         begun = told = self._clock()
+        deadline = begun + timeout_s  # from here: a busy computer may have taken long to send the command
         factor = 1.0
         while True:
             if self._clock() - told >= WORD_S:
