@@ -131,7 +131,7 @@ FURTHER = (
     *("ln ratio {contrast}", "Michelson contrast {contrast}", "difference {contrast}"),
     *("company", "drawing", "lot", "cavity", "operator", "station", "reviewed by", "date, signature"),
     *("{request} and press Enter:", "stage", "tilt axis", "sample", "dark", "flat"),
-    *("stray", "linearity", "rotation", "fixture"),
+    *("stray", "linearity", "rotation", "fixture", "at least {size}", "at most {size}"),
     *("across the ridges", "along the ridges", "contrast", "from [°]", "to [°]", "tilt [°]", "measured"),
     *("predicted", "deviation", "tolerance", "at [°]", "tilts [°]", "the same stage angle at two tilts"),
     *("as predicted", "see the reasons above", "{stage}° / {other}°, tilt {tilt}°"),

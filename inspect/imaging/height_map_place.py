@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import LIBRARIES, Cache
-from anisoscope.base.errors import AnisoscopeError, RegistrationError
+from anisoscope.base.errors import AnisoscopeError, MeasurementError, RegistrationError
 from anisoscope.imaging.phase_map import crest_of, phase_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.parameters.geometry import Convention, Pose
@@ -197,12 +197,20 @@ def _ridge_shift(
     aligned: Sequence[Image], rendered: Sequence[Image], pixel_um: float, pitch_um: float
 ) -> float:
     """Shift of the map's centre within ± half a pitch, in pixels, by which its crests stand at those of the part."""
-    pitch, cols = pitch_um / pixel_um, rendered[0].shape[1]
-    place = phase_map(aligned, pixel_um, pitch_um, 0.0, 3.0).place
-    middle = tuple(slice((size - 1) // 2, size // 2 + 1) for size in place.shape)
-    centre = float(place[middle].mean())
-    across = np.broadcast_to((np.arange(cols) - 0.5 * (cols - 1)) / pitch, rendered[0].shape)
-    shift = -centre - crest_of(rendered, across, 0.0)
+    pitch = pitch_um / pixel_um
+
+    def crest(pictures: Sequence[Image]) -> float:
+        cols = pictures[0].shape[1]
+        across = np.broadcast_to((np.arange(cols) - 0.5 * (cols - 1)) / pitch, pictures[0].shape)
+        return crest_of(pictures, across, 0.0)
+
+    try:
+        place = phase_map(aligned, pixel_um, pitch_um, 0.0, 3.0).place
+    except MeasurementError:  # texture hides the ridges point by point; their mean over all rows has a phase still
+        shift = crest(aligned) - crest(rendered)
+    else:
+        middle = tuple(slice((size - 1) // 2, size // 2 + 1) for size in place.shape)
+        shift = -float(place[middle].mean()) - crest(rendered)
     return float((shift + 0.5) % 1.0 - 0.5) * pitch
 
 

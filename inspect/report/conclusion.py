@@ -260,6 +260,8 @@ def _one(one: _Named, sentence: str, nominal: float | None) -> str:
     text = sentence.format(size=f"{size}{unit}", name=cause.cause.removeprefix(f"{one.key}-"))
     total = "" if nominal is None else f"{_rounded(nominal + scale * cause.severity, half)}{unit}"
     known = "" if half is None else f"± {_rounded(half, half)}{unit}"
+    if half is None and not total:
+        known = _one_end(cause, scale, unit)
     bracket = f" ({f'{total} {known}'.strip()})" if total or known else ""
     place = len(text) if ";" not in text else text.index(";")
     return text[:place] + bracket + text[place:]
@@ -269,6 +271,17 @@ def _half(cause: CauseRecord | ComponentRecord, scale: float) -> float | None:
     """Half of the 95 % interval of an extent; None where an end of it is unknown."""
     low, high = cause.interval or (None, None)
     return None if low is None or high is None or not high > low else 0.5 * scale * (high - low)
+
+
+def _one_end(cause: CauseRecord | ComponentRecord, scale: float, unit: str) -> str:
+    """The end of the 95 % interval of an extent that is known alone, as where a mark covers more than can be told."""
+    low, high = cause.interval or (None, None)
+    if (low is None) == (high is None) or cause.severity == 0.0:
+        return ""
+    end = high if low is None else low
+    word = "at least" if (low is None) == (cause.severity < 0.0) else "at most"
+    assert end is not None
+    return f"{word} {_rounded(abs(scale * end), None)}{unit}" if end * cause.severity > 0.0 else ""
 
 
 def _rounded(value: float, half: float | None) -> str:

@@ -36,7 +36,7 @@ from anisoscope.kinds.prints.measurement import (
     measure_print,
     region_mean,
 )
-from anisoscope.kinds.prints.recipe import UNSTATED, PrintDefects, PrintRecipe, read_print_recipe
+from anisoscope.kinds.prints.recipe import OF_INK, UNSTATED, PrintDefects, PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.recipe_check import RecipeCheck
@@ -96,8 +96,14 @@ class Prints(
         check_print_rig(rig, rig_path)
 
     def as_recorded(self, recipe: PrintRecipe, recorded: Mapping[str, Any]) -> PrintRecipe:
-        """A record that states no sizes of defects was judged without their limits."""
+        """A record that states no sizes of defects was judged without their limits.
+
+        Uncertainties of the ink are the recorded ones: recipes stated them before ink files did.
+        """
         recipe = super().as_recorded(recipe, recorded)
+        then = recorded.get("print", {})
+        stated = {f"u_{name}": then[f"u_{name}"] for name in OF_INK if then.get(f"u_{name}") is not None}
+        recipe = recipe.model_copy(update={"print": recipe.print.model_copy(update=stated)})
         if "defects" in recorded:
             return recipe
         return recipe.model_copy(update={"defects": PrintDefects(**dict.fromkeys(PrintDefects.model_fields))})

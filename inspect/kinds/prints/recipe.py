@@ -46,7 +46,7 @@ UNSTATED = (
     "the ink file states no uncertainty, so that large ones are taken: fit the ink anew (anisoscope ink fit), or write "
     "[uncertainty] into its file"
 )
-_OF_INK = ("alpha_share", "rho_share", "colour_share", "c", "lobe")
+OF_INK = ("alpha_share", "rho_share", "colour_share", "c", "lobe")
 
 
 class PrintPart(Part):
@@ -90,14 +90,14 @@ class PrintPart(Part):
 
     def of_ink(self, ink: Ink) -> InkUncertainty:
         """Uncertainties of the ink as stated here, else in its file, else large ones."""
-        stated = {name: getattr(self, f"u_{name}") for name in _OF_INK}
+        stated = {name: getattr(self, f"u_{name}") for name in OF_INK}
         return replace(
             ink.uncertainty or UNKNOWN, **{name: value for name, value in stated.items() if value is not None}
         )
 
     def lacks_uncertainty(self, ink: Ink) -> bool:
         """Whether neither the ink file nor the recipe says how well the ink is known."""
-        return ink.uncertainty is None and any(getattr(self, f"u_{name}") is None for name in _OF_INK)
+        return ink.uncertainty is None and any(getattr(self, f"u_{name}") is None for name in OF_INK)
 
     def read_wrong_inks(self) -> tuple[Ink, ...]:
         """The inks that may have got into this one; errors as for `read_ink`."""

@@ -52,6 +52,19 @@ def test_the_finding_names_its_size_and_how_well_it_is_known(conclude):
     assert "7 % of the area (± 2 %)" in shares.finding
 
 
+@pytest.mark.parametrize(
+    ("severity", "interval", "words"),
+    [
+        (0.19, (0.12, None), "19 % of the area (at least 12 %)."),
+        (0.02, (None, 0.05), "2 % of the area (at most 5 %)."),
+        (0.02, (-0.01, None), "2 % of the area."),
+        (0.02, (None, None), "2 % of the area."),
+    ],
+)
+def test_an_interval_with_one_end_says_it(conclude, severity, interval, words):
+    assert words in conclude(row("burrs", severity, None, "", interval=interval)).finding
+
+
 def test_causes_that_tie_are_named_together_and_none_of_them_acted_on(conclude):
     tied = (
         row("ridge-angle", -1.83, 0.47),
