@@ -206,7 +206,9 @@ def _ridge_shift(
 
     try:
         place = phase_map(aligned, pixel_um, pitch_um, 0.0, 3.0).place
-    except MeasurementError:  # texture hides the ridges point by point; their mean over all rows has a phase still
+    except (
+        MeasurementError
+    ):  # texture hides the ridges point by point; their mean over all rows has a phase still
         shift = crest(aligned) - crest(rendered)
     else:
         middle = tuple(slice((size - 1) // 2, size // 2 + 1) for size in place.shape)

@@ -86,7 +86,7 @@ def test_a_folder_of_designs_is_predicted_and_compared(tmp_path, monkeypatch, ca
     published, whole, pieces = (float(one.rstrip("%")) for one in row[4:])
     assert whole < 1.0 < published
     assert pieces < 2.0
-    monkeypatch.setattr(sys, "argv", ["public_designs.py", str(tmp_path), "--design", "1"])
+    monkeypatch.setattr(sys, "argv", ["public_designs.py", str(tmp_path), "--design", "10"])
     assert tool["main"]() == 0
     row = [cell.strip() for cell in capsys.readouterr().out.splitlines()[2].split("|")[1:-1]]
     assert float(row[5].rstrip("%")) < float(row[4].rstrip("%"))
