@@ -274,7 +274,7 @@ def _half(cause: CauseRecord | ComponentRecord, scale: float) -> float | None:
 
 
 def _one_end(cause: CauseRecord | ComponentRecord, scale: float, unit: str) -> str:
-    """The end of the 95 % interval of an extent that is known alone, as where a mark covers more than can be told."""
+    """Single known end of a 95 % interval, as where marks cover more than the predicted signatures reach."""
     low, high = cause.interval or (None, None)
     if (low is None) == (high is None) or cause.severity == 0.0:
         return ""
