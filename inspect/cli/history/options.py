@@ -103,7 +103,8 @@ def opened_for(place: str | None, *names: str) -> "Iterator[tuple[History, bool]
         names: serial numbers, ids or folders.
 
     Raises:
-        HistoryError, UsageError: as of `opened`.
+        HistoryError: as of `opened`.
+        UsageError: as of `opened`; a path that is no such folder, where there is no history.
         RecordError: the record of a folder cannot be read.
     """
     from anisoscope.history.address import HISTORY_NAME
@@ -112,7 +113,16 @@ def opened_for(place: str | None, *names: str) -> "Iterator[tuple[History, bool]
     from anisoscope.record.schema import RECORD_NAME, read_record
 
     folders = [Path(name) for name in names if "\0" not in name and (Path(name) / RECORD_NAME).is_file()]
-    if meant(place) != DEFAULT_OUT / HISTORY_NAME or len(folders) < len(names):
+    default = DEFAULT_OUT / HISTORY_NAME
+    if meant(place) != default or len(folders) < len(names):
+        wrong = [
+            name for name in names if "\0" not in name and Path(name).exists() and Path(name) not in folders
+        ]
+        if meant(place) == default and wrong and not default.exists():
+            raise UsageError(
+                f"{wrong[0]} is no folder of a finished inspection: it holds no {RECORD_NAME}; name such a folder, or "
+                "a serial number and --history"
+            )
         with opened(place) as found:
             yield found, False
         return

@@ -63,6 +63,10 @@ def test_folders_are_shown_and_compared_without_a_history(anisoscope, inspected,
         history.append(row_of(read_record(folder), folder))
     assert "inspection: 1" in anisoscope("show", folder).out
     assert anisoscope("show", folder, "--history", tmp_path / "no.sqlite").code == 74
+    for wrong in (tmp_path, folder / "record.json"):
+        done = anisoscope("show", wrong, cwd=tmp_path)
+        assert (done.code, done.err.count("\n")) == (64, 1)
+        assert f"{wrong} is no folder of a finished inspection" in done.err
 
 
 def test_an_unfinished_folder_is_resumed(anisoscope, inspected, tmp_path):
