@@ -63,9 +63,11 @@ def read_lines(table: Path) -> tuple[list[Line], tuple[str, ...]]:
         text = bounded_bytes(table).decode("utf-8-sig")
     except FileNotFoundError:
         there = table.parent.is_dir()
-        what = f"there is no {table.name} in it" if there else "there is no such folder"
-        advice = f"; `anisoscope inspect --frames {table.parent} --init` begins one" if there else ""
-        raise RecordError(f"{table.parent}: {what}; it lists the frames of a folder{advice}") from None
+        what = (
+            f"there is no {table.name} in it, which lists the frames; `anisoscope inspect --frames {table.parent} "
+            "--init` begins one"
+        )
+        raise RecordError(f"{table.parent}: {what if there else 'there is no such folder of frames'}") from None
     except UnicodeDecodeError:
         raise RecordError(f"{table}: not a text file in UTF-8; save it as 'CSV UTF-8'") from None
     except OSError as problem:

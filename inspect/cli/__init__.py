@@ -22,11 +22,10 @@ from anisoscope.cli.help_page import (
     command_of,
     examples,
     first_options,
-    of_today,
     print_below,
-    usage_text,
 )
 from anisoscope.cli.log import listening, options_of, report
+from anisoscope.cli.mistakes import file_advice, of_today, usage_text
 from anisoscope.operations.project_place import project_files
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
 
@@ -349,11 +348,12 @@ def _run(arguments: list[str], *, debug: bool) -> int:
 def _failed(error: Exception, arguments: list[str]) -> int:
     """Report an error in one line, and return its exit code."""
     if isinstance(error, CycloptsError):
-        return _report(usage_text(error, arguments), UsageError.exit_code)
+        return _report(usage_text(error, arguments, app), UsageError.exit_code)
     if isinstance(error, AnisoscopeError):
         command = " ".join(app.parse_commands(arguments)[0])
         see = f" (see anisoscope {command} --help)" if type(error) is UsageError else ""
-        return _report("; ".join([str(error) + see, *_notes(error)]), error.exit_code)
+        said = str(error) + file_advice(arguments, str(error), app) + see
+        return _report("; ".join([said, *_notes(error)]), error.exit_code)
     if _signalled:
         return _report("; ".join(["interrupted", *_notes(error)]), EXIT_INTERRUPTED)
     from anisoscope.base.crash import as_foreseen

@@ -1,6 +1,7 @@
 """Selection of inspections in a history, and the moments that bound it as people write them."""
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 
@@ -43,10 +44,16 @@ class Filters:
     ids: tuple[int, ...] | None = None
 
 
+class _EitherError(ValueError):
+    """A date with strokes whose day and month can be told apart by nobody: its two meanings."""
+
+
+MONTHS = 12
 _AGO = re.compile(r"(\d{1,6})\s*([mhdw])")
-_DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")
+_NUMBERS = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})")
+_NAMED = ("%d %b %Y", "%d %B %Y", "%b %d %Y", "%B %d %Y")
 _UNITS = {"m": "minutes", "h": "hours", "d": "days", "w": "weeks"}
-_FORMS = "2026-11-01, 01.11.2026, 2026-11-01T14:30, today, yesterday, or how long ago: 90m, 12h, 7d, 2w"
+_FORMS = "2026-11-01, 01.11.2026, 1 Nov 2026, 2026-11-01T14:30, today, yesterday, or how long ago: 90m, 12h, 7d, 2w"
 
 
 def parse_moment(text: str, option: str, *, now: datetime, at_end: bool = False) -> datetime:
@@ -71,6 +78,9 @@ def parse_moment(text: str, option: str, *, now: datetime, at_end: bool = False)
         if day is not None:
             return _local(datetime.combine(day + timedelta(days=1 if at_end else 0), time()))
         return _local(datetime.fromisoformat(words))
+    except _EitherError as either:
+        first, second = either.args
+        raise UsageError(f"{option} {words} could be two days: write {first} or {second}") from None
     except (ValueError, OverflowError, OSError):
         raise UsageError(f"{option} takes {_FORMS}, not {text[:40]!r}") from None
 
@@ -78,13 +88,20 @@ def parse_moment(text: str, option: str, *, now: datetime, at_end: bool = False)
 def _day(words: str, now: datetime) -> date | None:
     if words in {"today", "yesterday"}:
         return now.astimezone().date() - timedelta(days=1 if words == "yesterday" else 0)
-    written = _DAY_FIRST.fullmatch(words)
-    if written is not None:  # 28.11.2026, as in most of Europe; 11/28/2026 could be either and is refused
-        return date(*(int(written[part]) for part in (3, 2, 1)))
-    try:
-        return date.fromisoformat(words)
-    except ValueError:
-        return None
+    written = _NUMBERS.fullmatch(words)
+    if written is None:
+        spaced = " ".join(re.split(r"[\s,.-]+", words))
+        for form in _NAMED if spaced[:1].isalnum() and re.search("[a-zA-Z]{3}", spaced) else ():
+            with suppress(ValueError):
+                return datetime.strptime(spaced, form).astimezone().date()
+        return date.fromisoformat(words) if len(words) == len("20261128") and words.isdigit() else None
+    first, middle, last = (int(written[part]) for part in (1, 3, 4))
+    if len(written[1]) == len("2026"):
+        return date(first, middle, last)
+    if written[2] == "/" and first != middle and max(first, middle) <= MONTHS:
+        raise _EitherError(date(last, first, middle), date(last, middle, first))
+    day, month = (middle, first) if written[2] == "/" and middle > MONTHS else (first, middle)
+    return date(last, month, day)
 
 
 def _local(moment: datetime) -> datetime:

@@ -200,7 +200,7 @@ def read_job_file(folder: Path) -> Manifest:
         inside = sorted(job.parent.name for job in folder.glob(f"*/{JOB}"))[-MOST_NAMED:]
         if inside:
             what += f", but in folders of it: name one, such as {', '.join(inside)}"
-        raise RecordError(f"cannot read {path}: {error.strerror}: {what}") from error
+        raise RecordError(f"{folder}: {what} ({path.name}: {error.strerror})") from error
     except (ValidationError, AnisoscopeError) as error:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
 

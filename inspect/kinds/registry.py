@@ -1,6 +1,7 @@
 """Kinds of parts by name. Entry points name them, so that a third party's kind registers like a built-in one."""
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,9 @@ def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
         RecipeError: none of those that load takes these options, or the named one does not load.
     """
     if name is not None and name not in kind_names():
-        raise UsageError(f"there is no kind of part '{name}'; installed: {', '.join(kind_names())}")
+        near = get_close_matches(name, kind_names(), 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise UsageError(f"there is no kind of part '{name}'; installed: {', '.join(kind_names())}{hint}")
     named = None if name is None else kind_named(name)
     kinds, problems = [], []
     for each in kind_names():

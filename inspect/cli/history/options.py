@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
@@ -60,7 +61,9 @@ def filters_of(which: Which, limit: int | None = None) -> Filters:
         stated[name] = parse_moment(stated[name], f"--{name}", now=now, at_end=name == "until")
     if "verdict" in stated:
         if stated["verdict"].upper() not in VERDICTS:
-            raise UsageError(f"--verdict takes {', '.join(VERDICTS)}, not {stated['verdict']!r}")
+            near = get_close_matches(stated["verdict"].upper(), VERDICTS, 1)
+            meant_ = f"; did you mean --verdict {near[0]}?" if near else ""
+            raise UsageError(f"--verdict takes {', '.join(VERDICTS)}, not {stated['verdict']!r}{meant_}")
         stated["verdict"] = stated["verdict"].upper()
     return Filters(**stated, limit=limit or None)
 

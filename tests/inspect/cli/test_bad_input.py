@@ -207,13 +207,6 @@ def test_a_folder_that_cannot_be_written(anisoscope, job):
     assert_one_line(inspect(anisoscope, job), 74, "out")
 
 
-def test_unknown_commands_and_options(anisoscope):
-    assert_one_line(anisoscope("inspekt"), 64, "inspekt")
-    assert_one_line(anisoscope("demo", "--sed", 3), 64, "sed")
-    assert_one_line(anisoscope("inspect"), 64, "recipe")
-    assert_one_line(anisoscope("demo", "--seed", "many"), 64, "seed")
-
-
 def test_debug_shows_the_traceback(anisoscope, tmp_path):
     done = anisoscope("--debug", "profile", "info", tmp_path / "nothing.x3p")
     assert "Traceback" in done.err

@@ -10,7 +10,8 @@ import pytest
 from cyclopts import Parameter
 
 from anisoscope.cli import COMMANDS, EVERYDAY, app, run
-from anisoscope.cli.help_page import FIRST_EXAMPLES, FIRST_OPTIONS, FORMER_OPTIONS, examples, of_today
+from anisoscope.cli.help_page import FIRST_EXAMPLES, FIRST_OPTIONS, examples
+from anisoscope.cli.mistakes import FORMER_OPTIONS, of_today
 
 
 def commands(parent=app, words=()):
@@ -117,63 +118,6 @@ def test_the_page_of_a_command_shows_ten_options_and_names_the_panels_of_the_oth
     page = capsys.readouterr().out
     assert "more options" not in page
     assert "--tail" in page
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (
-            ["predict", "--ridge-angle", "10", "--tilts", "-10,0,10"],
-            "write --tilts=-10,0,10 (see anisoscope predict --help)",
-        ),
-        (["inspect", "--rig", "rig.toml"], "--recipe is missing (see anisoscope inspect --help)"),
-        (
-            ["inspect", "--recip", "r.toml"],
-            "Unknown option: --recip. Did you mean --recipe? (see anisoscope inspect --help)",
-        ),
-        (["predict", "--ridge-angle", "--json"], "--ridge-angle needs a value, and --json is an option"),
-        (["inspect", "--at", "wide"], "--at needs 2 values, not 1 (see anisoscope inspect --help)"),
-        (["verify"], "FOLDER is missing (see anisoscope verify --help)"),
-        (["cache", "info", "all"], "too many arguments: all (see anisoscope cache info --help)"),
-        (["rig", "hum"], 'Unknown command of rig: "hum"'),
-        (["predict"], "(see anisoscope predict --help)"),
-        (["cache", "info", "--log-file"], "--log-file needs the name of a file"),
-        (["--versoin"], "Unknown option: --versoin. Did you mean --version? (see anisoscope --help)"),
-        (["--zzz"], "Unknown option: --zzz (see anisoscope --help)"),
-        (
-            ["rig", "sim", "eliptec"],
-            "coolled, fw102c; did you mean elliptec? (see anisoscope rig sim --help)",
-        ),
-    ],
-)
-def test_usage_errors_say_the_remedy_and_where_to_read_on(arguments, words, capsys):
-    assert run(arguments) == 64
-    message = capsys.readouterr().err
-    assert words in message
-    assert message.count("\n") == 1
-
-
-def test_files_without_options_are_answered_with_the_line_that_works(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    files = {
-        "plate.toml": 'product = "plate"\n',
-        "rig.toml": "[stage]\n[camera]\n",
-        "other.toml": "[tool]\n",
-        "broken.toml": "= 1",
-        "gauge.csv": "part,appraiser,x\n",
-    }
-    for name, text in files.items():
-        Path(name).write_text(text, encoding="utf-8")
-
-    def said(*arguments):
-        assert run(list(arguments)) == 64
-        return capsys.readouterr().err
-
-    line = "files are named by options: anisoscope inspect --recipe plate.toml --rig rig.toml (see"
-    assert line in said("inspect", "plate.toml", "rig.toml")
-    assert "anisoscope msa gauge --csv gauge.csv (see" in said("msa", "gauge", "gauge.csv")
-    for name in ("other.toml", "broken.toml", "none.toml", "gauge.csv"):
-        assert f"too many arguments: plate.toml {name} (see" in said("inspect", "plate.toml", name)
 
 
 def test_help_is_a_word_too(capsys):

@@ -101,6 +101,11 @@ def in_auckland(monkeypatch):
     [
         ("2026-11-01", datetime(2026, 10, 31, 11, tzinfo=UTC)),
         ("1.11.2026", datetime(2026, 10, 31, 11, tzinfo=UTC)),
+        ("1 Nov 2026", datetime(2026, 10, 31, 11, tzinfo=UTC)),
+        ("13/11/2026", datetime(2026, 11, 12, 11, tzinfo=UTC)),
+        ("11/13/2026", datetime(2026, 11, 12, 11, tzinfo=UTC)),
+        ("2026/11/01", datetime(2026, 10, 31, 11, tzinfo=UTC)),
+        ("November 1, 2026", datetime(2026, 10, 31, 11, tzinfo=UTC)),
         ("2026-11-01T14:30", datetime(2026, 11, 1, 1, 30, tzinfo=UTC)),
         ("2026-11-01 14:30", datetime(2026, 11, 1, 1, 30, tzinfo=UTC)),
         ("2026-11-01T14:30Z", datetime(2026, 11, 1, 14, 30, tzinfo=UTC)),
@@ -124,8 +129,13 @@ def test_a_day_includes_its_end():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "soon", "7", "7y", "-7d", "2026-13-01", "31.11.2026", "11/28/2026", "999999w", "d"]
+    "text", ["", "soon", "7", "7y", "-7d", "2026-13-01", "31.11.2026", "13/13/2026", "999999w", "d"]
 )
 def test_what_is_no_moment(text):
     with pytest.raises(UsageError, match="--since takes 2026-11-01"):
         parse_moment(text, "--since", now=NOW)
+
+
+def test_a_date_with_strokes_that_could_be_two_days_is_asked_for():
+    with pytest.raises(UsageError, match="write 2026-03-04 or 2026-04-03"):
+        parse_moment("03/04/2026", "--since", now=NOW)
