@@ -2,12 +2,12 @@
 
 import re
 import shlex
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
 
-from cyclopts import App, ArgumentCollection
+from cyclopts import App, Argument
 from cyclopts.exceptions import (
     CoercionError,
     CycloptsError,
@@ -76,25 +76,25 @@ def _mistake(error: CycloptsError, arguments: Sequence[str]) -> str:
     return (say(error, arguments) if say else str(error)).removesuffix(".")
 
 
-def _arguments(error: CycloptsError) -> ArgumentCollection:
+def _arguments(error: CycloptsError) -> Sequence[Argument]:
     """Options and arguments of the command that could not be called; none of a group."""
-    return ArgumentCollection() if error.app is None else _arguments_of(error.app)
+    return () if error.app is None else _arguments_of(error.app)
 
 
-_KNOWN: dict[int, tuple[App, ArgumentCollection]] = {}
+_KNOWN: dict[int, tuple[App, Sequence[Argument]]] = {}
 
 
-def _arguments_of(command: App) -> ArgumentCollection:
+def _arguments_of(command: App) -> Sequence[Argument]:
     if id(command) not in _KNOWN:
         runs = command.default_command is not None
         _KNOWN[id(command)] = (
             command,
-            command.assemble_argument_collection() if runs else ArgumentCollection(),
+            command.assemble_argument_collection() if runs else (),
         )
     return _KNOWN[id(command)][1]
 
 
-def _is_long(token: str, known: ArgumentCollection) -> bool:
+def _is_long(token: str, known: Iterable[Argument]) -> bool:
     """Whether a word is an option of several letters with a single dash."""
     names = {name for argument in known for name in argument.names}
     return len(token) > 2 and f"-{token}".partition("=")[0] in names and token not in names
@@ -167,8 +167,8 @@ def _word(error: UnknownOptionError) -> str:
     return (error.token.keyword or error.token.value).partition("=")[0]
 
 
-def _near_option(word: str, known: Collection[object]) -> str | None:
-    names = [name for argument in known for name in argument.names if name.startswith("--")]  # type: ignore[attr-defined]
+def _near_option(word: str, known: Iterable[Argument]) -> str | None:
+    names = [name for argument in known for name in argument.names if name.startswith("--")]
     long = "--" + word.lstrip("-")
     if SYNONYMS.get(long, long) in names:
         return SYNONYMS.get(long, long)
@@ -186,12 +186,12 @@ def _stands_after_the_end(error: UnknownOptionError, arguments: Sequence[str]) -
 
 def _line_that_works(error: CycloptsError, arguments: Sequence[str], app: App) -> str | None:
     """The line as it was meant, else an example of its command; None where neither is known."""
-    line: list[str] | None = list(arguments)
-    found: CycloptsError = error
+    line, found = list(arguments), error
     for _ in range(MOST_MENDED):
-        line = _mended(found, line, app)
-        if line is None:
+        mended = _mended(found, line, app)
+        if mended is None:
             break
+        line = mended
         if line[-1:] == ["--version"] or line[:1] == ["--help"]:
             return _shown(line)
         try:
