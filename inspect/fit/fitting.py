@@ -30,7 +30,7 @@ from anisoscope.fit.identifiability import (
     scaled_covariance,
 )
 from anisoscope.fit.parameters import OPTICS, OPTIONAL, PARAMETERS
-from anisoscope.fit.problem import MATTE, Problem, interface_alpha
+from anisoscope.fit.problem import COARSE_NODES, MATTE, Problem, interface_alpha
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,6 +51,7 @@ _STILL = 1e-5  # limits of the parameters by which a round may move them at the 
 _SHORTER, _SHORTENED = 4, 0.2  # tries of a round that makes the fit worse, and share of its step that is left
 _EVALUATIONS = {True: 100, False: 40}  # of a fine and of a coarse search
 _TOLERANCE = {True: 1e-10, False: 1e-6}
+_AHEAD = {True: 0.1, False: 1.0}  # share of the steps of the derivatives
 _HOPS_DEG = (
     -2.0,
     -1.0,
@@ -190,8 +191,9 @@ def _minimum(problem: Problem, start: Values, weight: FloatArray, interface: flo
         here = _with(problem, start, begin)
         direct = replace(problem, scene=replace(problem.scene, bounces=1))
         rest = problem.predicted(here, interface) - direct.predicted(here, interface)
-        by_rest = derivatives(problem, here, interface, coarse=not fine)
-        by_rest = by_rest - derivatives(direct, here, interface, coarse=not fine)
+        rough = replace(problem, scene=replace(problem.scene, nodes=COARSE_NODES))
+        by_rest = derivatives(rough, here, interface, ahead=1.0)
+        by_rest = by_rest - derivatives(direct, here, interface, ahead=1.0)
         by_rest[:, scale] = 0.0  # k multiplies all light
 
     def more(x: FloatArray) -> FloatArray:
@@ -205,7 +207,7 @@ def _minimum(problem: Problem, start: Values, weight: FloatArray, interface: flo
         )
 
     def slope(x: FloatArray) -> FloatArray:
-        found = derivatives(direct, _with(problem, start, x), interface, coarse=not fine)
+        found = derivatives(direct, _with(problem, start, x), interface, ahead=_AHEAD[fine])
         found += np.exp(np.sum((x - begin)[scale])) * by_rest
         found[:, scale] += more(x)[:, None]
         return np.asarray(weight @ found)
@@ -570,7 +572,8 @@ def _result(
     dof = rank(readings.covariance) - len(problem.free)
     factor = 1.0 if readings.noise_known else chi2 / max(dof, 1)
     noise = factor * readings.covariance
-    known = information(problem, values, noise) if problem.free else None
+    slope = derivatives(problem, values)
+    known = information(problem, values, noise, slope) if problem.free else None
     test = misfit(
         "the model as asked for", chi2, dof + len(problem.free), len(problem.free), known=readings.noise_known
     )
@@ -578,7 +581,7 @@ def _result(
     estimates: tuple[Estimate, ...] = ()
     if known is not None:
         steps = limits(problem.free)
-        scaled = scaled_covariance(weight @ derivatives(problem, values) * steps)
+        scaled = scaled_covariance(weight @ slope * steps)
         covariance = factor * test.birge_ratio**2 * scaled * np.outer(steps, steps)
         quantile = 1.959964 if readings.noise_known else float(stdtrit(max(dof, 1), 0.975))
         estimates = tuple(

@@ -69,14 +69,15 @@ class Information:
 
 
 def derivatives(
-    problem: Problem, values: Mapping[str, float], interface: float | None = None, *, coarse: bool = False
+    problem: Problem, values: Mapping[str, float], interface: float | None = None, *, ahead: float = 0.0
 ) -> FloatArray:
-    """(N, p) derivative of the values by the internal free parameters, by central differences; ``coarse``: one-sided.
+    """(N, p) derivative of the values by the internal free parameters, by central differences.
 
-    With `interface` the table of the interface stays as it is.
+    With `interface` the table of the interface stays as it is; `ahead` takes one-sided differences instead, over this
+    share of the steps.
     """
     table = interface_alpha(values) if interface is None else interface
-    middle = problem.predicted(values, table) if coarse or "k" in problem.free else np.zeros(0)
+    middle = problem.predicted(values, table) if ahead or "k" in problem.free else np.zeros(0)
     columns = []
     for name in problem.free:
         if name == "k":  # the values are proportional to it
@@ -84,12 +85,13 @@ def derivatives(
             continue
         one = PARAMETERS[name]
         here, (low, high) = one.internal(values[name]), one.bounds
-        ends = max(here - one.step, low), min(here + one.step, high)
-        if coarse:
+        step = one.step * (ahead or 1.0)
+        ends = max(here - step, low), min(here + step, high)
+        if ahead:
             ends = (here, ends[1]) if ends[1] > here else (here, ends[0])
         sides = [
             middle
-            if coarse and end == here
+            if ahead and end == here
             else problem.predicted(dict(values) | {name: one.external(end)}, table)
             for end in ends
         ]
@@ -116,12 +118,15 @@ def limits(names: tuple[str, ...]) -> FloatArray:
     return np.array([PARAMETERS[name].limit for name in names])
 
 
-def _sensitivity(problem: Problem, values: Mapping[str, float], noise: FloatArray) -> FloatArray:
+def _sensitivity(
+    problem: Problem, values: Mapping[str, float], noise: FloatArray, slope: FloatArray | None = None
+) -> FloatArray:
     """Whitened derivatives in units of the limits, with the error of the model in the noise."""
     radiance = problem.scene.radiance(values, interface_alpha(values))
     slopes = problem.readings.by_log_radiance(radiance, values["k"])
     total = noise + MODEL_SHARE**2 * slopes @ slopes.T
-    return whitening(total) @ derivatives(problem, values) * limits(problem.free)
+    slope = derivatives(problem, values) if slope is None else slope
+    return whitening(total) @ slope * limits(problem.free)
 
 
 def _information_of(names: tuple[str, ...], sensitivity: FloatArray) -> Information:
@@ -138,15 +143,18 @@ def _information_of(names: tuple[str, ...], sensitivity: FloatArray) -> Informat
     return Information(names, uncertainty, correlation, tuple(lacking))
 
 
-def information(problem: Problem, values: Mapping[str, float], noise: FloatArray) -> Information:
+def information(
+    problem: Problem, values: Mapping[str, float], noise: FloatArray, slope: FloatArray | None = None
+) -> Information:
     """Information of the readings on the free parameters near these values.
 
     Args:
         problem: what is fitted.
         values: all parameters.
         noise: (N, N) covariance of the values; of zeros, only the model's error counts.
+        slope: `derivatives` there, where they are known.
     """
-    return _information_of(problem.free, _sensitivity(problem, values, noise))
+    return _information_of(problem.free, _sensitivity(problem, values, noise, slope))
 
 
 def helping_measurement(problem: Problem, values: Mapping[str, float], noise: FloatArray) -> str | None:

@@ -55,13 +55,16 @@ def radiance(
     Raises:
         ModelError: fewer than one reflection.
     """
-    indirect = indirect_radiance(to_light, to_camera, design, material, bounces)
-    outline = outline_for(design, material)
-    return _direct_radiance(to_light, to_camera, outline, material, matte_deg) + indirect
+    direct = _direct_radiance(to_light, to_camera, outline_for(design, material), material, matte_deg)
+    if bounces == 1:
+        return direct
+    return direct + indirect_radiance(to_light, to_camera, design, material, bounces)
 
 
 def outline_for(design: RidgeDesign, material: Material) -> Outline:
     """The outline of ridges, arcs in chords that are fine enough for the lobe of the plastic."""
+    if design.edge_radius_um == design.foot_radius_um == 0.0:
+        return _outline(design)
     return _outline(design, max(material.narrowest_alpha / CHORDS_PER_ALPHA, NARROWEST_CHORD))
 
 
@@ -136,7 +139,7 @@ def _direct_radiance(
     cosines = np.maximum(light[..., 2], 0.0) * np.maximum(camera[..., 2], 0.0)
     weight = brdf * cosines * outline.length_um[:, None]
     light_tangent, camera_tangent = to_light[:, 0] / to_light[:, 2], to_camera[:, 0] / to_camera[:, 2]
-    lit, seen = visible_shares(x, z, light_tangent), visible_shares(x, z, camera_tangent)
+    lit, seen = np.split(visible_shares(x, z, np.concatenate([light_tangent, camera_tangent])), 2)
     same_side = ((light_tangent >= 0.0) == (camera_tangent >= 0.0))[:, None]
     share = np.where(same_side, np.minimum(lit, seen), np.maximum(0.0, lit + seen - 1.0))
     total = np.sum(weight * share.T[outline.segment], axis=0)

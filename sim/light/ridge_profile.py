@@ -25,6 +25,7 @@ The arc still throws light into it. On path-traced ridges of 10 and 15° with ra
 90 and 180° for smooth, dark plastic, whose reflections are strong, and 0.54 to 0.63 for rough, bright plastic.
 """
 _NODES = 3  # Gauss-Legendre, on every chord's part of an arc
+_RULE = np.polynomial.legendre.leggauss(_NODES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ def ridge_outline(design: RidgeDesign, widest_rad: float | None = None) -> Outli
     flat = outline_of(line.x_um[0], line.z_um[0])
     turn = line.turn_rad[0]
     straight = np.isnan(turn[:, 0])[flat.segment]
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    node, weight = _RULE
     arcs = np.flatnonzero(~np.isnan(turn[:, 0]))
     first, last = turn[arcs, 0], turn[arcs, 1]
     angle = (first + 0.5 * (last - first) * (1.0 + node[:, None])).ravel()
