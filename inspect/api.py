@@ -91,7 +91,7 @@ if TYPE_CHECKING:
         suggest_poses,
         teach,
     )
-    from anisoscope.parameters.fabrication import Fabrication
+    from anisoscope.parameters.fabrication import Fabrication, HologramSearch
     from anisoscope.parameters.geometry import Convention, Pose
     from anisoscope.parameters.inputs import InputUncertainty
     from anisoscope.parameters.manufacture import Manufacture
@@ -189,6 +189,7 @@ _HOME = {
     "snap": "anisoscope.operations.rigging",
     "Manufacture": "anisoscope.parameters.manufacture",
     "Fabrication": "anisoscope.parameters.fabrication",
+    "HologramSearch": "anisoscope.parameters.fabrication",
     "design_code": "anisoscope.operations.design.plates",
     "design_plate": "anisoscope.operations.design.plates",
     "etched_hologram": "anisoscope.operations.design.pictures",
@@ -366,6 +367,7 @@ __all__ = [
     "Fit",
     "HeightMap",
     "History",
+    "HologramSearch",
     "Ink",
     "InkFit",
     "InkLight",

@@ -56,3 +56,39 @@ class Fabrication:
     def bandwidth_nm(self) -> tuple[float, float]:
         """Wavelengths that the depths are for."""
         return self.band_nm or (self.wavelength_nm, self.wavelength_nm)
+
+
+@dataclass(frozen=True)
+class HologramSearch:
+    """Cells of the unit of a picture, its lamp and process, and its search.
+
+    Attributes:
+        cells: cells of the unit along each axis, 32 to 1024.
+        coherence_um: coherence length of the source, µm; half of the unit's side if not given: 128 is 0.25°.
+        reach: largest ``|h_x|`` and ``|h_y|`` of the picture.
+        blur_um: standard deviation by which the process blurs the heights of the cells, µm; 0: sharp steps.
+        displayed: in colour by least squares of what a display shows, in place of ΔE2000 and SSIM.
+        search_steps: steps of the search by gradients.
+        over_etch_percent: error of all depths to judge as well, −20 to 20 %.
+        seed: seed of start and wavelengths.
+
+    Raises:
+        ModelError: a value outside its range.
+    """
+
+    cells: int = 512
+    coherence_um: float | None = None
+    reach: float = 0.06
+    blur_um: float = 0.0
+    displayed: bool = False
+    search_steps: int = 400
+    over_etch_percent: float = 2.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 32 <= self.cells <= 1024:
+            raise ModelError(f"--cells takes 32 to 1024, not {self.cells}")
+        if not -20.0 <= self.over_etch_percent <= 20.0:
+            raise ModelError(f"--over-etch takes −20 to 20 %, not {self.over_etch_percent:g}")
+        if not 0.0 <= self.blur_um < math.inf:
+            raise ModelError(f"--blur takes a length in µm, 0 for sharp steps, not {self.blur_um:g}")

@@ -12,7 +12,7 @@ from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
-from anisoscope.parameters.fabrication import Fabrication
+from anisoscope.parameters.fabrication import Fabrication, HologramSearch
 from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ OF_HOLOGRAM = Options(
     help={
         "wavelength_nm": "Wavelength of a grey picture, nm.",
     },
-    default=Fabrication(550.0, min_width_um=0.5),
+    default=Fabrication(550.0, min_width_um=0.5, grid_um=0.001),
     without={
         "depths_nm": "--passes-nm",
         "band_nm": "that of the picture's light",
@@ -41,6 +41,7 @@ OF_HOLOGRAM = Options(
         "coherence_um": "its default is that of the unit",
     },
 )
+OF_SEARCH = Options(HologramSearch, names={"over_etch_percent": "--over-etch"})
 
 
 @with_options(fabrication=OF_TARGET)
@@ -127,16 +128,14 @@ def _written(*paths: Path | None) -> int:
     return 0
 
 
-@with_options(fabrication=OF_HOLOGRAM)
+@with_options(fabrication=OF_HOLOGRAM, search=OF_SEARCH)
 @everyday(
     *(
         "out",
         "picture_light",
         "fabrication",
         "passes_nm",
-        "coherence",
-        "reach",
-        "search_steps",
+        "search",
         "png",
         "json_",
     )
@@ -155,20 +154,10 @@ def hologram(
     fabrication: Given[Fabrication],
     passes_nm: Annotated[
         str | None,
-        Parameter(help="Depths of 1 to 4 etch passes, nm; else parts of half a wave, in colour 40 to 320."),
+        Parameter(help="Depths of 1 to 8 etch passes, nm; else parts of half a wave, in colour 40 to 320."),
     ] = None,
-    cells: Annotated[int, Parameter(help="Cells of the unit along each axis, 64 to 1024.")] = 512,
-    coherence: Annotated[
-        float | None,
-        Parameter(
-            help="Coherence length of the source, µm; half of the unit's side if not given: 128 is 0.25°."
-        ),
-    ] = None,
-    reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y| of a target.")] = 0.06,
+    search: Given[HologramSearch],
     picture_points: Annotated[int, Parameter(help="Directions of the picture along each axis.")] = 40,
-    search_steps: Annotated[int, Parameter(help="Steps of the search by gradients.")] = 400,
-    over_etch: Annotated[float, Parameter(help="Error of all depths to judge as well, %.")] = 2.0,
-    seed: Annotated[int, Parameter(help="Seed of start and wavelengths.")] = 0,
     png: Annotated[Path | None, Parameter(help="Picture of wanted, achieved and over-etched light.")] = None,
     json_: Json = False,
 ) -> int:
@@ -195,11 +184,12 @@ def hologram(
     )
     from anisoscope.sim.design.designfile import write_layout
 
-    check_seed(seed)
+    sought = search.over(HologramSearch())
+    check_seed(sought.seed)
     check_target(png, ".png", "--png")
     check_target(out, ".npz", "--out")
     if not 16 <= picture_points <= 256:
-        raise UsageError("--cells takes 64 to 1024, --picture-points 16 to 256")
+        raise UsageError(f"--picture-points takes 16 to 256, not {picture_points}")
     lamp = None if picture_light is None else picture_lamp(picture_light, line_width)
     with progress("hologram", quiet=json_) as advance:
         found = etched_hologram(
@@ -207,19 +197,14 @@ def hologram(
             lamp=lamp,
             passes_nm=None if passes_nm is None else parse_numbers(passes_nm, "--passes-nm"),
             fabrication=fabrication.over(HOLOGRAM),
-            cells=cells,
-            coherence_um=coherence,
-            reach=reach,
-            search_steps=search_steps,
-            over_etch_percent=over_etch,
-            seed=seed,
+            search=sought,
             name=image.stem,
             on_progress=advance,
         )
     if out is not None:
         write_layout(found.layout, out)
     if png is not None:
-        draw_hologram(found, reach, png)
+        draw_hologram(found, sought.reach, png)
     if json_:
         print_json(found)
         return 0

@@ -16,7 +16,7 @@ from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.operations.design.pages import draw_panels
-from anisoscope.parameters.fabrication import Fabrication
+from anisoscope.parameters.fabrication import Fabrication, HologramSearch
 from anisoscope.sim.design.appearance import (
     Grid,
     LobeComparison,
@@ -39,7 +39,8 @@ from anisoscope.sim.proof.separation import decode_srgb
 
 POINTS = 121
 MARKS = "COL,ROW=X,Y of four marks, ;-separated"
-HOLOGRAM = Fabrication(550.0, min_width_um=0.5)
+HOLOGRAM = Fabrication(550.0, min_width_um=0.5, grid_um=0.001)  # cells are the grid
+SEARCH = HologramSearch()
 
 
 def read_image(path: Path, *, colour: bool = False, others: str = "") -> npt.NDArray[np.uint8]:
@@ -257,12 +258,7 @@ def etched_hologram(
     lamp: Illuminant | None = None,
     passes_nm: Sequence[float] | None = None,
     fabrication: Fabrication = HOLOGRAM,
-    cells: int = 512,
-    coherence_um: float | None = None,
-    reach: float = 0.06,
-    search_steps: int = 400,
-    over_etch_percent: float = 2.0,
-    seed: int = 0,
+    search: HologramSearch = SEARCH,
     name: str = "picture",
     on_progress: Advance = silent,
 ) -> Hologram:
@@ -273,14 +269,9 @@ def etched_hologram(
     Args:
         wanted: (points, points, 1 or 3) encoded sRGB from 0 to 1, rows along rising h_y (`read_wanted`).
         lamp: light of a picture in colour; None for a grey one.
-        passes_nm: depths of 1 to 4 etch passes; parts of half a wave, in colour 40 to 320 nm, where left out.
+        passes_nm: depths of 1 to 8 etch passes; parts of half a wave, in colour 40 to 320 nm, where left out.
         fabrication: wavelength of a grey picture, and side of a cell as the smallest feature.
-        cells: of the unit along each axis, 64 to 1024.
-        coherence_um: of the source; half of the unit's side where it is left out.
-        reach: largest ``|h_x|`` and ``|h_y|``.
-        search_steps: of the search by gradients.
-        over_etch_percent: error of all depths to judge as well, −20 to 20.
-        seed: of start and wavelengths.
+        search: unit, lamp, blur of the process, and the search.
         name: of the unit.
         on_progress: called along the search.
 
@@ -288,25 +279,35 @@ def etched_hologram(
         UsageError: a number outside its range.
     """
     side, wavelength = fabrication.min_width_um, fabrication.wavelength_nm
-    if not 64 <= cells <= 1024 or not 16 <= wanted.shape[0] <= 256:
-        raise UsageError("--cells takes 64 to 1024, --picture-points 16 to 256")
-    if not -20.0 <= over_etch_percent <= 20.0:
-        raise UsageError(f"--over-etch takes −20 to 20 %, not {over_etch_percent:g}")
+    if not 16 <= wanted.shape[0] <= 256:
+        raise UsageError(f"--picture-points takes 16 to 256, not {wanted.shape[0]}")
     if passes_nm is not None:
         passes = tuple(sorted(passes_nm))
     elif lamp is not None:
         passes = (40.0, 80.0, 160.0, 320.0)
     else:
         passes = tuple(wavelength / 32.0 * 2**number for number in range(4))
-    if not 1 <= len(passes) <= 4:
-        raise UsageError(f"--passes-nm takes 1 to 4 etch passes, not {len(passes)}")
+    if not 1 <= len(passes) <= 8:
+        raise UsageError(f"--passes-nm takes 1 to 8 etch passes, not {len(passes)}")
     band = BAND_NM if lamp is not None else (wavelength, wavelength)
     linear = np.asarray(decode_srgb()[np.rint(255.0 * wanted).astype(np.uint8)], dtype=np.float64)
-    coherence = 0.5 * cells * side if coherence_um is None else coherence_um
+    unit_um = search.cells * side
+    coherence = 0.5 * unit_um if search.coherence_um is None else search.coherence_um
     levels = Depths(passes, band).levels_um
-    task = PictureTask(linear, levels, lamp, 1e-3 * wavelength, cells, side, coherence, reach)
+    task = PictureTask(
+        linear,
+        levels,
+        lamp,
+        1e-3 * wavelength,
+        search.cells,
+        side,
+        coherence,
+        search.reach,
+        blur_um=search.blur_um,
+        displayed=search.displayed,
+    )
     light = HologramLight.of(task)
-    found = design_picture(task, np.random.default_rng(seed), search_steps, advance=on_progress)
+    found = design_picture(task, np.random.default_rng(search.seed), search.search_steps, advance=on_progress)
     layout = Layout(
         found.labels[None],
         np.zeros(1, dtype=np.int64),
@@ -321,14 +322,14 @@ def etched_hologram(
         layout,
         wanted,
         passes,
-        cells * side,
+        unit_um,
         found.error,
-        seed,
+        search.seed,
         light,
         tuple(found.history),
         judged(found),
-        over_etch_percent,
-        judged(found, 1.0 + 0.01 * over_etch_percent),
+        search.over_etch_percent,
+        judged(found, 1.0 + 0.01 * search.over_etch_percent),
     )
 
 

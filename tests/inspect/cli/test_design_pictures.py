@@ -4,7 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from anisoscope.operations.design.pictures import read_wanted
+from anisoscope.sim.design.depths import Depths
 from anisoscope.sim.design.designfile import read_design, read_layout
+from anisoscope.sim.design.gradient import PictureTask, design_picture
+from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.proof.separation import decode_srgb
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +63,31 @@ def test_a_spot_comes_out_as_a_hologram(hologram, folder):
     layout, _ = read_layout(folder / "unit.npz")
     assert layout.tiles.shape == (1, 64, 64)
     assert layout.dot_um == pytest.approx(32.0)
+
+
+def test_blur_and_what_a_display_shows_are_those_of_the_task(anisoscope, folder):
+    """The command designs what `design_picture` does with the same lamp, heights and blur."""
+    (folder / "even.csv").write_text("wavelength_nm,power\n380,1\n780,1\n")
+    done = anisoscope(
+        "design", "hologram", "spot.png", "--cells", 32, "--min-width", 0.8, "--coherence", 6.67, "--reach", 0.12,
+        "--passes-nm", "2,4,8,16,32,64,128,256", "--picture-light", "even.csv", "--picture-points", 16,
+        "--search-steps", 10, "--blur", 0.13, "--displayed", "--out", "cells.npz", cwd=folder,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    wanted = np.rint(255.0 * read_wanted(folder / "spot.png", 16, colour=True)).astype(np.uint8)
+    task = PictureTask(
+        np.asarray(decode_srgb()[wanted], dtype=np.float64),
+        Depths(tuple(2.0 ** np.arange(1, 9)), (400.0, 700.0)).levels_um,
+        Illuminant("even", (380.0, 780.0), (1.0, 1.0)),
+        cells=32,
+        cell_um=0.8,
+        coherence_um=6.67,
+        reach=0.12,
+        blur_um=0.13,
+        displayed=True,
+    )
+    expected = design_picture(task, np.random.default_rng(0), 10).labels
+    np.testing.assert_array_equal(read_layout(folder / "cells.npz")[0].tiles[0], expected)
 
 
 def test_the_map_of_a_hologram_is_predicted_by_every_command(hologram, anisoscope, folder):
@@ -159,9 +189,10 @@ def test_a_photographed_hologram_is_compared_with_its_unit(anisoscope, hologram,
         (["picture", "lobe.png", "--weights", "1,2"], "a weight of 0 or more for each of the 1"),
         (["picture", "lobe.png", "--out", "x.npz"], "--out writes *.toml"),
         (["hologram", "black.png"], "is black"),
-        (["hologram", "spot.png", "--cells", "8"], "--cells takes 64 to 1024"),
+        (["hologram", "spot.png", "--cells", "8"], "--cells takes 32 to 1024"),
+        (["hologram", "spot.png", "--blur", "-1"], "0 for sharp steps"),
         (["hologram", "spot.png", "--reach", "0.4"], "diffract"),
-        (["hologram", "spot.png", "--passes-nm", "1,2,3,4,5"], "1 to 4 etch passes"),
+        (["hologram", "spot.png", "--passes-nm", "1,2,3,4,5,6,7,8,9"], "1 to 8 etch passes"),
     ],
 )
 def test_mistakes_are_told_in_one_line(anisoscope, folder, command, words):

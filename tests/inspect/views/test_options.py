@@ -6,7 +6,7 @@ import pytest
 from cyclopts import App, Group
 
 from anisoscope.base.errors import ModelError, UsageError
-from anisoscope.parameters.fabrication import Fabrication
+from anisoscope.parameters.fabrication import Fabrication, HologramSearch
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.parameters.manufacture import Manufacture
@@ -20,6 +20,7 @@ from anisoscope.views.options import Given, Options, plain, with_options
 
 MODELS = (
     *(Convention, Fabrication, InputUncertainty, Manufacture, Material, Microscope, Optics, ProofView),
+    HologramSearch,
     RidgeDesign,
     Taking,
 )
