@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.inputs import USUAL_EDGE_SHARE
 from anisoscope.parameters.material import Material
@@ -114,6 +115,10 @@ def edges_of_design(
         typical = design.edge_radius_um
         step = u_share or 0.1
         low, high, u_um = typical * (1.0 - step), typical * (1.0 + step), u_share * typical
+        try:
+            replace(design, edge_radius_um=high)
+        except HeightMapError:  # more leaves no facet: the slope is that of less
+            high = typical
     per_um = (logarithm(high) - logarithm(low)) / (high - low)
     change = np.zeros_like(per_um)
     if form == "any":

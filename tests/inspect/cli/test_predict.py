@@ -120,6 +120,25 @@ def test_a_dark_pose_gives_null_not_infinity(anisoscope):
     assert done.json["contrasts"][0]["log_ratio"] is None
 
 
+def test_a_radius_with_room_for_no_more_is_predicted(anisoscope):
+    """40 ± 16 µm at a pitch of 50 µm: the uncertainty looks at smaller radii only."""
+    done = anisoscope(
+        "predict",
+        "--ridge-angle",
+        10,
+        "--pitch",
+        50,
+        "--edge-radius",
+        40,
+        "--bounces",
+        1,
+        "--angles",
+        "0,90",
+        "--json",
+    )
+    assert done.code == 0, done.err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
