@@ -41,7 +41,13 @@ OF_HOLOGRAM = Options(
         "coherence_um": "its default is that of the unit",
     },
 )
-OF_SEARCH = Options(HologramSearch, names={"over_etch_percent": "--over-etch"})
+OF_SEARCH = Options(
+    HologramSearch,
+    Group("Unit and search"),
+    flags=True,
+    names={"over_etch_percent": "--over-etch"},
+    help={"reach": "Largest |h_x| and |h_y| of a target."},
+)
 
 
 @with_options(fabrication=OF_TARGET)

@@ -145,6 +145,8 @@ OTHER_THINGS = {
     ("rig commission", InputUncertainty): "of that part, whose other inputs are sought",
     ("profile texture", InputUncertainty): "of heights that are measured: other defaults, and no prediction",
     ("profile make", Material): "roughness that is made as heights: 0 by default, which no lobe has",
+    ("design picture", HologramSearch): "of a mixture of steps, whose lamp is that of its fabrication",
+    ("design depths", HologramSearch): "no unit is searched; the seed is that of another search",
 }
 """Commands with options that only have the names of a model's fields, and why they are none of its."""
 
