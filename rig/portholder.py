@@ -7,7 +7,6 @@ process) says that the process ended without closing the port, so that what move
 """
 
 import contextlib
-import getpass
 import hashlib
 import json
 import os
@@ -22,6 +21,7 @@ from typing import Any
 
 from anisoscope.base.errors import NotConnected, RigError
 from anisoscope.base.regular_file import bounded_text
+from anisoscope.base.user_name import user_name
 
 POLL_S = 0.05
 PROC = Path("/proc")
@@ -226,20 +226,13 @@ def _folder() -> Path:
         OSError: it cannot be created, or it belongs to another user.
     """
     given = os.environ.get("XDG_RUNTIME_DIR") or os.environ.get("LOCALAPPDATA")
-    folder = Path(given or tempfile.gettempdir()) / ("anisoscope" if given else f"anisoscope-{_user()}")
+    folder = Path(given or tempfile.gettempdir()) / ("anisoscope" if given else f"anisoscope-{user_name()}")
     folder.mkdir(mode=0o700, exist_ok=True)
     if hasattr(os, "getuid"):
         status = folder.lstat()
         if status.st_uid != os.getuid() or status.st_mode & 0o022:
             raise PermissionError(f"{folder} can be written to by others")
     return folder
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (ImportError, KeyError, OSError):  # a user without a name, as in some containers
-        return "user"
 
 
 def _read(note: Path) -> Holder | None:

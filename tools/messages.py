@@ -23,6 +23,7 @@ from anisoscope.commissioning.selftest import STEPS
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.discriminating_poses import TILTS_DEG
 from anisoscope.diagnosis.ranking import bare_title
+from anisoscope.imaging.mark_classes import TEXTURE, UNKNOWN
 from anisoscope.kinds.plates.causes import FIELD_TITLES
 from anisoscope.kinds.plates.decision import NONE_NAMED
 from anisoscope.kinds.plates.kind import RULE as PLATE_RULE
@@ -206,6 +207,7 @@ FURTHER = (
     "no two measured values of the baseline follow each other: there is no moving range",
     "all values of the baseline are the same: there is nothing to draw limits from; is the number rounded?",
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
+    *("burr", "filled groove", "dust", "fibre", "weld line", TEXTURE, UNKNOWN),
     *("ridge angle +{size}", "ridge angle −{size}", "height loss {size}", "edges worn to {size}"),
     *("roughness along the ridges +{size}", "roughness across the ridges +{size}"),
     *("etched too deep by {size}", "etched too shallow by {size}"),

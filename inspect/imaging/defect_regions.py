@@ -5,6 +5,7 @@ The chance is an upper bound: on a good part every cell deviates independently w
 have (fixed polyplets; OEIS A006770). q is the tail of the map's own scatter, or the share found on good parts.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +15,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.deviation_map import CellMap
+from anisoscope.imaging.mark_classes import kinds_of_groups
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.record.schema import RegionRecord
@@ -26,6 +28,8 @@ GROWTH = 6.5  # A(n + 1)/A(n) beyond the table
 WHOLE_LINE = 0.7  # share of the region's length from which on a mark runs along the whole ridge
 ELONGATED = 3.0
 SPOT_CELLS = 6
+LEAST_WEIGHT = 0.02
+"""Weight from which on a kind of a region is recorded."""
 
 
 def deviation_map(cells: CellMap) -> FloatArray:
@@ -81,13 +85,19 @@ def find_regions(cells: CellMap, grid: Grid, chance: float | None = None) -> tup
         return ()
     middle = float(np.median(cells.score))
     q = chance_of_a_cell(cells.score, cells.limit - middle) if chance is None else chance
-    count, labels = cv2.connectedComponents(over.astype(np.uint8), connectivity=8)
+    if cells.signs is None:
+        count, labels = cv2.connectedComponents(over.astype(np.uint8), connectivity=8)
+        weights: list[dict[str, float]] = [{} for _ in range(1, count)]
+    else:
+        labels, weights = kinds_of_groups(over, cells.score, cells.limit, cells.signs)
     deviation = deviation_map(cells)
-    regions = [_region(labels == k, deviation, grid, q) for k in range(1, count)]
+    regions = [_region(labels == k, deviation, grid, q, one) for k, one in enumerate(weights, start=1)]
     return tuple(sorted(regions, key=lambda region: (region.p_value, -region.cells)))
 
 
-def _region(inside: Cells, deviation: FloatArray, grid: Grid, chance: float) -> RegionRecord:
+def _region(
+    inside: Cells, deviation: FloatArray, grid: Grid, chance: float, weights: Mapping[str, float]
+) -> RegionRecord:
     rows, cols = np.nonzero(inside)
     along, across = grid.size_mm
     step_y, step_x = along / inside.shape[0], across / inside.shape[1]
@@ -101,7 +111,8 @@ def _region(inside: Cells, deviation: FloatArray, grid: Grid, chance: float) -> 
         length=(np.ptp(rows) + 1) * step_y,
         area_share=inside.mean(),
         cells=len(rows),
-        kind=kind_of(inside),
+        kind=next(iter(weights), "") or kind_of(inside),
+        weights={name: round(one, 3) for name, one in weights.items() if one >= LEAST_WEIGHT},
         deviation=deviation[inside].mean(),
         p_value=chance_of_a_group(len(rows), inside.size, chance),
     )
@@ -162,7 +173,7 @@ def _aligned(centres: FloatArray, shape: tuple[int, ...]) -> float:
 
 
 def kind_of(inside: Cells) -> Kind:
-    """Kind of a group of cells, from its shape alone."""
+    """Kind of a group of cells from its shape alone, where the poses do not say more."""
     rows, cols = np.nonzero(inside)
     height, width = np.ptp(rows) + 1, np.ptp(cols) + 1
     if height >= WHOLE_LINE * inside.shape[0] and len(rows) >= 0.5 * height * width:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
+from anisoscope.imaging.mark_classes import MarkSigns
 from anisoscope.imaging.phase_map import phase_map, phases_of
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Image, Measured
 from anisoscope.parameters.geometry import Pose
@@ -74,6 +75,7 @@ class CellMap:
         thresholds: (pairs,) ln ratios of about which a cell deviates that deviates in one pair alone.
         u_score: standard uncertainty of a score against its limit.
         over: limit by all cells over that by the calmest part of the pitch; from `CROWDED` on marks hide each other.
+        signs: deviation in the poses, by which marks are named; None in a stored map.
     """
 
     score: FloatArray
@@ -82,6 +84,11 @@ class CellMap:
     thresholds: FloatArray
     u_score: float
     over: float = 1.0
+    signs: MarkSigns | None = None
+
+    def arrays(self) -> dict[str, FloatArray | float]:
+        """What is stored of a map: all but the signs."""
+        return {name: value for name, value in vars(self).items() if name != "signs"}
 
     def deviating(self) -> npt.NDArray[np.bool_]:
         """(cell rows, cell cols) True where a cell deviates."""
@@ -151,12 +158,15 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     def of_cells(values: Image) -> FloatArray:
         return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float64)
 
-    logs = np.log1p(points.distance(off, covariance))
+    squares = points.distance(off, covariance)
+    logs = np.log1p(squares)
     score = of_cells(logs)
     limit, spread, over = _limits(score, of_cells(logs * calm), of_cells(calm))
+    beyond = (squares > np.expm1(limit)).astype(np.float32)
     cells = np.stack([of_cells(one) for one in off])
-    pairs = consecutive_pairs(recipe.poses.poses())
-    beyond = max(np.expm1(limit) - len(pictures), 1.0)
+    poses = recipe.poses.poses()
+    pairs = consecutive_pairs(poses)
+    most = max(np.expm1(limit) - len(pictures), 1.0)
     scatter = np.maximum(1.4826 * np.median(np.abs(cells), axis=(1, 2)), LEAST_SCATTER)
     noisy = float(np.mean(np.minimum(measured.cell_noise / scatter, 1.0)))
     middles = np.median(covariance, axis=0)
@@ -164,9 +174,10 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
         score,
         limit,
         np.stack([cells[i] - cells[j] for i, j in pairs]).astype(np.float32).astype(np.float64),
-        np.array([np.sqrt(beyond * (middles[i, i] + middles[j, j] - 2.0 * middles[i, j])) for i, j in pairs]),
+        np.array([np.sqrt(most * (middles[i, i] + middles[j, j] - 2.0 * middles[i, j])) for i, j in pairs]),
         spread * float(np.hypot(noisy, 20.0 / np.sqrt(score.size))),
         over,
+        MarkSigns.of(cells, of_cells(beyond), of_cells(beyond * calm), poses),
     )
 
 

@@ -105,7 +105,7 @@ from anisoscope.record.schema import (
 )
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.record.verdict import Verdict
-from anisoscope.report.conclusion import named_regions, surface_finding
+from anisoscope.report.conclusion import Kinds, named_regions, surface_finding
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
@@ -306,7 +306,7 @@ class SurfaceKind(
             **(
                 {}
                 if recipe.area is None
-                else {f"local_{k}": v for k, v in vars(cell_map(measured, recipe)).items()}
+                else {f"local_{k}": v for k, v in cell_map(measured, recipe).arrays().items()}
             ),
         }
 
@@ -699,10 +699,16 @@ class SurfaceKind(
         lines += [f"  {one.says}{_chance_text(one)}" for one in found.readings]
         if record.verdict != "PASS":
             lines += [
-                f"{word} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: {100.0 * region.area_share:.2f} % of the area"
-                for region, word in named_regions(record, self.cause_words)[:MAX_REGIONS]
+                f"{_kinds_text(kinds)} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: "
+                f"{100.0 * region.area_share:.2f} % of the area"
+                for region, kinds in named_regions(record, self.cause_words)[:MAX_REGIONS]
             ]
         return CommandOutput(content, tuple(tables), tuple(lines))
+
+
+def _kinds_text(kinds: Kinds) -> str:
+    """Kinds of a region in a line: "scratch (70 %) or burr (20 %)"."""
+    return " or ".join(name if one is None else f"{name} ({100.0 * one:.0f} %)" for name, one in kinds)
 
 
 def _value(table: Mapping[str, Any], key: str) -> Any:  # noqa: ANN401 - what JSON holds
@@ -848,8 +854,9 @@ def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Meas
         drift=None if np.isnan(drift) else drift,
         mirroring=kept.get("mirroring"),
     )
-    if all(f"local_{one.name}" in kept for one in fields(CellMap)):
-        local = {one.name: np.asarray(kept[f"local_{one.name}"]) for one in fields(CellMap)}
+    names = [one.name for one in fields(CellMap) if one.name != "signs"]
+    if all(f"local_{name}" in kept for name in names):
+        local = {name: np.asarray(kept[f"local_{name}"]) for name in names}
         values: dict[str, Any] = {k: v.item() if v.ndim == 0 else v for k, v in local.items()}
         remember(found, CellMap(**values))
     return found

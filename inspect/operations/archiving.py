@@ -1,6 +1,5 @@
 """Finished inspections on a share or in an object store: sent, fetched, listed, held, and deleted by rules."""
 
-import getpass
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -9,6 +8,7 @@ from pathlib import Path
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.user_name import user_name
 from anisoscope.inspection import archive
 from anisoscope.inspection.archive import Archived, Due, Pushed, Rule
 from anisoscope.inspection.archive_store import Store
@@ -162,7 +162,7 @@ def retain(
     if not dry_run:
         for one in found:
             if one.held is None:
-                archive.let_go(store, one, getpass.getuser(), now)
+                archive.let_go(store, one, user_name(), now)
                 deleted.append(one.inspection.name)
         cleared = archive.clear(store, now, on_progress)
     return Retained(tuple(found), tuple(deleted), *cleared, dry_run)
@@ -186,7 +186,7 @@ def hold(store: Store, inspection: str, reason: str, *, release: bool = False) -
     """
     if not reason.strip():
         raise UsageError(f"a legal hold {'ends' if release else 'begins'} for a reason: --reason TEXT")
-    user, held = getpass.getuser(), {}
+    user, held = user_name(), {}
     for one in _some(store, inspection):
         if release:
             held[one.name] = archive.release(store, one, reason, user)

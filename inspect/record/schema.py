@@ -223,7 +223,7 @@ class RegionRecord(_Part):
     Middle, from the rotation axis, and extents in mm: x and width across the ridges, y and length along them.
     ``area_share`` is its share of the judged area, ``kind`` what it looks like, ``deviation`` the ln ratio by which its
     cells are off on average, of the pair where it shows most, and ``p_value`` the probability that a good part shows a
-    group of this size anywhere.
+    group of this size anywhere. ``weights`` are probabilities of the kinds, empty where the shape alone named it.
     """
 
     x: float
@@ -235,6 +235,7 @@ class RegionRecord(_Part):
     kind: str
     deviation: float
     p_value: float
+    weights: dict[str, float] = Field(default_factory=dict)
 
 
 class ComponentRecord(_Part):

@@ -64,11 +64,19 @@ LIKELY = 0.05
 """Probability on a good part from which on a region of a single cell is no finding."""
 
 
-def named_regions(record: Record, words: Mapping[str, CauseWords]) -> tuple[tuple[RegionRecord, str], ...]:
-    """Regions of the deviation map worth a line, with what they are.
+SECOND_KIND = 0.15
+"""Weight from which on a kind of a region is shown besides the likeliest."""
+POSSIBLE = 0.05
+"""Weight from which on a region may be of the kind that the diagnosis, which sees the whole part, names."""
+Kinds = tuple[tuple[str, float | None], ...]
+"""Kinds that a region may be of with their weights; None for one that the diagnosis or the shape names."""
+
+
+def named_regions(record: Record, words: Mapping[str, CauseWords]) -> tuple[tuple[RegionRecord, Kinds], ...]:
+    """Regions of the deviation map worth a line, with their kinds.
 
     Single cells that good parts show as well are left out. Where the area fails, the largest come first. A region is
-    called by the cause that the diagnosis names, where that leaves regions, and otherwise by its shape.
+    called by the cause that the diagnosis names, where that leaves regions and is among its own kinds.
     """
     details = surface_of(record)
     found = [one for one in details.regions if one.cells > 1 or one.p_value < LIKELY]
@@ -76,7 +84,14 @@ def named_regions(record: Record, words: Mapping[str, CauseWords]) -> tuple[tupl
         found.sort(key=lambda one: -one.cells)
     named = _named(record, words)
     word = named[0].words.region if len(named) == 1 else ""
-    return tuple((one, word or one.kind) for one in found)
+    return tuple((one, _kinds(one, word)) for one in found)
+
+
+def _kinds(region: RegionRecord, word: str) -> Kinds:
+    if not region.weights or region.weights.get(word, 0.0) >= POSSIBLE:
+        return ((word or region.kind, None),)
+    most = max(region.weights.values())
+    return tuple((name, one) for name, one in region.weights.items() if one >= min(SECOND_KIND, most))
 
 
 def surface_finding(record: Record) -> str:

@@ -9,6 +9,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
+from anisoscope.base.user_name import user_name
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import write_line
@@ -46,7 +47,7 @@ def add(
             raise UsageError("the two passwords differ")
     else:
         password = "" if sys.stdin is None else sys.stdin.readline().rstrip("\r\n")
-    trail, who = trail_of(users), getpass.getuser()
+    trail, who = trail_of(users), user_name()
     accounts.put(name, role, password, lambda: trail.add(who, "account set", why, name=name, role=role))
     write_line(message("{name} may log in as {role}", name=name, role=role))
     return 0
@@ -63,7 +64,7 @@ def remove(name: Name, /, *, users: File, why: Why = "") -> int:
     from anisoscope.console.trail import trail_of
 
     accounts = Accounts(users)
-    trail, who = trail_of(users), getpass.getuser()
+    trail, who = trail_of(users), user_name()
     accounts.remove(name, lambda: trail.add(who, "account removed", why, name=name))
     return 0
 
@@ -92,7 +93,7 @@ def _set_lock(name: str, users: Path, why: str, *, locked: bool) -> int:
     from anisoscope.console.accounts import Accounts
     from anisoscope.console.trail import trail_of
 
-    trail, who = trail_of(users), getpass.getuser()
+    trail, who = trail_of(users), user_name()
     record = lambda: trail.add(who, "account changed", why, name=name, locked=locked)  # noqa: E731
     Accounts(users).change(name, record, locked=locked)
     return 0

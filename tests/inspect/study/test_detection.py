@@ -222,6 +222,7 @@ def test_curves_of_a_world_pass_through_its_classes(tmp_path, monkeypatch):
     assert not found["colour"].any()
 
 
+@pytest.mark.statistics
 def test_a_quick_shine_is_the_exact_one():
     changed = replace(WHOLE, alpha_along=0.9 * WHOLE.alpha_along, alpha_across=1.2 * WHOLE.alpha_across)
     surface = Relief(ridges(RidgeDesign(PITCH_UM, 10.0), (2, 401), (4.0, 0.5)), PITCH_UM)
@@ -501,6 +502,7 @@ def test_one_ridge_in_twenty_five_is_missing_in_every_part(tmp_path, rng):
 # judges --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.statistics
 def test_the_judge_against_the_prediction_is_that_of_inspect(rng):
     recipe = recipe_of("standard", SMALL, calibration_of("same", 1).file)
     expected = expectation(recipe, LIGHT_DEG)
@@ -602,6 +604,7 @@ def test_verdicts_are_those_of_inspections(rule, rng):
             assert ours.excludes(one.defect.name) == one.excluded
 
 
+@pytest.mark.statistics
 def test_parts_of_lots_are_judged_by_the_others(rng):
     judge = judge_of("same", drawn_columns(rng), "standard", SMALL, 1)
     found = by_lots(judge)
@@ -675,6 +678,7 @@ def studied(made_once):
     return planned(shared), json.loads((shared / "told.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.statistics
 def test_the_numbers_of_a_study_fit_together(studied):
     _, told = studied
     assert json.loads(json.dumps(told, allow_nan=False)) == told
@@ -693,6 +697,7 @@ def test_the_numbers_of_a_study_fit_together(studied):
     )  # −1° is not of exactly the size of interest
 
 
+@pytest.mark.statistics
 def test_a_diagnosis_names_causes_among_those_asked_for(studied):
     plan, _ = studied
     with pytest.MonkeyPatch.context() as patch:
@@ -704,6 +709,7 @@ def test_a_diagnosis_names_causes_among_those_asked_for(studied):
     assert found["classes"][0]["separable"]["of"] > 0
 
 
+@pytest.mark.statistics
 def test_parts_of_a_rig_are_photographed_in_the_poses_of_all_recipes(studied):
     plan, _ = studied
     with pytest.MonkeyPatch.context() as patch:
@@ -723,6 +729,7 @@ def test_parts_of_a_rig_are_photographed_in_the_poses_of_all_recipes(studied):
     assert np.nanmedian(np.abs(seen["error"])) < 0.02
 
 
+@pytest.mark.statistics
 def test_a_study_goes_on_where_it_stopped_and_a_larger_one_uses_it(studied):
     plan, _ = studied
     with pytest.MonkeyPatch.context() as patch:
@@ -750,6 +757,7 @@ RENDERED = {
 }  # fmt: skip
 
 
+@pytest.mark.statistics
 def test_the_page_of_the_documents_is_written_from_the_numbers(studied, tmp_path):
     _, told = studied
     told["rendered"] = [RENDERED]

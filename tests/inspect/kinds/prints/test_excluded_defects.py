@@ -106,6 +106,7 @@ def test_a_good_print_excludes_every_defect(strict):
     assert decided.reasons[-1].startswith("excluded with 95% confidence: flakes less flat by ")
 
 
+@pytest.mark.statistics
 def test_a_print_with_exactly_the_size_of_interest_seldom_excludes_it(strict):
     recipe, expected = strict
     rng, wrong = np.random.default_rng(3), 0

@@ -99,6 +99,7 @@ def wrongly_excluded(expected, defect, count, rng):
     )
 
 
+@pytest.mark.statistics
 def test_wafers_with_exactly_the_size_of_interest_seldom_exclude_it(expected):
     rng = np.random.default_rng(4)
     wrong = sum(wrongly_excluded(expected, one, 2, rng) for one in expected.states.defects)

@@ -179,14 +179,12 @@ def test_scattered_light_is_called_so_and_records_of_before_compute_again(inspec
     assert verify(folder).intact
 
 
-def test_a_wafer_computes_again_to_the_same_numbers_and_every_change_shows(inspected, tmp_path):
+def test_every_change_of_a_wafers_folder_shows(inspected, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(inspected("good").folder, folder)
-    again = recompute(folder)
-    assert (again.differences, again.verdict) == ((), "PASS")
     kept = verify(folder)
     assert (kept.finished, kept.changed, kept.missing) == (True, (), ())
-    copies = [one.name for one in again.recorded.inputs]
+    copies = [one.name for one in inspected("good").record.inputs]
     assert any(name.endswith("tile.npz") for name in copies)
     (tile,) = (folder / name for name in copies if name.endswith("tile.npz"))
     tile.write_bytes(tile.read_bytes() + b" ")
