@@ -67,7 +67,9 @@ def read_lines(table: Path) -> tuple[list[Line], tuple[str, ...]]:
             f"there is no {table.name} in it, which lists the frames; `anisoscope inspect --frames {table.parent} "
             "--init` begins one"
         )
-        raise RecordError(f"{table.parent}: {what if there else 'there is no such folder of frames'}") from None
+        raise RecordError(
+            f"{table.parent}: {what if there else 'there is no such folder of frames'}"
+        ) from None
     except UnicodeDecodeError:
         raise RecordError(f"{table}: not a text file in UTF-8; save it as 'CSV UTF-8'") from None
     except OSError as problem:

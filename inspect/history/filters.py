@@ -45,7 +45,7 @@ class Filters:
 
 
 class _EitherError(ValueError):
-    """A date with strokes whose day and month can be told apart by nobody: its two meanings."""
+    """Both meanings of a date with strokes whose day and month are ambiguous."""
 
 
 MONTHS = 12

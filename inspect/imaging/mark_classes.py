@@ -159,13 +159,15 @@ class MarkClasses:
         likelihood = self.temper * np.stack(logs, axis=1)
         likelihood = np.exp(likelihood - likelihood.max(axis=1, keepdims=True))
         prior = np.append(np.full(len(self.names), (1.0 - self.unknown) / len(self.names)), self.unknown)
-        shares = prior
+        rows = self._shared(likelihood, prior)
         for _ in range(ROUNDS):
-            rows = likelihood * shares
-            rows /= rows.sum(axis=1, keepdims=True)
-            shares = ALIKE * len(prior) * prior + rows.sum(axis=0)
-            shares /= shares.sum()
-        return np.asarray(rows)
+            rows = self._shared(likelihood, ALIKE * len(prior) * prior + rows.sum(axis=0))
+        return rows
+
+    @staticmethod
+    def _shared(likelihood: FloatArray, prior: FloatArray) -> FloatArray:
+        rows = likelihood * prior
+        return np.asarray(rows / rows.sum(axis=1, keepdims=True))
 
     def _scale(self, number: int, known: npt.NDArray[np.bool_]) -> FloatArray:
         return np.asarray(self.covariances[number][np.ix_(known, known)] * (DEGREES - 2.0) / DEGREES)

@@ -53,6 +53,7 @@ GUARDED = {
     ("sim/bench/serve.py", "pty"): "imported when a pseudo terminal is asked for; its absence is a RigError",
     ("sim/bench/serve.py", "tty"): "likewise",
     ("sim/bench/serve.py", "os.ttyname"): "likewise",
+    ("inspect/base/user_name.py", "os.getuid"): "where it is missing, a user without a name is called user",
     ("inspect/base/lock.py", "fcntl"): "where it is missing, Windows' msvcrt locks",
     (
         "inspect/cli/rig/live.py",
