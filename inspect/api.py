@@ -150,7 +150,7 @@ if TYPE_CHECKING:
     from anisoscope.experiment.findings_map import findings_maps as findings_map
     from anisoscope.ink.fitting import InkFit
     from anisoscope.operations.detecting import detection_of_masters, detection_of_parts
-    from anisoscope.operations.inks import compare_inks, fit_ink
+    from anisoscope.operations.inks import calibrate_ink, compare_inks, fit_ink
     from anisoscope.operations.map_series import map_values, measure_maps, write_map_table
     from anisoscope.operations.proofing import halftone, soft_proof
     from anisoscope.parameters.proof import ProofView
@@ -332,6 +332,7 @@ _HOME = {
     "detection_of_parts": "anisoscope.operations.detecting",
     "StudyPage": "anisoscope.report.study_page",
     "fit_ink": "anisoscope.operations.inks",
+    "calibrate_ink": "anisoscope.operations.inks",
     "compare_inks": "anisoscope.operations.inks",
     "InkFit": "anisoscope.ink.fitting",
     "halftone": "anisoscope.operations.proofing",
@@ -410,6 +411,7 @@ __all__ = [
     "bundle",
     "calibrate_dark",
     "calibrate_flat",
+    "calibrate_ink",
     "calibrate_linearity",
     "calibrate_response",
     "calibrate_rotation",

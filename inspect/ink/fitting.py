@@ -455,14 +455,14 @@ _BIN_DEG = 5.0
 _THIRDS = 3
 
 
-def left_by_angle(grid: Grid, residual: FloatArray) -> tuple[tuple[float, ...], ...]:
+def left_by_angle(half_deg: FloatArray, residual: FloatArray) -> tuple[tuple[float, ...], ...]:
     """The misfit of `InkUncertainty`, in its order: what the fit leaves in steps of 5°, less the scatter of places.
 
     Args:
-        grid: places and wavelengths.
-        residual: (G, W) ln measured − ln fitted, NaN without a reading.
+        half_deg: (G,) half angles of the places.
+        residual: (G, W) ln measured − ln fitted, wavelengths rising, NaN without a reading.
     """
-    near = np.rint(grid.half_deg / _BIN_DEG).astype(int)
+    near = np.rint(half_deg / _BIN_DEG).astype(int)
     parts = np.array_split(residual, min(_THIRDS, residual.shape[1]), axis=1)
     counts = [np.isfinite(one).sum(axis=1, keepdims=True) for one in (residual, *parts)]
     whole, *thirds = (
@@ -598,7 +598,43 @@ class InkFit:
         alpha, level, c = shares
         several = np.hypot([alpha, level, level / np.sqrt(_BANDS), c, 0.0], SCATTER)
         alpha, level, colour, c, lobe = (float(f"{min(one, 1.0):.2g}") for one in several)
-        return InkUncertainty(alpha, level, colour, c, lobe, *left_by_angle(self.grid, self.residual))
+        return InkUncertainty(
+            alpha, level, colour, c, lobe, *left_by_angle(self.grid.half_deg, self.residual)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RigInk:
+    """Ink from a rig, and how well it describes the print that it was made of.
+
+    Attributes:
+        ink: with its uncertainty; ρ is a BRDF.
+        film_nm: n·d of the film whose spectrum it has.
+        tilt_deg: by how much the flakes of that print lean toward +x and +y; no part of the ink.
+        poses: number of poses.
+        rms: of ln of all channels that the ink leaves.
+        bright: the same in the poses of the smallest half angle.
+    """
+
+    ink: Ink
+    film_nm: float
+    tilt_deg: tuple[float, float]
+    poses: int
+    rms: float
+    bright: float
+
+    def lines(self) -> tuple[str, ...]:
+        """What was found, in words."""
+        ink, known = self.ink, self.ink.uncertainty
+        assert known is not None
+        across = "" if ink.alpha_y is None else f" along {ink.brush_deg:g}°, {ink.alpha_y:.4f} across"
+        u = f"u {100.0 * known.alpha_share:.2g} %"
+        lobe = f"{ink.name}: alpha {ink.alpha:.4f}{across} ({u}), tail {ink.distribution}"
+        film = f"spectrum and c of a film of {self.film_nm:g} nm (n·d), because a rig does not see them"
+        left = (
+            f"{100.0 * self.bright:.2g} % rms where the print is brightest, {100.0 * self.rms:.2g} % in all"
+        )
+        return (f"{lobe}; {film}", f"{self.poses} poses: left {left}")
 
 
 def fit(

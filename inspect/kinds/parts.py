@@ -17,6 +17,7 @@ from anisoscope.base.progress import Advance
 from anisoscope.decision.equipment import Equipment
 from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet, ReferenceSet, golden_path
 from anisoscope.imaging.deviation_map import CellMap
+from anisoscope.ink.fitting import RigInk
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.recipe.base import RecipeBase
@@ -290,6 +291,23 @@ def beginning(kind: Named) -> Beginning:
     if not isinstance(kind, Beginning):
         raise UsageError(f"there is no recipe of {kind.one} to begin with")
     return kind
+
+
+class Inked(ABC):
+    """Ink files from inspections of good parts."""
+
+    @abstractmethod
+    def ink_of(self, inspections: Sequence[tuple[str, Record, OfKind, RigFile]], name: str) -> RigInk:
+        """The ink of good parts of one ink, photographed alike.
+
+        Args:
+            inspections: folder, record, recipe and rig of each.
+            name: of the ink.
+
+        Raises:
+            UsageError: too few poses, or parts that were not photographed alike.
+            CalibrationError, MeasurementError: there is no lobe, or its width is not determined.
+        """
 
 
 class Teaching(ABC):

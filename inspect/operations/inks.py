@@ -1,4 +1,4 @@
-"""Inks fitted to goniometer readings, and models of an ink against pictures rendered from readings."""
+"""Inks fitted to goniometer readings or to prints on a rig, and models of an ink against pictures from readings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from anisoscope.base.atomic_write import write_bytes
-from anisoscope.base.errors import ModelError, UsageError
+from anisoscope.base.errors import CalibrationError, ModelError, UsageError
 from anisoscope.base.json_fields import in_json
 from anisoscope.base.progress import Advance, silent
-from anisoscope.ink.fitting import InkFit, Method, fit
+from anisoscope.ink.fitting import InkFit, Method, RigInk, fit
 from anisoscope.ink.goniometer import Readings, Values, White, read_correction, read_goniometer, to_brdf
+from anisoscope.inspection.manifest import reopen
+from anisoscope.kinds.parts import Inked
+from anisoscope.record.schema import read_record
 from anisoscope.sim.light.ink.ink import SPECTRALON
 from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
 from anisoscope.sim.materials.spectra import find_illuminant
@@ -79,6 +82,31 @@ def fit_ink(
         data, values, reflectance=reflectance, white_table=white_table, white_readings=white_readings
     )
     return fit(readings, method, noise=u_reading, floor=floor)
+
+
+def calibrate_ink(folders: Sequence[Path | str], name: str) -> RigInk:
+    """Ink of good prints, from their inspections on a rig; the recipe's ink does not matter.
+
+    Args:
+        folders: finished inspections of prints of the same ink, poses, lamp and camera; their mean counts.
+        name: of the ink.
+
+    Raises:
+        UsageError: no folder, too few poses, or prints that were not photographed alike.
+        CalibrationError: an inspection of something else, or of a sheet without ink.
+        MeasurementError: the width of the lobe is not determined.
+        RecordError: a folder holds no finished inspection, or no copies of its files.
+    """
+    found, kinds = [], []
+    for folder in map(Path, folders):
+        record, (_, job) = read_record(folder), reopen(folder)
+        if not isinstance(job.kind, Inked):
+            raise CalibrationError(f"{folder}: an inspection of {job.kind.one}, which has no ink")
+        kinds.append(job.kind)
+        found.append((str(folder), record, job.recipe, job.rig))
+    if not kinds:
+        raise UsageError("name the folders of one or more finished inspections of good prints")
+    return kinds[0].ink_of(found, name)
 
 
 @dataclass(frozen=True, eq=False)

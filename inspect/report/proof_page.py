@@ -13,6 +13,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.report.page import packed, scripted, write_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.light.ink.distributions import tail_of
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import MODELS, Model
 from anisoscope.sim.light.ink.table import ENTRIES, ink_table
@@ -110,7 +111,7 @@ def write_proof_page(proof: Proof, path: Path) -> None:
     if not 1 <= len(proof.inks) <= 3 * min(len(proof.halftone_pngs), len(proof.tones_pngs)):
         raise UsageError(f"a proof of {len(proof.inks)} inks needs a picture for every three of them")
     for ink in proof.inks:
-        if ink.distribution != "ggx":
+        if tail_of(ink.distribution) != 1.0:
             raise UsageError(
                 f"{ink.name}: the page draws the distribution 'ggx', not {ink.distribution!r}: use --png"
             )

@@ -14,6 +14,7 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.csv_table import read_table
 from anisoscope.base.errors import ConfigError, ModelError, UsageError
 from anisoscope.base.toml_file import Part, Positive, read_toml_model
+from anisoscope.sim.light.ink.distributions import Distribution
 from anisoscope.sim.light.ink.ink import SPECTRALON, Ink, InkUncertainty, Scale
 
 COLUMNS = ("wavelength_nm", "rho", "c")
@@ -41,7 +42,7 @@ class InkFile(Part):
     source: str = ""
     convention: Scale
     white: Annotated[float, Field(gt=0.0, le=1.1)] = SPECTRALON
-    distribution: Literal["ggx", "beckmann"] = "ggx"
+    distribution: Distribution = "ggx"
     alpha: Alpha | None = None
     alpha_x: Alpha | None = None
     alpha_y: Alpha | None = None

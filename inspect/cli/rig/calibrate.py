@@ -9,8 +9,9 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.printable import check_printable
 from anisoscope.cli.help_page import MORE, everyday
-from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.ink.options import OverwriteOption
+from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.options import Json, check_new, check_suffix, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import RigPath, Yes, ask_to_turn, asked_to_seat_fixture
 from anisoscope.cli.tables import print_lines, print_table
@@ -554,6 +555,38 @@ def _show_material(file: "MaterialFile", out: Path) -> None:
     until = "" if file.validity.until is None else f", until {file.validity.until:%Y-%m-%d}"
     lines.append(f"{out}: holds for half angles of {low:.1f}° to {high:.1f}°{until}")
     print_lines(*lines)
+
+
+@app.command
+def ink(
+    *inspections: Path,
+    out: Annotated[Path, Parameter(help="Ink file *.toml to write.")],
+    name: Annotated[str | None, Parameter(help="Name of the ink; else that of the file.")] = None,
+    overwrite: OverwriteOption = False,
+    json_: Json = False,
+) -> int:
+    """Make the ink file of good prints from their inspections: no goniometer is needed.
+
+    Inspect the prints with any ink of the package in the recipe, at 21 poses or more; then name the new file there.
+
+    Args:
+        inspections: Folders of finished inspections of good prints.
+
+    Examples:
+        anisoscope calibrate ink inspections/P-1-20260101T080000Z --out mine.toml
+    """
+    from anisoscope.operations.inks import calibrate_ink
+    from anisoscope.sim.materials.inks import write_ink
+
+    check_suffix(out, "--out", ".toml")
+    check_new((out,), overwrite=overwrite)
+    found = calibrate_ink(inspections, name or out.stem)
+    write_ink(found.ink, out)
+    if json_:
+        print_json({"file": str(out)} | fields_of(found))
+    else:
+        print_lines(*found.lines(), f"{out}: written")
+    return 0
 
 
 @app.command(name="list")

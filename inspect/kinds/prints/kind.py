@@ -15,9 +15,19 @@ from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, check_light, check_view
 from anisoscope.imaging.quality_gates import beyond_part, check_views
 from anisoscope.imaging.views import most_changed
+from anisoscope.ink.fitting import RigInk
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.kind import Explanation, Kind, Results, Sitting
-from anisoscope.kinds.parts import Beginning, Checking, Reference, References, Reporting, Teaching, usable
+from anisoscope.kinds.parts import (
+    Beginning,
+    Checking,
+    Inked,
+    Reference,
+    References,
+    Reporting,
+    Teaching,
+    usable,
+)
 from anisoscope.kinds.prints.causes import PRINT_WORDS, explain_print
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print, nothing_wrong, print_results
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -65,6 +75,7 @@ class Prints(
     Teaching,
     Checking,
     Reporting,
+    Inked,
 ):
     """Prints: colours of the poses, the lobe of the flakes, and the map of local differences."""
 
@@ -241,6 +252,12 @@ class Prints(
 
         write_new_recipe(out, requested)
         return "[print], [acquisition] and [region]"
+
+    def ink_of(self, inspections: Sequence[tuple[str, Record, PrintRecipe, RigFile]], name: str) -> RigInk:
+        """The ink of good prints."""
+        from anisoscope.kinds.prints.rig_ink import ink_of_inspections
+
+        return ink_of_inspections(inspections, name)
 
     def taught_limits(
         self, record: Record, recipe: PrintRecipe, reference: Reference | None, rig: RigFile

@@ -12,8 +12,10 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.material import SHORTEST_TAIL
 from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.ink.angles import half_vector, shift
+from anisoscope.sim.light.ink.distributions import tail_of
 from anisoscope.sim.light.ink.ink import Ink
 
 _STEP = 1e-4
@@ -31,7 +33,7 @@ class State:
         skew: change of ln(α at 135°/α at 45°).
         tilt_x_deg, tilt_y_deg: by how much the flakes lean toward +x and +y.
         red, green, blue: change of ln of the ink's level in each colour channel.
-        lobe: 0 the ink's distribution of normals, 1 the other one of GGX and Beckmann, between them the geometric mean.
+        lobe: 0 the ink's distribution of normals, 1 the farther of GGX and Beckmann, between them the geometric mean.
         c: added to c at all wavelengths.
         shift_nm: by how much the ink's spectra lie at longer wavelengths.
         missing: share of the ink that is missing; the substrate shows instead.
@@ -187,8 +189,9 @@ def _density(ink: Ink, half: FloatArray, state: State, lobe: float) -> FloatArra
     """(…) D/4 at (…, 3) half vectors as flakes that do not lean see them."""
     z, matrix = half[..., 2], roughness_matrix(ink, state)
     q = squared_slopes(half, matrix)
-    ggx, beckmann = -2.0 * np.log1p(q), -q
-    own, other = (ggx, beckmann) if ink.distribution == "ggx" else (beckmann, ggx)
+    tail = tail_of(ink.distribution)
+    own = -(1.0 + 1.0 / tail) * np.log1p(tail * q) if tail >= SHORTEST_TAIL else -q
+    other = -q if tail > 0.5 else -2.0 * np.log1p(q)
     shape = np.exp(np.clip((1.0 - lobe) * own + lobe * other, -_FAINTEST, _FAINTEST))
     return np.asarray(shape / (4.0 * np.pi * np.sqrt(np.linalg.det(matrix)) * z**4))
 

@@ -1,17 +1,28 @@
 """How the normals of an ink's flakes are distributed, and how flakes hide one another.
 
-The paper's distribution (Pranovich 2024, Eq. 3) is Trowbridge-Reitz, alias GGX; Beckmann's is the other choice. Both
-may be anisotropic, as brushing makes them. Forms and Smith's Λ: Walter 2007; Heitz 2014, Eqs. 71, 72, 85 and 86.
+The paper's distribution (Pranovich 2024, Eq. 3) is Trowbridge-Reitz, alias GGX; Beckmann's is another. Both belong to
+the family of `anisoscope.sim.light.material`, with a tail of 1 and of 0. Any may be anisotropic, as brushing makes
+them. Forms and Smith's Λ: Walter 2007; Heitz 2014, Eqs. 71 and 85.
 """
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.material import LONGEST_TAIL, SHORTEST_TAIL, Material
+from anisoscope.sim.light.material import slope_density
+from anisoscope.sim.light.material import smith_lambda as hidden_lambda
 
-Distribution = Literal["ggx", "beckmann"]
-DISTRIBUTIONS: tuple[Distribution, ...] = ("ggx", "beckmann")
+Distribution = Literal["ggx", "beckmann"] | Annotated[float, Field(ge=0.0, le=LONGEST_TAIL)]
+"""By name, or by its tail."""
+_TAILS: dict[Distribution, float] = {"ggx": 1.0, "beckmann": 0.0}
+
+
+def tail_of(kind: Distribution) -> float:
+    """Tail of a distribution: 0 Beckmann's, 1 GGX."""
+    return float(_TAILS.get(kind, kind))
 
 
 def density(half: FloatArray, alpha_x: float, alpha_y: float, kind: Distribution = "ggx") -> FloatArray:
@@ -20,11 +31,9 @@ def density(half: FloatArray, alpha_x: float, alpha_y: float, kind: Distribution
     ∫ D cosθ dω = 1 over the upper hemisphere.
     """
     x, y, z = np.moveaxis(np.asarray(half, dtype=np.float64), -1, 0)
-    spread = (x / alpha_x) ** 2 + (y / alpha_y) ** 2
     up = np.maximum(z, 1e-12)
-    peak = 1.0 / (np.pi * alpha_x * alpha_y)
-    shape = 1.0 / (spread + up**2) ** 2 if kind == "ggx" else np.exp(-spread / up**2) / up**4
-    return np.where(z > 0.0, peak * shape, 0.0)
+    shape = slope_density(((x / alpha_x) ** 2 + (y / alpha_y) ** 2) / up**2, Material(tail=tail_of(kind)))
+    return np.where(z > 0.0, shape / (np.pi * alpha_x * alpha_y * up**4), 0.0)
 
 
 def smith_lambda(
@@ -32,13 +41,7 @@ def smith_lambda(
 ) -> FloatArray:
     """Smith's Λ at (…, 3) unit vectors above the surface, in the frame of the brushing."""
     x, y, z = np.moveaxis(np.asarray(direction, dtype=np.float64), -1, 0)
-    slant = np.hypot(alpha_x * x, alpha_y * y) / np.maximum(z, 1e-12)
-    if kind == "ggx":
-        return np.asarray(0.5 * (np.sqrt(1.0 + slant**2) - 1.0))
-    from scipy.special import erfc  # noqa: PLC0415 - loads in half a second
-
-    a = 1.0 / np.maximum(slant, 1e-6)
-    return np.asarray(np.maximum(0.5 * (np.exp(-(a**2)) / (a * np.sqrt(np.pi)) - erfc(a)), 0.0))
+    return hidden_lambda(np.hypot(alpha_x * x, alpha_y * y) / np.maximum(z, 1e-12), tail_of(kind))
 
 
 def masking(
@@ -56,6 +59,7 @@ def normals_by_share(
 
     Equal steps in share and azimuth carry equal weight, also where the lobe is anisotropic.
     """
-    slope = np.sqrt(share / (1.0 - share)) if kind == "ggx" else np.sqrt(-np.log1p(-share))
+    tail, rarer = tail_of(kind), -np.log1p(-share)
+    slope = np.sqrt(rarer if tail < SHORTEST_TAIL else np.expm1(tail * rarer) / tail)
     x, y = alpha_x * slope * np.cos(azimuth), alpha_y * slope * np.sin(azimuth)
     return np.stack([x, y, np.ones_like(x)], axis=-1) / np.sqrt(1.0 + x**2 + y**2)[..., None]

@@ -8,7 +8,8 @@ from pydantic import Field
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.ink.distributions import DISTRIBUTIONS, Distribution
+from anisoscope.parameters.material import LONGEST_TAIL
+from anisoscope.sim.light.ink.distributions import Distribution, tail_of
 
 Scale = Literal["brdf", "factor"]
 
@@ -71,7 +72,7 @@ class Ink:
         white: reflectance of the white reference, for "factor".
         alpha_y: roughness across the brushing; None for an isotropic print.
         brush_deg: direction along which ``alpha`` holds, counter-clockwise from +x of the surface.
-        distribution: of the flakes' normals; "ggx" is the paper's (Eq. 3).
+        distribution: of the flakes' normals, "ggx" (the paper's, Eq. 3), "beckmann", or a tail (0 Beckmann's, 1 GGX).
         uncertainty: how well all this is known; None where nobody says.
 
     Raises:
@@ -99,9 +100,13 @@ class Ink:
             raise ModelError(
                 f"the reflectance of the white reference must lie in 0 to 1.1, not {self.white:g}"
             )
-        if self.distribution not in DISTRIBUTIONS:
+        if isinstance(self.distribution, str) and self.distribution not in ("ggx", "beckmann"):
             raise ModelError(
-                f"no distribution is named {self.distribution!r}; known: {', '.join(DISTRIBUTIONS)}"
+                f"no distribution is named {self.distribution!r}; known: ggx, beckmann, or a tail"
+            )
+        if not 0.0 <= tail_of(self.distribution) <= LONGEST_TAIL:
+            raise ModelError(
+                f"the tail of the lobe must lie between 0 and {LONGEST_TAIL:g}, not {self.distribution}"
             )
         if self.convention not in ("brdf", "factor"):
             raise ModelError(f"the scale of rho is 'brdf' or 'factor', not {self.convention!r}")

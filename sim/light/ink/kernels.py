@@ -27,22 +27,28 @@ SCRATCH = 10
 
 
 @jit_kernel(inline="always", fastmath=True)
-def _smith(slant: float, beckmann: bool) -> float:
-    """Smith's Λ for a squared slant (α tanθ)²."""
-    if not beckmann:
-        return HALF * (math.sqrt(ONE + slant) - ONE)
+def _smith(slant: float, tail: float) -> float:
+    """Smith's Λ for a squared slant (α tanθ)², between Beckmann's and that of GGX linear in the tail."""
+    ggx = HALF * (math.sqrt(ONE + slant) - ONE)
+    if tail == ONE:
+        return ggx
     if slant < FAINT:
         return ZERO
     a = ONE / math.sqrt(slant)
-    return max(ZERO, 0.5 * (math.exp(-a * a) / (a * math.sqrt(math.pi)) - math.erfc(a)))
+    gauss = max(ZERO, 0.5 * (math.exp(-a * a) / (a * math.sqrt(math.pi)) - math.erfc(a)))
+    return gauss + tail * (ggx - gauss)
 
 
 @jit_kernel(inline="always", fastmath=True)
-def _density(spread: float, up: float, area: float, beckmann: bool) -> float:
+def _density(spread: float, up: float, area: float, tail: float) -> float:
     """D from the spread (x/α_x)² + (y/α_y)² of the half vector, its height, and α_x·α_y."""
     square = up * up
-    if beckmann:
-        return math.exp(-spread / square) / (PI * area * square * square)
+    if tail != ONE:
+        x = spread / square
+        if tail > FAINT:
+            some = max(tail, FAINT)  # fast arithmetic divides before it asks
+            x = (ONE + ONE / some) * math.log(ONE + some * x)
+        return math.exp(-x) / (PI * area * square * square)
     total = spread + square
     return ONE / (PI * area * total * total)
 
@@ -107,7 +113,7 @@ def _any_lobe(
     work: Float32, tangent: Float32, beam: Float32, camera: Vector, lobe: Float32, standard: bool
 ) -> None:
     """E/4·D·cosθi, or E/4·D·G/cosθo for a standard model, of any lobe; 0 where the surface turns away."""
-    ax, ay, beckmann, turned = lobe[0], lobe[1], lobe[4] > ZERO, lobe[5] > ZERO
+    ax, ay, tail, turned = lobe[0], lobe[1], lobe[4], lobe[5] > ZERO
     for c in range(work.shape[1]):
         work[6, c] = ZERO
         cos_o, cos_i = min(work[3, c], ONE), min(work[4, c], ONE)
@@ -122,11 +128,11 @@ def _any_lobe(
             spread = (cx * cx + cy * cy + cz * cz) / (ax * ax)
             slant_i, slant_o = ax * ax * (ONE - cos_i * cos_i), ax * ax * (ONE - cos_o * cos_o)
         up = x * beam[3] + y * beam[4] + z * beam[5]
-        value = beam[6] * _density(spread, up, ax * ay, beckmann)
+        value = beam[6] * _density(spread, up, ax * ay, tail)
         if standard:
             lit, seen = (
-                _smith(slant_i / (cos_i * cos_i), beckmann),
-                _smith(slant_o / (cos_o * cos_o), beckmann),
+                _smith(slant_i / (cos_i * cos_i), tail),
+                _smith(slant_o / (cos_o * cos_o), tail),
             )
             work[6, c] = value / (cos_o * (ONE + lit + seen))
         else:
@@ -241,7 +247,7 @@ def shade(
             k = 0
             while k < lobes.shape[0]:
                 after = _run_end(lobes, k)
-                if standard or lobes[k, 4] > ZERO or lobes[k, 5] > ZERO:
+                if standard or lobes[k, 4] != ONE or lobes[k, 5] > ZERO:
                     _any_lobe(work, tangent[r], beams[n], camera, lobes[k], standard)
                 else:
                     _plain_lobe(work, beams[n], lobes[k, 0])

@@ -17,7 +17,7 @@ from anisoscope.sim.light.colour.illuminant import Illuminant, standard
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import linear_srgb
 from anisoscope.sim.light.ink import tio2
-from anisoscope.sim.light.ink.distributions import density, masking
+from anisoscope.sim.light.ink.distributions import density, masking, tail_of
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import Model, spectral_term, table_argument
 from anisoscope.sim.light.ink.shapes import Surface
@@ -165,7 +165,7 @@ def _by_series(
     """Without look-up, which is twice as fast; None where lobes or colours need the table."""
     series = [[table.series for table in row] for row in tables]
     usual = tables[0][0].model == "goniochromatic" and all(
-        k.isotropic and k.distribution == "ggx" for k in inks
+        k.isotropic and tail_of(k.distribution) == 1.0 for k in inks
     )
     if not usual or any(one is None for row in series for one in row):
         return None
@@ -186,7 +186,7 @@ def _by_series(
 
 
 def lobes(inks: Sequence[Ink]) -> Float32:
-    """(K, 6) α_x, α_y, cosine and sine of the brushing, 1 for Beckmann's lobe, 1 for an anisotropic one."""
+    """(K, 6) α_x, α_y, cosine and sine of the brushing, tail of the lobe, 1 for an anisotropic one."""
     return np.array(
         [
             [
@@ -194,7 +194,7 @@ def lobes(inks: Sequence[Ink]) -> Float32:
                 ink.across,
                 np.cos(np.radians(ink.brush_deg)),
                 np.sin(np.radians(ink.brush_deg)),
-                ink.distribution == "beckmann",
+                tail_of(ink.distribution),
                 not ink.isotropic,
             ]
             for ink in inks

@@ -18,14 +18,17 @@ from anisoscope.ink.goniometer import Readings
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import expect_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
+from anisoscope.kinds.prints.model import Scene
+from anisoscope.kinds.prints.recipe import PrintPoses
+from anisoscope.kinds.prints.rig_ink import NM, ink_of_channels
 from anisoscope.kinds.prints.sources import of_each
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point, xyz_weights
 from anisoscope.sim.light.colour.spaces import ciede2000, lab
-from anisoscope.sim.light.colour.vision import Sensitivities
+from anisoscope.sim.light.colour.vision import Sensitivities, Vision
 from anisoscope.sim.light.ink.model import brdf_at_angles
-from anisoscope.sim.materials.inks import InkFileError, read_ink, write_ink
+from anisoscope.sim.materials.inks import InkFileError, read_ink, synthetic_ink, write_ink
 from anisoscope.sim.materials.spectra import find_illuminant
 
 PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "prints.md"
@@ -117,6 +120,41 @@ def test_the_fit_decides_by_the_bright_part_of_a_foreign_lobe(house):
     assert ciede2000(lab(true / bright, white), lab(seen / bright, white)).max() < 5.5
     words = next(line for line in fitted().warnings if "bright" in line)
     assert "in the mirror direction +4.7 % off (rms 15 %)" in words
+
+
+HOUSES = {
+    "purple": (world.Print(), 1.1),
+    "thin coat": (world.Print(film_nm=60), 0.5),
+    "thick coat": (world.Print(film_nm=140, wide=0.1), 1.1),
+    "many steep flakes": (world.Print(film_nm=80, wide=0.4, gloss=0.15), 1.1),
+    "half of the flakes steep": (world.Print(film_nm=120, wide=0.5), 2.2),
+}
+
+
+@pytest.mark.parametrize(("house", "delta_e"), HOUSES.values(), ids=HOUSES)
+def test_the_ink_of_a_rig_predicts_the_mirror(house, delta_e):
+    """Which the rig does not see: half vectors begin at 5°; where the light falls in at 5°, as it stands."""
+    poses = PrintPoses().poses()
+    light = Illuminant("LED", tuple(world.NM), tuple(world.LAMP))
+    seen = Vision(light, Sensitivities("camera", tuple(world.NM), tuple(map(tuple, world.CAMERA))))
+    rng = np.random.default_rng(1)
+    one = world.good(rng, house)
+    logs = world.photographed(one, [(pose.stage_deg, pose.tilt_deg) for pose in poses], rng).reshape(-1, 3)
+    found = ink_of_channels(
+        Scene(synthetic_ink("synthetic-green"), 1.0, 0.04, poses, world.LIGHT_ANGLE_DEG, seen.weights(NM)),
+        seen,
+        logs,
+        "of the rig",
+    )
+    angle = np.radians([5.0])
+    ways = [np.column_stack([side * np.sin(angle), 0.0 * angle, np.cos(angle)]) for side in (-1.0, 1.0)]
+    true = np.pi * one.brdf(*ways) @ xyz_weights(light, world.NM)
+    told = np.pi * brdf_at_angles(found.ink, [5.0], [5.0]) @ xyz_weights(light, NM)
+    white, bright = white_point(light), true[0, 1]
+    assert ciede2000(lab(true / bright, white), lab(told / bright, white))[0] < delta_e
+    assert found.bright < 0.002
+    known = found.ink.uncertainty
+    assert known.misfit_share[0] < 0.01 < known.misfit_share[-1]  # its flank is another lobe's
 
 
 @pytest.mark.parametrize(

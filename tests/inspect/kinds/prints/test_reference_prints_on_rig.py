@@ -5,21 +5,25 @@ import json
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.errors import CalibrationError, MeasurementError, UsageError
 from anisoscope.cli.recipe import golden as command
 from anisoscope.cli.recipe import recipe as recipe_command
+from anisoscope.cli.rig import calibrate
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.parts import usable
+from anisoscope.kinds.prints import rig_ink
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import read_print_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
+from anisoscope.operations.inks import calibrate_ink
 from anisoscope.rig.rigfile import read_rig
+from anisoscope.sim.materials.inks import read_ink, synthetic_ink
 
 GOOD = {"alpha": 0.01, "ratio": 0.01, "skew": 0.01, "tilt_x_deg": 0.1, "tilt_y_deg": 0.1, "red": 0.01,
         "green": 0.01, "blue": 0.01, "lobe": 0.03}  # fmt: skip
@@ -131,3 +135,23 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, good_print, 
     assert command.remove("G-1", recipe=recipe_path) == 0
     assert "1 removed, 23 golden prints" in capsys.readouterr().out
     check_that_they_teach(recipe_path, rig_path, capsys)
+
+
+def test_inspections_make_the_ink_file(good_print, tmp_path, monkeypatch, capsys):
+    """Of nine poses, which is few: they do if all count alike; 21 usual ones in another world are in the evidence."""
+    out, folder = tmp_path / "mine.toml", good_print.folder
+    with pytest.raises(UsageError, match=r"9 poses do not tell .* inspect the print at 21 or more"):
+        calibrate.ink(folder, out=out)
+    with pytest.raises(UsageError, match="name the folders"):
+        calibrate_ink([], "none")
+    monkeypatch.setattr(rig_ink, "LEAST_POSES", 9)
+    with pytest.raises(MeasurementError, match="how wide the lobe is"):
+        calibrate.ink(folder, out=out)
+    monkeypatch.setattr(rig_ink, "_DIM", 1e-4)
+    assert calibrate.ink(folder, folder, out=out, json_=True) == 0
+    told, made = json.loads(capsys.readouterr().out), read_ink(out)
+    assert (told["file"], told["poses"], made.source) == (str(out), 9, "9 poses of 2 good prints on a rig")
+    assert made.alpha == pytest.approx(synthetic_ink("synthetic-green").alpha, rel=0.03)
+    assert made.distribution == pytest.approx(1.0, abs=0.2)  # the file of the package has GGX
+    assert calibrate.ink(folder, out=out, overwrite=True) == 0
+    assert capsys.readouterr().out.startswith("mine: alpha 0.1")
