@@ -7,7 +7,6 @@ have (fixed polyplets; OEIS A006770). q is the tail of the map's own scatter, or
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -15,19 +14,17 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.deviation_map import CellMap
-from anisoscope.imaging.mark_classes import kinds_of_groups
+from anisoscope.imaging.mark_classes import CELLS, UNKNOWN, kinds_of_groups
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.record.schema import RegionRecord
 
 Cells = npt.NDArray[np.bool_]
-Kind = Literal["missing ridge", "flank", "scratch", "spot", "patch"]
+SPOT = "spot"
+"""Kind of a single cell, which has no form."""
 
 SHAPES = (1, 4, 20, 110, 638, 3832, 23592, 147941)
 GROWTH = 6.5  # A(n + 1)/A(n) beyond the table
-WHOLE_LINE = 0.7  # share of the region's length from which on a mark runs along the whole ridge
-ELONGATED = 3.0
-SPOT_CELLS = 6
 LEAST_WEIGHT = 0.02
 """Weight from which on a kind of a region is recorded."""
 
@@ -111,7 +108,7 @@ def _region(
         length=(np.ptp(rows) + 1) * step_y,
         area_share=inside.mean(),
         cells=len(rows),
-        kind=next(iter(weights), "") or kind_of(inside),
+        kind=next(iter(weights), SPOT if len(rows) < CELLS else UNKNOWN),
         weights={name: round(one, 3) for name, one in weights.items() if one >= LEAST_WEIGHT},
         deviation=deviation[inside].mean(),
         p_value=chance_of_a_group(len(rows), inside.size, chance),
@@ -170,16 +167,3 @@ def _aligned(centres: FloatArray, shape: tuple[int, ...]) -> float:
     inner = slice(step, max(cols - step, step))
     among = np.count_nonzero(dots[:, inner])
     return np.count_nonzero((dots & lines)[:, inner]) / among if among else 0.0
-
-
-def kind_of(inside: Cells) -> Kind:
-    """Kind of a group of cells from its shape alone, where the poses do not say more."""
-    rows, cols = np.nonzero(inside)
-    height, width = np.ptp(rows) + 1, np.ptp(cols) + 1
-    if height >= WHOLE_LINE * inside.shape[0] and len(rows) >= 0.5 * height * width:
-        return "missing ridge" if width >= CELLS_PER_PITCH - 1 else "flank"
-    if len(rows) <= SPOT_CELLS and max(height, width) <= CELLS_PER_PITCH:
-        return "spot"
-    spread = np.linalg.eigvalsh(np.cov(np.stack([rows, cols]).astype(float)) + np.eye(2) / 12.0)
-    elongated = np.sqrt(spread[1] / spread[0]) >= ELONGATED
-    return "scratch" if elongated else "patch"
