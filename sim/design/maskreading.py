@@ -39,7 +39,7 @@ def read_gds(
         passes_nm: depth of the pass of layer 1, 2, …; of files of ours as they say.
 
     Raises:
-        ConfigError: no GDSII, no polygons, or depths or a grid that are given nowhere.
+        ConfigError: no GDSII, no polygons, one that crosses itself, or depths or a grid that are given nowhere.
         HeightMapError: a window outside the drawing, or too large.
     """
     top, header = _opened(path)
@@ -145,7 +145,14 @@ def _drawn(
             raise ConfigError(
                 f"{path}: polygons on layer {polygon.layer}, but {passes} depths: give a depth for every layer"
             )
-        _fill(labels, (np.asarray(polygon.points) - corner) / grid, 1 << bit)
+        points = (np.asarray(polygon.points) - corner) / grid
+        if _crosses(points):
+            x, y = points.mean(axis=0) * grid + corner
+            raise ConfigError(
+                f"{path}: a polygon of layer {polygon.layer} near x = {x:g}, y = {y:g} µm crosses itself, and does not "
+                "say what is etched: draw it as polygons that do not"
+            )
+        _fill(labels, points, 1 << bit)
     return labels
 
 
@@ -183,6 +190,18 @@ def _unrolled(reference: Any, low: tuple[float, float], high: tuple[float, float
         )
         if _reaches(single.bounding_box(), low, high):
             yield single
+
+
+def _crosses(points: npt.NDArray[np.float64]) -> bool:
+    """Whether an outline crosses itself: the area that it goes around is not the one that it covers."""
+    import gdstk  # noqa: PLC0415 - loaded when first needed
+
+    steps = np.diff(points, axis=0, append=points[:1])
+    if len(points) <= 4 and (np.abs(steps).min(axis=1) == 0.0).all():
+        return False
+    outline = gdstk.Polygon(points)
+    covered = sum(one.area() for one in gdstk.boolean(outline, [], "or", precision=1e-6))
+    return bool(abs(covered - outline.area()) > 0.01 + 1e-6 * covered)
 
 
 def _fill(labels: npt.NDArray[np.int64], points: npt.NDArray[np.float64], bit: int) -> None:

@@ -221,6 +221,33 @@ def test_a_drawing_of_somebody_else_is_read_with_depths_and_grid(tmp_path):
     assert area[0.05] == pytest.approx(3 * 1.5 * np.sqrt(3.0) * side**2, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    "points",
+    [
+        [(0.0, 0.0), (4.0, 4.0), (4.0, 0.0), (0.0, 4.0)],
+        [(np.cos(0.8 * np.pi * n), np.sin(0.8 * np.pi * n)) for n in range(5)],
+        [(0.0, 0.0), (5.0, 0.0), (5.0, 3.0), (1.0, -1.0), (0.0, 3.0)],
+    ],
+    ids=["bow tie", "star", "dent through the other side"],
+)
+def test_an_outline_that_crosses_itself_is_refused(tmp_path, points):
+    library = gdstk.Library(unit=1e-6, precision=1e-9)
+    library.new_cell("TOP").add(gdstk.Polygon(points, layer=1))
+    library.write_gds(tmp_path / "t.gds")
+    with pytest.raises(ConfigError, match=r"a polygon of layer 1 near .* crosses itself"):
+        read_gds(tmp_path / "t.gds", grid_um=0.1, passes_nm=(100.0,))
+
+
+def test_a_ring_cut_open_crosses_nothing(tmp_path):
+    """Holes are drawn by an outline that goes in and comes back along one line."""
+    ring = gdstk.boolean(gdstk.rectangle((0, 0), (4, 4)), gdstk.rectangle((1, 1), (3, 3)), "not", layer=1)
+    library = gdstk.Library(unit=1e-6, precision=1e-9)
+    library.new_cell("TOP").add(*ring)
+    library.write_gds(tmp_path / "t.gds")
+    found = read_gds(tmp_path / "t.gds", grid_um=0.1, passes_nm=(100.0,))
+    assert np.isclose(found.height_um, -0.1).sum() == pytest.approx(1200, abs=50)
+
+
 def test_rectangles_cover_a_mask_once():
     mask = np.random.default_rng(0).random((40, 50)) < 0.5
     count = np.zeros(mask.shape, dtype=int)
