@@ -1,4 +1,4 @@
-"""``design plate`` of 256 × 256 fields with all its files: less than a minute, less than two gigabytes."""
+"""``design plate`` of 256 × 256 fields with all its files, and a code of 256 fields from its text to its verdict."""
 
 import json
 import os
@@ -9,6 +9,8 @@ import sys
 import cv2
 import pytest
 import skimage.data
+
+from anisoscope.api import design_code
 
 pytestmark = pytest.mark.benchmark
 FIELDS, LONGEST_S, MOST_KB = 256, 60.0, 2e6
@@ -49,3 +51,17 @@ def test_a_plate_of_256_fields_a_side(bench, tmp_path):
     assert min(content["ssim"]) > 0.8
     assert used.ru_utime + used.ru_stime < LONGEST_S
     assert peak_kb < MOST_KB
+
+
+def test_a_code_of_256_fields_is_designed_photographed_and_read(bench, tmp_path):
+    """The recipe as written, on the virtual rig at three stage angles."""
+
+    def tried():
+        return design_code("LOT 7-XY", tmp_path / "code", trial=True, overwrite=True)
+
+    found = bench.compare("a code of 16 × 16 fields", {"design code --trial": tried}, 1, warm=False)
+    code = found["design code --trial"].result
+    record = json.loads(code.trial.report.with_name("record.json").read_text(encoding="utf-8"))
+    bench.note(f"on the virtual rig: {code.trial.verdict}, p = {record['p_value']:.2g} of its classes")
+    assert (len(code.plan.rows), len(code.plan.rows[0])) == (16, 16)
+    assert record["details"]["code"]["readings"][:2] == ["LOT 7-XY"] * 2
