@@ -199,7 +199,7 @@ def _crosses(points: npt.NDArray[np.float64]) -> bool:
     steps = np.diff(points, axis=0, append=points[:1])
     if len(points) <= 4 and (np.abs(steps).min(axis=1) == 0.0).all():
         return False
-    outline = gdstk.Polygon(points)
+    outline = gdstk.Polygon([(float(x), float(y)) for x, y in points])
     covered = sum(one.area() for one in gdstk.boolean(outline, [], "or", precision=1e-6))
     return bool(abs(covered - outline.area()) > 0.01 + 1e-6 * covered)
 
