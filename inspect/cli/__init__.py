@@ -185,7 +185,7 @@ COMMANDS = {
         "ink": ("ink.ink:app", "Fit, show, halftone and soft-proof structural-colour inks."),
         "bsdf": (
             "bsdf.bsdf:app",
-            "Exchange reflectance with renderers and instruments: export, import, fit, show.",
+            "Exchange reflectance with renderers and instruments: export, import, show.",
         ),
         "fit": ("fit.fit:app", "Fit the parameters of the reflectance models to measured values."),
     },

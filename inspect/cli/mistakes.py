@@ -436,6 +436,9 @@ FORMER_COMMANDS = {
     ("experiment", "findings"): ("research", "findings"),
     ("experiment",): ("research",),
     ("study",): ("research",),
+    ("archive", "ls"): ("archive", "list"),
+    ("bsdf", "fit"): ("fit", "brdf"),
+    ("render", "beside"): ("render", "comparison"),
 }
 """Words of the version before -> words of today; the longer ones first."""
 _COUNT = {"--frames": "--count"}

@@ -84,7 +84,7 @@ def _deviations(row: Row) -> "tuple[CellMap, float] | str":
     folder = Path(row.folder)
     if not folder.is_dir():
         return message(
-            "not on this computer: made at {at} in {folder}, or in the archive (`anisoscope archive ls`)",
+            "not on this computer: made at {at} in {folder}, or in the archive (`anisoscope archive list`)",
             at=row.station or message("a station that was not stated"),
             folder=folder.parent,
         )

@@ -147,8 +147,7 @@ def _resolution(nodes: str | None) -> "Resolution | None":
     return Resolution(theta, phi, square)
 
 
-app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, fit, show.")
-app.command("anisoscope.cli.fit.fit:reflectance", name="fit")
+app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, show.")
 
 
 @app.command
@@ -275,7 +274,7 @@ def import_(
     file: Path,
     /,
     *,
-    out: Annotated[Path, Parameter(help="CSV file to write: one row a pair of directions, for bsdf fit.")],
+    out: Annotated[Path, Parameter(help="CSV file to write: one row a pair of directions, for fit brdf.")],
     columns: Annotated[
         str | None,
         Parameter(
@@ -296,7 +295,7 @@ def import_(
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
-    """Turn an instrument's table or a renderer's file into the table that bsdf fit reads.
+    """Turn an instrument's table or a renderer's file into the table that fit brdf reads.
 
     Args:
         file: CSV with a header, ASTM E2387-style ASCII (a line VARS), RGL .bsdf, MERL, Klems or tensor-tree XML,

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from anisoscope.fit.fitting import Fit
     from anisoscope.fit.table import BrdfTable, Reciprocity
 from dataclasses import dataclass, replace
-from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Group, Parameter
@@ -384,22 +383,6 @@ def brdf(
     values = start_values(design, material, (options.seating_x, options.seating_y), options.k)
     problem = Problem(scene, read.readings, values, chosen if fit else ())
     return show(_fit(problem, json_), f"BRDF of {table.name}", json_, html, (read, reciprocity(read)))
-
-
-@wraps(brdf)
-def reflectance(*args: Any, **options: Any) -> int:  # noqa: ANN401, D103 - those of the wrapped command
-    return brdf(*args, **options)
-
-
-reflectance.__doc__ = """\
-Compare a reflectance file or table with a model, and fit material and ridge angle to it, as fit brdf.
-
-    Args:
-        table: file of bsdf import, or RGL .bsdf, MERL, Klems XML, Zemax.
-
-    Examples:
-        anisoscope bsdf fit table.csv --ridge-angle 0 --fit
-    """
 
 
 def _at_most_one(json_: bool, html: Path | None) -> None:

@@ -119,7 +119,7 @@ def pull(
     return 0
 
 
-@app.command(name="ls")
+@app.command(name="list")
 def list_(
     inspection: Annotated[str | None, Parameter(help="Serial number or folder; all without.")] = None,
     /,
@@ -130,8 +130,8 @@ def list_(
     """List archived inspections.
 
     Examples:
-        anisoscope archive ls
-        anisoscope archive ls A-0001
+        anisoscope archive list
+        anisoscope archive list A-0001
     """
     from anisoscope.operations.archiving import archived_inspections
 

@@ -597,7 +597,7 @@ def frame(
 @app.command
 @with_options(ridges=OF_SURFACE, microscope=OF_MICROSCOPE, plastic=OF_PLASTIC, rig=OF_LIGHT)
 @everyday(*("picture", "stage", "cut", "recipe", "surface", "ridges", "microscope", "plastic", "rig", "tilt"))
-def beside(
+def comparison(
     height_map: Path | None = None,
     /,
     *,
@@ -622,7 +622,7 @@ def beside(
         height_map: File with a measured height map; leave it out and give --ridge-angle for ideal ridges.
 
     Examples:
-        anisoscope render beside part.x3p --stage 0 --cut 40 --out beside.png
+        anisoscope render comparison part.x3p --stage 0 --cut 40 --out beside.png
     """
     from anisoscope.report.renderings import (
         BEYOND_RGB,

@@ -61,7 +61,7 @@ def scan(
     """Measure the BRDF of a coupon or a part over stage and tilt, with the uncertainty of every value.
 
     Poses are dense where facets mirror the light. The seating of a coupon is found from the scan; one that is not flat
-    is refused. Writes brdf.csv for bsdf fit, readings.csv for calibrate material --readings, budget.json, and with a
+    is refused. Writes brdf.csv for fit brdf, readings.csv for calibrate material --readings, budget.json, and with a
     lamp of known wavelength goniometer.csv for ink fit. The stage homes and turns: keep its path free.
     With several rig files or channels each lamp has a folder, and the tables of all lamps lie above them.
 

@@ -45,12 +45,12 @@ def test_what_goes_out_comes_in(anisoscope, flat, tmp_path):
     assert (done.code, done.json["negative"]) == (0, 0)
     with table.open(encoding="utf-8", newline="") as stream:
         assert len(list(csv.DictReader(stream))) == done.json["rows"]
-    fitted = anisoscope("bsdf", "fit", table, "--ridge-angle", "0", "--fit", "--json")
+    fitted = anisoscope("fit", "brdf", table, "--ridge-angle", "0", "--fit", "--json")
     assert fitted.code == 0, fitted.err
     for one in fitted.json["parameters"]:
         assert one["value"] == pytest.approx(0.1, rel=0.01), one["name"]
     right, wrong = (
-        anisoscope("bsdf", "fit", file, "--ridge-angle", "0", "--alpha-along", alpha, "--json").json
+        anisoscope("fit", "brdf", file, "--ridge-angle", "0", "--alpha-along", alpha, "--json").json
         for file, alpha in ((flat, "0.1"), (table, "0.11"))
     )
     assert right["rms_residual"] < 0.1 * wrong["rms_residual"]

@@ -130,6 +130,30 @@ def test_help_is_a_word_too(capsys):
     assert "Usage: anisoscope COMMAND" in capsys.readouterr().out
 
 
+GROUPS_OF_A_VERB = {"calibrate", "design", "fit", "render", "research"}
+VERBS = set(
+    ["add", "align-lines", "certify", "check", "clear", "commission", "compare", "compare-lobe", "convert", "crop", "dispose", "edit", "export", "fill", "filter", "fit", "focus", "hold", "home", "import", "jog", "level", "list", "lock", "make", "mask", "move", "new", "pull", "push", "refine", "relight", "remove", "resample", "retain", "retire", "revoke", "rotate", "scan", "show", "sign", "snap", "spoil", "stamp", "stitch", "stop", "subtract", "suggest", "teach", "trust", "unlock", "verify", "view"]
+)
+NOUNS = set(
+    ["antimirror", "attribute", "best-angle", "bias", "brdf", "certificate", "checkerboard", "code", "comparison", "convergence", "covariates", "dark", "depths", "experiment", "findings", "fixture", "flat", "form", "frame", "gauge", "halftone", "height", "hologram", "info", "light", "linearity", "lines", "live", "lobe", "markers", "material", "mixture", "modbus", "mqtt", "opcua", "outliers", "papers", "pattern", "picture", "plate", "pod", "ports", "process", "proof", "report", "resolution", "response", "ridges", "rotation", "scars", "sim", "stability", "status", "step", "stray", "textures", "texture", "type1", "yield"]
+)
+ACTS_ON_A_VERB = {"check", "list", "refine", "relight", "compare-lobe", "mask"}  # `design mask` is the noun
+
+
+def test_commands_are_named_by_one_rule():
+    """After a noun comes a verb, or the noun of what is measured or shown; after a verb comes a noun."""
+    pairs = {words for words in ALL if len(words) == 2}
+    assert {second for _, second in pairs} == VERBS | NOUNS
+    assert not VERBS & NOUNS
+    assert not {(a, b) for a, b in pairs if a in GROUPS_OF_A_VERB and b in VERBS - ACTS_ON_A_VERB}
+
+
+def test_no_two_commands_do_the_same():
+    sentences = [one.help.strip().split("\n")[0] for one in ALL.values()]
+    assert len(sentences) == len(set(sentences))
+    assert not {words for words in ALL if len(words) == 2 and words[::-1] in ALL}
+
+
 def test_words_of_the_version_before_are_understood():
     assert of_today(["experiment", "ridges", "--json"])[0] == ["research", "experiment", "--json"]
     assert of_today(["study", "pod"])[0] == ["research", "pod"]

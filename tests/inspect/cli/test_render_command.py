@@ -131,7 +131,7 @@ def test_a_recipe_with_a_measured_lobe_is_rendered(here, tmp_path):
     predicted = here("predict", "--recipe", recipe, "--json").json["poses"][0]
     # a map of the ridges has facets across the wall and the crest, which the outline of the design has not
     assert done.json["panels"][0]["mean_of_surface"] == pytest.approx(predicted["radiance"], rel=0.03)
-    beside = here("render", "beside", *same, "--cut", "5")
+    beside = here("render", "comparison", *same, "--cut", "5")
     assert beside.code == 0, beside.err
 
 
@@ -276,7 +276,7 @@ def test_a_large_map_is_cut_to_its_middle_and_that_is_said(here, tmp_path, heigh
 def test_beside_draws_heights_and_radiance_of_the_same_place(here, tmp_path, height_map):
     done = here(
         "render",
-        "beside",
+        "comparison",
         height_map,
         "--stage",
         90,
@@ -338,7 +338,7 @@ def test_beside_draws_heights_and_radiance_of_the_same_place(here, tmp_path, hei
             64,
             "--edge-radius belongs to ideal ridges",
         ),
-        (["beside", "map.x3p", "--cut", "9000", "--out", "o.png"], 64, "--cut"),
+        (["comparison", "map.x3p", "--cut", "9000", "--out", "o.png"], 64, "--cut"),
     ],
 )
 def test_wrong_usage_is_one_clear_line_and_no_file(

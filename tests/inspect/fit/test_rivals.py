@@ -121,7 +121,7 @@ def test_values_of_no_model_have_no_interval_and_exit_code_3(anisoscope, tmp_pat
     rows = [f"{10 + 5 * n},0,{10 + 5 * n},180,{0.05 * (1 + n % 3)},0.0002" for n in range(9)]
     head = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value,u"
     (tmp_path / "t.csv").write_text("\n".join([head, *rows]) + "\n")
-    done = anisoscope("bsdf", "fit", tmp_path / "t.csv", "--ridge-angle", 0, "--fit", "--json")
+    done = anisoscope("fit", "brdf", tmp_path / "t.csv", "--ridge-angle", 0, "--fit", "--json")
     assert done.code == 3, done.err
     shown = json.loads(done.out)
     assert shown["rejected"]

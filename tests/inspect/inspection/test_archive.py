@@ -440,7 +440,7 @@ def test_the_commands(finished, anisoscope, tmp_path):
     (tmp_path / "anisoscope.toml").write_text('store = "share"\n', encoding="utf-8")
     done = anisoscope("archive", "push", out, cwd=tmp_path)
     assert (done.code, "1 inspection in" in done.out) == (0, True), done.err
-    listed = anisoscope("archive", "ls", "T-1", "--store", share, "--json").json
+    listed = anisoscope("archive", "list", "T-1", "--store", share, "--json").json
     assert [one["serial"] for one in listed["inspections"]] == ["T-1"]
     proven = anisoscope("archive", "verify", "--store", share)
     assert (proven.code, "none damaged; at most" in proven.out) == (0, True)

@@ -139,7 +139,7 @@ def test_a_scan_is_one_nexus_file_with_its_reflectances(scanned, anisoscope, tmp
 
 def test_the_scan_feeds_the_fit(scanned, anisoscope):
     out, _ = scanned
-    done = anisoscope("bsdf", "fit", out / "brdf.csv", "--ridge-angle", 0, "--fit", "--json")
+    done = anisoscope("fit", "brdf", out / "brdf.csv", "--ridge-angle", 0, "--fit", "--json")
     assert done.code == 0, done.err
     found = {one["name"]: one["value"] for one in done.json["parameters"]}
     assert found["alpha_along"] == pytest.approx(0.06, rel=0.02)
