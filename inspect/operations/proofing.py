@@ -48,6 +48,7 @@ CONVENTION = (
 )
 BRIGHT = 0.9
 MOST_DOTS = 16384
+STILL_SIDE = 360
 TONE_DOTS = 8
 MOST_PRESSED = 16_000_000
 PROOF_LIGHTS = ("d65", "a", "led-b1", "led-b3", "led-b5", "led-rgb1", "led-v1")
@@ -342,6 +343,7 @@ class SoftProof:
             ),
             mesh=None if mesh is None else _vertices(mesh),
             photo=None if photo is None else photo_uri(read_image(photo)),
+            still=picture_png(self.picture(STILL_SIDE)),
         )
 
     def _start(self, photo: bool) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import hashlib
 from pathlib import Path
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -19,6 +20,7 @@ from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.plates import Plan, inner_share
+from anisoscope.report.figures import png_uri
 from anisoscope.report.page import packed, scripted, write_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
@@ -30,6 +32,7 @@ from anisoscope.sim.light.material import diffuse_scale, transmittance_table
 FLAT_CLASS = 0xFFFF
 LINES_NM = tuple(float(nm) for nm in range(400, 701, 20))
 MOST_SIDE, MOST_TILES = 4096, 2048
+STILL_SIDE = 480
 MOST_TERMS = 3e8
 """Products of a picture of a wafer: about a second of a browser."""
 
@@ -43,6 +46,7 @@ def write_plate_page(
     light_angle_deg: float,
     stages_deg: tuple[float, ...],
     ends: tuple[float, float],
+    shown: FloatArray | None = None,
 ) -> None:
     """Write the page, atomically.
 
@@ -55,6 +59,7 @@ def write_plate_page(
         light_angle_deg: between light and camera on the rig.
         stages_deg: stage angles that are offered.
         ends: radiances of black and white in 1/sr.
+        shown: (rows, cols) radiance at the first stage angle in 1/sr, for browsers without WebGL; its classes without.
 
     Raises:
         UsageError: a lobe that the page does not know.
@@ -71,6 +76,12 @@ def write_plate_page(
         "cols": cols,
         "stages": [f"{one:g}" for one in stages_deg],
         "part": "plate",
+        "still": _grey_uri(plan.classes(), 0.0, len(plan.letters) - 1.0)
+        if shown is None
+        else _grey_uri(shown, *ends),
+        "still_text": "a grey for each class of fields"
+        if shown is None
+        else f"as predicted at {stages_deg[0]:g}°, on the rig",
         "field": "field",
         "exposures": 4,
         "tones": [
@@ -89,6 +100,17 @@ def write_plate_page(
         ),
     }  # fmt: skip
     write_page(path, "plate.html", content)
+
+
+def _grey_uri(values: npt.NDArray[Any], black: float, white: float) -> str:
+    """(rows, cols) values as a grey picture, enlarged where it is small."""
+    greys = np.clip((values - black) / max(white - black, 1e-12), 0.0, 1.0)
+    times = max(1, STILL_SIDE // max(greys.shape))
+    done, data = cv2.imencode(
+        ".png", np.rint(255.0 * np.kron(greys, np.ones((times, times)))).astype(np.uint8)
+    )
+    assert done
+    return png_uri(data.tobytes())
 
 
 def _data(
@@ -269,6 +291,8 @@ def write_layout_page(path: Path, title: str, layout: EtchedDots, light: Illumin
         "cols": cols,
         "stages": ["0", "90"],
         "part": "wafer",
+        "still": _grey_uri(layout.tile_class[layout.index[::-1]], 0.0, len(layout.names) - 1.0),
+        "still_text": "a grey for each reflectance: " + ", ".join(layout.names),
         "field": "dot",
         "exposures": 12,
         "tones": [("eye", "for the eye (sRGB)"), ("picture", "proportional to light")],

@@ -1,6 +1,5 @@
 """Page of a soft proof: one self-contained file with a WebGL 2 view."""
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.report.figures import png_uri
 from anisoscope.report.page import packed, scripted, write_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.ink.distributions import tail_of
@@ -79,6 +79,7 @@ class Proof:
         warnings: sentences to put first.
         mesh: for the shape "mesh".
         photo: a data URI.
+        still: PNG of the first state, for browsers without WebGL.
     """
 
     title: str
@@ -98,6 +99,7 @@ class Proof:
     warnings: tuple[str, ...] = ()
     mesh: ProofMesh | None = None
     photo: str | None = None
+    still: bytes | None = None
     selftest: tuple[State, ...] = field(default=())
 
 
@@ -125,6 +127,7 @@ def write_proof_page(proof: Proof, path: Path) -> None:
         "facts": proof.facts,
         "notes": proof.notes,
         "photo": proof.photo,
+        "still": None if proof.still is None else png_uri(proof.still),
         "shapes": shapes if proof.mesh is None else [*shapes, ("mesh", "mesh")],
         "prints": pictures + [(f"solid{k}", f"solid {ink.name}") for k, ink in enumerate(proof.inks, 1)],
         "illuminants": [(k, one.illuminant.name) for k, one in enumerate(proof.lights)],
@@ -133,10 +136,6 @@ def write_proof_page(proof: Proof, path: Path) -> None:
         **scripted(_data(proof), "webgl.js", "proof.js"),
     }
     write_page(path, "proof.html", content)
-
-
-def _uri(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def tables(inks: Sequence[Ink], lights: Sequence[ProofLight]) -> Float32:
@@ -158,8 +157,8 @@ def _data(proof: Proof) -> dict[str, Any]:
             for one in proof.lights
         ],
         "tables": packed(tables(proof.inks, proof.lights)),
-        "halftone": [_uri(one) for one in proof.halftone_pngs],
-        "tones": [_uri(one) for one in proof.tones_pngs],
+        "halftone": [png_uri(one) for one in proof.halftone_pngs],
+        "tones": [png_uri(one) for one in proof.tones_pngs],
         "aspect": proof.aspect,
         "exposure": proof.exposure,
         "fill": proof.fill,

@@ -191,7 +191,15 @@ def design_plate(
     title = " and ".join(Path(name).stem for name in names[: len(pictures)])
     ends = found.black, found.white
     write_plate_page(
-        out / "appearance.html", title, found.plan, ridges, plastic, light_angle_deg, stages, ends
+        out / "appearance.html",
+        title,
+        found.plan,
+        ridges,
+        plastic,
+        light_angle_deg,
+        stages,
+        ends,
+        found.shown[0],
     )
     for name, one in zip(shown, found.shown, strict=True):
         _write_picture(out / name, one, ends)

@@ -138,6 +138,11 @@ def test_without_webgl_the_page_says_so(flat_page, plate):
     flat_page.open(plate.as_uri())
     assert flat_page.evaluate("document.body.dataset.webgl") == "missing"
     assert not flat_page.evaluate("document.getElementById('missing').hidden")
+    still = flat_page.evaluate(
+        "(one => [one.naturalWidth, one.complete, one.alt])(document.querySelector('#missing img'))"
+    )
+    assert still[0] >= 240
+    assert still[1:] == [True, "Still picture: a grey for each class of fields"]
 
 
 def test_the_page_is_escaped_and_refuses_a_lobe_that_it_does_not_know(plate, tmp_path):
