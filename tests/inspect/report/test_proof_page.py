@@ -65,7 +65,7 @@ def proof(tmp_path_factory):
         title="Soft proof of <test>", subtitle="for a test", inks=inks, lights=lights, halftone_pngs=layers(dots),
         tones_pngs=layers(tones), aspect=12 / 9, exposure=EXPOSURE, fill=0.96, second_light_deg=SECOND, start=START,
         roughness=(("file", "as in the files", None), ("brushed", "brushed", 0.19), ("own", "own", None)),
-        mesh=ProofMesh(vertices, mesh.triangles.astype(np.uint32)), photo=PIXEL,
+        mesh=ProofMesh(vertices, mesh.triangles.astype(np.uint32)), photo=PIXEL, still=layers(dots)[0],
     )  # fmt: skip
     path = folder / "proof.html"
     write_proof_page(content, path)
@@ -286,6 +286,10 @@ def test_without_webgl_the_page_says_so(chromium_program, proof, tmp_path):
     message = done.stdout.split('id="missing"')[1].split(">")[0]
     assert "hidden" not in message
     assert "no WebGL 2" in done.stdout
+    assert (
+        'alt="Still picture: the print as the page begins"'
+        in done.stdout.split('id="missing"')[1].split("</div>")[0]
+    )
 
 
 def test_the_page_is_strict_escaped_and_refuses_what_it_cannot_draw(proof, tmp_path):
