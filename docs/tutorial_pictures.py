@@ -5,6 +5,7 @@ python docs/tutorial_pictures.py demo-output docs/pictures
 """
 
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -47,7 +48,8 @@ def photograph(report: Path, first: str, last: str, picture: Path) -> None:
         copy.write_text(page, encoding="utf-8")
         size = f"--window-size={WIDTH},{TALL}"
         options = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--screenshot={shot}", size]
-        subprocess.run(["chromium", *options, copy.as_uri()], check=True, capture_output=True)  # noqa: S607
+        browser = shutil.which("chromium-headless-shell") or "chromium"
+        subprocess.run([browser, *options, copy.as_uri()], check=True, capture_output=True)
         whole = Image.open(shot).convert("RGB")
     empty = Image.new("RGB", whole.size, whole.getpixel((0, whole.height - 1)))
     box = ImageChops.difference(whole, empty).getbbox() or (0, 0, *whole.size)

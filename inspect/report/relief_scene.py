@@ -74,7 +74,7 @@ def draw(source: Path, picture: Path, scene: Path | None = None) -> None:
     if scene is not None:
         if bar is not None:
             renderer.RemoveViewProp(bar)
-        _look_at(renderer, extent, 0.8, lower=0.0)
+        _look_at(renderer, extent, 1.0, lower=0.0)
         window.Render()
         _write(scene, _packed(window))
     window.Finalize()

@@ -286,13 +286,6 @@ function loadDataSet() {
   if (!drawable) return;
   const base64Str = document.getElementById("state").textContent;
   OfflineLocalView.load(document.querySelector(".content"), { base64Str });
-  fit();
-}
-function fit() { // the whole map in a frame of this shape, as soon as the viewer has it
-  const renderer = window.renderWindow?.getRenderers()[0];
-  if (!renderer?.getActors().length) { setTimeout(fit, 50); return; }
-  renderer.resetCamera();
-  window.renderWindow.render();
 }
 const packed = document.getElementById("viewer-script");
 const bytes = Uint8Array.from(atob(packed.textContent), sign => sign.charCodeAt(0));
