@@ -139,7 +139,7 @@ VERBS = """
 """
 NOUNS = """
     antimirror attribute best-angle bias brdf certificate checkerboard code comparison convergence covariates
-    dark depths experiment findings fixture flat form frame gauge halftone height hologram info light
+    dark depths experiment findings fixture flat form frame gauge halftone height hologram info ink light
     linearity lines live lobe markers material mixture modbus mqtt opcua outliers papers pattern picture plate
     pod ports process proof report resolution response ridges rotation scars sim stability status step stray
     textures texture type1 yield
