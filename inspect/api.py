@@ -8,7 +8,9 @@ device driver needs of `anisoscope.rig` (docs/own-driver.md) and a kind of part 
 The module behind a name is imported when the name is first used.
 """
 
+import ast
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -168,191 +170,6 @@ if TYPE_CHECKING:
     from anisoscope.study.convergence import convergence
 
 DriverGroup = Literal["stages", "cameras", "lights"]
-# What the block above imports for type checkers: name -> module, or module:name where it has another name there.
-_HOME = {
-    "bsdf_textures": "anisoscope.operations.reflectance",
-    "reflectance_of": "anisoscope.operations.reflectance",
-    "export_bsdf": "anisoscope.operations.reflectance",
-    "SelfTestSettings": "anisoscope.commissioning.selftest_record:Settings",
-    "self_test": "anisoscope.commissioning.selftest",
-    "run_check": "anisoscope.inspection.check_standard",
-    "teach_check": "anisoscope.inspection.check_standard",
-    "read_picture": "anisoscope.inspection.batch.codes",
-    "read_codes": "anisoscope.inspection.batch.codes",
-    "resume_scan": "anisoscope.inspection.reflectance_scan",
-    "scan": "anisoscope.inspection.reflectance_scan:begin_scan",
-    "Sweep": "anisoscope.live_view.autofocus",
-    "move_axis": "anisoscope.operations.rigging",
-    "home_axis": "anisoscope.operations.rigging",
-    "rig_status": "anisoscope.operations.rigging",
-    "focus": "anisoscope.operations.rigging",
-    "snap": "anisoscope.operations.rigging",
-    "Manufacture": "anisoscope.parameters.manufacture",
-    "Fabrication": "anisoscope.parameters.fabrication",
-    "HologramSearch": "anisoscope.parameters.fabrication",
-    "design_code": "anisoscope.operations.design.plates",
-    "design_plate": "anisoscope.operations.design.plates",
-    "etched_hologram": "anisoscope.operations.design.pictures",
-    "etched_picture": "anisoscope.operations.design.pictures",
-    "refine_dot": "anisoscope.operations.design.etched",
-    "mirror_design": "anisoscope.operations.design.etched",
-    "etched_lobe": "anisoscope.operations.design.etched",
-    "etched_antimirror": "anisoscope.operations.design.etched",
-    "etch_depths": "anisoscope.operations.design.etched",
-    "dot_pattern": "anisoscope.operations.design.etched",
-    "render_plate": "anisoscope.operations.render",
-    "render_frame": "anisoscope.operations.render",
-    "Microscope": "anisoscope.parameters.microscope",
-    "list_calibrations": "anisoscope.calibration.corrections",
-    "calibrate_rotation": "anisoscope.calibration.rotation",
-    "calibrate_response": "anisoscope.calibration.linearity",
-    "calibrate_linearity": "anisoscope.calibration.linearity",
-    "calibrate_stray": "anisoscope.calibration.pictures",
-    "calibrate_dark": "anisoscope.calibration.pictures",
-    "calibrate_flat": "anisoscope.calibration.pictures",
-    "Taking": "anisoscope.parameters.taking",
-    "watch": "anisoscope.operations.series",
-    "batch": "anisoscope.operations.series",
-    "retention_rule": "anisoscope.inspection.archive:parse_rule",
-    "hold_archived": "anisoscope.operations.archiving:hold",
-    "archived_inspections": "anisoscope.operations.archiving",
-    "retain": "anisoscope.operations.archiving",
-    "pull": "anisoscope.operations.archiving",
-    "push": "anisoscope.operations.archiving",
-    "open_archive": "anisoscope.inspection.archive_store:open_store",
-    "Costs": "anisoscope.study.whatif",
-    "angle_map": "anisoscope.operations.facets",
-    "write_angle_map": "anisoscope.operations.facets",
-    "whatif": "anisoscope.operations.past",
-    "bundle": "anisoscope.operations.past",
-    "export_aqdef": "anisoscope.operations.past",
-    "export_history": "anisoscope.operations.past",
-    "verify_history": "anisoscope.operations.past",
-    "add_cycles": "anisoscope.operations.past",
-    "read_cycles": "anisoscope.operations.past",
-    "certify_golden": "anisoscope.operations.teaching",
-    "remove_golden": "anisoscope.operations.teaching",
-    "add_golden": "anisoscope.operations.teaching",
-    "suggest_poses": "anisoscope.operations.teaching",
-    "teach": "anisoscope.operations.teaching",
-    "check_recipe": "anisoscope.operations.teaching",
-    "read_decisions": "anisoscope.quality.attribute",
-    "msa_attribute": "anisoscope.quality.attribute:attribute_study",
-    "ChartSettings": "anisoscope.quality.control:Settings",
-    "control_charts": "anisoscope.operations.statistics",
-    "msa_process": "anisoscope.operations.statistics",
-    "msa_type1": "anisoscope.operations.statistics",
-    "msa_stability": "anisoscope.operations.statistics",
-    "msa_linearity": "anisoscope.operations.statistics",
-    "msa_bias": "anisoscope.operations.statistics",
-    "msa_gauge": "anisoscope.operations.statistics",
-    "history_readings": "anisoscope.quality.readings",
-    "read_chart_limits": "anisoscope.quality.chart_limits",
-    "write_chart_limits": "anisoscope.quality.chart_limits",
-    "read_readings": "anisoscope.quality.readings",
-    "Readings": "anisoscope.quality.readings",
-    "AnisoscopeError": "anisoscope.base.errors",
-    "UsageError": "anisoscope.base.errors",
-    "Fit": "anisoscope.fit.fitting",
-    "compare": "anisoscope.history.comparing",
-    "Filters": "anisoscope.history.filters",
-    "History": "anisoscope.history.store",
-    "open_history": "anisoscope.history.store",
-    "show_inks": "anisoscope.ink.appearance",
-    "Inspected": "anisoscope.inspection.run",
-    "Autofocus": "anisoscope.live_view.autofocus",
-    "Predicted": "anisoscope.prediction.predicted",
-    "InputUncertainty": "anisoscope.parameters.inputs",
-    "compare_maps": "anisoscope.profiles.comparison",
-    "edit_map": "anisoscope.profiles.editing.steps",
-    "read_height_map": "anisoscope.profiles.files.load",
-    "write_height_map": "anisoscope.profiles.files.load",
-    "HeightMap": "anisoscope.profiles.heightmap",
-    "RidgeDesign": "anisoscope.parameters.ridges",
-    "line_parameters": "anisoscope.profiles.lines",
-    "RidgeMeasurement": "anisoscope.profiles.metrology.ridgemeasurement",
-    "measure_ridges": "anisoscope.profiles.metrology.ridges",
-    "step_height": "anisoscope.profiles.metrology.stepheight",
-    "texture": "anisoscope.profiles.textures.texture",
-    "Specification": "anisoscope.quality.capability",
-    "ControlStudy": "anisoscope.quality.control",
-    "drift_study": "anisoscope.quality.drift",
-    "Record": "anisoscope.record.schema",
-    "read_record": "anisoscope.record.schema",
-    "resume": "anisoscope.inspection.run:resume_part",
-    "read_recipe": "anisoscope.kinds.registry:read_any_recipe",
-    "read_rig": "anisoscope.rig.rigfile",
-    "recompute": "anisoscope.inspection.recompute",
-    "verify": "anisoscope.inspection.integrity",
-    "write_nexus": "anisoscope.rig.acquisition.nexus",
-    "open_rig": "anisoscope.rig.acquisition.opening",
-    "find_ports": "anisoscope.rig.discovery",
-    "open_camera": "anisoscope.rig.drivers",
-    "open_light": "anisoscope.rig.drivers",
-    "open_stage": "anisoscope.rig.drivers",
-    "draft_frame_table": "anisoscope.rig.framefolder:draft_table",
-    "AntiMirror": "anisoscope.sim.design.antimirror",
-    "LobeTask": "anisoscope.sim.design.lobe",
-    "design_lobe": "anisoscope.sim.design.lobe",
-    "contrasts": "anisoscope.sim.light.contrasts",
-    "Convention": "anisoscope.parameters.geometry",
-    "Pose": "anisoscope.parameters.geometry",
-    "Ink": "anisoscope.sim.light.ink.ink",
-    "ink_brdf": "anisoscope.sim.light.ink.model:brdf_at_angles",
-    "InkLight": "anisoscope.sim.light.ink.shading:Light",
-    "ink_picture": "anisoscope.sim.light.ink.shading:picture",
-    "sphere": "anisoscope.sim.light.ink.shapes",
-    "srgb": "anisoscope.sim.light.colour.spaces:encode",
-    "Material": "anisoscope.parameters.material",
-    "Optics": "anisoscope.parameters.optics",
-    "find_ink": "anisoscope.sim.materials.inks",
-    "find_illuminant": "anisoscope.sim.materials.spectra",
-    "MachineChange": "anisoscope.sim.press:Change",
-    "mould": "anisoscope.sim.press",
-    "write_moulded": "anisoscope.sim.press",
-    "fit_ridges": "anisoscope.operations.fit",
-    "optimise": "anisoscope.operations.optimising",
-    "PredictionMethod": "anisoscope.operations.predict:Method",
-    "predict": "anisoscope.operations.predict",
-    "lot_mates": "anisoscope.operations.remembering",
-    "remember": "anisoscope.operations.remembering",
-    "Noise": "anisoscope.study.objective",
-    "Scoring": "anisoscope.study.objective",
-    "Tolerances": "anisoscope.study.objective",
-    "Workers": "anisoscope.study.sweep",
-    "convergence": "anisoscope.study.convergence",
-    "best_angle": "anisoscope.study.best_angle",
-    "experiment": "anisoscope.experiment.experiment:run_experiment",
-    "ExperimentSetup": "anisoscope.experiment.experiment:Setup",
-    "findings_map": "anisoscope.experiment.findings_map:findings_maps",
-    "read_measured_contrasts": "anisoscope.experiment.experiment:read_measured",
-    "write_experiment_page": "anisoscope.report.experiment_page",
-    "write_findings_page": "anisoscope.report.experiment_page",
-    "detection_of_masters": "anisoscope.operations.detecting",
-    "detection_of_parts": "anisoscope.operations.detecting",
-    "StudyPage": "anisoscope.report.study_page",
-    "fit_ink": "anisoscope.operations.inks",
-    "calibrate_ink": "anisoscope.operations.inks",
-    "compare_inks": "anisoscope.operations.inks",
-    "InkFit": "anisoscope.ink.fitting",
-    "halftone": "anisoscope.operations.proofing",
-    "soft_proof": "anisoscope.operations.proofing",
-    "ProofView": "anisoscope.parameters.proof",
-    "Press": "anisoscope.sim.proof.halftone",
-    "write_ink": "anisoscope.sim.materials.inks",
-    "read_ink_table": "anisoscope.sim.materials.inks",
-    "write_ink_fit_page": "anisoscope.report.ink_page",
-    "write_ink_show_page": "anisoscope.report.ink_page",
-    "write_texture_picture": "anisoscope.report.texture_picture",
-    "texture_uncertainty": "anisoscope.profiles.textures.texture",
-    "MapUncertainty": "anisoscope.profiles.textures.texture",
-    "judge_limits": "anisoscope.profiles.limits:judge",
-    "read_limits": "anisoscope.profiles.limits",
-    "direction_regions": "anisoscope.profiles.metrology.regions",
-    "measure_maps": "anisoscope.operations.map_series",
-    "map_values": "anisoscope.operations.map_series",
-    "write_map_table": "anisoscope.operations.map_series",
-}
 
 __all__ = [
     "AnisoscopeError",
@@ -554,12 +371,26 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - type checkers read the bloc
         from importlib.metadata import version
 
         return version("anisoscope")
-    if name not in _HOME:
+    if name not in _homes():
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
-    module, _, original = _HOME[name].partition(":")
-    found = getattr(import_module(module), original or name)
+    module, original = _homes()[name]
+    found = getattr(import_module(module), original)
     globals()[name] = found
     return found
+
+
+@cache
+def _homes() -> dict[str, tuple[str, str]]:
+    """Public name -> its module, and its name there: what the block of imports for type checkers says."""
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    return {
+        one.asname or one.name: (node.module or "", one.name)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for one in node.names
+        if (one.asname or one.name) in __all__
+    }
 
 
 def __dir__() -> list[str]:
