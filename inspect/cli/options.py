@@ -16,7 +16,7 @@ from anisoscope.parameters.inputs import InputUncertainty, default_uncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.ridges import LIKELY_PITCH, RidgeDesign
-from anisoscope.views.options import Options, quantity
+from anisoscope.views.options import Options, parse_numbers, quantity
 
 RecipeOption = Annotated[
     Path | None,
@@ -149,23 +149,6 @@ def number(text: str, option: str, unit: str = "") -> float:
         return read_number(text, option, unit)
     except ValueError as problem:
         raise UsageError(str(problem)) from None
-
-
-def parse_numbers(text: str, option: str, example: str = "0,90,180", unit: str = "") -> tuple[float, ...]:
-    """Numbers of a comma-separated option, each in the unit of the option or with its own.
-
-    Raises:
-        UsageError: the text is not a list of finite numbers.
-    """
-    try:
-        numbers = tuple(read_number(part, option, unit) if unit else float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(
-            f"{option} takes numbers separated by commas, such as {example}, not {text!r}"
-        ) from None
-    if not all(abs(number) < float("inf") for number in numbers):
-        raise UsageError(f"{option} takes finite numbers, not {text!r}")
-    return numbers
 
 
 def parse_range(text: str, option: str) -> tuple[float, ...]:

@@ -47,6 +47,7 @@ class Given(Generic[M]):
 
     model: ClassVar[type]
     option: ClassVar[Mapping[str, str]]
+    lists: ClassVar[Mapping[str, Callable[[str, str], Any]]]
 
     @property
     def values(self) -> dict[str, Any]:
@@ -69,8 +70,16 @@ class Given(Generic[M]):
             raise self._named(problem, base) from None
 
     def made(self) -> M:
-        """The model of the options, where these are `whole`; errors are the model's own."""
-        return cast("M", self.model(**{name: getattr(self, name) for name in self.option}))
+        """The model of the options, where these are `whole`; errors are the model's own.
+
+        Raises:
+            UsageError: a list that is none of numbers.
+        """
+        values = {name: getattr(self, name) for name in self.option}
+        for name, reader in self.lists.items():
+            if values.get(name) is not None:
+                values[name] = _read(reader, values[name], self.option[name])
+        return cast("M", self.model(**values))
 
     def refuse(self, names: Sequence[str], why: str) -> None:
         """Refuse stated fields.
@@ -106,7 +115,7 @@ class Options:
         readers: field -> function of the text and the option that makes its value.
         groups: field -> panel, where it is not ``group``.
         whole: the command takes the whole model (`Given.made`): what is not stated has its default, and a field without
-            one must be stated.
+            one must be stated; lists of numbers are texts until then.
         flags: whether fields that are true or false have one option each, which makes them true.
     """
 
@@ -153,7 +162,8 @@ def options_class(options: Options) -> type:
     assert is_dataclass(options.model)
     texts = _texts(options.model)
     hints = get_type_hints(options.model, include_extras=True)
-    stated = []
+    stated: list[Any] = []
+    lists = {}
     for one in fields(options.model):
         if one.name in options.without:
             continue
@@ -161,6 +171,13 @@ def options_class(options: Options) -> type:
         kind, likely = _taken_apart(hints[one.name])
         kind = str if kind is datetime else kind  # people write it in words, which the command reads
         reader = options.readers.get(one.name) or _reader(kind, one.name, likely)
+        if options.whole and get_origin(kind) is tuple and float in get_args(kind):
+            lists[one.name] = reader or _list_reader(unit_of(one.name))
+            kind, reader, default = (
+                str,
+                None,
+                default if default is None or default is MISSING else _shown(default),
+            )
         more: dict[str, Any] = {"group": options.groups[one.name]} if one.name in options.groups else {}
         if not options.whole:
             more["show_default"] = False if default in (MISSING, None) else _shown(default)
@@ -179,6 +196,7 @@ def options_class(options: Options) -> type:
     space = {
         "model": options.model,
         "option": {name: options.option(name) for name, _, _ in stated},
+        "lists": lists,
         "__doc__": options.model.__doc__,
         "__module__": __name__,
     }
@@ -197,8 +215,10 @@ def _texts(model: type) -> dict[str, str]:
     """Field -> sentence of the model's docstring, with a capital."""
     import docstring_parser  # noqa: PLC0415 - commands are loaded by name when they run
 
-    parsed = docstring_parser.parse(model.__doc__ or "")
-    found = {one.arg_name: " ".join((one.description or "").split()) for one in parsed.params}
+    parsed = [
+        one for base in reversed(model.__mro__) for one in docstring_parser.parse(base.__doc__ or "").params
+    ]
+    found = {one.arg_name: " ".join((one.description or "").split()) for one in parsed}
     return {name: text[:1].upper() + text[1:] if text[:1].isascii() else text for name, text in found.items()}
 
 
@@ -240,6 +260,27 @@ def numbers(text: str, option: str, count: int, unit: str = "") -> tuple[float, 
     return found
 
 
+def parse_numbers(text: str, option: str, example: str = "0,90,180", unit: str = "") -> tuple[float, ...]:
+    """Numbers of a comma-separated option, each in the unit of the option or with its own.
+
+    Raises:
+        UsageError: the text is not a list of finite numbers.
+    """
+    try:
+        numbers = tuple(read_number(part, option, unit) if unit else float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(
+            f"{option} takes numbers separated by commas, such as {example}, not {text!r}"
+        ) from None
+    if not all(abs(number) < float("inf") for number in numbers):
+        raise UsageError(f"{option} takes finite numbers, not {text!r}")
+    return numbers
+
+
+def _list_reader(unit: str) -> Callable[[str, str], tuple[float, ...]]:
+    return lambda text, option: parse_numbers(text, option, unit=unit)
+
+
 def _or_number(text: str, option: str, unit: str, words: Sequence[str]) -> float:
     try:
         return read_number(text, option, unit)
@@ -260,13 +301,16 @@ def quantity(name: str, likely: Likely | None = None) -> Parameter:
 
 def _converter(reader: Callable[[str, str], Any]) -> Callable[[Any, Sequence[Token]], Any]:
     def convert(_kind: Any, tokens: Sequence[Token]) -> Any:  # noqa: ANN401 - as the parser calls it
-        token = tokens[0]
-        try:
-            return reader(token.value, token.keyword or "")
-        except ValueError as problem:
-            raise UsageError(str(problem)) from None
+        return _read(reader, tokens[0].value, tokens[0].keyword or "")
 
     return convert
+
+
+def _read(reader: Callable[[str, str], Any], text: str, option: str) -> Any:  # noqa: ANN401
+    try:
+        return reader(text, option)
+    except ValueError as problem:
+        raise UsageError(str(problem)) from None
 
 
 def _shown(default: Any) -> str:  # noqa: ANN401

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, HeightMapError, RigFileError
+from anisoscope.parameters.etching import PatternOptions
 from anisoscope.parameters.light import LightSpectrum
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.files.load import read_height_map
@@ -53,7 +54,7 @@ def _surface(part: WaferPart, rng: np.random.Generator) -> HeightMap:
     """The heights of one tile of whatever file it is."""
     from anisoscope.sim.design.designfile import read_design, read_layout  # noqa: PLC0415 - of wafers only
     from anisoscope.sim.design.maskreading import read_gds  # noqa: PLC0415 - of wafers only
-    from anisoscope.sim.design.pattern import PatternOptions, make_layout  # noqa: PLC0415 - of wafers only
+    from anisoscope.sim.design.pattern import make_layout  # noqa: PLC0415 - of wafers only
 
     kind = part.file.suffix.lower()
     if kind == ".toml":

@@ -5,7 +5,6 @@ that are neighbours in brightness: dots are so small that the eye takes them tog
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.etching import PatternOptions
 from anisoscope.sim.design.designfile import DesignFile
 from anisoscope.sim.design.dot import Dot, DotTask
 from anisoscope.sim.design.layout import Layout
@@ -29,23 +29,6 @@ MOST_TILES = 2**16
 
 MOST_POINTS = 2**29
 """Grid points of all tiles together: 1 GB."""
-
-
-@dataclass(frozen=True)
-class PatternOptions:
-    """Options of a layout.
-
-    Attributes:
-        dot_um: Δd; taken to whole grid steps.
-        tiles: different tiles of every reflectance, against periodic artefacts.
-        refine_s: seconds of refinement for every tile of a lobe; 0 leaves them random.
-        dither: mix reflectances where the picture has values between theirs.
-    """
-
-    dot_um: float = 112.0
-    tiles: int = 4
-    refine_s: float = 0.0
-    dither: bool = False
 
 
 def classes_of(picture: npt.NDArray[np.integer], designs: int, *, dither: bool) -> Classes:

@@ -9,12 +9,12 @@ from cyclopts import App, Group, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import InksOption, OverwriteOption, printed_inks
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_PLASTIC, Json, check_new, check_suffix, parse_numbers
+from anisoscope.cli.options import OF_PLASTIC, Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, Options, with_options
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.bsdf.rgl import Resolution

@@ -9,10 +9,11 @@ from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json
 from anisoscope.cli.tables import print_table
+from anisoscope.parameters.etching import check_seed
 from anisoscope.parameters.fabrication import Fabrication
-from anisoscope.views.options import Given, Options, with_options
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.operations.design.etched import EtchedDesign
@@ -172,7 +173,7 @@ def depths(
     Examples:
         anisoscope design depths --levels 4 --band 400,700
     """
-    from anisoscope.operations.design.etched import check_seed, etch_depths
+    from anisoscope.operations.design.etched import etch_depths
 
     if not width > 0.0:
         raise UsageError(f"--width must be a positive number of µm, not {width:g}")

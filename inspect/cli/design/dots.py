@@ -2,46 +2,33 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, check_new, parse_numbers
+from anisoscope.cli.options import Json, check_new
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
+from anisoscope.parameters.etching import DotSearch, PatternOptions, check_seed
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
-DotOption = Annotated[float, Parameter(help="Side of a dot, µm; 112 are 227 dpi.")]
-SeedOption = Annotated[int, Parameter(help="Seed of everything random.")]
 GDS = (".gds", ".gds2", ".gdsii")
 USUAL = "16:16,56:16,112:16,160:16,160:80"
 MOST_RANDOM = 100
 
 
+@with_options(options=Options(DotSearch, names={"method": "--search"}, whole=True))
 def refine(
     design: Path,
     /,
     *,
-    seconds: Annotated[
-        float | None,
-        Parameter(
-            help="Time to search, 30 unless --generations is given; Ctrl-C ends it earlier and keeps the best."
-        ),
-    ] = None,
-    dot: DotOption = 112.0,
-    population: Annotated[int, Parameter(help="Dots that the genetic search keeps.")] = 6,
-    search: Annotated[
-        Literal["both", "genetic", "polish"],
-        Parameter(help="Genetic search with polish, or one of them alone."),
-    ] = "both",
-    generations: Annotated[int | None, Parameter(help="End after so many generations: repeatable.")] = None,
-    good: Annotated[float | None, Parameter(help="End at this relative error.")] = None,
-    seed: SeedOption = 0,
+    options: Given[DotSearch],
     out: Annotated[Path | None, Parameter(help="Write the dot as a layout *.npz.")] = None,
     png: Annotated[Path | None, Parameter(help="Write a picture of the dot.")] = None,
     html: HtmlOption = None,
@@ -55,25 +42,14 @@ def refine(
     Examples:
         anisoscope design refine wide.toml --seconds 2 --dot 56 --out dot.npz --png dot.png
     """
-    from anisoscope.operations.design.etched import check_dot, check_seed, refine_dot
+    from anisoscope.operations.design.etched import refine_dot
     from anisoscope.sim.design.designfile import read_design, write_layout
 
-    check_seed(seed)
+    search = options.made()
     _check_written(out, png, html)
-    check_dot(dot)
     chosen = read_design(design)
     with progress("refine", quiet=json_) as advance:
-        found = refine_dot(
-            chosen,
-            dot_um=dot,
-            seconds=seconds,
-            generations=generations,
-            good=good,
-            method=search,
-            population=population,
-            seed=seed,
-            on_progress=advance,
-        )
+        found = refine_dot(chosen, search=search, on_progress=advance)
     if out is not None:
         write_layout(found.layout, out, (chosen,))
     if png is not None:
@@ -101,6 +77,7 @@ def refine(
     return _print_written(out, png, html)
 
 
+@with_options(options=Options(PatternOptions, whole=True, flags=True))
 def pattern(
     image: Path,
     /,
@@ -113,13 +90,7 @@ def pattern(
     plate_size: Annotated[
         str | None, Parameter(help="Size W,H in mm; a dot for every pixel of the picture if not given.")
     ] = None,
-    dot: DotOption = 112.0,
-    tiles: Annotated[int, Parameter(help="Number of different tiles per reflectance.")] = 4,
-    refine: Annotated[float, Parameter(help="Seconds to refine every tile of a lobe.")] = 0.0,
-    dither: Annotated[
-        bool, Parameter(negative="", help="Mix designs where the picture has values between theirs.")
-    ] = False,
-    seed: SeedOption = 0,
+    options: Given[PatternOptions],
     png: Annotated[Path | None, Parameter(help="Write a picture of the classes, one pixel per dot.")] = None,
     html: HtmlOption = None,
     json_: Json = False,
@@ -134,8 +105,6 @@ def pattern(
     """
     from anisoscope.operations.design.etched import (
         MIRROR,
-        check_dot,
-        check_seed,
         dot_pattern,
         mirror_design,
         resized,
@@ -143,27 +112,17 @@ def pattern(
     from anisoscope.operations.design.pictures import read_image
     from anisoscope.sim.design.designfile import read_design, write_layout
 
-    check_seed(seed)
+    chosen = options.made()
     _check_written(out, png, html)
-    check_dot(dot)
     designs = [mirror_design() if part == MIRROR else read_design(Path(part)) for part in classes.split(",")]
     grey = read_image(image)
     if plate_size is not None:
         wide = parse_numbers(plate_size, "--plate-size")
         if len(wide) not in (1, 2) or min(wide) <= 0.0:
             raise UsageError(f"--plate-size takes one or two positive numbers of mm, not {plate_size!r}")
-        grey = resized(grey, (wide[0], wide[-1]), dot)
+        grey = resized(grey, (wide[0], wide[-1]), chosen.dot_um)
     with progress("pattern", quiet=json_) as advance:
-        found = dot_pattern(
-            grey,
-            designs,
-            dot_um=dot,
-            tiles=tiles,
-            refine_s=refine,
-            dither=dither,
-            seed=seed,
-            on_progress=advance,
-        )
+        found = dot_pattern(grey, designs, options=chosen, on_progress=advance)
     if out is not None:
         write_layout(found.layout, out, found.designs)
     if png is not None:
@@ -311,7 +270,7 @@ def height(
     Examples:
         anisoscope design height disc.gds --window-size 60,40 --out masks.x3p
     """
-    from anisoscope.operations.design.etched import check_seed, layout_of, write_heights
+    from anisoscope.operations.design.etched import layout_of, write_heights
 
     check_new((out,), overwrite=overwrite)
     _check_folders(out)
@@ -383,7 +342,6 @@ def resolution(
     """
     import numpy as np
 
-    from anisoscope.operations.design.etched import check_seed
     from anisoscope.sim.design.designfile import read_design
     from anisoscope.sim.design.resolution import tradeoff
 

@@ -2,25 +2,25 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
+from anisoscope.parameters.etching import LobePhoto, StepMixture, check_seed
 from anisoscope.parameters.fabrication import Fabrication, HologramSearch
-from anisoscope.views.options import Given, Options, with_options
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.operations.design.pictures import Hologram
     from anisoscope.sim.design.appearance import LobeComparison
     from anisoscope.sim.design.targets import TargetDesign
 
-MARKS = "COL,ROW=X,Y of four marks, ;-separated"
 STEPS = Group("Light and fabrication")
 OF_TARGET = Options(
     Fabrication,
@@ -50,21 +50,13 @@ OF_SEARCH = Options(
 )
 
 
-@with_options(fabrication=OF_TARGET)
+@with_options(options=Options(StepMixture, whole=True, flags=True), fabrication=OF_TARGET)
 def picture(
     targets: list[Path],
     /,
     *,
-    weights: Annotated[
-        str | None, Parameter(help="Weight of every target in their sum, comma-separated; 1 if not given.")
-    ] = None,
-    reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y| of a target.")] = 0.2,
+    options: Given[StepMixture],
     fabrication: Given[Fabrication],
-    etch_passes: Annotated[int, Parameter(help="Passes of a quarter wave and its halves: 1 to 4.")] = 1,
-    max_width: Annotated[float, Parameter(help="Widest step, µm.")] = 20.0,
-    nearest: Annotated[
-        bool, Parameter(negative="", help="Take the nearest reflectance if the wanted one is out of reach.")
-    ] = False,
     out: Annotated[Path | None, Parameter(help="Write the design *.toml.")] = None,
     png: Annotated[Path | None, Parameter(help="Picture of wanted, achieved and unreachable light.")] = None,
     json_: Json = False,
@@ -85,14 +77,11 @@ def picture(
 
     check_target(png, ".png", "--png")
     check_target(out, ".toml", "--out")
+    mixture = options.made()
     found = etched_picture(
-        [read_target(path, reach) for path in targets],
-        weights=None if weights is None else parse_numbers(weights, "--weights"),
-        reach=reach,
-        etch_passes=etch_passes,
+        [read_target(path, mixture.reach) for path in targets],
+        mixture=mixture,
         fabrication=fabrication.over(Fabrication()),
-        max_width_um=max_width,
-        nearest=nearest,
         name=targets[0].stem,
     )
     if out is not None:
@@ -179,7 +168,6 @@ def hologram(
         anisoscope design hologram picture.png --out unit.npz --png unit.png
         anisoscope design hologram picture.png --picture-light d65 --out unit.npz --png unit.png
     """
-    from anisoscope.operations.design.etched import check_seed
     from anisoscope.operations.design.pictures import (
         HOLOGRAM,
         check_target,
@@ -234,60 +222,22 @@ def _print_judged(found: "Hologram") -> None:
     )
 
 
-@everyday(
-    "design",
-    "wavelength",
-    "distance",
-    "light",
-    "screen_tilt",
-    "marks",
-    "pixel_mm",
-    "background",
-    "reach",
-    "png",
-    "json_",
+OF_PHOTO = Options(
+    LobePhoto,
+    names={"pixel_mm": "--pixel-mm"},
+    groups=dict.fromkeys(("center", "from_behind", "tone", "lamp_half_angle_deg", "points"), MORE),
+    whole=True,
+    flags=True,
 )
+
+
+@with_options(taken=OF_PHOTO)
 def compare_lobe(
     photo: Path,
     /,
     *,
     design: Annotated[Path, Parameter(help="Design *.toml or layout *.npz that the sample was made of.")],
-    wavelength: Annotated[float, Parameter(help="Wavelength of the lamp, nm.")],
-    distance: Annotated[
-        float, Parameter(help="From the sample to where the mirrored beam meets the screen, mm.")
-    ],
-    light: Annotated[
-        str, Parameter(help="Direction of the light: inclination and azimuth, degrees.")
-    ] = "0,0",
-    screen_tilt: Annotated[
-        str, Parameter(help="Turns of the screen about its x and y axes, degrees; 0,0 faces the beam.")
-    ] = "0,0",
-    marks: Annotated[
-        str | None, Parameter(help=f"{MARKS}: pixels, and mm on the screen from the mirrored beam.")
-    ] = None,
-    pixel_mm: Annotated[
-        float | None, Parameter(help="Instead of marks: mm on the screen of a pixel; seen straight on.")
-    ] = None,
-    center: Annotated[
-        str | None,
-        Parameter(help="With --pixel-mm: COL,ROW of the mirrored beam; the middle if not given."),
-    ] = None,
-    from_behind: Annotated[
-        bool, Parameter(negative="", help="With --pixel-mm: the camera looks at the back of the screen.")
-    ] = False,
-    background: Annotated[float, Parameter(help="Grey value without the lamp.")] = 0.0,
-    tone: Annotated[
-        Literal["linear", "srgb"],
-        Parameter(help="Greys of the photograph: proportional to light, or sRGB of a camera for people."),
-    ] = "linear",
-    lamp_half_angle: Annotated[
-        float | None,
-        Parameter(
-            help="Half of the angle subtended by a round lamp, degrees; the design's source if not given."
-        ),
-    ] = None,
-    reach: Annotated[float, Parameter(help="Largest |h_x| and |h_y|, from the mirrored beam.")] = 0.12,
-    points: Annotated[int, Parameter(help="Directions along each axis, 16 to 256.")] = 64,
+    taken: Given[LobePhoto],
     png: Annotated[Path | None, Parameter(help="Picture of photograph, design and their difference.")] = None,
     json_: Json = False,
 ) -> int:
@@ -302,33 +252,13 @@ def compare_lobe(
     Examples:
         anisoscope design compare-lobe lobe.png --design unit.npz --wavelength 532 --distance 500 --pixel-mm 0.5
     """
-    from anisoscope.operations.design import pictures as taken
-    from anisoscope.sim.design.appearance import Screen
+    from anisoscope.operations.design import pictures
 
-    taken.check_target(png, ".png", "--png")
-    if not 16 <= points <= 256 or not 100.0 <= wavelength <= 20000.0:
-        raise UsageError("--points takes 16 to 256, --wavelength 100 to 20000 nm")
-    if (marks is None) == (pixel_mm is None):
-        raise UsageError(f"give either --marks ({MARKS}), or --pixel-mm")
-    screen = Screen(distance, taken.pair_of(light, "--light"), taken.pair_of(screen_tilt, "--screen-tilt"))
-    seen = taken.read_photograph(photo, background, tone)
-    to_pixels = (
-        taken.pixels_of_marks(marks)
-        if marks is not None
-        else taken.pixels_of_scale(pixel_mm, center, seen.shape, from_behind=from_behind)
-    )
-    found = taken.compare_lobe(
-        seen,
-        taken.read_sample_design(design),
-        wavelength,
-        screen,
-        to_pixels,
-        lamp_half_angle_deg=lamp_half_angle,
-        reach=reach,
-        points=points,
-    )
+    pictures.check_target(png, ".png", "--png")
+    seen = taken.made()
+    found = pictures.compare_lobe(photo, design, seen)
     if png is not None:
-        taken.draw_comparison(found, reach, png)
+        pictures.draw_comparison(found, seen.reach, png)
     if json_:
         print_json(found)
         return 0

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json, parse_numbers
+from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
-from anisoscope.parameters.manufacture import Manufacture
+from anisoscope.parameters.manufacture import CodeDesign, Manufacture, PlateDesign
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, with_options
@@ -48,51 +47,46 @@ OF_LOBE = replace(
     OF_PLASTIC, without=dict.fromkeys(("internal_reflection", "tail", "second_lobe"), UNMEASURED)
 )
 OutOption = Annotated[Path, Parameter(help="Folder for the files; made if it is missing.")]
-PixelOption = Annotated[float, Parameter(help="Pixel size of the height maps in µm.")]
-TrialOption = Annotated[
-    bool, Parameter(negative="", help="Trial on the virtual rig: photograph the plate, and compare.")
-]
-OverwriteOption = Annotated[bool, Parameter(negative="", help="Replace files that exist.")]
-
-
-@with_options(ridges=OF_PICTURE, plastic=OF_LOBE, manufacture=OF_MOULD)
-@everyday(
-    *("out", "angles", "field_count", "field_um", "ridges", "plastic", "manufacture"),
-    *("trial", "overwrite", "json_"),
+OF_PLATE = Options(
+    PlateDesign,
+    names={"stages_deg": "--angles", "field_um": "--field-um"},
+    groups=dict.fromkeys(("pixel_um", "light_angle_deg", "class_count"), MORE),
+    whole=True,
+    flags=True,
 )
+OF_SYMBOL = Options(
+    CodeDesign,
+    names={"module_mm": "--module-mm", "plate_mm": "--plate-mm"},
+    groups=dict.fromkeys(("pixel_um", "facet_azimuths_deg"), MORE),
+    whole=True,
+    flags=True,
+)
+
+
+@with_options(options=OF_PLATE, ridges=OF_PICTURE, plastic=OF_LOBE, manufacture=OF_MOULD)
+@everyday("out", "options", "field_count", "ridges", "plastic", "manufacture", "json_")
 def plate(
     first: Path,
     second: Path | None = None,
     /,
     *,
     out: OutOption,
-    angles: Annotated[str, Parameter(help="Stage angles at which the pictures are seen.")] = "0,90",
+    options: Given[PlateDesign],
     field_count: Annotated[
         int | None,
         Parameter(
             help="Field count along the longer side; one a pixel of the picture if not given.",
         ),
     ] = None,
-    field_um: Annotated[
-        float, Parameter(help="Side of a field in µm, two ridges or more, whole ones.")
-    ] = 100.0,
     ridges: Given[RidgeDesign],
-    class_count: Annotated[
-        int,
-        Parameter(help="Most classes of fields: directions and ridge angles that differ."),
-    ] = 64,
     tone: Annotated[
         Literal["linear", "srgb"],
         Parameter(
             help="Greys of the pictures: proportional to radiance, as a camera sees them, or sRGB, for the eye."
         ),
     ] = "linear",
-    pixel: PixelOption = 5.0,
     plastic: Given[Material],
-    light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
     manufacture: Given[Manufacture],
-    trial: TrialOption = False,
-    overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
     """Make a plate of ridges that shows a grey picture, and another one when it is turned.
@@ -114,25 +108,16 @@ def plate(
     from anisoscope.operations.design.plates import PICTURE_RIDGES, design_plate, read_grey
 
     paths = (first,) if second is None else (first, second)
-    stages = parse_numbers(angles, "--angles")[: len(paths)]
-    if len(stages) != len(paths):
-        raise UsageError(f"--angles must name a stage angle a picture, {len(paths)} of them, not {angles}")
     pictures = [read_grey(path, field_count, tone) for path in paths]
     with progress("trial", quiet=json_) as advance:
         found = design_plate(
             pictures,
             out,
-            stages_deg=stages,
+            plate=options.made(),
             names=[path.name for path in paths],
-            field_um=field_um,
             ridges=ridges.over(PICTURE_RIDGES),
             material=plastic.over(Material()),
-            light_angle_deg=light_angle,
-            class_count=class_count,
-            pixel_um=pixel,
             make=manufacture.over(Manufacture()),
-            trial=trial,
-            overwrite=overwrite,
             on_progress=advance,
         )
     if json_:
@@ -170,31 +155,16 @@ def _print(found: "DesignedPlate", pictures: list[str], out: Path) -> None:
     )
 
 
-@with_options(ridges=OF_CODE, manufacture=OF_MOULD)
-@everyday(
-    *("out", "symbology", "ridges", "module_mm", "plate_mm", "manufacture", "trial", "overwrite", "json_")
-)
+@with_options(options=OF_SYMBOL, ridges=OF_CODE, manufacture=OF_MOULD)
+@everyday("out", "options", "ridges", "manufacture", "json_")
 def code(
     text: str,
     /,
     *,
     out: OutOption,
-    symbology: Annotated[
-        Literal["datamatrix", "qr"], Parameter(help="Kind of code; the smallest symbol that holds the text.")
-    ] = "datamatrix",
+    options: Given[CodeDesign],
     ridges: Given[RidgeDesign],
-    module_mm: Annotated[float, Parameter(help="Side of a module in mm, two ridges or more.")] = 0.2,
-    facet_azimuths: Annotated[
-        str,
-        Parameter(help="Azimuths toward which the facets of light and dark modules fall at stage angle 0."),
-    ] = "0,-90",
-    plate_mm: Annotated[
-        float | None, Parameter(help="Side of the plate in mm, which the code must fit; any if not given.")
-    ] = None,
-    pixel: PixelOption = 2.0,
     manufacture: Given[Manufacture],
-    trial: TrialOption = False,
-    overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
     """Make a code of ridges in two directions, which exchange light and dark when the part is turned.
@@ -213,24 +183,14 @@ def code(
     from anisoscope.kinds.plates.code_grades import OVERALL
     from anisoscope.operations.design.plates import CODE_RIDGES, LIGHT_DEG, design_code
 
-    azimuths = parse_numbers(facet_azimuths, "--facet-azimuths")
-    if len(azimuths) != 2:
-        raise UsageError(
-            f"--facet-azimuths takes two azimuths, of light and of dark modules, not {facet_azimuths}"
-        )
+    symbol = options.made()
     with progress("trial", quiet=json_) as advance:
         found = design_code(
             text,
             out,
-            symbology=symbology,
+            code=symbol,
             ridges=ridges.over(CODE_RIDGES),
-            module_mm=module_mm,
-            facet_azimuths_deg=(azimuths[0], azimuths[1]),
-            plate_mm=plate_mm,
-            pixel_um=pixel,
             make=manufacture.over(Manufacture()),
-            trial=trial,
-            overwrite=overwrite,
             on_progress=advance,
         )
     if json_:
@@ -240,7 +200,8 @@ def code(
         "" if found.trial is None else f"; on the virtual rig: {found.trial.verdict}, {found.trial.report}"
     )
     print_table(
-        f"{symbology} {text!r}: {found.modules[1]} × {found.modules[0]} modules of {module_mm:g} mm{cuts_text(found)}",
+        f"{symbol.symbology} {text!r}: {found.modules[1]} × {found.modules[0]} modules of {symbol.module_mm:g} mm"
+        f"{cuts_text(found)}",
         ["stage [°]", "light [1/sr]", "dark [1/sr]", "cell contrast", OVERALL, "predicted picture says"],
         [
             [

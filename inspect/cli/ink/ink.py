@@ -8,8 +8,9 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, check_new, check_suffix, parse_numbers
+from anisoscope.cli.options import Json, check_new, check_suffix
 from anisoscope.cli.tables import console, print_lines, print_table
+from anisoscope.views.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.ink.appearance import Show

@@ -141,9 +141,9 @@ def _press(options: PressOptions, inks: int) -> "tuple[Press | None, dict[tuple[
     Raises:
         UsageError: not a shift for each ink, or an overprint of inks that are not printed in this order.
     """
-    from anisoscope.cli.options import parse_numbers
     from anisoscope.sim.materials.inks import find_ink
     from anisoscope.sim.proof.halftone import MOST_MOVED, Press
+    from anisoscope.views.options import parse_numbers
 
     if not 1.0 <= options.dpi <= 20000.0:
         raise UsageError(f"--dpi takes 1 to 20000, not {options.dpi:g}")

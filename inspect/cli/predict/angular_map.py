@@ -10,9 +10,9 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
+from anisoscope.views.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.parameters.material import Material

@@ -19,7 +19,6 @@ from anisoscope.cli.options import (
     UNCERTAINTY,
     Json,
     MaterialOption,
-    parse_numbers,
 )
 from anisoscope.cli.predict.angular_map import MAP_DEFAULTS, MAP_GROUP, MapOptions
 from anisoscope.cli.progress import progress
@@ -32,7 +31,7 @@ from anisoscope.parameters.light import LightSpectrum
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, with_options
+from anisoscope.views.options import Given, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

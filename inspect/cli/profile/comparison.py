@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_map, check_new, parse_numbers
+from anisoscope.cli.options import Json, check_map, check_new
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     OutOptions,
@@ -22,6 +22,7 @@ from anisoscope.cli.profile.many import (
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
+from anisoscope.views.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.prediction.contrast_change import ContrastCauses

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.options import LENGTH, Json, check_new, parse_numbers
+from anisoscope.cli.options import LENGTH, Json, check_new
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     NONE,
@@ -25,6 +25,7 @@ from anisoscope.cli.tables import print_table
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.cli.progress import progress
+from anisoscope.views.options import parse_numbers
 
 app = App(
     name="profile",

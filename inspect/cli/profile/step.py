@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json
 from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.tables import print_lines
+from anisoscope.views.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.profiles.metrology.stepheight import StepHeight

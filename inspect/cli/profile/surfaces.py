@@ -8,11 +8,11 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.quantity import unit_of
-from anisoscope.cli.options import LENGTH, OF_RIDGES, Json, check_map, check_new, number, parse_numbers
+from anisoscope.cli.options import LENGTH, OF_RIDGES, Json, check_map, check_new, number
 from anisoscope.cli.profile.profile import AS_STATED, Scales, parse_pixel
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, quantity, with_options
+from anisoscope.views.options import Given, parse_numbers, quantity, with_options
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import LENGTH, Json, parse_numbers
+from anisoscope.cli.options import LENGTH, Json
 from anisoscope.cli.profile.many import (
     NONE,
     ManyOptions,
@@ -23,6 +23,7 @@ from anisoscope.cli.profile.many import (
 from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
+from anisoscope.views.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap

@@ -8,10 +8,11 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import PITCH, Json, LightAngleOption, light_angle_of, parse_numbers, parse_range
+from anisoscope.cli.options import PITCH, Json, LightAngleOption, light_angle_of, parse_range
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import JobsOption, SchedulerOption, named_numbers
 from anisoscope.cli.tables import print_lines, print_output, print_table
+from anisoscope.views.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.recipe.teaching import Taught

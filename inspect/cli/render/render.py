@@ -23,14 +23,13 @@ from anisoscope.cli.options import (
     RIDGES,
     Json,
     RecipeOption,
-    parse_numbers,
 )
 from anisoscope.cli.progress import progress
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Microscope
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, Options, with_options
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -168,7 +167,7 @@ def parse_angles(text: str, option: str) -> tuple[float, ...]:
     Raises:
         UsageError: no list of numbers, or too many.
     """
-    from anisoscope.cli.options import parse_numbers
+    from anisoscope.views.options import parse_numbers
 
     angles = parse_numbers(text, option)
     if len(angles) > MAX_PANELS:

@@ -11,12 +11,12 @@ from anisoscope.base.printable import check_printable
 from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_new, check_suffix, parse_numbers
+from anisoscope.cli.options import Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import RigPath, Yes, ask_to_turn, asked_to_seat_fixture
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.taking import Taking
-from anisoscope.views.options import Given, Options, with_options
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable

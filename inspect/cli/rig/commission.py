@@ -9,10 +9,11 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import PITCH, Json, parse_numbers
+from anisoscope.cli.options import PITCH, Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import Channel, Yes, ask_to_turn
 from anisoscope.cli.tables import console, print_lines, print_table
+from anisoscope.views.options import parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.commissioning.part import RidgedPart

@@ -16,14 +16,13 @@ from anisoscope.cli.options import (
     Json,
     MaterialOption,
     RecipeOption,
-    parse_numbers,
 )
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import hand_out
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, with_options
+from anisoscope.views.options import Given, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.study.objective import Noise, Tolerances

@@ -75,8 +75,9 @@ def write_tile(folder: Path, rng: np.random.Generator) -> None:
 
     Of several random tiles the one is taken of which just half is etched: else a width bias could balance it first.
     """
+    from anisoscope.parameters.etching import PatternOptions
     from anisoscope.sim.design.designfile import write_design, write_layout
-    from anisoscope.sim.design.pattern import PatternOptions, make_layout
+    from anisoscope.sim.design.pattern import make_layout
 
     pattern = design()
     classes = np.zeros((DOTS, DOTS), dtype=np.int64)

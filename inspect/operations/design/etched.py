@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
 from shutil import disk_usage
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,14 +14,16 @@ import numpy.typing as npt
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.etching import DotSearch, PatternOptions
 from anisoscope.parameters.fabrication import Fabrication
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.sim.design.antimirror import AntiMirror
 from anisoscope.sim.design.depths import Depths, design_depths
 from anisoscope.sim.design.designfile import DesignFile, read_design, read_layout
 from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.design.lobe import AxisLobe, LobeTask, design_lobe
 from anisoscope.sim.design.models import AntiMirrorModel, AnyModel, LobeModel, MirrorModel
-from anisoscope.sim.design.pattern import PatternOptions, classes_of, dot_task, make_layout, rasterised
+from anisoscope.sim.design.pattern import classes_of, dot_task, make_layout, rasterised
 from anisoscope.sim.design.refine import Limits, Refined, refine
 
 FAINT_TAU = 0.05
@@ -29,16 +31,6 @@ FAINT_TAU = 0.05
 MIRROR = "mirror"
 SECONDS = 30.0
 MOST_DOTS = 10**7
-
-
-def check_seed(seed: int) -> None:
-    """Refuse a seed that is none.
-
-    Raises:
-        UsageError: below 0.
-    """
-    if seed < 0:
-        raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
 
 
 def _keys_of(design: DesignFile) -> dict[str, Any]:
@@ -280,49 +272,31 @@ class RefinedDot:
         return self.found.history[-1][0]
 
 
-def refine_dot(
-    design: DesignFile,
-    *,
-    dot_um: float = 112.0,
-    seconds: float | None = None,
-    generations: int | None = None,
-    good: float | None = None,
-    method: Literal["both", "genetic", "polish"] = "both",
-    population: int = 6,
-    seed: int = 0,
-    on_progress: Advance = silent,
-) -> RefinedDot:
+@by_keywords(search=DotSearch)
+def refine_dot(design: DesignFile, *, search: DotSearch, on_progress: Advance = silent) -> RefinedDot:
     """The dot of a lobe whose own reflectance is closest to the expected one: ``anisoscope design refine``.
 
     Args:
         design: a lobe.
-        dot_um: side of the dot, rounded to the grid of the design.
-        seconds: to search; 30 unless ``generations`` is given.
-        generations: end after so many, which is repeatable.
-        good: end at this relative error.
-        method: genetic search with polish, or one of them alone.
-        population: dots that the genetic search keeps.
-        seed: of everything random.
+        search: `DotSearch`; its dot is rounded to the grid of the design.
         on_progress: called along the search.
 
     Raises:
         UsageError: no lobe, or a dot or seed that is none.
     """
-    check_seed(seed)
-    check_dot(dot_um)
-    if seconds is None and generations is None:
-        seconds = SECONDS
+    unlimited = search.seconds is None and search.generations is None
+    limits = Limits(SECONDS if unlimited else search.seconds, search.generations, search.good)
     if not isinstance(design.model, LobeModel):
         raise UsageError(
             f"{design.name}: a {design.model.kind} has no widths to draw from: refine takes a lobe"
         )
-    side = round(dot_um / design.grid_um) * design.grid_um
+    side = round(search.dot_um / design.grid_um) * design.grid_um
     found = refine(
         dot_task(design, design.model, side),
-        np.random.default_rng(seed),
-        Limits(seconds, generations, good),
-        method=method,
-        population=population,
+        np.random.default_rng(search.seed),
+        limits,
+        method=search.method,
+        population=search.population,
         on_progress=on_progress,
     )
     tile = rasterised(found.dot, design.grid_um)
@@ -336,17 +310,7 @@ def refine_dot(
         design.wavelength_nm,
         design.coherence_um,
     )
-    return RefinedDot(design, layout, found, method, seed, side)
-
-
-def check_dot(dot_um: float) -> None:
-    """Refuse a dot that is none.
-
-    Raises:
-        UsageError: no positive length.
-    """
-    if not 0.0 < dot_um < float("inf"):
-        raise UsageError(f"--dot must be a positive length in µm, not {dot_um:g}")
+    return RefinedDot(design, layout, found, search.method, search.seed, side)
 
 
 @dataclass(frozen=True)
@@ -416,15 +380,12 @@ class DotPattern:
         return tuple(DotClass(name, int(count)) for name, count in pairs)
 
 
+@by_keywords(options=PatternOptions)
 def dot_pattern(
     grey: npt.NDArray[np.uint8],
     designs: Sequence[DesignFile],
     *,
-    dot_um: float = 112.0,
-    tiles: int = 4,
-    refine_s: float = 0.0,
-    dither: bool = False,
-    seed: int = 0,
+    options: PatternOptions,
     on_progress: Advance = silent,
 ) -> DotPattern:
     """Lay out a picture as dots, each with one reflectance: ``anisoscope design pattern``.
@@ -432,22 +393,15 @@ def dot_pattern(
     Args:
         grey: (rows, cols) picture, a dot a pixel: labels, or shades with ``dither``.
         designs: from dark to bright (`mirror_design` is the bare wafer).
-        dot_um: side of a dot.
-        tiles: different tiles of a reflectance.
-        refine_s: seconds to refine every tile of a lobe.
-        dither: mix designs where the picture has values between theirs.
-        seed: of everything random.
+        options: `PatternOptions`.
         on_progress: called along the way.
 
     Raises:
         UsageError: another count of values than of designs, or a dot or seed that is none.
     """
-    check_seed(seed)
-    check_dot(dot_um)
-    labels = classes_of(grey, len(designs), dither=dither)
-    options = PatternOptions(dot_um, tiles, refine_s, dither)
-    layout = make_layout(labels, designs, np.random.default_rng(seed), options, on_progress)
-    return DotPattern(layout, tuple(designs), seed)
+    labels = classes_of(grey, len(designs), dither=options.dither)
+    layout = make_layout(labels, designs, np.random.default_rng(options.seed), options, on_progress)
+    return DotPattern(layout, tuple(designs), options.seed)
 
 
 def mirror_design() -> DesignFile:

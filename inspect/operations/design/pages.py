@@ -8,6 +8,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
+from anisoscope.parameters.etching import PatternOptions
 from anisoscope.report.design_page import (
     CaptionedPicture,
     DesignPage,
@@ -22,7 +23,7 @@ from anisoscope.sim.design.designfile import DesignFile
 from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.design.lobe import AxisLobe
 from anisoscope.sim.design.models import LobeModel, MixtureModel, model_density
-from anisoscope.sim.design.pattern import PatternOptions, make_layout
+from anisoscope.sim.design.pattern import make_layout
 from anisoscope.sim.design.refine import Refined
 from anisoscope.sim.design.resolution import PICTURE, REACH, Tradeoff, expected
 from anisoscope.sim.light.colour.spaces import encode

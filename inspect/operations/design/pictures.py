@@ -16,7 +16,9 @@ from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.operations.design.pages import draw_panels
+from anisoscope.parameters.etching import MARKS, LobePhoto, StepMixture
 from anisoscope.parameters.fabrication import Fabrication, HologramSearch
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.sim.design.appearance import (
     Grid,
     LobeComparison,
@@ -38,9 +40,7 @@ from anisoscope.sim.materials.spectra import find_illuminant
 from anisoscope.sim.proof.separation import decode_srgb
 
 POINTS = 121
-MARKS = "COL,ROW=X,Y of four marks, ;-separated"
 HOLOGRAM = Fabrication(550.0, min_width_um=0.5, grid_um=0.001)  # cells are the grid
-SEARCH = HologramSearch()
 
 
 def read_image(path: Path, *, colour: bool = False, others: str = "") -> npt.NDArray[np.uint8]:
@@ -115,52 +115,43 @@ class EtchedPicture:
         return [{"share": share, **model.model_dump(mode="json")} for share, model in pairs]
 
 
+@by_keywords(mixture=StepMixture)
 def etched_picture(
     targets: Sequence[FloatArray],
     *,
-    weights: Sequence[float] | None = None,
-    reach: float = 0.2,
-    etch_passes: int = 1,
+    mixture: StepMixture,
     fabrication: Fabrication | None = None,
-    max_width_um: float = 20.0,
-    nearest: bool = False,
     name: str = "picture",
 ) -> EtchedPicture:
     """The mixture of step structures whose reflectance comes closest to targets: ``anisoscope design picture``.
 
     Args:
         targets: (121, 121) light over h_y, h_x each (`read_target`); their weighted sum is wanted.
-        weights: of the targets, 0 or more; 1 where they are left out.
-        reach: largest ``|h_x|`` and ``|h_y|``.
-        etch_passes: of a quarter wave and its halves, 1 to 4; their levels have a zero mean phase.
+        mixture: `StepMixture`.
         fabrication: wavelength, source, smallest feature and grid.
-        max_width_um: widest step.
-        nearest: take the nearest reflectance if the wanted one is out of reach.
         name: of the design.
 
     Raises:
         UsageError: weights or passes that are none.
         ModelError: most of the wanted light is out of reach.
     """
-    made = fabrication or Fabrication()
-    if not 1 <= etch_passes <= 4:
-        raise UsageError(f"--etch-passes takes 1 to 4, not {etch_passes}")
+    made, etch_passes, weights = fabrication or Fabrication(), mixture.etch_passes, mixture.weights
     factors = [1.0] * len(targets) if weights is None else list(weights)
     if len(factors) != len(targets) or min(factors) < 0.0 or max(factors) <= 0.0:
         raise UsageError(f"--weights takes a weight of 0 or more for each of the {len(targets)} targets")
     wanted = np.sum([factor * one for factor, one in zip(factors, targets, strict=True)], axis=0)
     task = TargetTask(
         wanted,
-        reach,
+        mixture.reach,
         2**etch_passes,
         made.min_width_um,
-        max_width_um,
+        mixture.max_width_um,
         made.grid_um,
         1e-3 * made.wavelength_nm,
         made.coherence_um,
     )
     found = design_target(task)
-    if not nearest:
+    if not mixture.nearest:
         found.check()
     # levels even over half a wave of height: λ/4, λ/8, … have a zero mean phase
     passes = tuple(sorted(made.wavelength_nm / 4.0 / 2**number for number in range(etch_passes)))
@@ -252,13 +243,14 @@ class Hologram:
     over_etched: Judged
 
 
+@by_keywords(search=HologramSearch)
 def etched_hologram(
     wanted: FloatArray,
     *,
     lamp: Illuminant | None = None,
     passes_nm: Sequence[float] | None = None,
     fabrication: Fabrication = HOLOGRAM,
-    search: HologramSearch = SEARCH,
+    search: HologramSearch,
     name: str = "picture",
     on_progress: Advance = silent,
 ) -> Hologram:
@@ -382,43 +374,28 @@ def read_wanted(path: Path, points: int, *, colour: bool) -> FloatArray:
     return np.asarray(values / 255.0, dtype=np.float64)
 
 
-def compare_lobe(
-    photo: FloatArray,
-    design: DesignFile | Layout,
-    wavelength_nm: float,
-    screen: Screen,
-    to_pixels: FloatArray,
-    *,
-    lamp_half_angle_deg: float | None = None,
-    reach: float = 0.12,
-    points: int = 64,
-) -> LobeComparison:
+def compare_lobe(photo: Path, design: Path, taken: LobePhoto) -> LobeComparison:
     """A photographed lobe against its design: ``anisoscope design compare-lobe``.
 
     Args:
-        photo: (rows, cols) light, NaN where it clips (`read_photograph`).
-        design: what the sample was made of (`read_sample_design`).
-        wavelength_nm: of the lamp.
-        screen: distance, light and turns of the screen.
-        to_pixels: (3, 3) homography from mm on the screen to pixels (`pixels_of_marks`, `pixels_of_scale`).
-        lamp_half_angle_deg: half of the angle that a round lamp subtends; the design's source where it is left out.
-        reach: largest ``|h_x|`` and ``|h_y|``, from the mirrored beam.
-        points: directions along each axis.
+        photo: grey or colour photograph of the screen, 8 or 16 bits; clipped pixels count for nothing.
+        design: design *.toml or layout *.npz of which the sample was made.
+        taken: lamp, screen and camera.
 
     Raises:
-        UsageError: a number outside its range.
+        UsageError: a number outside its range, or a file that cannot be used.
         ModelError: the photograph does not show the lobe.
     """
-    if not 16 <= points <= 256 or not 100.0 <= wavelength_nm <= 20000.0:
-        raise UsageError("--points takes 16 to 256, --wavelength 100 to 20000 nm")
+    screen = Screen(taken.distance_mm, taken.light, taken.screen_tilt)
+    seen = read_photograph(photo, taken.background, taken.tone)
+    to_pixels = _pixels_of_scale(taken, seen.shape) if taken.marks is None else pixels_of_marks(taken.marks)
     source = None
-    if lamp_half_angle_deg is not None:
-        if not 0.0 < lamp_half_angle_deg <= 10.0:
-            raise UsageError(f"--lamp-half-angle takes above 0 to 10°, not {lamp_half_angle_deg:g}°")
-        source = Extent("disc", 2.0 * float(np.sin(np.radians(lamp_half_angle_deg))))
-    grid = Grid.of(screen, reach, points)
-    measured, _ = photographed_intensity(photo, to_pixels, screen, grid)
-    return compared_lobes(measured, designed_intensity(design, grid, wavelength_nm, source), grid)
+    if taken.lamp_half_angle_deg is not None:
+        source = Extent("disc", 2.0 * float(np.sin(np.radians(taken.lamp_half_angle_deg))))
+    grid = Grid.of(screen, taken.reach, taken.points)
+    measured, _ = photographed_intensity(seen, to_pixels, screen, grid)
+    expected = designed_intensity(read_sample_design(design), grid, taken.wavelength_nm, source)
+    return compared_lobes(measured, expected, grid)
 
 
 def draw_comparison(found: LobeComparison, reach: float, path: Path) -> None:
@@ -491,15 +468,12 @@ def pixels_of_marks(text: str) -> FloatArray:
     return np.asarray(cv2.getPerspectiveTransform(places, pixels), dtype=np.float64)
 
 
-def pixels_of_scale(
-    pixel_mm: float | None, center: str | None, shape: tuple[int, ...], *, from_behind: bool
-) -> FloatArray:
+def _pixels_of_scale(taken: LobePhoto, shape: tuple[int, ...]) -> FloatArray:
     """(3, 3) homography of a picture seen straight on, y up; x runs to the left as seen from the sample."""
-    if pixel_mm is None or not 0.0 < pixel_mm < float("inf"):
-        raise UsageError(f"--pixel-mm must be a positive length, not {pixel_mm}")
-    col, row = (0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)) if center is None else pair_of(center, "--center")
-    along = 1.0 / pixel_mm
-    return np.array([[along if from_behind else -along, 0.0, col], [0.0, -along, row], [0.0, 0.0, 1.0]])
+    assert taken.pixel_mm is not None
+    col, row = taken.center or (0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1))
+    along = 1.0 / taken.pixel_mm
+    return np.array([[along if taken.from_behind else -along, 0.0, col], [0.0, -along, row], [0.0, 0.0, 1.0]])
 
 
 def read_sample_design(path: Path) -> DesignFile | Layout:

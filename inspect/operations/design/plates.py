@@ -18,7 +18,8 @@ from anisoscope.kinds.plates.expectation import expected_plate
 from anisoscope.kinds.plates.recipe import PlateRecipe, Symbology
 from anisoscope.kinds.registry import kind_named
 from anisoscope.operations.demo.plates import Trial, check_trial, photograph
-from anisoscope.parameters.manufacture import Manufacture
+from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.manufacture import CodeDesign, Manufacture, PlateDesign
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.comparison import turned_over
@@ -121,21 +122,16 @@ class DesignedPlate:
         return self.found.missed
 
 
+@by_keywords(plate=PlateDesign)
 def design_plate(
     pictures: Sequence[FloatArray],
     out: Path,
     *,
-    stages_deg: Sequence[float] = (0.0, 90.0),
+    plate: PlateDesign,
     names: Sequence[str] = ("first", "second"),
-    field_um: float = 100.0,
     ridges: RidgeDesign = PICTURE_RIDGES,
     material: Material | None = None,
-    light_angle_deg: float = 10.0,
-    class_count: int = 64,
-    pixel_um: float = 5.0,
     make: Manufacture | None = None,
-    trial: bool = False,
-    overwrite: bool = False,
     on_progress: Advance = silent,
 ) -> DesignedPlate:
     """Make a plate of ridges that shows a grey picture, and another one when it is turned: ``anisoscope design plate``.
@@ -146,33 +142,34 @@ def design_plate(
     Args:
         pictures: one or two pictures (rows, cols), 0 black to 1 white in proportion to radiance, a value a field.
         out: folder, made where it is missing.
-        stages_deg: stage angles at which they are seen.
+        plate: `PlateDesign`.
         names: what the pictures are called, for recipe and page.
-        field_um: side of a field, whole ridges, two or more.
         ridges: pitch, draft of the walls and radius of the crests; the ridge angle is chosen for every field.
         material: the plastic; the default one where it is not given.
-        light_angle_deg: between light and camera.
-        class_count: most classes of fields.
-        pixel_um: pixel size of the height maps.
         make: what is written for the making of the insert.
-        trial: photograph the plate on the virtual rig, and compare.
-        overwrite: replace files that exist.
         on_progress: called along the way of the trial.
 
     Raises:
         UsageError: numbers that make no plate, or files that exist.
         HeightMapError: fields that hold no whole ridges or pixels.
     """
-    plastic, making, stages = (
+    plastic, making, pixel_um, trial = (
         material or Material(),
         make or Manufacture(),
-        tuple(stages_deg)[: len(pictures)],
+        plate.pixel_um,
+        plate.trial,
     )
+    stages, light_angle_deg = plate.stages_deg[: len(pictures)], plate.light_angle_deg
+    if len(stages) != len(pictures):
+        raise UsageError(
+            f"--angles must name a stage angle a picture, {len(pictures)} of them, not "
+            f"{','.join(f'{one:g}' for one in plate.stages_deg)}"
+        )
     if len({one.shape for one in pictures}) > 1:
         shapes = " and ".join(f"{one.shape[1]} × {one.shape[0]}" for one in pictures)
         raise UsageError(f"the two pictures have {shapes} fields: give pictures of one shape")
     found = design_pictures(
-        np.array(pictures), stages, ridges, field_um, plastic, light_angle_deg, class_count
+        np.array(pictures), stages, ridges, plate.field_um, plastic, light_angle_deg, plate.class_count
     )
     _check(making, found.plan, ridges, pixel_um)
     if trial:
@@ -180,7 +177,7 @@ def design_plate(
     shown = [f"predicted-{stage:g}.png" for stage in stages]
     seen = [f"camera-{stage:g}.png" for stage in stages] if trial else []
     files = ["plan.csv", "fields.csv", "recipe.toml", "appearance.html", *shown, *seen, *making.names()]
-    _new_folder(out, files, overwrite=overwrite)
+    _new_folder(out, files, overwrite=plate.overwrite)
     length_m, minutes = _write(making, out, found.plan, ridges, pixel_um)
     (out / "fields.csv").write_text(_fields_text(found.plan), encoding="utf-8")
     tables = recipe_of(found.plan, ridges, f"plate that shows {' and '.join(names[: len(pictures)])}")
@@ -325,19 +322,14 @@ class DesignedCode:
         return self.plan.size_mm
 
 
+@by_keywords(code=CodeDesign)
 def design_code(
     text: str,
     out: Path,
     *,
-    symbology: Symbology = "datamatrix",
+    code: CodeDesign,
     ridges: RidgeDesign = CODE_RIDGES,
-    module_mm: float = 0.2,
-    facet_azimuths_deg: tuple[float, float] = (0.0, -90.0),
-    plate_mm: float | None = None,
-    pixel_um: float = 2.0,
     make: Manufacture | None = None,
-    trial: bool = False,
-    overwrite: bool = False,
     on_progress: Advance = silent,
 ) -> DesignedCode:
     """Make a code of ridges in two directions, which exchange light and dark when turned: ``anisoscope design code``.
@@ -348,37 +340,32 @@ def design_code(
     Args:
         text: what the code says.
         out: folder, made where it is missing.
-        symbology: kind of code; the smallest symbol that holds the text.
+        code: `CodeDesign`.
         ridges: of the fields.
-        module_mm: side of a module, two ridges or more.
-        facet_azimuths_deg: toward which facets of light and of dark modules fall at stage angle 0.
-        plate_mm: side of the plate, which the code must fit; any where it is left out.
-        pixel_um: pixel size of the height maps.
         make: what is written for the making of the insert.
-        trial: photograph the plate on the virtual rig, and read its code.
-        overwrite: replace files that exist.
         on_progress: called along the way of the trial.
 
     Raises:
         UsageError: a text that no code or plate holds, or files that exist.
         HeightMapError: modules that hold no two ridges or no whole pixels.
     """
-    making = make or Manufacture()
-    plan = plan_of_modules(modules_of_code(text, symbology), module_mm, facet_azimuths_deg)
+    making, symbology, plate_mm = make or Manufacture(), code.symbology, code.plate_mm
+    light, dark = code.facet_azimuths_deg
+    plan = plan_of_modules(modules_of_code(text, symbology), code.module_mm, (light, dark))
     plan.check_ridges(ridges.pitch_um)
     if plate_mm is not None and max(plan.size_mm) > plate_mm * (1.0 + 1e-9):
         shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
         raise UsageError(
             f"{shown!r} needs {len(plan.rows)} × {len(plan.rows)} modules with its quiet zone, {plan.size_mm[0]:g} mm "
-            f"of {module_mm:g} mm each; the plate has {plate_mm:g} mm: make modules of at most "
+            f"of {code.module_mm:g} mm each; the plate has {plate_mm:g} mm: make modules of at most "
             f"{plate_mm / len(plan.rows):.3g} mm, or the text shorter"
         )
-    _check(making, plan, ridges, pixel_um)
-    if trial:
+    _check(making, plan, ridges, code.pixel_um)
+    if code.trial:
         check_trial(plan)
     names = ["plan.csv", "recipe.toml", "appearance.html", *making.names()]
-    _new_folder(out, names, overwrite=overwrite)
-    length_m, minutes = _write(making, out, plan, ridges, pixel_um)
+    _new_folder(out, names, overwrite=code.overwrite)
+    length_m, minutes = _write(making, out, plan, ridges, code.pixel_um)
     tables = recipe_of(plan, ridges, f"{symbology} {text} of ridges")
     tables["code"] = {"text": text, "symbology": symbology, "read_at_deg": list(READ_AT_DEG)}
     (out / "recipe.toml").write_text(recipe_text(tables), encoding="utf-8")
@@ -388,7 +375,7 @@ def design_code(
     ends = float(expected.radiance.min()), float(expected.radiance.max())
     title, plastic = f"{symbology} {text}", recipe.material.material()
     write_plate_page(out / "appearance.html", title, plan, ridges, plastic, LIGHT_DEG, READ_AT_DEG, ends)
-    tried = photograph(out, plan, ridges, _lobe(plastic), on_progress) if trial else None
+    tried = photograph(out, plan, ridges, _lobe(plastic), on_progress) if code.trial else None
     readings, grades = predicted_code(expected, symbology)
     poses = tuple(
         CodePose(

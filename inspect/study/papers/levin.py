@@ -6,6 +6,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.parameters.etching import PatternOptions
 from anisoscope.prediction.angular import AngularTask, angular_reflectance
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.report.study_page import Chart, Curve, chart_uri
@@ -23,7 +24,7 @@ from anisoscope.sim.design.models import (
     model_density,
     random_dot,
 )
-from anisoscope.sim.design.pattern import PatternOptions, dot_task, make_layout
+from anisoscope.sim.design.pattern import dot_task, make_layout
 from anisoscope.sim.design.refine import Limits, refine
 from anisoscope.sim.design.resolution import expected, tradeoff
 from anisoscope.sim.design.targets import TargetTask, design_target

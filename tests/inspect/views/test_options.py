@@ -1,5 +1,6 @@
 """Options of parameter models: every field can be stated, in every command that takes the model."""
 
+import inspect
 from dataclasses import dataclass, fields, replace
 
 import pytest
@@ -9,6 +10,7 @@ from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.parameters.fabrication import Fabrication, HologramSearch
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import InputUncertainty
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.manufacture import Manufacture
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Microscope
@@ -96,6 +98,31 @@ def test_the_option_out_of_its_range_is_named():
         given("--form", "blunt").refuse(["tilt_deg", "form"], "belongs to other slits")
 
 
+def test_a_whole_model_has_its_defaults_and_reads_its_lists():
+    assert given(whole=True).made() == Slit()
+    assert given("--ends", "1,2.5", whole=True).made() == Slit(ends=(1.0, 2.5))
+    with pytest.raises(UsageError, match=r"^--ends takes 2 numbers separated by commas, not '1'$"):
+        given("--ends", "1", whole=True).made()
+
+
+@by_keywords(slit=Slit)
+def open_wide(name, *, slit, times=2):
+    return name, slit.width_um * times
+
+
+def test_an_operation_takes_its_model_or_the_fields_as_keywords():
+    assert open_wide("a") == ("a", 10.0)
+    assert open_wide("a", slit=Slit(7.0), times=1) == ("a", 7.0)
+    assert open_wide("a", width_um=3.0, times=1) == ("a", 3.0)
+    with pytest.raises(ModelError, match="needs a width"):
+        open_wide("a", width_um=0.0)
+    with pytest.raises(TypeError, match="height"):
+        open_wide("a", height=0.0)
+    known = inspect.signature(open_wide).parameters
+    assert list(known) == ["name", "times", "width_um", "form", "tilt_deg", "ends", "round"]
+    assert known["width_um"].default == 5.0
+
+
 def test_a_command_may_rename_reword_and_leave_out(capsys):
     changes = {
         "names": {"width_um": "--gap"},
@@ -125,7 +152,7 @@ def test_every_field_of_a_model_is_an_option_or_left_out_with_a_reason(guard):
     for words, app, models in commands_with_models(guard):
         names = {name for one in app.assemble_argument_collection() for name in one.names}
         for options in models.values():
-            taken.add(options.model)
+            taken |= set() if options.whole else {options.model}  # a whole one is that of one operation
             for one in fields(options.model):
                 reason = options.without.get(one.name)
                 assert options.option(one.name) in names or reason, f"{words}: {one.name} cannot be stated"
