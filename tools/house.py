@@ -374,11 +374,19 @@ def declared_options(root: Any) -> tuple[int, set[tuple[str, str]]]:  # noqa: AN
         owner = app.default_command
         for argument in app.assemble_argument_collection(parse_docstring=False):
             if not argument.keys and not argument.children:
-                found.add((owner.__module__, f"{owner.__qualname__}.{argument.field_info.name}"))
+                found.add(_shared_type(owner, argument.field_info.name))
             for child in argument.children:
                 if not child.children:
                     found.add(_declared(argument.hint, child.keys[-1]))
     return commands, found
+
+
+def _shared_type(owner: Any, name: str) -> tuple[str, str]:  # noqa: ANN401
+    """Module and name of a parameter; an annotated type that several commands share is one declaration."""
+    hint = owner.__annotations__.get(name)
+    if not hasattr(hint, "__metadata__"):
+        return owner.__module__, f"{owner.__qualname__}.{name}"
+    return ".".join(owner.__module__.split(".")[:2]), f"{name}: {get_args(hint)[:2]}"
 
 
 def _declared(hint: object, field: str) -> tuple[str, str]:

@@ -4,7 +4,7 @@ import importlib.util
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import pytest
 from cyclopts import App, Parameter
@@ -110,15 +110,20 @@ class _Optics(_Lamp):
     aperture: Annotated[float, Parameter(name="--na")] = 0.1
 
 
+_Wide = Annotated[bool, Parameter(name="--wide")]
+
+
 def test_an_option_is_counted_where_it_is_declared():
     app = App()
 
     @app.command
-    def one(name: str, *, seed: int = 1, optics: Annotated[_Optics, Parameter(name="*")]):
+    def one(
+        name: str, *, seed: int = 1, wide: _Wide = False, optics: Annotated[_Optics, Parameter(name="*")]
+    ):
         pass
 
     @app.command
-    def two(*, optics: Annotated[_Optics, Parameter(name="*")]):
+    def two(*, wide: _Wide = False, optics: Annotated[_Optics, Parameter(name="*")]):
         pass
 
     commands, found = house.declared_options(app)
@@ -127,6 +132,7 @@ def test_an_option_is_counted_where_it_is_declared():
     assert found == {
         (__name__, f"{here}.name"),
         (__name__, f"{here}.seed"),
+        (".".join(__name__.split(".")[:2]), f"wide: {get_args(_Wide)}"),
         (__name__, "_Lamp.power"),
         (__name__, "_Optics.aperture"),
     }
