@@ -5,18 +5,14 @@ compare frames minutes apart, so that the drift per minute and its uncertainty a
 """
 
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.rig.camera import Camera
-from anisoscope.rig.frame import SATURATION
-from anisoscope.rig.light import Light
 
 MIN_FRAMES = 8
 ALLOWED_PER_MINUTE = 0.001
@@ -235,78 +231,3 @@ def _wait_s(fit: _Fit, end_s: float, last: float, allowed: float, *, warm: bool)
     rate = abs(fit.amplitude) / fit.tau_s * 60.0 / last
     settled_s = fit.tau_s * math.log(rate / allowed) if rate > allowed else 0.0
     return max(0.0, settled_s - end_s)
-
-
-MAX_SATURATED = 0.01
-MIN_LEVEL = 0.01
-
-
-class Lit(Protocol):
-    """Protocol of a rig with a lamp and a camera."""
-
-    @property
-    def camera(self) -> Camera:
-        """The camera."""
-        ...
-
-    @property
-    def light(self) -> Light:
-        """The light."""
-        ...
-
-
-def watch_lamp(
-    rig: Lit,
-    *,
-    exposure_s: float,
-    gain: float = 1.0,
-    frames: int = 60,
-    interval_s: float = 1.0,
-    region: tuple[slice, slice] | None = None,
-    allowed_per_minute: float = ALLOWED_PER_MINUTE,
-    clock: Callable[[], float] = time.monotonic,
-    sleep: Callable[[float], None] = time.sleep,
-) -> WarmUp:
-    """Switch the lamp on, record frames at intervals, and fit its warm-up. The stage does not move.
-
-    Args:
-        rig: an opened rig.
-        exposure_s: exposure in seconds; frames must not be saturated.
-        gain: gain as a factor.
-        frames: number of frames.
-        interval_s: time between two frames, in seconds.
-        region: rows and columns over which brightness is averaged; by default the middle quarter of the picture.
-        allowed_per_minute: drift that counts as warm, as a share per minute.
-        clock: gives the time in seconds.
-        sleep: waits for a time in seconds.
-
-    Raises:
-        UsageError: too few frames.
-        CalibrationError: the lamp is dark, or the frames are saturated.
-        RigError: a device fails.
-    """
-    info = rig.camera.info
-    rows, cols = region or _middle(info.rows, info.cols)
-    rig.camera.configure(exposure_s, gain)
-    rig.light.on()
-    full_scale = 2**info.bit_depth - 1
-    start = clock()
-    times, levels = [], []
-    for number in range(frames):
-        sleep(max(0.0, start + number * interval_s - clock()))
-        times.append(clock() - start)
-        counts = rig.camera.grab()[rows, cols]
-        if np.mean(counts >= SATURATION * full_scale) > MAX_SATURATED:
-            raise CalibrationError(
-                f"the frames are saturated at {exposure_s:g} s; watch the lamp with a shorter exposure"
-            )
-        levels.append(float(counts.mean()) - info.black_level)
-    if np.mean(levels) < MIN_LEVEL * full_scale:
-        raise CalibrationError(
-            f"the frames are dark at {exposure_s:g} s; uncover the lens, or watch with a longer exposure"
-        )
-    return fit_warmup(times, levels, allowed_per_minute=allowed_per_minute)
-
-
-def _middle(rows: int, cols: int) -> tuple[slice, slice]:
-    return slice(rows // 4, rows - rows // 4), slice(cols // 4, cols - cols // 4)
