@@ -111,6 +111,8 @@ LightAngleOption = Annotated[
     float | None,
     Parameter(name="--light-angle", help="Without --rig: angle of the light, degrees; else 10 is assumed."),
 ]
+Flag = Annotated[bool, Parameter(negative="")]
+"""What is so where it is stated, and has no --no-…"""
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 

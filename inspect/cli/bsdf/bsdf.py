@@ -9,7 +9,7 @@ from cyclopts import App, Group, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import InksOption, OverwriteOption, printed_inks
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_PLASTIC, Json, check_new, check_suffix
+from anisoscope.cli.options import OF_PLASTIC, Flag, Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 from anisoscope.parameters.material import Material
@@ -170,9 +170,7 @@ def export(
     nodes: NodesOption = None,
     scene: Annotated[Path | None, Parameter(help="RGL: also write a scene *.xml for Mitsuba.")] = None,
     scene_shape: Annotated[Literal["sphere", "plate"], Parameter(help="Shape in the scene.")] = "sphere",
-    coarse: Annotated[
-        bool, Parameter(negative="", help="Write ridges as Klems or tensor tree, which blur them.")
-    ] = False,
+    coarse: Flag = False,
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -183,6 +181,7 @@ def export(
 
     Args:
         target: file to write.
+        coarse: Write ridges as Klems or tensor tree, which blur them.
 
     Examples:
         anisoscope bsdf export ridges.bsdf --ridge-angle 10 --scene ridges.xml
@@ -275,22 +274,9 @@ def import_(
     /,
     *,
     out: Annotated[Path, Parameter(help="CSV file to write: one row a pair of directions, for fit brdf.")],
-    columns: Annotated[
-        str | None,
-        Parameter(
-            help="CSV: our columns by those of the file or by numbers: theta_i_deg=AOI,phi_i_deg=0,value=BRDF."
-        ),
-    ] = None,
-    angle_unit: Annotated[
-        Literal["deg", "rad"] | None,
-        Parameter(help="Angles of the file; E2387 ASCII rad, CSV deg by default."),
-    ] = None,
-    values_are: Annotated[
-        Literal["brdf", "radiance", "factor"],
-        Parameter(
-            help="Values: BRDF in 1/sr, BRDF × cos θi (CCBRDF), or ratios to a perfect white (π × BRDF)."
-        ),
-    ] = "brdf",
+    columns: str | None = None,
+    angle_unit: Literal["deg", "rad"] | None = None,
+    values_are: Literal["brdf", "radiance", "factor"] = "brdf",
     pairs: Annotated[int, Parameter(help="Of a gridded file: pairs of directions to sample.")] = 2000,
     overwrite: OverwriteOption = False,
     json_: Json = False,
@@ -300,6 +286,9 @@ def import_(
     Args:
         file: CSV with a header, ASTM E2387-style ASCII (a line VARS), RGL .bsdf, MERL, Klems or tensor-tree XML,
             or Zemax.
+        columns: CSV: our columns by those of the file or by numbers: theta_i_deg=AOI,phi_i_deg=0,value=BRDF.
+        angle_unit: Angles of the file; E2387 ASCII rad, CSV deg by default.
+        values_are: Values: BRDF in 1/sr, BRDF × cos θi (CCBRDF), or ratios to a perfect white (π × BRDF).
 
     Examples:
         anisoscope bsdf import gonio.csv --columns theta_i_deg=AOI,phi_i_deg=0,theta_o_deg=Det,phi_o_deg=180 --out t.csv
@@ -347,13 +336,9 @@ def textures(
     /,
     *,
     out: Annotated[Path, Parameter(help="New folder for textures, reflectances and scene.")],
-    pixel: Annotated[
-        str | None, Parameter(help="Pixel size in µm: of a plate's heights (2), of a map that states none.")
-    ] = None,
+    pixel: str | None = None,
     inks: InksOption = None,
-    wavelength: Annotated[
-        float | None, Parameter(help="Dots: keep one wavelength in nm; spectral files are large.")
-    ] = None,
+    wavelength: float | None = None,
     nodes: NodesOption = None,
     light_angle: Annotated[float, Parameter(help="Scene: angle between light and camera in degrees.")] = 10.0,
     material: MaterialFile = None,
@@ -367,6 +352,8 @@ def textures(
 
     Args:
         source: Recipe of a plate, layout of dots, PNG of a halftone, or height map.
+        pixel: Pixel size in µm: of a plate's heights (2), of a map that states none.
+        wavelength: Dots: keep one wavelength in nm; spectral files are large.
 
     Examples:
         anisoscope bsdf textures plate/recipe.toml --out textures

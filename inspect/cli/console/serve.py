@@ -37,35 +37,29 @@ def serve(
     *,
     rig: RigPath,
     recipes: Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")],
-    out: Annotated[Path, Parameter(help="Folder that receives the inspection folders.")] = Path(
-        "inspections"
-    ),
+    out: Path = Path("inspections"),
     history: HistoryOption = None,
-    users: Annotated[
-        Path | None, Parameter(help="File of users; without it one user, at this computer only.")
-    ] = None,
-    openid: Annotated[
-        Path | None, Parameter(help="With --users: file of an OpenID provider that logs people in too.")
-    ] = None,
+    users: Path | None = None,
+    openid: Path | None = None,
     host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="TCP port; 0 takes any free one.")] = PORT,
-    station: Annotated[
-        str | None, Parameter(help="Station where the rig stands; the fleet page shows what it does.")
-    ] = None,
+    station: str | None = None,
     name: Annotated[
         tuple[str, ...],
         Parameter(negative="", help="Name by which other computers call this one; may be repeated."),
     ] = (),
     certificate: Annotated[Path | None, Parameter(help="TLS certificate (PEM).")] = None,
     key: Annotated[Path | None, Parameter(help="Its key (PEM).")] = None,
-    idle: Annotated[
-        float,
-        Parameter(
-            help="With --users: minutes without a person's request until a session may only look and stop."
-        ),
-    ] = 30.0,
+    idle: float = 30.0,
 ) -> int:
     """Serve the console: a page at the station and a page over all stations, until Ctrl-C.
+
+    Args:
+        out: Folder that receives the inspection folders.
+        users: File of users; without it one user, at this computer only.
+        openid: With --users: file of an OpenID provider that logs people in too.
+        station: Station where the rig stands; the fleet page shows what it does.
+        idle: With --users: minutes without a person's request until a session may only look and stop.
 
     Examples:
         anisoscope serve --rig rig.toml --recipes recipes

@@ -33,16 +33,8 @@ SCENES: dict[Kind, str] = {
 
 def demo(
     *,
-    kind: Annotated[
-        Kind,
-        Parameter(
-            help="Kind of part: plastic with ridges, etched wafers (also: wafer), prints with a structural-colour ink "
-            "(also: print), or plates that carry a code of ridges (also: plate)."
-        ),
-    ] = "ridges",
-    out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path(
-        "demo-output"
-    ),
+    kind: Kind = "ridges",
+    out: Path = Path("demo-output"),
     seed: Annotated[int, Parameter(help="Seed of everything random on the virtual rig.")] = 1,
     json_: Json = False,
 ) -> int:
@@ -50,6 +42,11 @@ def demo(
 
     Takes a flat of a white tile, then photographs every part at 0°, 90° and 180° (prints and wafers at several tilts as
     well, plates at 0° and 90°) and judges it. Ends with exit code 0 when every verdict is the expected one.
+
+    Args:
+        kind: Kind of part: plastic with ridges, etched wafers (also: wafer), prints with a structural-colour ink (also:
+            print), or plates that carry a code of ridges (also: plate).
+        out: Folder for recipe, rig files, frames and reports.
 
     Examples:
         anisoscope demo

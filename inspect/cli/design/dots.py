@@ -82,14 +82,9 @@ def pattern(
     image: Path,
     /,
     *,
-    classes: Annotated[
-        str,
-        Parameter(help="Designs *.toml from dark to bright, comma-separated; mirror is the bare wafer."),
-    ],
+    classes: str,
     out: Annotated[Path | None, Parameter(help="Write the layout *.npz.")] = None,
-    plate_size: Annotated[
-        str | None, Parameter(help="Size W,H in mm; a dot for every pixel of the picture if not given.")
-    ] = None,
+    plate_size: str | None = None,
     options: Given[PatternOptions],
     png: Annotated[Path | None, Parameter(help="Write a picture of the classes, one pixel per dot.")] = None,
     html: HtmlOption = None,
@@ -99,6 +94,8 @@ def pattern(
 
     Args:
         image: Grey picture: labels, or shades with --dither.
+        classes: Designs *.toml from dark to bright, comma-separated; mirror is the bare wafer.
+        plate_size: Size W,H in mm; a dot for every pixel of the picture if not given.
 
     Examples:
         anisoscope design pattern disc.png --classes wide.toml,mirror --out disc.npz --html disc.html
@@ -249,15 +246,11 @@ def height(
     *,
     out: Annotated[Path, Parameter(help="Map to write: x3p or npz; npy row by row, for any size.")],
     corner: Annotated[str, Parameter(help="Lower left corner X,Y of the window, µm.")] = "0,0",
-    window_size: Annotated[
-        str | None, Parameter(help="Size W,H of the window, µm; all if not given.")
-    ] = None,
+    window_size: str | None = None,
     dots: Annotated[int, Parameter(help="Dots along each side, of a design *.toml.")] = 4,
     dot: Annotated[float, Parameter(help="Side of a dot, µm, of a design *.toml.")] = 112.0,
     seed: Annotated[int, Parameter(help="Seed, of a design *.toml.")] = 0,
-    depths: Annotated[
-        str | None, Parameter(help="Depth of every pass in nm, of a GDSII that does not say.")
-    ] = None,
+    depths: str | None = None,
     pixel: Annotated[float | None, Parameter(help="Pixel size in µm, of a GDSII.")] = None,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace the map if it exists.")] = False,
     json_: Json = False,
@@ -266,6 +259,8 @@ def height(
 
     Args:
         source: Design *.toml, layout *.npz or masks *.gds.
+        window_size: Size W,H of the window, µm; all if not given.
+        depths: Depth of every pass in nm, of a GDSII that does not say.
 
     Examples:
         anisoscope design height disc.gds --window-size 60,40 --out masks.x3p
@@ -319,14 +314,10 @@ def resolution(
     design: Path,
     /,
     *,
-    sizes: Annotated[
-        str, Parameter(help="Dot and coherence length in µm, DOT:COHERENCE, comma-separated.")
-    ] = USUAL,
+    sizes: str = USUAL,
     random_dots: Annotated[int, Parameter(help="Random dots of every pair, 1 to 100.")] = 8,
     seed: Annotated[int, Parameter(help="Seed of the dots.")] = 0,
-    png: Annotated[
-        Path | None, Parameter(help="Picture of expected and observed reflectance: *.png or *.svg.")
-    ] = None,
+    png: Path | None = None,
     json_: Json = False,
 ) -> int:
     """Show how far random dots are from the expected reflectance: spatial against directional resolution.
@@ -335,6 +326,8 @@ def resolution(
 
     Args:
         design: Lobe or anti-mirror, *.toml.
+        sizes: Dot and coherence length in µm, DOT:COHERENCE, comma-separated.
+        png: Picture of expected and observed reflectance: *.png or *.svg.
 
     Examples:
         anisoscope design resolution wide.toml

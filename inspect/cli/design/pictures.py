@@ -140,12 +140,8 @@ def hologram(
     /,
     *,
     out: Annotated[Path | None, Parameter(help="Write the unit as a layout *.npz.")] = None,
-    picture_light: Annotated[
-        str | None, Parameter(help="Light of a picture in colour: d65, a, led-b3 … or CSV; else grey.")
-    ] = None,
-    line_width: Annotated[
-        float, Parameter(help="Full width of the three lines at half of their height, nm.")
-    ] = 10.0,
+    picture_light: str | None = None,
+    line_width: float = 10.0,
     fabrication: Given[Fabrication],
     passes_nm: Annotated[
         str | None,
@@ -163,6 +159,8 @@ def hologram(
 
     Args:
         image: Picture; it is scaled to a square.
+        picture_light: Light of a picture in colour: d65, a, led-b3 … or CSV; else grey.
+        line_width: Full width of the three lines at half of their height, nm.
 
     Examples:
         anisoscope design hologram picture.png --out unit.npz --png unit.png

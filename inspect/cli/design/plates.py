@@ -72,19 +72,9 @@ def plate(
     *,
     out: OutOption,
     options: Given[PlateDesign],
-    field_count: Annotated[
-        int | None,
-        Parameter(
-            help="Field count along the longer side; one a pixel of the picture if not given.",
-        ),
-    ] = None,
+    field_count: int | None = None,
     ridges: Given[RidgeDesign],
-    tone: Annotated[
-        Literal["linear", "srgb"],
-        Parameter(
-            help="Greys of the pictures: proportional to radiance, as a camera sees them, or sRGB, for the eye."
-        ),
-    ] = "linear",
+    tone: Literal["linear", "srgb"] = "linear",
     plastic: Given[Material],
     manufacture: Given[Manufacture],
     json_: Json = False,
@@ -100,6 +90,8 @@ def plate(
     Args:
         first: Picture that is seen at the first stage angle.
         second: Picture of the same shape at the second one; without it there is one picture.
+        field_count: Field count along the longer side; one a pixel of the picture if not given.
+        tone: Greys of the pictures: proportional to radiance, as a camera sees them, or sRGB, for the eye.
 
     Examples:
         anisoscope design plate portrait.png --field-count 128 --out portrait

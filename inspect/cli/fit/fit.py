@@ -234,15 +234,9 @@ def ridges(
     table: Path,
     /,
     *,
-    quantity: Annotated[
-        Literal["exposure", "difference", "michelson", "log_ratio"] | None,
-        Parameter(help="What the values are; of an exposure table: which contrasts are formed and fitted."),
-    ] = None,
+    quantity: Literal["exposure", "difference", "michelson", "log_ratio"] | None = None,
     free: FreeOption | None = None,
-    errors: Annotated[
-        Literal["shared", "independent"],
-        Parameter(help="Contrasts that share a photograph: correlated, or independent."),
-    ] = "shared",
+    errors: Literal["shared", "independent"] = "shared",
     covariance: Annotated[
         Path | None,
         Parameter(name="--covariance-file", help="CSV without header: N × N covariance, in place of u."),
@@ -259,6 +253,8 @@ def ridges(
 
     Args:
         table: CSV: stage_deg,tilt_deg,value[,u] or from_deg,to_deg,tilt_deg,value[,u].
+        quantity: What the values are; of an exposure table: which contrasts are formed and fitted.
+        errors: Contrasts that share a photograph: correlated, or independent.
 
     Examples:
         anisoscope fit ridges table.csv
@@ -343,10 +339,7 @@ def brdf(
     *,
     ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees; 0 is a flat surface.")],
     fit: Annotated[bool, Parameter(negative="", help="Fit; otherwise only compare.")] = False,
-    free: Annotated[
-        str | None,
-        Parameter(help="Free parameters with --fit, as in fit ridges; ridge angle and both alphas."),
-    ] = None,
+    free: str | None = None,
     wavelength: Annotated[float | None, Parameter(help="Wavelength in nm, of a table with several.")] = None,
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
@@ -360,6 +353,7 @@ def brdf(
     Args:
         table: CSV: theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value[,u][,wavelength_nm], in the sample's frame; or RGL
             .bsdf, MERL, Klems XML, Zemax.
+        free: Free parameters with --fit, as in fit ridges; ridge angle and both alphas.
 
     Examples:
         anisoscope fit brdf brdf.csv --ridge-angle 8 --fit

@@ -10,7 +10,7 @@ from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.cli.history.history import plain, write_line
 from anisoscope.cli.history.options import DEFAULT_OUT
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, TrustFile
+from anisoscope.cli.options import Flag, Json, TrustFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import answer, print_table
 
@@ -44,23 +44,18 @@ def _store(url: str | None) -> "Store":
 def push(
     *places: Path,
     archive: Url = None,
-    remove: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="Remove local folders whose files were all read back with right hashes.",
-        ),
-    ] = False,
-    every: Annotated[
-        float | None,
-        Parameter(help="Go on, every so many seconds, until Ctrl-C; for a station's background."),
-    ] = None,
+    remove: Flag = False,
+    every: float | None = None,
     json_: Json = False,
 ) -> int:
     """Archive every finished inspection in some folders and below; what is there already is not sent again.
 
     A folder that is not as it was is not archived. After an interruption, or when the network was away, the same
     command goes on. Exit codes: 0 all are archived, 74 some could not be, 69 the archive does not answer.
+
+    Args:
+        remove: Remove local folders whose files were all read back with right hashes.
+        every: Go on, every so many seconds, until Ctrl-C; for a station's background.
 
     Examples:
         anisoscope archive push inspections --store s3://inspections/line-2
@@ -215,22 +210,19 @@ def verify(
 @app.command
 def retain(
     *,
-    rule: Annotated[
-        list[str] | None,
-        Parameter(
-            help="WHAT:DAYS, such as FAIL:3650, PASS:365, product=lid,PASS:90, all:ever; the first that fits counts."
-        ),
-    ] = None,
+    rule: list[str] | None = None,
     archive: Url = None,
-    dry_run: Annotated[
-        bool, Parameter(negative="", help="Only print what would be deleted; nothing is.")
-    ] = False,
+    dry_run: Flag = False,
     json_: Json = False,
 ) -> int:
     """Delete inspections from the archive whose time is over by the rules; what no rule fits stays.
 
     Inspections under legal hold stay. Every deletion leaves a note under `deleted/` with the whole manifest, the rule,
     the time and the user.
+
+    Args:
+        rule: WHAT:DAYS, such as FAIL:3650, PASS:365, product=lid,PASS:90, all:ever; the first that fits counts.
+        dry_run: Only print what would be deleted; nothing is.
 
     Examples:
         anisoscope archive retain --rule FAIL:3650 --rule PASS:365 --dry-run

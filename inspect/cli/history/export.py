@@ -22,19 +22,9 @@ def export(
         ),
     ] = None,
     json: Annotated[Path | None, Parameter(name="--json-file", help="Write JSON.")] = None,
-    junit: Annotated[
-        Path | None, Parameter(help="Write JUnit XML, for servers of continuous integration.")
-    ] = None,
-    aqdef: Annotated[
-        Path | None,
-        Parameter(help="Write AQDEF of one product and recipe: *.dfq, or *.dfd with *.dfx next to it."),
-    ] = None,
-    bundle: Annotated[
-        Path | None,
-        Parameter(
-            help="Write the signed inspection that --serial names, with its place in the history (ZIP)."
-        ),
-    ] = None,
+    junit: Path | None = None,
+    aqdef: Path | None = None,
+    bundle: Path | None = None,
     limit: Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")] = 0,
     place: Place = None,
 ) -> int:
@@ -42,6 +32,11 @@ def export(
 
     Rows are compared with the records in their folders, as far as those are here; where one was rewritten the command
     says which and ends with 1. A bundle is verified without anisoscope, by docs/verify_bundle.py.
+
+    Args:
+        junit: Write JUnit XML, for servers of continuous integration.
+        aqdef: Write AQDEF of one product and recipe: *.dfq, or *.dfd with *.dfx next to it.
+        bundle: Write the signed inspection that --serial names, with its place in the history (ZIP).
 
     Examples:
         anisoscope export --csv-file week.csv --since 7d

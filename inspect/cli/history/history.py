@@ -384,21 +384,9 @@ def covariates(
     *files: Annotated[
         Path, Parameter(help="CSV files with a column time or serial; all other columns are numbers.")
     ],
-    machine: Annotated[
-        str,
-        Parameter(help="Name that is put before the names of the numbers, where there are several machines."),
-    ] = "",
-    opcua: Annotated[
-        str | None,
-        Parameter(help="Address of a machine with OPC 40077 (EUROMAP 77): add its cycles, until Ctrl-C."),
-    ] = None,
-    field: Annotated[
-        list[str] | None,
-        Parameter(
-            help="With --opcua: browse name of a field to take, such as CycleTime; may be repeated. "
-            "Without it all that are real numbers."
-        ),
-    ] = None,
+    machine: str = "",
+    opcua: str | None = None,
+    field: list[str] | None = None,
     cycles: Annotated[int | None, Parameter(help="With --opcua: end after so many cycles.")] = None,
     certificate: OwnCertificate = None,
     key: OwnKey = None,
@@ -409,6 +397,12 @@ def covariates(
     """Add cycle data of machines to the history, by serial number or time; without files, list the numbers there are.
 
     A part takes the data with its serial number, else the last ones before its inspection, a day old at most.
+
+    Args:
+        machine: Name that is put before the names of the numbers, where there are several machines.
+        opcua: Address of a machine with OPC 40077 (EUROMAP 77): add its cycles, until Ctrl-C.
+        field: With --opcua: browse name of a field to take, such as CycleTime; may be repeated. Without it all that are
+            real numbers.
 
     Examples:
         anisoscope history covariates cycles.csv
@@ -457,20 +451,13 @@ def covariates(
 @app.command
 def verify(
     *,
-    head: Annotated[
-        list[str] | None,
-        Parameter(
-            help="A head that was noted earlier: fails if the history was cut or rewritten since. Repeatable."
-        ),
-    ] = None,
+    head: list[str] | None = None,
     trust: TrustFile = None,
     authorities: Annotated[
         Path | None,
         Parameter(name="--tsa", help="Certificates (PEM) of authorities whose time stamps count."),
     ] = None,
-    archive: Annotated[
-        str | None, Parameter(help="Archive: its verdicts, and the heads that stations noted there.")
-    ] = None,
+    archive: str | None = None,
     place: Place = None,
     json_: Json = False,
 ) -> int:
@@ -479,6 +466,10 @@ def verify(
     Rows are compared with the records within reach. Signed heads have to be in the history; with --trust there has to
     be one of every station, by its key, and no record may be missing between two others.
     Exit codes: 0 unchanged, 1 changed or not trusted, 64 and above no readable history.
+
+    Args:
+        head: A head that was noted earlier: fails if the history was cut or rewritten since. Repeatable.
+        archive: Archive: its verdicts, and the heads that stations noted there.
 
     Examples:
         anisoscope history verify
@@ -519,18 +510,17 @@ def sign(*, place: Place = None) -> int:
 @app.command
 def stamp(
     *,
-    url: Annotated[
-        str | None, Parameter(help="Time-stamping authority (RFC 3161), http:// or https://.")
-    ] = None,
-    request: Annotated[
-        Path | None, Parameter(help="Write the request to this file; the answer comes by --response.")
-    ] = None,
-    response: Annotated[
-        Path | None, Parameter(help="Read the answer of an authority from this file.")
-    ] = None,
+    url: str | None = None,
+    request: Path | None = None,
+    response: Path | None = None,
     place: Place = None,
 ) -> int:
     """Have the time stamped on the last signed head by an authority, directly or by files.
+
+    Args:
+        url: Time-stamping authority (RFC 3161), http:// or https://.
+        request: Write the request to this file; the answer comes by --response.
+        response: Read the answer of an authority from this file.
 
     Examples:
         anisoscope history stamp --url https://tsa.example.org

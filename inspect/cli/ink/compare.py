@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, check_new, check_suffix
+from anisoscope.cli.options import Flag, Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 
@@ -22,28 +22,14 @@ NAMES = {"goniochromatic": "ours", "schlick": "standard, Schlick", "tio2": "stan
 
 def compare(
     *readings: Path,
-    synthetic: Annotated[
-        bool, Parameter(negative="", help="Compare on made-up readings of the three synthetic inks.")
-    ] = False,
+    synthetic: Flag = False,
     seed: Annotated[int, Parameter(help="Seed of the noise of made-up readings.")] = 1,
-    values: Annotated[
-        Literal["factor", "brdf"],
-        Parameter(help="Values are ratios to the white reference, or BRDF in 1/sr."),
-    ] = "factor",
-    reflectance: Annotated[
-        float | None, Parameter(help="Reflectance of the white reference; else 0.99.")
-    ] = None,
-    alpha: Annotated[
-        float | None, Parameter(help="Roughness to show the models with, in place of the fitted one.")
-    ] = None,
-    illuminant: Annotated[
-        str, Parameter(help="Illuminant: d65, a, led-b3 …, or CSV wavelength_nm,power.")
-    ] = "d65",
+    values: Literal["factor", "brdf"] = "factor",
+    reflectance: float | None = None,
+    alpha: float | None = None,
+    illuminant: str = "d65",
     picture_size: Annotated[int, Parameter(help="Side of the pictures in pixels.")] = 512,
-    png: Annotated[
-        Path | None,
-        Parameter(help="Write the spheres to this *.png: a row an ink; readings, then the models."),
-    ] = None,
+    png: Path | None = None,
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -51,6 +37,12 @@ def compare(
 
     Args:
         readings: CSV files theta_i_deg,theta_o_deg,wavelength_nm,value, one an ink; each is fitted first.
+        values: Values are ratios to the white reference, or BRDF in 1/sr.
+        reflectance: Reflectance of the white reference; else 0.99.
+        alpha: Roughness to show the models with, in place of the fitted one.
+        illuminant: Illuminant: d65, a, led-b3 …, or CSV wavelength_nm,power.
+        png: Write the spheres to this *.png: a row an ink; readings, then the models.
+        synthetic: Compare on made-up readings of the three synthetic inks.
 
     Examples:
         anisoscope ink compare --synthetic

@@ -14,7 +14,7 @@ from anisoscope.cli.ink.options import (
     printed_inks,
 )
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_new, check_target
+from anisoscope.cli.options import Flag, Json, check_new, check_target
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 
@@ -26,29 +26,16 @@ def halftone(
     image: Path,
     /,
     *,
-    out: Annotated[
-        Path, Parameter(help="PNG of all dots; the films are written next to it as NAME-INK.png.")
-    ],
+    out: Path,
     inks: InksOption = None,
-    method: Annotated[
-        Literal["mask", "diffusion"],
-        Parameter(help="How the dots are placed: void-and-cluster mask, or vector error diffusion."),
-    ] = "mask",
-    separation: Annotated[
-        Literal["match", "channels"],
-        Parameter(help="Coverages that meet the image's colours, or its linear R, G, B as coverages."),
-    ] = "match",
+    method: Literal["mask", "diffusion"] = "mask",
+    separation: Literal["match", "channels"] = "match",
     illuminant: IlluminantOption = "d65",
     angle: AngleOption = 20.0,
     image_gain: GainOption = 1.0,
-    print_width: Annotated[
-        float | None, Parameter(help="Width of the print in mm; else one dot a pixel.")
-    ] = None,
+    print_width: float | None = None,
     dpi: Annotated[float, Parameter(help="Dots per inch, written into the files.")] = 300.0,
-    negative: Annotated[
-        bool,
-        Parameter(negative="", help="Films with white where the ink goes; else black, as screens need them."),
-    ] = False,
+    negative: Flag = False,
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -56,6 +43,11 @@ def halftone(
 
     Args:
         image: The picture; its colour profile is applied.
+        out: PNG of all dots; the films are written next to it as NAME-INK.png.
+        method: How the dots are placed: void-and-cluster mask, or vector error diffusion.
+        separation: Coverages that meet the image's colours, or its linear R, G, B as coverages.
+        print_width: Width of the print in mm; else one dot a pixel.
+        negative: Films with white where the ink goes; else black, as screens need them.
 
     Examples:
         anisoscope ink halftone image.png --out dots.png --print-width 60 --dpi 300

@@ -8,7 +8,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, check_new, check_suffix
+from anisoscope.cli.options import Flag, Json, check_new, check_suffix
 from anisoscope.cli.tables import console, print_lines, print_table
 from anisoscope.views.options import parse_numbers
 
@@ -32,36 +32,13 @@ def fit(
     data: Path,
     /,
     *,
-    fit_method: Annotated[
-        Literal["joint", "paper"], Parameter(help="All parameters at once, or the published two steps.")
-    ] = "joint",
-    values: Annotated[
-        Literal["factor", "brdf"],
-        Parameter(help="Values are ratios to the white reference, or BRDF in 1/sr."),
-    ] = "factor",
-    reflectance: Annotated[
-        float | None, Parameter(help="Reflectance of the white reference; 0.99 where it is not given.")
-    ] = None,
-    white_table: Annotated[
-        Path | None,
-        Parameter(
-            help="CSV: theta_i_deg[,theta_o_deg],correction: BRDF of the reference over a Lambertian one."
-        ),
-    ] = None,
-    white_readings: Annotated[
-        Path | None,
-        Parameter(help="CSV as DATA: readings of the reference, where values are not divided yet."),
-    ] = None,
-    u_reading: Annotated[
-        float | None,
-        Parameter(
-            help="Relative standard uncertainty of a reading, by which the model is tested; for the weights 0.03 where "
-            "it is not given."
-        ),
-    ] = None,
-    floor: Annotated[
-        float | None, Parameter(help="Noise floor in 1/sr; readings up to 3 times as large are dropped.")
-    ] = None,
+    fit_method: Literal["joint", "paper"] = "joint",
+    values: Literal["factor", "brdf"] = "factor",
+    reflectance: float | None = None,
+    white_table: Path | None = None,
+    white_readings: Path | None = None,
+    u_reading: float | None = None,
+    floor: float | None = None,
     name: Annotated[str | None, Parameter(help="Name of the ink.")] = None,
     out: Annotated[Path | None, Parameter(help="Write the ink file *.toml.")] = None,
     html: HtmlOption = None,
@@ -72,6 +49,14 @@ def fit(
 
     Args:
         data: CSV: theta_i_deg,theta_o_deg,wavelength_nm,value; θo counts away from the light, θo = θi is the mirror.
+        fit_method: All parameters at once, or the published two steps.
+        values: Values are ratios to the white reference, or BRDF in 1/sr.
+        reflectance: Reflectance of the white reference; 0.99 where it is not given.
+        white_table: CSV: theta_i_deg[,theta_o_deg],correction: BRDF of the reference over a Lambertian one.
+        white_readings: CSV as DATA: readings of the reference, where values are not divided yet.
+        floor: Noise floor in 1/sr; readings up to 3 times as large are dropped.
+        u_reading: Relative standard uncertainty of a reading, by which the model is tested; for the weights 0.03 where
+            it is not given.
 
     Examples:
         anisoscope ink fit red.csv --out red.toml --html red-fit.html
@@ -119,13 +104,8 @@ def import_(
     *,
     alpha: Annotated[float, Parameter(help="Roughness α of the print, which a table does not hold.")],
     out: Annotated[Path, Parameter(help="Ink file *.toml to write.")],
-    scale: Annotated[
-        Literal["brdf", "factor"],
-        Parameter(help="Scale of ρ: Eq. 5 gives 1/sr (brdf), or the ratio to a white reference (factor)."),
-    ] = "brdf",
-    reflectance: Annotated[
-        float | None, Parameter(help="Reflectance of the white reference of a factor; 0.99 if not given.")
-    ] = None,
+    scale: Literal["brdf", "factor"] = "brdf",
+    reflectance: float | None = None,
     name: Annotated[str | None, Parameter(help="Name of the ink; else that of the file.")] = None,
     source: Annotated[str, Parameter(help="Where the table is from.")] = "",
     overwrite: OverwriteOption = False,
@@ -135,6 +115,8 @@ def import_(
 
     Args:
         table: CSV wavelength_nm,rho,c: a row a wavelength, from 400 nm or less to 700 nm or more.
+        scale: Scale of ρ: Eq. 5 gives 1/sr (brdf), or the ratio to a white reference (factor).
+        reflectance: Reflectance of the white reference of a factor; 0.99 if not given.
 
     Examples:
         anisoscope ink import red.csv --alpha 0.19 --out red.toml
@@ -174,19 +156,10 @@ def import_(
 @app.command
 def show(
     *inks: str,
-    illuminant: Annotated[
-        str,
-        Parameter(
-            help="Illuminant: d65, a, led-b1 … led-b5, led-bh1, led-rgb1, led-v1, led-v2, or CSV wavelength_nm,power."
-        ),
-    ] = "d65",
-    light_angles: Annotated[
-        str | None, Parameter(help="Angles of the light to the normal in degrees, comma-separated.")
-    ] = None,
+    illuminant: str = "d65",
+    light_angles: str | None = None,
     off_mirror: Annotated[float, Parameter(help="Angle between eye and mirror direction, in degrees.")] = 0.0,
-    ink_model: Annotated[
-        Literal["goniochromatic", "schlick", "tio2"], Parameter(help="The ink model, or a standard one.")
-    ] = "goniochromatic",
+    ink_model: Literal["goniochromatic", "schlick", "tio2"] = "goniochromatic",
     exposure: Annotated[
         float | None,
         Parameter(
@@ -194,13 +167,9 @@ def show(
             help="Factor on XYZ before it is shown; else the brightest channel becomes 1.",
         ),
     ] = None,
-    adapt: Annotated[
-        bool, Parameter(negative="", help="Adapt the light's white to that of sRGB (Bradford).")
-    ] = False,
+    adapt: Flag = False,
     html: HtmlOption = None,
-    png: Annotated[
-        Path | None, Parameter(help="Write a picture of the colours and spectra: *.png or *.svg.")
-    ] = None,
+    png: Path | None = None,
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -208,6 +177,11 @@ def show(
 
     Args:
         inks: Ink files *.toml, or synthetic-red, synthetic-green, synthetic-blue.
+        light_angles: Angles of the light to the normal in degrees, comma-separated.
+        ink_model: The ink model, or a standard one.
+        png: Write a picture of the colours and spectra: *.png or *.svg.
+        illuminant: Illuminant: d65, a, led-b1 … led-b5, led-bh1, led-rgb1, led-v1, led-v2, or CSV wavelength_nm,power.
+        adapt: Adapt the light's white to that of sRGB (Bradford).
 
     Examples:
         anisoscope ink show synthetic-red synthetic-green synthetic-blue --png inks.png

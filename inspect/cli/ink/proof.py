@@ -67,9 +67,7 @@ def proof(
         ),
     ] = ("d65", "a", "led-b1", "led-b3", "led-b5", "led-rgb1", "led-v1"),
     method: Annotated[Literal["mask", "diffusion"], Parameter(help="How the dots are placed.")] = "mask",
-    separation: Annotated[
-        Literal["match", "channels"], Parameter(help="Coverages as for ink halftone.")
-    ] = "match",
+    separation: Literal["match", "channels"] = "match",
     angle: AngleOption = 20.0,
     image_gain: GainOption = 1.0,
     dots: Annotated[int, Parameter(help="Dots across the print; 0: one a pixel of the image.")] = 768,
@@ -83,6 +81,7 @@ def proof(
 
     Args:
         image: The picture to print.
+        separation: Coverages as for ink halftone.
 
     Examples:
         anisoscope ink proof image.png --out proof.html

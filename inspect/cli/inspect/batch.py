@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from anisoscope.base.language import message, translated
 from anisoscope.cli.inspect.batch_operator import Terminal, table_of
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import HistoryOption, Json
+from anisoscope.cli.options import Flag, HistoryOption, Json
 from anisoscope.cli.tables import console, print_lines
 
 CodeKind = Annotated[
@@ -18,22 +18,13 @@ CodeKind = Annotated[
 
 
 def batch(
-    tray: Annotated[
-        Path,
-        Parameter(
-            help="Tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig,x_mm,y_mm; or AQDEF (.dfq)."
-        ),
-    ],
+    tray: Path,
     /,
     *,
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
     rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
-    out: Annotated[
-        Path, Parameter(help="Folder that receives the folder of the batch, batch-NAME after the list.")
-    ] = Path("inspections"),
-    resume: Annotated[
-        bool, Parameter(negative="", help="Continue an interrupted batch; finished parts are kept.")
-    ] = False,
+    out: Path = Path("inspections"),
+    resume: Flag = False,
     yes: Annotated[
         bool,
         Parameter(
@@ -42,14 +33,9 @@ def batch(
             help="Begin each part without asking: the tray fills itself, or the rig is virtual.",
         ),
     ] = False,
-    read_code: Annotated[
-        bool, Parameter(negative="", help="Read the code on every part with the camera before inspecting it.")
-    ] = False,
+    read_code: Flag = False,
     code_kind: CodeKind = "any",
-    code_exposure: Annotated[
-        float | None,
-        Parameter(help="Exposure in seconds for the picture of the code; by default the recipe's."),
-    ] = None,
+    code_exposure: float | None = None,
     operator: Annotated[str | None, Parameter(help="Operator, for the records.")] = None,
     station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
     history: HistoryOption = None,
@@ -63,6 +49,13 @@ def batch(
 
     Exit codes: that of the first hardware fault (64 and above); else of the worst verdict: 3 INVALID, 1 FAIL,
     2 INCONCLUSIVE; 75 skipped slots; 0 all PASS.
+
+    Args:
+        tray: Tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig,x_mm,y_mm; or AQDEF (.dfq).
+        out: Folder that receives the folder of the batch, batch-NAME after the list.
+        code_exposure: Exposure in seconds for the picture of the code; by default the recipe's.
+        resume: Continue an interrupted batch; finished parts are kept.
+        read_code: Read the code on every part with the camera before inspecting it.
 
     Examples:
         anisoscope batch tray.csv --recipe recipe.toml --rig rig.toml

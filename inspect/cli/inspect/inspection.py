@@ -10,7 +10,7 @@ from anisoscope.base.language import message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import HistoryOption, Json, TrustFile
+from anisoscope.cli.options import Flag, HistoryOption, Json, TrustFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import answer, console, print_lines, print_table
 
@@ -49,22 +49,10 @@ def inspect(
         str | None,
         Parameter(name=["--serial", "-s"], help="Serial number of the part; without it you type or scan it."),
     ] = None,
-    frames: Annotated[
-        Path | None, Parameter(help="Judge the frames of this folder (frames.csv) instead of taking any.")
-    ] = None,
-    init: Annotated[
-        bool,
-        Parameter(
-            negative="", help="With --frames: write a first frames.csv for the pictures there, and end."
-        ),
-    ] = False,
-    reflectance: Annotated[
-        float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
-    ] = 0.99,
-    reuse: Annotated[
-        str,
-        Parameter(help="With --frames: reason for judging frames that are known as those of another part."),
-    ] = "",
+    frames: Path | None = None,
+    init: Flag = False,
+    reflectance: float = 0.99,
+    reuse: str = "",
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
     operator: Annotated[str | None, Parameter(help="Operator, for the record.")] = None,
     lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
@@ -84,6 +72,12 @@ def inspect(
     """Photograph a part, compare its contrasts (of a print: its colours) with the prediction, and decide.
 
     Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
+
+    Args:
+        frames: Judge the frames of this folder (frames.csv) instead of taking any.
+        reflectance: With --frames: reflectance of the white tile in its flat frames.
+        reuse: With --frames: reason for judging frames that are known as those of another part.
+        init: With --frames: write a first frames.csv for the pictures there, and end.
 
     Examples:
         anisoscope inspect --recipe recipe.toml --rig rig.toml --serial A-0001

@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from anisoscope.base.progress import Advance
 from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json_line
-from anisoscope.cli.options import HistoryOption
+from anisoscope.cli.options import Flag, HistoryOption
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
@@ -36,23 +36,12 @@ def watch(
     ] = None,
     out: Annotated[Path, Parameter(help="Folder that receives the inspections.")] = Path("inspections"),
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
-    stable_for: Annotated[
-        float, Parameter(help="Seconds without a change after which a folder is complete.")
-    ] = 2.0,
+    stable_for: float = 2.0,
     poll: Annotated[float, Parameter(help="Seconds between checks of the folder.")] = 1.0,
-    read_code: Annotated[
-        bool,
-        Parameter(
-            negative="", help="Read the code on every part from its first frame; it identifies the part."
-        ),
-    ] = False,
+    read_code: Flag = False,
     code_kind: CodeKind = "any",
-    reuse: Annotated[
-        str, Parameter(help="Reason for judging frames that are known as those of another part.")
-    ] = "",
-    once: Annotated[
-        bool, Parameter(negative="", help="Inspect the complete folders that exist, then exit.")
-    ] = False,
+    reuse: str = "",
+    once: Flag = False,
     history: HistoryOption = None,
     json_: Annotated[
         bool, Parameter(name="--json", negative="", help="Print JSON, one line an event.")
@@ -64,6 +53,12 @@ def watch(
     the code on the part; otherwise the folder's name is the serial number.
 
     Exit codes: 0 stopped by Ctrl-C; with --once that of the worst verdict (3, 1, 2, 0), 74 for damaged folders.
+
+    Args:
+        stable_for: Seconds without a change after which a folder is complete.
+        read_code: Read the code on every part from its first frame; it identifies the part.
+        reuse: Reason for judging frames that are known as those of another part.
+        once: Inspect the complete folders that exist, then exit.
 
     Examples:
         anisoscope watch incoming --recipe recipe.toml

@@ -174,57 +174,23 @@ def predict(
     height_map: Path | None = None,
     /,
     *,
-    recipe: Annotated[
-        Path | None,
-        Parameter(help="Recipe file with surface, plastic and poses: predict what an inspection expects."),
-    ] = None,
+    recipe: Path | None = None,
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     material: MaterialOption = None,
-    spectrum: Annotated[
-        Path | None,
-        Parameter(help="CSV file with wavelength_nm,index,albedo: predict at each wavelength."),
-    ] = None,
-    bounces: Annotated[
-        int | Literal["all"],
-        Parameter(help="Reflections followed, by rays: 1 is direct light; a larger number, or 'all'."),
-    ] = "all",
-    reflect: Annotated[
-        Literal["groove", "paths"],
-        Parameter(
-            help="Reflections of a map: of the groove fitted to its ridges, or of paths followed on the map."
-        ),
-    ] = "groove",
+    spectrum: Path | None = None,
+    bounces: int | Literal["all"] = "all",
+    reflect: Literal["groove", "paths"] = "groove",
     rig: Given[Convention],
     angles: Annotated[str, Parameter(help="Stage angles in degrees, comma-separated.")] = "0,90,180",
     tilts: Annotated[str, Parameter(help="Tilts in degrees, comma-separated (--tilts=-10,0,10).")] = "0",
-    model: Annotated[
-        Model | None,
-        Parameter(
-            help="Model; auto: rays or waves, as the surface needs. Rays are corrected for a design, relief for a map."
-        ),
-    ] = None,
-    pixel: Annotated[
-        str | None, Parameter(help="Pixel size in µm of a map without one: SIZE or Y,X.")
-    ] = None,
-    level: Annotated[
-        Literal["auto", "plane", "none"],
-        Parameter(help="How a height map is levelled; auto: by whole pitches if ridges are known, else not."),
-    ] = "auto",
-    role: Annotated[
-        Literal["part", "tool"], Parameter(help="Map of the part, or of the tool (mould).")
-    ] = "part",
-    max_missing: Annotated[
-        float, Parameter(help="Share of missing facets above which a height map is refused.")
-    ] = 0.25,
-    facets: Annotated[
-        Literal["symmetric", "diagonal", "antidiagonal"],
-        Parameter(help="Four points of a map as one facet, or as two triangles along a diagonal."),
-    ] = "symmetric",
-    roughness: Annotated[
-        Literal["lobe", "plastic"],
-        Parameter(help="Alpha is what a map does not resolve (lobe), or that of the plastic at all scales."),
-    ] = "lobe",
+    model: Model | None = None,
+    pixel: str | None = None,
+    level: Literal["auto", "plane", "none"] = "auto",
+    role: Literal["part", "tool"] = "part",
+    max_missing: float = 0.25,
+    facets: Literal["symmetric", "diagonal", "antidiagonal"] = "symmetric",
+    roughness: Literal["lobe", "plastic"] = "lobe",
     waves: Annotated[WaveOptions, Parameter(name="*", group=WAVE_GROUP)] = WAVE_DEFAULTS,
     sizes: Given[Optics],
     over_directions: Annotated[MapOptions, Parameter(name="*", group=MAP_GROUP)] = MAP_DEFAULTS,
@@ -236,6 +202,17 @@ def predict(
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for an ideal design.
+        recipe: Recipe file with surface, plastic and poses: predict what an inspection expects.
+        spectrum: CSV file with wavelength_nm,index,albedo: predict at each wavelength.
+        bounces: Reflections followed, by rays: 1 is direct light; a larger number, or 'all'.
+        reflect: Reflections of a map: of the groove fitted to its ridges, or of paths followed on the map.
+        model: Model; auto: rays or waves, as the surface needs. Rays are corrected for a design, relief for a map.
+        pixel: Pixel size in µm of a map without one: SIZE or Y,X.
+        level: How a height map is levelled; auto: by whole pitches if ridges are known, else not.
+        role: Map of the part, or of the tool (mould).
+        max_missing: Share of missing facets above which a height map is refused.
+        facets: Four points of a map as one facet, or as two triangles along a diagonal.
+        roughness: Alpha is what a map does not resolve (lobe), or that of the plastic at all scales.
 
     Examples:
         anisoscope predict --ridge-angle 10 --tilts=-10,0,10

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_map, check_new
+from anisoscope.cli.options import Flag, Json, check_map, check_new
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     OutOptions,
@@ -34,25 +34,12 @@ def compare(
     first: Path,
     /,
     *others: Path,
-    mirrored: Annotated[
-        bool,
-        Parameter(negative="", help="A tool and its part: negate the first map and mirror it along x first."),
-    ] = False,
+    mirrored: Flag = False,
     out: Annotated[Path | None, Parameter(help="HTML page to write, of one second map.")] = None,
-    difference: Annotated[
-        Path | None, Parameter(help="File for the difference map B − A, such as *.x3p.")
-    ] = None,
-    plot: Annotated[
-        Path | None, Parameter(help="Picture of difference, outlines and line: *.png or *.svg.")
-    ] = None,
-    line: Annotated[
-        str | None,
-        Parameter(help="Line of the page: X0,Y0,X1,Y1 in µm from the first point of the first map."),
-    ] = None,
-    recipe: Annotated[
-        Path | None,
-        Parameter(help="Recipe whose plastic and poses say what the changes do to the predicted contrasts."),
-    ] = None,
+    difference: Path | None = None,
+    plot: Path | None = None,
+    line: str | None = None,
+    recipe: Path | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Json = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -62,6 +49,11 @@ def compare(
     Args:
         first: Map A: before wear, or the tool.
         others: Map B: after wear, or the part. Several maps or patterns make a table, with --out-dir a page each.
+        difference: File for the difference map B − A, such as *.x3p.
+        plot: Picture of difference, outlines and line: *.png or *.svg.
+        line: Line of the page: X0,Y0,X1,Y1 in µm from the first point of the first map.
+        recipe: Recipe whose plastic and poses say what the changes do to the predicted contrasts.
+        mirrored: A tool and its part: negate the first map and mirror it along x first.
 
     Examples:
         anisoscope profile compare new.x3p worn.x3p --out wear.html

@@ -30,10 +30,7 @@ MEANINGS = {
 
 def lines(
     *files: Path,
-    direction: Annotated[
-        Literal["across", "along", "x", "y"],
-        Parameter(help="Direction of the profiles: across or along the ridges, or x or y."),
-    ] = "across",
+    direction: Literal["across", "along", "x", "y"] = "across",
     s_filter: Annotated[
         float | None,
         LENGTH,
@@ -42,13 +39,9 @@ def lines(
     l_filter: Annotated[
         float | None, LENGTH, Parameter(help="Nesting index λc of the L-filter in µm; removes longer waves.")
     ] = None,
-    s_filter_type: Annotated[
-        FilterType, Parameter(help="S-filter of ISO 16610: gaussian (-21), robust (-31) or spline (-22).")
-    ] = "gaussian",
+    s_filter_type: FilterType = "gaussian",
     l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
-    form: Annotated[
-        str, Parameter(help="Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.")
-    ] = "plane",
+    form: str = "plane",
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -59,6 +52,9 @@ def lines(
 
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
+        direction: Direction of the profiles: across or along the ridges, or x or y.
+        s_filter_type: S-filter of ISO 16610: gaussian (-21), robust (-31) or spline (-22).
+        form: Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.
 
     Examples:
         anisoscope profile lines part.x3p --direction across --l-filter 250

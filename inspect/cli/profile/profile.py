@@ -261,9 +261,7 @@ def convert(
             name="--format", help="Format of the new files in --out-dir: an extension; x3p, of layers png."
         ),
     ] = None,
-    layer: Annotated[
-        Layer | None, Parameter(help="Write this layer of the map as PNG, instead of the heights.")
-    ] = None,
+    layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -277,6 +275,7 @@ def convert(
     Args:
         files: Source and target: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, exr, png, stl or ply. With --out-dir:
             height maps, or patterns.
+        layer: Write this layer of the map as PNG, instead of the heights.
 
     Examples:
         anisoscope profile convert part.sur part.x3p
@@ -377,17 +376,9 @@ def report(
 @app.command
 def view(
     *files: Path,
-    out: Annotated[
-        Path | None,
-        Parameter(help="HTML file to write, of one map; NAME-view.html with the map if not given."),
-    ] = None,
-    exaggerate: Annotated[
-        float | None,
-        Parameter(help="Factor on the heights; one that makes the relief 8 % of the width if not given."),
-    ] = None,
-    layer: Annotated[
-        Layer | None, Parameter(help="Layer of the map that colours the relief, instead of the heights.")
-    ] = None,
+    out: Path | None = None,
+    exaggerate: float | None = None,
+    layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[
         bool, Parameter(name="--json", negative="", help="Print JSON, of several maps.")
@@ -398,6 +389,9 @@ def view(
 
     Args:
         files: Height maps, or patterns.
+        out: HTML file to write, of one map; NAME-view.html with the map if not given.
+        exaggerate: Factor on the heights; one that makes the relief 8 % of the width if not given.
+        layer: Layer of the map that colours the relief, instead of the heights.
 
     Examples:
         anisoscope profile view part.x3p --exaggerate 20

@@ -69,9 +69,7 @@ def _plain(value: object) -> Any:  # noqa: ANN401 - of any field
 
 def ridges(
     *files: Path,
-    picture: Annotated[
-        Path | None, Parameter(help="PNG of a map of several directions, its regions outlined and numbered.")
-    ] = None,
+    picture: Path | None = None,
     period_limit: PeriodLimit = None,
     tip_radius: TipRadius = None,
     json_: Json = False,
@@ -85,6 +83,7 @@ def ridges(
     Args:
         files: Height maps of at least four ridges, in any direction, or patterns.
         json_: Print JSON.
+        picture: PNG of a map of several directions, its regions outlined and numbered.
 
     Examples:
         anisoscope profile ridges part.x3p --period-limit 4

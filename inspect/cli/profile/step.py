@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 def step(
     *files: Path,
     along: Annotated[Literal["x", "y"], Parameter(help="Axis of the lines, across the step.")] = "x",
-    edges: Annotated[
-        str | None,
-        Parameter(help="Edge of a step, or both of a groove, in µm from the first point; else found."),
-    ] = None,
+    edges: str | None = None,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
@@ -30,6 +27,7 @@ def step(
 
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
+        edges: Edge of a step, or both of a groove, in µm from the first point; else found.
 
     Examples:
         anisoscope profile step groove.x3p

@@ -89,9 +89,7 @@ def make(
     pattern: Pattern,
     /,
     *,
-    out: Annotated[
-        Path, Parameter(help="File to write: x3p or npz (they keep design and seed), or another format.")
-    ],
+    out: Path,
     size: Annotated[str, Parameter(help="Size of the field in µm: SIZE or Y,X.")] = "1000",
     pixel: Annotated[str, Parameter(help="Pixel size in µm: SIZE or Y,X.")] = "1",
     ridges: Given[RidgeDesign],
@@ -106,6 +104,7 @@ def make(
 
     Args:
         pattern: What to make.
+        out: File to write: x3p or npz (they keep design and seed), or another format.
 
     Examples:
         anisoscope profile make ridges --pitch 100 --ridge-angle 10 --out part.x3p
@@ -196,9 +195,7 @@ def spoil(
     defect: str | None = None,
     /,
     *,
-    out: Annotated[
-        Path | None, Parameter(help="File to write: x3p or npz (they keep what was done), ...")
-    ] = None,
+    out: Path | None = None,
     severity: Annotated[float | None, Parameter(help="0 (none) to 1 (gross).")] = None,
     seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
     list_: Annotated[bool, Parameter(name="--list", negative="", help="List the defects.")] = False,
@@ -213,6 +210,7 @@ def spoil(
         file: Height map to spoil.
         defect: Name of the defect; see --list.
         parameters: Dimensions of the defect by name, such as --radius-um 5; see --list.
+        out: File to write: x3p or npz (they keep what was done), ...
 
     Examples:
         anisoscope profile spoil part.x3p wear --severity 0.5 --out worn.x3p

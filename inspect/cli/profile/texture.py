@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import LENGTH, Json
+from anisoscope.cli.options import LENGTH, Flag, Json
 from anisoscope.cli.profile.many import (
     NONE,
     ManyOptions,
@@ -98,37 +98,15 @@ def texture(
     l_filter: Annotated[
         float | None, LENGTH, Parameter(help="Nesting index of the L-filter in µm; removes longer waves.")
     ] = None,
-    s_filter_type: Annotated[
-        FilterType,
-        Parameter(
-            help="S-filter of ISO 16610: gaussian (-61), robust (-71) or spline (separable, -22 along x and y)."
-        ),
-    ] = "gaussian",
+    s_filter_type: FilterType = "gaussian",
     l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
-    form: Annotated[
-        str, Parameter(help="Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.")
-    ] = "plane",
-    plot: Annotated[
-        Path | None, Parameter(help="Picture of spectra, autocorrelation and bearing curve: *.png or *.svg.")
-    ] = None,
-    features: Annotated[
-        bool,
-        Parameter(negative="", help="Also hills and dales: Spd, Spc, S5p, S5v, S10z, Sha, Sda, Shv, Sdv."),
-    ] = False,
+    form: str = "plane",
+    plot: Path | None = None,
+    features: Flag = False,
     pruning: Annotated[float, Parameter(help="Wolf pruning of hills and dales in % of Sz.")] = 5.0,
-    border_features: Annotated[
-        bool,
-        Parameter(
-            help="Count peaks and pits of hills and dales at the border or a gap; others leave them out."
-        ),
-    ] = True,
-    ratios: Annotated[
-        str | None,
-        Parameter(help="Material ratios in %, such as 2,50: Smc, Vm and Vv there, and Sxp of the first two."),
-    ] = None,
-    heights: Annotated[
-        str | None, Parameter(help="Heights in µm from the mean, such as -0.5,0.5: Smr there.")
-    ] = None,
+    border_features: bool = True,
+    ratios: str | None = None,
+    heights: str | None = None,
     json_: Json = False,
     doubt: Annotated[UncertaintyOptions, Parameter(name="*", group="Uncertainty")] = CERTAIN,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
@@ -138,6 +116,13 @@ def texture(
 
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
+        s_filter_type: S-filter of ISO 16610: gaussian (-61), robust (-71) or spline (separable, -22 along x and y).
+        form: Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.
+        plot: Picture of spectra, autocorrelation and bearing curve: *.png or *.svg.
+        border_features: Count peaks and pits of hills and dales at the border or a gap; others leave them out.
+        ratios: Material ratios in %, such as 2,50: Smc, Vm and Vv there, and Sxp of the first two.
+        heights: Heights in µm from the mean, such as -0.5,0.5: Smr there.
+        features: Also hills and dales: Spd, Spc, S5p, S5v, S10z, Sha, Sda, Shv, Sdv.
 
     Examples:
         anisoscope profile texture part.x3p --s-filter 3 --l-filter 250

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, LightAngleOption, light_angle_of
+from anisoscope.cli.options import Flag, Json, LightAngleOption, light_angle_of
 from anisoscope.cli.tables import answer, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
@@ -34,16 +34,13 @@ def _as_usage() -> Iterator[None]:
 def add(
     *folders: Annotated[Path, Parameter(help="Folders of finished inspections of good parts.")],
     recipe: RecipeFile,
-    unlabelled: Annotated[
-        bool,
-        Parameter(
-            negative=(),
-            help="Parts of a lot of unknown quality: those that deviate from the others are left out.",
-        ),
-    ] = False,
+    unlabelled: Flag = False,
     json_: Json = False,
 ) -> int:
     """Add inspected parts that are known to be good; all of them or none.
+
+    Args:
+        unlabelled: Parts of a lot of unknown quality: those that deviate from the others are left out.
 
     Examples:
         anisoscope golden add --recipe recipe.toml inspections/GOOD-1-20260115T101500Z

@@ -8,7 +8,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import PITCH, Json, LightAngleOption, light_angle_of, parse_range
+from anisoscope.cli.options import PITCH, Flag, Json, LightAngleOption, light_angle_of, parse_range
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import JobsOption, SchedulerOption, named_numbers
 from anisoscope.cli.tables import print_lines, print_output, print_table
@@ -40,26 +40,13 @@ ReflectanceOption = Annotated[
 def new(
     *,
     out: Annotated[Path, Parameter(help="Recipe file to write; must not exist.")],
-    kind: Annotated[
-        str | None,
-        Parameter(
-            help="Kind of part by name, such as ridges or prints; without it the other options decide."
-        ),
-    ] = None,
+    kind: str | None = None,
     product: Annotated[str, Parameter(help="Name of the product.")] = PRODUCT,
     pitch: Annotated[float, PITCH, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
-    ridge_angle: Annotated[
-        float | None, Parameter(help="Ridge angle of the ideal design in degrees.")
-    ] = None,
-    u_ridge_angle: Annotated[
-        float | None,
-        Parameter(help="Standard deviation of the ridge angle of good parts, degrees."),
-    ] = None,
+    ridge_angle: float | None = None,
+    u_ridge_angle: float | None = None,
     height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
-    ink: Annotated[
-        str | None,
-        Parameter(help="For a print instead: its ink, a file or one of the package, such as synthetic-red."),
-    ] = None,
+    ink: str | None = None,
     rig: Annotated[
         Path | None,
         Parameter(name=["--rig", "-g"], help="Rig file, for its geometry; its devices may be missing."),
@@ -70,6 +57,12 @@ def new(
     With --ridge-angle and --height-map the height map decides, and the design is compared as well; with
     --u-ridge-angle the design decides. With --ink it is the recipe of a print. With --rig the region stays within the
     markers of its fixture.
+
+    Args:
+        kind: Kind of part by name, such as ridges or prints; without it the other options decide.
+        ridge_angle: Ridge angle of the ideal design in degrees.
+        u_ridge_angle: Standard deviation of the ridge angle of good parts, degrees.
+        ink: For a print instead: its ink, a file or one of the package, such as synthetic-red.
 
     Examples:
         anisoscope recipe new --ridge-angle 10 --pitch 100 --product "plate 7" --out plate.toml
@@ -158,20 +151,10 @@ def suggest(
         ),
     ] = (),
     poses: Annotated[int, Parameter(help="Number of poses.")] = 6,
-    angles: Annotated[
-        str, Parameter(help="Allowed stage angles: from:to:step, or a list; degrees.")
-    ] = "0:345:15",
+    angles: str = "0:345:15",
     tilts: Annotated[str, Parameter(help="Allowed tilts: from:to:step, or a list; degrees.")] = "-20:20:5",
-    ignore: Annotated[
-        tuple[str, ...],
-        Parameter(help="First words of a defect to ignore; repeat the option for several."),
-    ] = ("roughness along",),
-    u_pose: Annotated[
-        float,
-        Parameter(
-            help="Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames."
-        ),
-    ] = 0.003,
+    ignore: tuple[str, ...] = ("roughness along",),
+    u_pose: float = 0.003,
     power: Annotated[float, Parameter(help="Required probability of finding each defect.")] = 0.9,
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
@@ -183,6 +166,11 @@ def suggest(
 
     The defects are those of the recipe ([defects]), or of --defect. Printed: poses, exposures, frames and golden parts
     with which each is found, or that optics cannot.
+
+    Args:
+        angles: Allowed stage angles: from:to:step, or a list; degrees.
+        ignore: First words of a defect to ignore; repeat the option for several.
+        u_pose: Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
 
     Examples:
         anisoscope recipe suggest recipe.toml --poses 6 --tilts=-20:20:5
@@ -254,13 +242,7 @@ def teach(
     ] = None,
     frames: FramesOption = None,
     reflectance: ReflectanceOption = 0.99,
-    golden: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="By golden parts, and nothing is photographed: tolerances of a print, [scatter] of ridges.",
-        ),
-    ] = False,
+    golden: Flag = False,
     golden_of: Annotated[
         Path | None,
         Parameter(
@@ -268,15 +250,8 @@ def teach(
             help="With --golden: another recipe, for the same plastic and rig, whose golden parts teach.",
         ),
     ] = None,
-    limits: Annotated[
-        Path | None,
-        Parameter(
-            help="AQDEF file (.dfq, .dfd) whose limits become the tolerances; nothing is photographed."
-        ),
-    ] = None,
-    share: Annotated[
-        float, Parameter(help="With --golden: share of good prints that should pass all limits.")
-    ] = 0.95,
+    limits: Path | None = None,
+    share: float = 0.95,
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
     json_: Json = False,
 ) -> int:
@@ -285,6 +260,11 @@ def teach(
     --frames uses existing frames and their exposure. --golden sets only the tolerances of a print by its golden
     prints, or the scatter of ridged parts by theirs; --limits only the tolerances of contrasts. The recipe becomes a
     new version; the old one is saved as NAME.v1.toml and so on.
+
+    Args:
+        limits: AQDEF file (.dfq, .dfd) whose limits become the tolerances; nothing is photographed.
+        share: With --golden: share of good prints that should pass all limits.
+        golden: By golden parts, and nothing is photographed: tolerances of a print, [scatter] of ridges.
 
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
@@ -367,19 +347,9 @@ def yield_command(
         str | None,
         Parameter(help=f"How far the lot's mean is off the nominal part, NAME=VALUE,…: {SCATTER_NAMES}."),
     ] = None,
-    golden_parts: Annotated[
-        int,
-        Parameter(help="Golden parts of every rig, good parts all; with 0 the prediction is the reference."),
-    ] = 0,
-    rigs: Annotated[
-        int, Parameter(help="Rigs, each with a plastic of its own, among which the parts are divided.")
-    ] = 25,
-    u_pose: Annotated[
-        float,
-        Parameter(
-            help="Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames."
-        ),
-    ] = 0.003,
+    golden_parts: int = 0,
+    rigs: int = 25,
+    u_pose: float = 0.003,
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
     ] = None,
@@ -392,6 +362,11 @@ def yield_command(
     """Predict how many parts of a lot pass a recipe, and the risks of producer and consumer; nothing moves.
 
     Every part is predicted in a state of its own, measured without pictures, and judged by the recipe's rule.
+
+    Args:
+        golden_parts: Golden parts of every rig, good parts all; with 0 the prediction is the reference.
+        rigs: Rigs, each with a plastic of its own, among which the parts are divided.
+        u_pose: Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
 
     Examples:
         anisoscope recipe yield recipe.toml --scatter ridge_angle=0.3,alpha=0.1

@@ -334,29 +334,24 @@ def checkerboard(
     recipe: RecipeOption = None,
     ridges: Given[RidgeDesign],
     angles: Annotated[str, Parameter(help="Stage angles in degrees, one panel each.")] = "0,90",
-    ridge_directions: Annotated[
-        str, Parameter(help="Directions of the ridges in the two kinds of fields, from +y, in degrees.")
-    ] = "0,-90",
+    ridge_directions: str = "0,-90",
     fields: Annotated[int, Parameter(help="Fields along a side, 2 to 64.")] = 7,
     field_size: Annotated[float, Parameter(help="Side of a field in mm.")] = 5.0,
-    pattern: Annotated[
-        Path | None, Parameter(help="Image of two levels in place of the checkerboard: dark is the second.")
-    ] = None,
+    pattern: Path | None = None,
     plate_width: Annotated[float, Parameter(help="Width of the plate with --pattern in mm.")] = 40.0,
-    near_light: Annotated[
-        float | None, Parameter(help="Distance of the light in mm; default: parallel light.")
-    ] = None,
-    bounces: Annotated[
-        int | Literal["all"] | None,
-        Parameter(
-            help="Reflections followed: 1 is direct light, or 'all'. All by default, under a near light 1."
-        ),
-    ] = None,
+    near_light: float | None = None,
+    bounces: int | Literal["all"] | None = None,
     plastic: Given[Material],
     rig: Given[Convention],
     tilt: TiltOption = 0.0,
 ) -> int:
     """Render a plate of fields with two directions of ridges, turned on the stage.
+
+    Args:
+        ridge_directions: Directions of the ridges in the two kinds of fields, from +y, in degrees.
+        pattern: Image of two levels in place of the checkerboard: dark is the second.
+        near_light: Distance of the light in mm; default: parallel light.
+        bounces: Reflections followed: 1 is direct light, or 'all'. All by default, under a near light 1.
 
     Examples:
         anisoscope render checkerboard --out plate.png
@@ -602,10 +597,7 @@ def comparison(
     *,
     picture: PictureOptions,
     stage: Annotated[float, Parameter(help="Stage angle in degrees.")] = 0.0,
-    cut: Annotated[
-        float | None,
-        Parameter(help="Also draw height and radiance along the line this far above the middle, in µm."),
-    ] = None,
+    cut: float | None = None,
     recipe: RecipeOption = None,
     surface: SurfaceOptions | None = None,
     ridges: Given[RidgeDesign],
@@ -619,6 +611,7 @@ def comparison(
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for ideal ridges.
+        cut: Also draw height and radiance along the line this far above the middle, in µm.
 
     Examples:
         anisoscope render comparison part.x3p --stage 0 --cut 40 --out beside.png

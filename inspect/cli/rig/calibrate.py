@@ -11,7 +11,7 @@ from anisoscope.base.printable import check_printable
 from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_new, check_suffix
+from anisoscope.cli.options import Flag, Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import RigPath, Yes, ask_to_turn, asked_to_seat_fixture
 from anisoscope.cli.tables import print_lines, print_table
@@ -53,24 +53,20 @@ def _of(frames: int, exposure: str = "", count: str = "") -> Options:
 def flat(
     *,
     rig: RigPath,
-    out: Annotated[
-        Path, Parameter(help="File to write, such as flat.tif; its record is written next to it.")
-    ],
+    out: Path,
     taking: Given[Taking],
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile, 0 to 1.")] = 0.99,
-    write: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="Write it into the rig file; then the terminal asks for the fixture, whose markers are taught.",
-        ),
-    ] = False,
+    write: Flag = False,
     json_: Json = False,
 ) -> int:
     """Photograph a white tile: shading of the picture and scale of the radiances.
 
     Place the tile on the stage so that it fills the picture. The file is named in the rig file under [calibration]
     flat. The tile hides the markers of the fixture, which are taught after it.
+
+    Args:
+        out: File to write, such as flat.tif; its record is written next to it.
+        write: Write it into the rig file; then the terminal asks for the fixture, whose markers are taught.
 
     Examples:
         anisoscope calibrate flat --rig rig.toml --exposure 0.006 --reflectance 0.99 --out flat.tif --write
@@ -297,12 +293,7 @@ def rotation(
     out: _Out,
     taking: Given[Taking],
     angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 12,
-    at: Annotated[
-        tuple[float, float],
-        Parameter(
-            help="Place of the fixture on the plate, which x and y follow: mm right and up of the axis."
-        ),
-    ] = (0.0, 0.0),
+    at: tuple[float, float] = (0.0, 0.0),
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
@@ -310,6 +301,9 @@ def rotation(
 
     With axes x and y also their readings with the rotation centre in the middle of the picture, and their directions.
     The axes home and move: keep their paths free. Exit code 0: fit; 3: out of limits.
+
+    Args:
+        at: Place of the fixture on the plate, which x and y follow: mm right and up of the axis.
 
     Examples:
         anisoscope calibrate rotation --rig rig.toml --exposure 0.004 --out rotation.json
@@ -409,24 +403,12 @@ def material(
             name=["--recipe", "-r"], help="Recipe with exposure and region, and with the part's surface."
         ),
     ] = None,
-    readings: Annotated[
-        Path | None, Parameter(help="Instead of a scan: CSV stage_deg,tilt_deg,value[,u].")
-    ] = None,
-    frames: Annotated[
-        Path | None,
-        Parameter(help="Judge the frames of this folder (frames.csv) instead of taking any."),
-    ] = None,
-    reflectance: Annotated[
-        float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
-    ] = 0.99,
+    readings: Path | None = None,
+    frames: Path | None = None,
+    reflectance: float = 0.99,
     max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
-    step: Annotated[
-        float | None, Parameter(help="Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.")
-    ] = None,
-    lobe: Annotated[
-        Literal["auto", "tail", "second-lobe"],
-        Parameter(help="Family of lobes; auto: the one that fits better."),
-    ] = "auto",
+    step: float | None = None,
+    lobe: Literal["auto", "tail", "second-lobe"] = "auto",
     name: Annotated[str | None, Parameter(help="Name of the plastic; else that of the file.")] = None,
     dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
     valid_days: _Days = None,
@@ -437,6 +419,13 @@ def material(
 
     Prints duration and expected uncertainty, then scans. The stage homes and turns: keep its path
     free. Exit code 0: the lobe fits; 3: it does not, or the specimen cannot be used.
+
+    Args:
+        readings: Instead of a scan: CSV stage_deg,tilt_deg,value[,u].
+        frames: Judge the frames of this folder (frames.csv) instead of taking any.
+        reflectance: With --frames: reflectance of the white tile in its flat frames.
+        step: Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.
+        lobe: Family of lobes; auto: the one that fits better.
 
     Examples:
         anisoscope calibrate material --coupon --rig rig.toml --recipe recipe.toml --out abs.toml

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import PITCH, Json
+from anisoscope.cli.options import PITCH, Flag, Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import Channel, Yes, ask_to_turn
 from anisoscope.cli.tables import console, print_lines, print_table
@@ -49,46 +49,23 @@ def commission(
     ] = None,
     exposure: Annotated[float | None, Parameter(help="Exposure in seconds; else the recipe's.")] = None,
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
-    channel: Annotated[
-        str | None, Parameter(help="Light channel; else the recipe's, else light.channel of the rig file.")
-    ] = None,
+    channel: str | None = None,
     ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of the part in degrees.")] = None,
-    u_ridge_angle: Annotated[
-        float, Parameter(help="Standard uncertainty of the ridge angle, degrees.")
-    ] = 0.1,
+    u_ridge_angle: float = 0.1,
     pitch: Annotated[float | None, PITCH, Parameter(help="Pitch of the ridges in µm.")] = None,
-    alpha: Annotated[
-        str | None, Parameter(help="Roughness along and across the ridges, such as 0.06,0.1.")
-    ] = None,
-    u_alpha: Annotated[
-        float | None, Parameter(help="Relative standard uncertainty of the roughness.")
-    ] = None,
-    spot_mm: Annotated[
-        float | None, Parameter(help="Diameter of the spot on the part; else the recipe's region.")
-    ] = None,
+    alpha: str | None = None,
+    u_alpha: float | None = None,
+    spot_mm: float | None = None,
     step: Annotated[float, Parameter(help="Step of the stage over one turn, degrees.")] = 15.0,
-    tilts: Annotated[
-        str, Parameter(help="Tilts from the present zero of the tilt axis, degrees.")
-    ] = "-20,-10,10,20",
+    tilts: str = "-20,-10,10,20",
     frames: Annotated[int, Parameter(name="--count", help="Frames per pose.")] = 2,
     settle: Annotated[float, Parameter(help="Seconds to wait after every move.")] = 0.1,
-    bounces: Annotated[
-        int | Literal["all"],
-        Parameter(help="Reflections that the model counts: 1 is direct light, or 'all'."),
-    ] = "all",
+    bounces: int | Literal["all"] = "all",
     all_reflections: Annotated[bool, Parameter(negative="", show=False)] = False,
     keep_frames: Annotated[Path | None, Parameter(help="Empty folder for the frames.")] = None,
-    out: Annotated[
-        Path | None, Parameter(help="Record to write; else RIG.commissioning.json next to the rig file.")
-    ] = None,
+    out: Path | None = None,
     html: Annotated[Path | None, Parameter(help="Page to write.")] = None,
-    write: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="Write the findings into the rig file; with a flat the markers are taught then, the part may stay.",
-        ),
-    ] = False,
+    write: Flag = False,
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
@@ -97,6 +74,17 @@ def commission(
     Place the part on the stage first. The command turns it by a full turn, also at tilts if an axis tilts the arm; the
     first time it asks, or takes --yes.
     Sense and zero in the rig file need not be right. Exit code 0: done; undetermined quantities are named.
+
+    Args:
+        channel: Light channel; else the recipe's, else light.channel of the rig file.
+        u_ridge_angle: Standard uncertainty of the ridge angle, degrees.
+        alpha: Roughness along and across the ridges, such as 0.06,0.1.
+        u_alpha: Relative standard uncertainty of the roughness.
+        spot_mm: Diameter of the spot on the part; else the recipe's region.
+        tilts: Tilts from the present zero of the tilt axis, degrees.
+        bounces: Reflections that the model counts: 1 is direct light, or 'all'.
+        out: Record to write; else RIG.commissioning.json next to the rig file.
+        write: Write the findings into the rig file; with a flat the markers are taught then, the part may stay.
 
     Examples:
         anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html
@@ -218,19 +206,10 @@ def check(
     exposure: Annotated[float, Parameter(help="Exposure in seconds for the part or tile on the stage.")],
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
     channel: Channel = None,
-    commissioned: Annotated[
-        Path | None, Parameter(help="Record of the commissioning; else the one next to the rig file.")
-    ] = None,
+    commissioned: Path | None = None,
     frames: Annotated[int, Parameter(name="--count", help="Frames over which the lamp is observed.")] = 20,
-    tile: Annotated[
-        bool, Parameter(negative="", help="The white tile lies on the stage: compare its shading.")
-    ] = False,
-    teach: Annotated[
-        bool,
-        Parameter(
-            negative="", help="Teach the markers of the fixture where the rig is fit: they watch it then."
-        ),
-    ] = False,
+    tile: Flag = False,
+    teach: Flag = False,
     out: Annotated[Path | None, Parameter(help="Folder that receives the result as JSON.")] = None,
     yes: Yes = False,
     json_: Json = False,
@@ -238,6 +217,11 @@ def check(
     """Test a rig at the start of a shift: stage, camera, light, markers, focus. Exit code 0: fit; 3: not fit.
 
     The stage homes and turns: keep its path free. A rig that was never commissioned asks first, or takes --yes.
+
+    Args:
+        commissioned: Record of the commissioning; else the one next to the rig file.
+        tile: The white tile lies on the stage: compare its shading.
+        teach: Teach the markers of the fixture where the rig is fit: they watch it then.
 
     Examples:
         anisoscope rig check --rig rig.toml --exposure 0.006 --out selftests

@@ -17,7 +17,7 @@ from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.log import chosen_language
-from anisoscope.cli.options import Json, extra_packages
+from anisoscope.cli.options import Flag, Json, extra_packages
 from anisoscope.cli.rig.options import (
     Channel,
     Exposure,
@@ -53,16 +53,9 @@ def live(
     focus: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
     frames: Annotated[int | None, Parameter(name="--count", help="End after so many frames.")] = None,
     fps: Annotated[float, Parameter(help="Frames per second at most.")] = 10.0,
-    web: Annotated[
-        bool, Parameter(negative="", help="Show the picture on a page of the console, in the browser.")
-    ] = False,
-    jog: Annotated[
-        bool, Parameter(negative="", help="Move the axes by keys, here or on the page, and by --pad.")
-    ] = False,
-    pad: Annotated[
-        Path | None,
-        Parameter(help="With --jog: game pad, such as /dev/input/event5; auto takes the only one (Linux)."),
-    ] = None,
+    web: Flag = False,
+    jog: Flag = False,
+    pad: Path | None = None,
     yes: Yes = False,
     port: Annotated[
         int, Parameter(name="--web-port", help="With --web: TCP port of 127.0.0.1; 0 takes any free one.")
@@ -75,6 +68,11 @@ def live(
     page up and down for z, a d w s for x and y, + and - for the size of the step, space stops all axes. A stick of a
     game pad steps its axis while it is held; shoulder buttons change the step, all others stop. The light goes off at
     the end. With --web the first line is the address to open, for browsers of this computer (extra [console]).
+
+    Args:
+        web: Show the picture on a page of the console, in the browser.
+        jog: Move the axes by keys, here or on the page, and by --pad.
+        pad: With --jog: game pad, such as /dev/input/event5; auto takes the only one (Linux).
 
     Examples:
         anisoscope rig live --rig rig.toml --exposure 0.003

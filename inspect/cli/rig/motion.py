@@ -7,7 +7,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import RigError
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Flag, Json
 from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, asking, write_line
 from anisoscope.cli.tables import answer
 
@@ -36,22 +36,10 @@ def home(
 
 
 def move(
-    place: Annotated[
-        float,
-        Parameter(
-            help="Reading of the axis, in degrees, of x, y and z in mm; with --sample: angle or place of the sample."
-        ),
-    ],
+    place: float,
     /,
     *,
-    sample: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="The angle is that of the sample (or of the arm), as zero_deg and turns of the rig file say (zero_mm "
-            "and sign of a linear axis); approached from below, as an inspection does.",
-        ),
-    ] = False,
+    sample: Flag = False,
     which: Devices = NOTHING_NAMED,
     axis: Axis = "stage",
     yes: Yes = False,
@@ -60,6 +48,11 @@ def move(
     """Move an axis to a reading. An axis that was not homed is homed first: confirm, or give --yes.
 
     A stage that turns all the way round takes every angle: -5 is 355. The way stays within its limits.
+
+    Args:
+        place: Reading of the axis, in degrees, of x, y and z in mm; with --sample: angle or place of the sample.
+        sample: The angle is that of the sample (or of the arm), as zero_deg and turns of the rig file say (zero_mm and
+            sign of a linear axis); approached from below, as an inspection does.
 
     Examples:
         anisoscope rig move 90 --sample --rig rig.toml --yes

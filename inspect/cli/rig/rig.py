@@ -11,7 +11,7 @@ from cyclopts import App, Group, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Flag, Json
 
 if TYPE_CHECKING:
     from anisoscope.rig.discovery import Answer, FoundPort
@@ -66,16 +66,14 @@ app.command(
 @app.command(group=_look)
 def ports(
     *,
-    probe: Annotated[
-        bool,
-        Parameter(
-            negative="", help="Open each port and identify the device; opening resets some boards (Arduino)."
-        ),
-    ] = False,
+    probe: Flag = False,
     port: Annotated[tuple[str, ...], Parameter(help="Only this port, listed or not; may be repeated.")] = (),
     json: Json = False,
 ) -> None:
     """List the serial ports of this machine and the devices that may be connected, without opening any.
+
+    Args:
+        probe: Open each port and identify the device; opening resets some boards (Arduino).
 
     Examples:
         anisoscope rig ports

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.cli.options import Flag
 from anisoscope.cli.rig.options import write_line
 
 if TYPE_CHECKING:
@@ -23,22 +24,21 @@ def device(
     /,
     *,
     pty: Annotated[bool, Parameter(negative="", help="Pseudo terminals: serve on a new one.")] = False,
-    tcp: Annotated[
-        int | None, Parameter(help="Serve on this TCP port of 127.0.0.1; 0 takes any free one.")
-    ] = None,
-    device_type: Annotated[
-        str, Parameter(help="Device of the protocol, such as KDC101; the usual one if not given.")
-    ] = "",
+    tcp: int | None = None,
+    device_type: str = "",
     address: Annotated[str, Parameter(help="Bus address; the protocol's first if not given.")] = "",
-    time_scale: Annotated[
-        float, Parameter(help="Stretch of time; 1 is real time, 0 ends every move at once.")
-    ] = 1.0,
+    time_scale: float = 1.0,
     fault: Annotated[
         tuple[str, ...],
         Parameter(negative="", help="Fault of the device, as NAME or NAME:NUMBER; may be repeated."),
     ] = (),
 ) -> int:
     """Serve a simulated stage or light until Ctrl-C; the first line gives its port.
+
+    Args:
+        tcp: Serve on this TCP port of 127.0.0.1; 0 takes any free one.
+        device_type: Device of the protocol, such as KDC101; the usual one if not given.
+        time_scale: Stretch of time; 1 is real time, 0 ends every move at once.
 
     Examples:
         anisoscope rig sim elliptec --tcp 4001
@@ -74,24 +74,21 @@ def press(
     *,
     out: Annotated[Path, Parameter(help="Folder for parts.csv and cycles.csv.")],
     parts: Annotated[int, Parameter(help="Parts that are inspected, one shot in 20.")] = 300,
-    setting: Annotated[
-        str | None, Parameter(help="Setting that changes, such as 'mould temperature'.")
-    ] = None,
+    setting: str | None = None,
     change: Annotated[float, Parameter(help="By how much, in °C, bar, s or shots.")] = 0.0,
     onset: Annotated[int, Parameter(help="First part with the change, counted from 1.")] = 200,
     ramp: Annotated[int, Parameter(help="Parts over which it grows; 0 for a step.")] = 0,
     seed: Annotated[int, Parameter(help="Seed of the noise.")] = 1,
-    opcua_port: Annotated[
-        int | None,
-        Parameter(
-            help="TCP port of 127.0.0.1: serve the cycles by OPC 40077 (EUROMAP 77) too, until Ctrl-C."
-        ),
-    ] = None,
+    opcua_port: int | None = None,
     every_s: Annotated[float, Parameter(help="With --opcua-port: seconds from cycle to cycle.")] = 30.0,
 ) -> int:
     """Simulate an injection moulding machine: its cycle data, and what was measured on the parts.
 
     `spc --csv parts.csv` reads the one, `history covariates cycles.csv` the other, or its cycles with `--opcua`.
+
+    Args:
+        setting: Setting that changes, such as 'mould temperature'.
+        opcua_port: TCP port of 127.0.0.1: serve the cycles by OPC 40077 (EUROMAP 77) too, until Ctrl-C.
 
     Examples:
         anisoscope rig sim press --out press --setting "mould temperature" --change -2
@@ -158,15 +155,8 @@ def bench(
     file: Annotated[Path, Parameter(help="Bench file (TOML).")],
     /,
     *,
-    tcp_base: Annotated[
-        int | None,
-        Parameter(
-            help="TCP port of the stage; the light has the next, the camera the one after; 0: any free ones."
-        ),
-    ] = None,
-    pty: Annotated[
-        bool, Parameter(negative="", help="Stage and light on pseudo terminals; the camera stays on TCP.")
-    ] = False,
+    tcp_base: int | None = None,
+    pty: Flag = False,
     write_rig: Annotated[Path | None, Parameter(help="Write a rig file that uses them.")] = None,
 ) -> int:
     """Serve a whole virtual rig until Ctrl-C: its camera shows every motion of its stage to all clients.
@@ -174,6 +164,10 @@ def bench(
     The first line says where: serving bench on stage 127.0.0.1:4001, light 127.0.0.1:4002, camera 127.0.0.1:4003.
     A tilt axis is on the line of the stage, as linear axes of its protocol are; lines of other protocols follow. Only
     programs of this machine can connect. Save the bench file with another table [sample] to lay that on the stage.
+
+    Args:
+        tcp_base: TCP port of the stage; the light has the next, the camera the one after; 0: any free ones.
+        pty: Stage and light on pseudo terminals; the camera stays on TCP.
 
     Examples:
         anisoscope rig sim bench bench.toml --tcp-base 4001 --write-rig rig.toml

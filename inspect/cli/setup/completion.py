@@ -2,31 +2,28 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.cli import app
+from anisoscope.cli.options import Flag
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
 
 
 def completion(
-    shell: Annotated[
-        Shell | None, Parameter(help="Which shell; by default the one that runs this command.")
-    ] = None,
+    shell: Shell | None = None,
     /,
     *,
-    install: Annotated[
-        bool,
-        Parameter(negative="", help="Write the script where the shell finds it, and load it at its start."),
-    ] = False,
-    out: Annotated[
-        Path | None, Parameter(help="With --install: write the script to this file instead.")
-    ] = None,
+    install: Flag = False,
+    out: Path | None = None,
 ) -> int:
     """Print or install the script by which bash, zsh, fish or PowerShell complete commands and options.
+
+    Args:
+        shell: Which shell; by default the one that runs this command.
+        install: Write the script where the shell finds it, and load it at its start.
+        out: With --install: write the script to this file instead.
 
     Examples:
         anisoscope completion bash --install

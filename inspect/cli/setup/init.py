@@ -43,20 +43,13 @@ def init(
     folder: Annotated[Path, Parameter(help="Folder of the job; made if it does not exist.")] = Path(),
     /,
     *,
-    kind: Annotated[
-        str | None,
-        Parameter(help="Kind of part by name, such as ridges or prints; else the other options decide."),
-    ] = None,
+    kind: str | None = None,
     product: Annotated[str | None, Parameter(help="Name of the product.")] = None,
     pitch: Annotated[float, PITCH, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
-    ridge_angle: Annotated[
-        float | None, Parameter(help="Ridge angle of the design in degrees; 10 where nothing else is named.")
-    ] = None,
+    ridge_angle: float | None = None,
     height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
     ink: Annotated[str | None, Parameter(help="For a print: its ink, a file or one of the package.")] = None,
-    operator: Annotated[
-        str | None, Parameter(help="Operator who inspects here; goes into the records.")
-    ] = None,
+    operator: str | None = None,
     station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
 ) -> int:
     """Write a job folder: recipe, rig file and anisoscope.toml, which names them for all commands.
@@ -65,6 +58,11 @@ def init(
 
     Commands in this folder and below it then need no --recipe, --rig, --out, --operator and --station.
     Existing files are not replaced.
+
+    Args:
+        kind: Kind of part by name, such as ridges or prints; else the other options decide.
+        ridge_angle: Ridge angle of the design in degrees; 10 where nothing else is named.
+        operator: Operator who inspects here; goes into the records.
 
     Examples:
         anisoscope init job --ridge-angle 10 --pitch 100

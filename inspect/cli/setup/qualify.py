@@ -15,26 +15,14 @@ from anisoscope.cli.tables import answer
 
 def qualify(
     *,
-    out: Annotated[Path, Parameter(help="Folder that receives a folder with the evidence.")] = Path(
-        "qualifications"
-    ),
+    out: Path = Path("qualifications"),
     rig: Annotated[
         Path | None,
         Parameter(name=["--rig", "-g"], help="Rig file: devices and calibrations are checked, too."),
     ] = None,
-    exposure: Annotated[
-        float | None,
-        Parameter(
-            help="Exposure in seconds for the self test of the rig: the stage homes and turns. Left out, not tested."
-        ),
-    ] = None,
-    code: Annotated[
-        str | None,
-        Parameter(help="SHA-256 of the code that was released for use, as an earlier page states it."),
-    ] = None,
-    check: Annotated[
-        Path | None, Parameter(help="Verify the evidence in a folder instead: its hashes and its signature.")
-    ] = None,
+    exposure: float | None = None,
+    code: str | None = None,
+    check: Path | None = None,
     trust: TrustFile = None,
     json_: Json = False,
 ) -> int:
@@ -44,6 +32,12 @@ def qualify(
     rig and shows that changed records are found. The page is signed, and prints on A4.
 
     Exit codes: 0 PASS, 1 FAIL, 64 and above an error.
+
+    Args:
+        out: Folder that receives a folder with the evidence.
+        exposure: Exposure in seconds for the self test of the rig: the stage homes and turns. Left out, not tested.
+        code: SHA-256 of the code that was released for use, as an earlier page states it.
+        check: Verify the evidence in a folder instead: its hashes and its signature.
 
     Examples:
         anisoscope qualify

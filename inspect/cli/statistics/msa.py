@@ -9,7 +9,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.history.options import ALL, Place, Selection
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Flag, Json
 from anisoscope.cli.statistics.source import SOURCE, Alpha, Html, Number, Readable, print_grid, readings_from
 from anisoscope.cli.tables import print_lines
 
@@ -26,17 +26,8 @@ Reference = Annotated[float | None, Parameter(help="Known value of the part.")]
 def gauge(
     *,
     source: Readable = SOURCE,
-    tolerance: Annotated[
-        float | None,
-        Parameter(help="Width between the limits of good parts, for the share of the tolerance."),
-    ] = None,
-    nested: Annotated[
-        bool,
-        Parameter(
-            help="Parts of the same name are others with every appraiser (destroyed by measuring).",
-            negative=(),
-        ),
-    ] = False,
+    tolerance: float | None = None,
+    nested: Flag = False,
     html: Html = None,
     json_: Json = False,
 ) -> int:
@@ -46,6 +37,10 @@ def gauge(
     operator the appraiser.
 
     Exit codes: 0 the gauge is good or usable, 1 it is not good enough, 64 and above no analysis is possible.
+
+    Args:
+        tolerance: Width between the limits of good parts, for the share of the tolerance.
+        nested: Parts of the same name are others with every appraiser (destroyed by measuring).
 
     Examples:
         anisoscope msa gauge --csv gauge.csv --tolerance 0.4
@@ -163,24 +158,11 @@ Resolution = Annotated[float | None, Parameter(help="Resolution of the gauge.")]
 @app.command
 def attribute(
     *,
-    csv: Annotated[
-        Path | None,
-        Parameter(
-            help="CSV file of decisions: part, appraiser, decision, reference and, if measured, value.",
-        ),
-    ] = None,
-    masters: Annotated[
-        Path | None,
-        Parameter(
-            help="Decisions of the history on these parts: CSV file with the columns part and reference."
-        ),
-    ] = None,
+    csv: Path | None = None,
+    masters: Path | None = None,
     place: Place = None,
     which: Selection = ALL,
-    tolerance: Annotated[
-        float | None,
-        Parameter(help="Tolerance, width between the limits of good parts, for signal detection."),
-    ] = None,
+    tolerance: float | None = None,
     confidence: Annotated[float, Parameter(help="Confidence of the intervals.")] = 0.95,
     html: Html = None,
     json_: Json = False,
@@ -190,6 +172,11 @@ def attribute(
     Kappa of Cohen and Fleiss, effectiveness, miss and false-alarm rates; with measured references signal detection.
 
     Exit codes: 0 acceptable, 1 not, 64 and above no analysis is possible.
+
+    Args:
+        csv: CSV file of decisions: part, appraiser, decision, reference and, if measured, value.
+        masters: Decisions of the history on these parts: CSV file with the columns part and reference.
+        tolerance: Tolerance, width between the limits of good parts, for signal detection.
 
     Examples:
         anisoscope msa attribute --csv decisions.csv --tolerance 0.1
@@ -256,26 +243,15 @@ def process(
     number: Number = None,
     tolerance: Tolerance,
     resolution: Resolution = None,
-    corrected: Annotated[
-        bool, Parameter(help="Readings are corrected by the line of the standards.", negative=())
-    ] = False,
+    corrected: Flag = False,
     u_calibration: Annotated[float | None, Parameter(help="Standard uncertainty by the calibration.")] = None,
     u_linearity: Annotated[float | None, Parameter(help="Standard uncertainty by the linearity.")] = None,
-    u_object: Annotated[
-        float | None, Parameter(help="Standard uncertainty by the part itself, such as its form.")
-    ] = None,
+    u_object: float | None = None,
     u_temperature: Annotated[float | None, Parameter(help="Standard uncertainty by the temperature.")] = None,
-    u_stability: Annotated[
-        float | None, Parameter(help="Standard uncertainty by the stability over time.")
-    ] = None,
-    u_gauges: Annotated[
-        float | None, Parameter(help="Standard uncertainty by differences between gauges.")
-    ] = None,
+    u_stability: float | None = None,
+    u_gauges: float | None = None,
     u_other: Annotated[float | None, Parameter(help="Standard uncertainty by other influences.")] = None,
-    largest_error: Annotated[
-        float | None,
-        Parameter(help="Maximum permissible error, in place of calibration, bias and linearity."),
-    ] = None,
+    largest_error: float | None = None,
     system_limit: Annotated[float, Parameter(help="Largest Q of the measuring system, as a share.")] = 0.15,
     process_limit: Annotated[float, Parameter(help="Largest Q of the process, as a share.")] = 0.30,
     html: Html = None,
@@ -286,6 +262,13 @@ def process(
     %Q_MS and %Q_MP, twice the expanded uncertainty (k = 2) over the tolerance, and the smallest tolerance.
 
     Exit codes: 0 capable, 1 not, 64 and above no analysis is possible.
+
+    Args:
+        u_object: Standard uncertainty by the part itself, such as its form.
+        u_stability: Standard uncertainty by the stability over time.
+        u_gauges: Standard uncertainty by differences between gauges.
+        largest_error: Maximum permissible error, in place of calibration, bias and linearity.
+        corrected: Readings are corrected by the line of the standards.
 
     Examples:
         anisoscope msa process --standards standards.csv --gauge-study gauge.csv --tolerance 0.4 --u-calibration 0.002

@@ -45,31 +45,16 @@ PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a pictur
 def optimise(
     *,
     recipe: RecipeOption = None,
-    vary: Annotated[
-        str, Parameter(help="NAME=FROM:TO,…; names: ridge_angle, pitch, alpha_along, alpha_across.")
-    ] = "ridge_angle=3:20",
+    vary: str = "ridge_angle=3:20",
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     file: MaterialOption = None,
-    contrast: Annotated[
-        Literal["difference", "michelson", "log_ratio"],
-        Parameter(help="Contrast; its absolute value counts."),
-    ] = "difference",
-    pair: Annotated[
-        list[str] | None,
-        Parameter(help="Two stage angles, 0,90 where left out; may be given more than once."),
-    ] = None,
+    contrast: Literal["difference", "michelson", "log_ratio"] = "difference",
+    pair: list[str] | None = None,
     tilts: Annotated[str, Parameter(help="Tilts in degrees, comma-separated (--tilts=-10,0,10).")] = "0",
-    over: Annotated[
-        Literal["mean", "worst"], Parameter(help="Mean over pairs and tilts, or the worst of them.")
-    ] = "mean",
-    score: Annotated[
-        Literal["contrast", "snr"], Parameter(help="The contrast, or its ratio to its standard deviation.")
-    ] = "contrast",
-    noise: Annotated[
-        str | None,
-        Parameter(help="Noise of a measured radiance: floor=1/sr,share=of it (floor=1e-4,share=.005)."),
-    ] = None,
+    over: Literal["mean", "worst"] = "mean",
+    score: Literal["contrast", "snr"] = "contrast",
+    noise: str | None = None,
     robust: Annotated[bool, Parameter(negative="", help="Maximise under tolerances.")] = False,
     scatter: Annotated[
         str | None,
@@ -79,21 +64,12 @@ def optimise(
         ),
     ] = None,
     z: Annotated[float, Parameter(help="The robust score is mean − z · standard deviation.")] = 2.0,
-    quantile: Annotated[
-        float | None, Parameter(help="The robust score is this quantile of the contrast instead, up to 0.5.")
-    ] = None,
+    quantile: float | None = None,
     samples: Annotated[int, Parameter(help="Parts in the sample of tolerances, a power of two.")] = 64,
     seed: Annotated[int, Parameter(help="Seed of the sample.")] = 1,
-    bounces: Annotated[
-        int | Literal["all"],
-        Parameter(
-            help="Most reflections; 1: direct light; 2 holds most of what 'all' adds, in half of its time."
-        ),
-    ] = "all",
+    bounces: int | Literal["all"] = "all",
     rig: Given[Convention],
-    jobs: Annotated[
-        int, Parameter(help="Processes on this machine; several help with many poses or samples.")
-    ] = 1,
+    jobs: int = 1,
     scheduler: SchedulerOption = None,
     json_: Json = False,
     html: HtmlOption = None,
@@ -104,6 +80,17 @@ def optimise(
     The box of --vary is searched on a grid, then refined at the highest maxima. --bounces adds light that ridges
     reflect onto each other. The pitch matters only if something has an absolute size (--edge-radius, or a tolerance of
     it).
+
+    Args:
+        vary: NAME=FROM:TO,…; names: ridge_angle, pitch, alpha_along, alpha_across.
+        contrast: Contrast; its absolute value counts.
+        pair: Two stage angles, 0,90 where left out; may be given more than once.
+        over: Mean over pairs and tilts, or the worst of them.
+        score: The contrast, or its ratio to its standard deviation.
+        noise: Noise of a measured radiance: floor=1/sr,share=of it (floor=1e-4,share=.005).
+        quantile: The robust score is this quantile of the contrast instead, up to 0.5.
+        bounces: Most reflections; 1: direct light; 2 holds most of what 'all' adds, in half of its time.
+        jobs: Processes on this machine; several help with many poses or samples.
 
     Examples:
         anisoscope optimise --vary ridge_angle=3:20

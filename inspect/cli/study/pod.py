@@ -21,43 +21,21 @@ def pod_command(
     recipe: Annotated[
         Path | None, Parameter(name=["--recipe", "-r"], help="Recipe file of simulated parts (TOML).")
     ] = None,
-    defect: Annotated[
-        str,
-        Parameter(
-            help="Defect of simulated parts: height_loss, edge_radius [µm], ridge_angle [°], alpha, albedo."
-        ),
-    ] = "height_loss",
-    csv: Annotated[
-        Path | None,
-        Parameter(
-            help="CSV file of master parts instead: size,hit (1 or 0) or size,signal.",
-        ),
-    ] = None,
+    defect: str = "height_loss",
+    csv: Path | None = None,
     parts: Annotated[int, Parameter(help="Simulated parts with a defect.")] = 400,
-    largest: Annotated[
-        float | None, Parameter(help="Largest simulated size; else found by a short series of trials.")
-    ] = None,
-    golden_parts: Annotated[
-        int, Parameter(help="Golden parts of every rig; with 0 the prediction is the reference.")
-    ] = 3,
+    largest: float | None = None,
+    golden_parts: int = 3,
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
     ] = None,
     light_angle: LightAngleOption = None,
-    threshold: Annotated[
-        float | None, Parameter(help="Of signals: a defect counts as found from this signal on.")
-    ] = None,
-    noise: Annotated[
-        float | None, Parameter(help="Noise: signals at or below this are known to be so only.")
-    ] = None,
-    saturation: Annotated[
-        float | None, Parameter(help="Saturation: signals at or above this are known to be so only.")
-    ] = None,
+    threshold: float | None = None,
+    noise: float | None = None,
+    saturation: float | None = None,
     size_scale: Annotated[Scaled, Parameter(help="The curve is over the size or its logarithm.")] = "log",
     signal_scale: Annotated[Scaled, Parameter(help="Of signals: the signal or its logarithm.")] = "log",
-    link: Annotated[
-        Literal["logit", "probit"], Parameter(help="Of hits: logistic or normal curve.")
-    ] = "logit",
+    link: Literal["logit", "probit"] = "logit",
     confidence: Annotated[float, Parameter(help="Confidence of intervals and of a90/95.")] = 0.95,
     seed: Annotated[int, Parameter(help="Seed of parts, rigs and errors.")] = 1,
     jobs: JobsOption = None,
@@ -68,6 +46,16 @@ def pod_command(
     """Probability of detection over the size of a defect: a50, a90, a90/95 (MIL-HDBK-1823A).
 
     From simulated parts of a recipe, each on a rig of its own and found by the verdict FAIL, or from master parts.
+
+    Args:
+        defect: Defect of simulated parts: height_loss, edge_radius [µm], ridge_angle [°], alpha, albedo.
+        csv: CSV file of master parts instead: size,hit (1 or 0) or size,signal.
+        largest: Largest simulated size; else found by a short series of trials.
+        golden_parts: Golden parts of every rig; with 0 the prediction is the reference.
+        threshold: Of signals: a defect counts as found from this signal on.
+        noise: Noise: signals at or below this are known to be so only.
+        saturation: Saturation: signals at or above this are known to be so only.
+        link: Of hits: logistic or normal curve.
 
     Examples:
         anisoscope research pod --recipe recipe.toml --defect height_loss --html pod.html

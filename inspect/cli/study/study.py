@@ -51,16 +51,11 @@ app.command("anisoscope.cli.study.papers:papers", name="papers")
 def convergence_command(
     *,
     recipe: RecipeOption = None,
-    defects: Annotated[
-        str,
-        Parameter(help="Comma-separated: roughness, burrs, angle-error, height-loss, edge-rounding; or all."),
-    ] = "all",
+    defects: str = "all",
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     file: MaterialOption = None,
-    severities: Annotated[
-        int, Parameter(help="Sizes of each defect, each half the one before; 3 to 10.")
-    ] = 6,
+    severities: int = 6,
     quality: Quality = "normal",
     seed: SeedOption = 1,
     jobs: JobsOption = None,
@@ -70,6 +65,10 @@ def convergence_command(
     plot: PlotOption = None,
 ) -> int:
     """Show how contrasts approach the ideal prediction as defects vanish, and at which order.
+
+    Args:
+        defects: Comma-separated: roughness, burrs, angle-error, height-loss, edge-rounding; or all.
+        severities: Sizes of each defect, each half the one before; 3 to 10.
 
     Examples:
         anisoscope research convergence --plot convergence.png
@@ -110,13 +109,7 @@ def convergence_command(
 def best_angle_command(
     *,
     recipe: RecipeOption = None,
-    imperfections: Annotated[
-        str,
-        Parameter(
-            help="Comma-separated: roughness, roughness-along, roughness-across, height-loss, edge-radius, burrs, "
-            "seating, noise, bounces, albedo; or all."
-        ),
-    ] = "all",
+    imperfections: str = "all",
     plastic: Given[Material],
     file: MaterialOption = None,
     step: Annotated[float, Parameter(help="Step of the ridge angles in degrees, 0.1 to 1.")] = 0.5,
@@ -129,6 +122,10 @@ def best_angle_command(
     plot: PlotOption = None,
 ) -> int:
     """Test whether an imperfection moves the best ridge angle of the published experiment from 5° to 10°.
+
+    Args:
+        imperfections: Comma-separated: roughness, roughness-along, roughness-across, height-loss, edge-radius, burrs,
+            seating, noise, bounces, albedo; or all.
 
     Examples:
         anisoscope research best-angle --step 1

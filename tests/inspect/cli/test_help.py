@@ -273,7 +273,7 @@ SAME_QUANTITY = {
 def test_an_option_names_one_quantity_in_all_commands():
     found = defaultdict(lambda: defaultdict(set))
     for words, one in ALL.items():
-        for argument in one.assemble_argument_collection() if one.default_command else ():
+        for argument in one.assemble_argument_collection(parse_docstring=True) if one.default_command else ():
             for name in argument.names:
                 if name.startswith("--"):
                     found[name][sort_of(argument.hint), argument.parameter.help or ""].add(" ".join(words))
