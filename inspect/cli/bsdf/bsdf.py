@@ -44,37 +44,26 @@ MaterialFile = Annotated[
 @Parameter(name="*", group=SOURCE)
 @dataclass(frozen=True)
 class SourceOptions:
-    """What reflects, but ridges."""
+    """What reflects, but ridges.
+
+    Attributes:
+        from_file: File of another format (RGL, MERL, Klems, tensor tree, Zemax), or a table *.csv of bsdf import.
+        bounces: Ridges: most reflections, or 'all'; direct light by default: a file of 16 s takes over 8 min with 2.
+        optics: Height map: rays on plastic, or waves on a mirror, for steps and depths below a µm.
+        steps: Number of plateaus of a stepped height map, for waves; found if not given.
+        pixel: Height map: pixel size in µm where it states none, SIZE or Y,X.
+        lamp_half_angle: Height map by waves: half of the angle that the lamp subtends, degrees.
+    """
 
     ink: Annotated[str | None, Parameter(help="Structural-colour ink: file *.toml, or a name.")] = None
     design: Annotated[Path | None, Parameter(help="Etched steps: file *.toml of anisoscope design.")] = None
     height_map: Annotated[Path | None, Parameter(help="Height map, x as the reflectance's.")] = None
-    from_file: Annotated[
-        Path | None,
-        Parameter(
-            help="File of another format (RGL, MERL, Klems, tensor tree, Zemax), or a table *.csv of bsdf import."
-        ),
-    ] = None
-    bounces: Annotated[
-        int | Literal["all"],
-        Parameter(
-            help="Ridges: most reflections, or 'all'; direct light by default: a file of 16 s takes over 8 min with 2."
-        ),
-    ] = 1
-    optics: Annotated[
-        Literal["rays", "waves"],
-        Parameter(help="Height map: rays on plastic, or waves on a mirror, for steps and depths below a µm."),
-    ] = "rays"
-    steps: Annotated[
-        int | None,
-        Parameter(help="Number of plateaus of a stepped height map, for waves; found if not given."),
-    ] = None
-    pixel: Annotated[
-        str | None, Parameter(help="Height map: pixel size in µm where it states none, SIZE or Y,X.")
-    ] = None
-    lamp_half_angle: Annotated[
-        float, Parameter(help="Height map by waves: half of the angle that the lamp subtends, degrees.")
-    ] = 0.9
+    from_file: Path | None = None
+    bounces: int | Literal["all"] = 1
+    optics: Literal["rays", "waves"] = "rays"
+    steps: int | None = None
+    pixel: str | None = None
+    lamp_half_angle: float = 0.9
 
     def surface(self, ridges: Given[RidgeDesign]) -> "tuple[Surface, dict[str, Any]]":
         """The surface that is named, and how its reflectance is computed.

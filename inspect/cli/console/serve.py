@@ -44,10 +44,7 @@ def serve(
     host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="TCP port; 0 takes any free one.")] = PORT,
     station: str | None = None,
-    name: Annotated[
-        tuple[str, ...],
-        Parameter(negative="", help="Name by which other computers call this one; may be repeated."),
-    ] = (),
+    name: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     certificate: Annotated[Path | None, Parameter(help="TLS certificate (PEM).")] = None,
     key: Annotated[Path | None, Parameter(help="Its key (PEM).")] = None,
     idle: float = 30.0,
@@ -60,6 +57,7 @@ def serve(
         openid: With --users: file of an OpenID provider that logs people in too.
         station: Station where the rig stands; the fleet page shows what it does.
         idle: With --users: minutes without a person's request until a session may only look and stop.
+        name: Name by which other computers call this one; may be repeated.
 
     Examples:
         anisoscope serve --rig rig.toml --recipes recipes

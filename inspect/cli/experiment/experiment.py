@@ -124,21 +124,20 @@ def experiment(
     *,
     recipe: RecipeOption = None,
     model: ModelOption = "printed",
-    measured: Annotated[
-        Path | None,
-        Parameter(help="CSV: ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast; the scale k is fitted."),
-    ] = None,
+    measured: Path | None = None,
     plastic: Given[Material],
     file: MaterialOption = None,
     rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
     json_: Json = False,
-    csv_: Annotated[
-        bool, Parameter(name="--as-csv", negative="", help="Print CSV, as --measured reads it.")
-    ] = False,
+    csv_: Annotated[bool, Parameter(name="--as-csv", negative="")] = False,
     html: HtmlOption = None,
 ) -> int:
     """Predict the contrasts of the ridge experiment and their marginal means (Luongo et al. 2017, Fig. 8).
+
+    Args:
+        measured: CSV: ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast; the scale k is fitted.
+        csv_: Print CSV, as --measured reads it.
 
     Examples:
         anisoscope research experiment

@@ -180,21 +180,19 @@ app = App(name="fit", help="Fit the parameters of the reflectance models to meas
 @Parameter(name="*", group=MODEL)
 @dataclass(frozen=True)
 class ModelOptions:
-    """Model, and the parameters of a fit that belong to no part."""
+    """Model, and the parameters of a fit that belong to no part.
 
-    model: Annotated[
-        Literal["printed", "corrected"], Parameter(help="The corrected model, or as published.")
-    ] = "corrected"
+    Attributes:
+        model: The corrected model, or as published.
+        bounces: Reflections of the corrected model: 1 is direct light; a larger number, or all. All by default; of the
+            published experiment 1.
+    """
+
+    model: Literal["printed", "corrected"] = "corrected"
     seating_x: Annotated[float, Parameter(help="Seating tilt of the part about x in degrees.")] = 0.0
     seating_y: Annotated[float, Parameter(help="Seating tilt of the part about y in degrees.")] = 0.0
     k: Annotated[float, Parameter(help="Scale between radiance and the unit of the table.")] = 1.0
-    bounces: Annotated[
-        int | Literal["all"] | None,
-        Parameter(
-            help="Reflections of the corrected model: 1 is direct light; a larger number, or all. All by default; of "
-            "the published experiment 1."
-        ),
-    ] = None
+    bounces: int | Literal["all"] | None = None
 
     def counted(self, usual: int | None = None) -> int | None:
         """Reflections that count, None for all; ``usual`` where nothing is stated.
@@ -237,10 +235,7 @@ def ridges(
     quantity: Literal["exposure", "difference", "michelson", "log_ratio"] | None = None,
     free: FreeOption | None = None,
     errors: Literal["shared", "independent"] = "shared",
-    covariance: Annotated[
-        Path | None,
-        Parameter(name="--covariance-file", help="CSV without header: N × N covariance, in place of u."),
-    ] = None,
+    covariance: Annotated[Path | None, Parameter(name="--covariance-file")] = None,
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     file: MaterialOption = None,
@@ -255,6 +250,7 @@ def ridges(
         table: CSV: stage_deg,tilt_deg,value[,u] or from_deg,to_deg,tilt_deg,value[,u].
         quantity: What the values are; of an exposure table: which contrasts are formed and fitted.
         errors: Contrasts that share a photograph: correlated, or independent.
+        covariance: CSV without header: N × N covariance, in place of u.
 
     Examples:
         anisoscope fit ridges table.csv

@@ -14,13 +14,7 @@ def export(
     *,
     which: Selection = ALL,
     csv: Annotated[Path | None, Parameter(name="--csv-file", help="Write a table (CSV, UTF-8).")] = None,
-    values: Annotated[
-        Path | None,
-        Parameter(
-            name="--values-file",
-            help="Write a CSV of fixed columns: a line for each number, units in line 2.",
-        ),
-    ] = None,
+    values: Annotated[Path | None, Parameter(name="--values-file")] = None,
     json: Annotated[Path | None, Parameter(name="--json-file", help="Write JSON.")] = None,
     junit: Path | None = None,
     aqdef: Path | None = None,
@@ -37,6 +31,7 @@ def export(
         junit: Write JUnit XML, for servers of continuous integration.
         aqdef: Write AQDEF of one product and recipe: *.dfq, or *.dfd with *.dfx next to it.
         bundle: Write the signed inspection that --serial names, with its place in the history (ZIP).
+        values: Write a CSV of fixed columns: a line for each number, units in line 2.
 
     Examples:
         anisoscope export --csv-file week.csv --since 7d

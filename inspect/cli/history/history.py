@@ -453,10 +453,7 @@ def verify(
     *,
     head: list[str] | None = None,
     trust: TrustFile = None,
-    authorities: Annotated[
-        Path | None,
-        Parameter(name="--tsa", help="Certificates (PEM) of authorities whose time stamps count."),
-    ] = None,
+    authorities: Annotated[Path | None, Parameter(name="--tsa")] = None,
     archive: str | None = None,
     place: Place = None,
     json_: Json = False,
@@ -470,6 +467,7 @@ def verify(
     Args:
         head: A head that was noted earlier: fails if the history was cut or rewritten since. Repeatable.
         archive: Archive: its verdicts, and the heads that stations noted there.
+        authorities: Certificates (PEM) of authorities whose time stamps count.
 
     Examples:
         anisoscope history verify

@@ -160,13 +160,7 @@ def show(
     light_angles: str | None = None,
     off_mirror: Annotated[float, Parameter(help="Angle between eye and mirror direction, in degrees.")] = 0.0,
     ink_model: Literal["goniochromatic", "schlick", "tio2"] = "goniochromatic",
-    exposure: Annotated[
-        float | None,
-        Parameter(
-            name="--brightness",
-            help="Factor on XYZ before it is shown; else the brightest channel becomes 1.",
-        ),
-    ] = None,
+    exposure: Annotated[float | None, Parameter(name="--brightness")] = None,
     adapt: Flag = False,
     html: HtmlOption = None,
     png: Path | None = None,
@@ -182,6 +176,7 @@ def show(
         png: Write a picture of the colours and spectra: *.png or *.svg.
         illuminant: Illuminant: d65, a, led-b1 … led-b5, led-bh1, led-rgb1, led-v1, led-v2, or CSV wavelength_nm,power.
         adapt: Adapt the light's white to that of sRGB (Bradford).
+        exposure: Factor on XYZ before it is shown; else the brightest channel becomes 1.
 
     Examples:
         anisoscope ink show synthetic-red synthetic-green synthetic-blue --png inks.png

@@ -29,21 +29,17 @@ OF_VIEW = Options(ProofView, VIEW, names={"pitch_deg": "--pitch-angle"}, default
 @Parameter(name="*", group=PRESS)
 @dataclass(frozen=True, kw_only=True)
 class PressOptions:
-    """What the press does to the dots; inks overlap by that."""
+    """What the press does to the dots; inks overlap by that.
 
-    screen_shifts: Annotated[
-        str | None,
-        Parameter(help="Shift of the screen of each ink in µm, to the right and up: X,Y;X,Y;X,Y."),
-    ] = None
+    Attributes:
+        screen_shifts: Shift of the screen of each ink in µm, to the right and up: X,Y;X,Y;X,Y.
+        overprint: Ink file of inks on each other, by their numbers from below: 1+2=FILE.toml; else they are modelled.
+    """
+
+    screen_shifts: str | None = None
     dot_gain: Annotated[float, Parameter(help="By how much dots spread beyond each edge, in µm.")] = 0.0
     dpi: Annotated[float, Parameter(help="Dots per inch of the print.")] = 300.0
-    overprint: Annotated[
-        tuple[str, ...],
-        Parameter(
-            help="Ink file of inks on each other, by their numbers from below: 1+2=FILE.toml; else they are modelled.",
-            negative="",
-        ),
-    ] = ()
+    overprint: Annotated[tuple[str, ...], Parameter(negative="")] = ()
 
 
 @with_options(view=OF_VIEW)

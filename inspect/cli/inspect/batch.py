@@ -25,14 +25,7 @@ def batch(
     rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
     out: Path = Path("inspections"),
     resume: Flag = False,
-    yes: Annotated[
-        bool,
-        Parameter(
-            name=["--yes", "-y"],
-            negative="",
-            help="Begin each part without asking: the tray fills itself, or the rig is virtual.",
-        ),
-    ] = False,
+    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
     read_code: Flag = False,
     code_kind: CodeKind = "any",
     code_exposure: float | None = None,
@@ -56,6 +49,7 @@ def batch(
         code_exposure: Exposure in seconds for the picture of the code; by default the recipe's.
         resume: Continue an interrupted batch; finished parts are kept.
         read_code: Read the code on every part with the camera before inspecting it.
+        yes: Begin each part without asking: the tray fills itself, or the rig is virtual.
 
     Examples:
         anisoscope batch tray.csv --recipe recipe.toml --rig rig.toml

@@ -19,14 +19,8 @@ def read_code(
     picture: Annotated[Path | None, Parameter(help="Picture to read (PNG, TIFF, JPEG).")] = None,
     /,
     *,
-    rig: Annotated[
-        Path | None,
-        Parameter(name=["--rig", "-g"], help="Rig file; its camera takes the picture."),
-    ] = None,
-    recipe: Annotated[
-        Path | None,
-        Parameter(name=["--recipe", "-r"], help="With --rig: recipe, for its first pose and exposure."),
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
+    recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
     exposure: Annotated[float | None, Parameter(help="With --rig: exposure in seconds instead.")] = None,
     code_kind: CodeKind = "any",
     yes: Yes = False,
@@ -35,6 +29,10 @@ def read_code(
     """Read the Data Matrix, Code 128 or QR code on a part; GS1 codes give lot and serial number.
 
     Exit codes: 0 one code, 3 no readable code or several, 64 and above usage or hardware.
+
+    Args:
+        rig: Rig file; its camera takes the picture.
+        recipe: With --rig: recipe, for its first pose and exposure.
 
     Examples:
         anisoscope read-code picture.png

@@ -19,13 +19,7 @@ def angle_map(
     /,
     *,
     cell: Annotated[float, Parameter(help="Side of the cells in µm."), quantity("cell_um")] = 48.0,
-    out: Annotated[
-        list[Path] | None,
-        Parameter(
-            name=["--out", "-o"],
-            help="File: cells as .csv or .npz, or as .x3p the form of the part; repeat for several.",
-        ),
-    ] = None,
+    out: Annotated[list[Path] | None, Parameter(name=["--out", "-o"])] = None,
     html: Annotated[Path | None, Parameter(help="Write a page with maps and histogram to this file.")] = None,
     json_: Json = False,
 ) -> int:
@@ -33,6 +27,7 @@ def angle_map(
 
     Args:
         folder: Inspection folder of a part with ridges.
+        out: File: cells as .csv or .npz, or as .x3p the form of the part; repeat for several.
 
     docs/angle-map.md says how sure the angles are.
 

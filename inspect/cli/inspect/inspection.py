@@ -39,16 +39,8 @@ if TYPE_CHECKING:
 def inspect(
     *,
     recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")] = None,
-    rig: Annotated[
-        Path | None,
-        Parameter(
-            name=["--rig", "-g"], help="Rig file (TOML); with --frames rig.toml beside them by default."
-        ),
-    ] = None,
-    serial: Annotated[
-        str | None,
-        Parameter(name=["--serial", "-s"], help="Serial number of the part; without it you type or scan it."),
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
+    serial: Annotated[str | None, Parameter(name=["--serial", "-s"])] = None,
     frames: Path | None = None,
     init: Flag = False,
     reflectance: float = 0.99,
@@ -58,14 +50,7 @@ def inspect(
     lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
     cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
     station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
-    at: Annotated[
-        tuple[float, float] | None,
-        Parameter(
-            negative="",
-            help="Place of the part on the plate for the axes x and y: mm right and up of the stage's axis, at sample "
-            "angle 0.",
-        ),
-    ] = None,
+    at: Annotated[tuple[float, float] | None, Parameter(negative="")] = None,
     history: HistoryOption = None,
     json_: Json = False,
 ) -> int:
@@ -78,6 +63,9 @@ def inspect(
         reflectance: With --frames: reflectance of the white tile in its flat frames.
         reuse: With --frames: reason for judging frames that are known as those of another part.
         init: With --frames: write a first frames.csv for the pictures there, and end.
+        rig: Rig file (TOML); with --frames rig.toml beside them by default.
+        serial: Serial number of the part; without it you type or scan it.
+        at: Place of the part on the plate for the axes x and y: mm right and up of the stage's axis, at sample angle 0.
 
     Examples:
         anisoscope inspect --recipe recipe.toml --rig rig.toml --serial A-0001

@@ -30,10 +30,7 @@ def watch(
     /,
     *,
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
-    rig: Annotated[
-        Path | None,
-        Parameter(name=["--rig", "-g"], help="Rig file (TOML); by default rig.toml in the folder of frames."),
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     out: Annotated[Path, Parameter(help="Folder that receives the inspections.")] = Path("inspections"),
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
     stable_for: float = 2.0,
@@ -43,9 +40,7 @@ def watch(
     reuse: str = "",
     once: Flag = False,
     history: HistoryOption = None,
-    json_: Annotated[
-        bool, Parameter(name="--json", negative="", help="Print JSON, one line an event.")
-    ] = False,
+    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
 ) -> int:
     """Inspect every folder of frames that another program writes; Ctrl-C stops after the current one.
 
@@ -59,6 +54,8 @@ def watch(
         read_code: Read the code on every part from its first frame; it identifies the part.
         reuse: Reason for judging frames that are known as those of another part.
         once: Inspect the complete folders that exist, then exit.
+        rig: Rig file (TOML); by default rig.toml in the folder of frames.
+        json_: Print JSON, one line an event.
 
     Examples:
         anisoscope watch incoming --recipe recipe.toml

@@ -55,22 +55,17 @@ def opcua(
     reports: Reports = "all",
     host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="TCP port.")] = 4840,
-    open_: Annotated[
-        bool,
-        Parameter(
-            name="--open",
-            negative="",
-            help="Let every computer that reaches the address order jobs: there is no encryption and no password.",
-        ),
-    ] = False,
+    open_: Annotated[bool, Parameter(name="--open", negative="")] = False,
     certificate: OwnCertificate = None,
     key: OwnKey = None,
     peers: PeersFolder = None,
-    users: Annotated[
-        Path | None, Parameter(help="With --certificate: file of users, who log in by name and password.")
-    ] = None,
+    users: Path | None = None,
 ) -> int:
     """Serve the rig by OPC UA for Machine Vision (OPC 40100-1), until Ctrl-C.
+
+    Args:
+        open_: Let every computer that reaches the address order jobs: there is no encryption and no password.
+        users: With --certificate: file of users, who log in by name and password.
 
     Examples:
         anisoscope line opcua --rig rig.toml --recipes recipes
@@ -109,29 +104,23 @@ def opcua(
 def mqtt(
     *,
     broker: Annotated[str, Parameter(help="Address: mqtt://[user:password@]host[:1883] or mqtts://…")],
-    rig: Annotated[
-        Path | None, Parameter(name=["--rig", "-g"], help="Rig file; without it only results are published.")
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     recipes: Annotated[Path | None, Parameter(help="Folder of the recipes that may be ordered.")] = None,
     out: Out = INSPECTIONS,
     history: HistoryOption = None,
     station: Station = None,
     reports: Reports = "all",
     group: Annotated[str, Parameter(help="Sparkplug group.")] = "anisoscope",
-    node: Annotated[
-        str, Parameter(help="Sparkplug edge node; another one for every rig at the broker.")
-    ] = "rig",
+    node: str = "rig",
     device: Annotated[str, Parameter(help="Sparkplug device.")] = "inspection",
-    open_: Annotated[
-        bool,
-        Parameter(
-            name="--open",
-            negative="",
-            help="With --rig: take orders over a broker elsewhere without encryption.",
-        ),
-    ] = False,
+    open_: Annotated[bool, Parameter(name="--open", negative="")] = False,
 ) -> int:
     """Publish results by MQTT as Sparkplug B and JSON, until Ctrl-C; with --rig and --recipes take orders of jobs.
+
+    Args:
+        rig: Rig file; without it only results are published.
+        node: Sparkplug edge node; another one for every rig at the broker.
+        open_: With --rig: take orders over a broker elsewhere without encryption.
 
     Examples:
         anisoscope line mqtt --broker mqtt://127.0.0.1 --rig rig.toml --recipes recipes
@@ -233,19 +222,15 @@ def modbus(
 def certificate(
     *,
     out: Annotated[Path, Parameter(help="Folder that receives certificate.der and key.pem.")],
-    name: Annotated[
-        tuple[str, ...],
-        Parameter(
-            negative="",
-            help="Name or address by which others call this computer; may be repeated.",
-        ),
-    ] = (),
-    uri: Annotated[
-        str | None, Parameter(help="URI of the application; by default urn:COMPUTER:anisoscope.")
-    ] = None,
+    name: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    uri: str | None = None,
     days: Annotated[int, Parameter(help="Days for which it is valid.")] = 3 * 365,
 ) -> int:
     """Make a self-signed certificate and its key, by which other programs of OPC UA know this one.
+
+    Args:
+        name: Name or address by which others call this computer; may be repeated.
+        uri: URI of the application; by default urn:COMPUTER:anisoscope.
 
     Examples:
         anisoscope line certificate --out own --name rig-1.example --name 192.168.1.20

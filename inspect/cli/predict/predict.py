@@ -41,20 +41,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class UseOptions:
-    """What is computed of the uncertainties."""
+    """What is computed of the uncertainties.
 
-    uncertainty: Annotated[
-        bool,
-        Parameter(negative="--no-uncertainty", help="Compute uncertainties; takes some time."),
-    ] = True
-    monte_carlo: Annotated[
-        int | None,
-        Parameter(help="Number of draws of all inputs; u is then their standard deviation."),
-    ] = None
+    Attributes:
+        uncertainty: Compute uncertainties; takes some time.
+        monte_carlo: Number of draws of all inputs; u is then their standard deviation.
+        covariance: JSON: covariances of radiances and contrasts too.
+    """
+
+    uncertainty: Annotated[bool, Parameter(negative="--no-uncertainty")] = True
+    monte_carlo: int | None = None
     seed: Annotated[int, Parameter(help="Seed of the Monte Carlo.")] = 0
-    covariance: Annotated[
-        bool, Parameter(negative="", help="JSON: covariances of radiances and contrasts too.")
-    ] = False
+    covariance: Annotated[bool, Parameter(negative="")] = False
 
 
 USE_DEFAULTS = UseOptions()
@@ -67,16 +65,15 @@ WAVE_GROUP = Group(
 
 @dataclass(frozen=True)
 class WaveOptions:
-    """The options."""
+    """The options.
 
-    wavelengths: Annotated[
-        str | None,
-        Parameter(help="Of the light in nm, comma-separated: NM or NM:WEIGHT. Default 550."),
-    ] = None
-    interpolate: Annotated[
-        int,
-        Parameter(help="Points per original point along each axis, for waves on smooth maps."),
-    ] = 1
+    Attributes:
+        wavelengths: Of the light in nm, comma-separated: NM or NM:WEIGHT. Default 550.
+        interpolate: Points per original point along each axis, for waves on smooth maps.
+    """
+
+    wavelengths: str | None = None
+    interpolate: int = 1
     steps: Annotated[
         int | None,
         Parameter(

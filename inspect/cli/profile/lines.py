@@ -31,14 +31,8 @@ MEANINGS = {
 def lines(
     *files: Path,
     direction: Literal["across", "along", "x", "y"] = "across",
-    s_filter: Annotated[
-        float | None,
-        LENGTH,
-        Parameter(help="Nesting index λs of the S-filter in µm; removes shorter waves."),
-    ] = None,
-    l_filter: Annotated[
-        float | None, LENGTH, Parameter(help="Nesting index λc of the L-filter in µm; removes longer waves.")
-    ] = None,
+    s_filter: Annotated[float | None, LENGTH] = None,
+    l_filter: Annotated[float | None, LENGTH] = None,
     s_filter_type: FilterType = "gaussian",
     l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
     form: str = "plane",
@@ -55,6 +49,8 @@ def lines(
         direction: Direction of the profiles: across or along the ridges, or x or y.
         s_filter_type: S-filter of ISO 16610: gaussian (-21), robust (-31) or spline (-22).
         form: Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.
+        s_filter: Nesting index λs of the S-filter in µm; removes shorter waves.
+        l_filter: Nesting index λc of the L-filter in µm; removes longer waves.
 
     Examples:
         anisoscope profile lines part.x3p --direction across --l-filter 250

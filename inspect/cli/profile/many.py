@@ -42,14 +42,13 @@ class TableOptions:
 
 @dataclass(frozen=True)
 class ManyOptions(TableOptions):
-    """Several files that are measured."""
+    """Several files that are measured.
 
-    limits: Annotated[
-        Path | None,
-        Parameter(
-            help="TOML file of limits, such as [Sa] max = 0.4: a PASS/FAIL sheet; exit code 1 for FAIL."
-        ),
-    ] = None
+    Attributes:
+        limits: TOML file of limits, such as [Sa] max = 0.4: a PASS/FAIL sheet; exit code 1 for FAIL.
+    """
+
+    limits: Path | None = None
 
     def read_limits(self) -> "dict[str, Limit] | None":
         """The limits of the file."""
@@ -60,14 +59,13 @@ class ManyOptions(TableOptions):
 
 @dataclass(frozen=True)
 class OutOptions(TableOptions):
-    """Several files, each of which gives a new one."""
+    """Several files, each of which gives a new one.
 
-    out_dir: Annotated[
-        Path | None,
-        Parameter(
-            help="Folder for the new files, each named like the map that it is made of; made if missing."
-        ),
-    ] = None
+    Attributes:
+        out_dir: Folder for the new files, each named like the map that it is made of; made if missing.
+    """
+
+    out_dir: Path | None = None
 
     def targets(self, files: Sequence[Path], suffix: str) -> dict[Path, Path]:
         """The new file of every map: the name of the map with another end, in the folder or, without one, with the map.

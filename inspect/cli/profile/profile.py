@@ -103,18 +103,26 @@ FILE_FORMAT = Group("File format", help="For what the file of a height map does 
 @Parameter(group=FILE_FORMAT)
 @dataclass(frozen=True)
 class Scales:
-    """Scales and role of a height map whose file does not state them."""
+    """Scales and role of a height map whose file does not state them.
 
-    pixel: Annotated[str | None, Parameter(help="Pixel size in µm of a file without one: SIZE or Y,X.")] = (
-        None
-    )
+    Attributes:
+        pixel: Pixel size in µm of a file without one: SIZE or Y,X.
+        height_per_count: Height of one count of an integer picture, in --z-unit (µm).
+        xy_unit: Unit of x and y of a list of points; that of the heights if not given.
+        channel: Channel of heights in a file with several, by name or number; else the first length.
+        grid: Step in µm of a grid onto which scattered points of a text or a mesh are interpolated.
+        rows: Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md.
+        trust: Check that must not refuse the file: checksum (of main.xml of an x3p), pixel-size, heights; may be given
+            several times, and is noted in the origin.
+        mask_from_x3p: Regions of the mask.png of an x3p file that become missing points: names or colours separated by
+            commas, or all.
+        role: Map of the part, or of the tool (mould), whose negative the part is.
+    """
+
+    pixel: str | None = None
     z_unit: Annotated[Unit | None, Parameter(help="Unit of the heights of a file that states none.")] = None
-    height_per_count: Annotated[
-        float | None, Parameter(help="Height of one count of an integer picture, in --z-unit (µm).")
-    ] = None
-    xy_unit: Annotated[
-        Unit | None, Parameter(help="Unit of x and y of a list of points; that of the heights if not given.")
-    ] = None
+    height_per_count: float | None = None
+    xy_unit: Unit | None = None
     layout: Annotated[Layout, Parameter(help="What a text file with three columns holds.")] = "auto"
     missing: Annotated[
         tuple[float, ...],
@@ -125,42 +133,12 @@ class Scales:
             allow_leading_hyphen=True,
         ),
     ] = ()
-    channel: Annotated[
-        str | None,
-        Parameter(
-            help="Channel of heights in a file with several, by name or number; else the first length."
-        ),
-    ] = None
-    grid: Annotated[
-        float | None,
-        LENGTH,
-        Parameter(
-            help="Step in µm of a grid onto which scattered points of a text or a mesh are interpolated."
-        ),
-    ] = None
-    rows: Annotated[
-        Rows,
-        Parameter(help="Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md."),
-    ] = "auto"
-    trust: Annotated[
-        tuple[Trust, ...],
-        Parameter(
-            help="Check that must not refuse the file: checksum (of main.xml of an x3p), pixel-size, heights; may be "
-            "given several times, and is noted in the origin.",
-            negative="",
-            consume_multiple=False,
-        ),
-    ] = ()
-    mask_from_x3p: Annotated[
-        str | None,
-        Parameter(
-            help="Regions of the mask.png of an x3p file that become missing points: names or colours separated by "
-            "commas, or all."
-        ),
-    ] = None
-    role: Annotated[
-        Role, Parameter(help="Map of the part, or of the tool (mould), whose negative the part is.")
-    ] = "part"
+    channel: str | None = None
+    grid: Annotated[float | None, LENGTH] = None
+    rows: Rows = "auto"
+    trust: Annotated[tuple[Trust, ...], Parameter(negative="", consume_multiple=False)] = ()
+    mask_from_x3p: str | None = None
+    role: Role = "part"
 
     def read(self, file: Path) -> "HeightMap":
         """Read a height map with these scales."""
@@ -255,12 +233,7 @@ def _caption(surface: "HeightMap") -> str:
 @app.command
 def convert(
     *files: Path,
-    format_: Annotated[
-        str | None,
-        Parameter(
-            name="--format", help="Format of the new files in --out-dir: an extension; x3p, of layers png."
-        ),
-    ] = None,
+    format_: Annotated[str | None, Parameter(name="--format")] = None,
     layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
@@ -276,6 +249,7 @@ def convert(
         files: Source and target: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, exr, png, stl or ply. With --out-dir:
             height maps, or patterns.
         layer: Write this layer of the map as PNG, instead of the heights.
+        format_: Format of the new files in --out-dir: an extension; x3p, of layers png.
 
     Examples:
         anisoscope profile convert part.sur part.x3p
@@ -380,9 +354,7 @@ def view(
     exaggerate: float | None = None,
     layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
-    json_: Annotated[
-        bool, Parameter(name="--json", negative="", help="Print JSON, of several maps.")
-    ] = False,
+    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
     """Write one HTML page with each height map in 3-D, to be turned in the browser without network or program.
@@ -392,6 +364,7 @@ def view(
         out: HTML file to write, of one map; NAME-view.html with the map if not given.
         exaggerate: Factor on the heights; one that makes the relief 8 % of the width if not given.
         layer: Layer of the map that colours the relief, instead of the heights.
+        json_: Print JSON, of several maps.
 
     Examples:
         anisoscope profile view part.x3p --exaggerate 20

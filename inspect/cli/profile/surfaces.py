@@ -44,22 +44,20 @@ class LineOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class StairOptions:
-    """Staircases."""
+    """Staircases.
+
+    Attributes:
+        step_height: Height between two levels in nm.
+        passes: Depths of etch passes in nm, comma-separated: 2ⁿ levels instead of --levels.
+        width: Width of a step in µm, the least width if --random.
+        random: Rectangles of random width and level instead of stairs.
+    """
 
     levels: Annotated[int, Parameter(help="Number of levels, evenly spaced.")] = 2
-    step_height: Annotated[
-        float, quantity("step_height_nm"), Parameter(help="Height between two levels in nm.")
-    ] = 127.3
-    passes: Annotated[
-        str | None,
-        Parameter(help="Depths of etch passes in nm, comma-separated: 2ⁿ levels instead of --levels."),
-    ] = None
-    width: Annotated[float, LENGTH, Parameter(help="Width of a step in µm, the least width if --random.")] = (
-        2.0
-    )
-    random: Annotated[
-        bool, Parameter(negative="", help="Rectangles of random width and level instead of stairs.")
-    ] = False
+    step_height: Annotated[float, quantity("step_height_nm")] = 127.3
+    passes: str | None = None
+    width: Annotated[float, LENGTH] = 2.0
+    random: Annotated[bool, Parameter(negative="")] = False
     spread: Annotated[float, Parameter(help="Widths of --random exceed the least by up to this share.")] = 1.0
 
 

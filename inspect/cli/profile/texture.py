@@ -32,19 +32,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class UncertaintyOptions:
-    """Uncertainty of the values, by Monte Carlo."""
+    """Uncertainty of the values, by Monte Carlo.
 
-    uncertainty: Annotated[
-        int | None,
-        Parameter(
-            name="--draws",
-            help="Number of draws of noise, height scale and pixel size, such as 100: standard uncertainties of all "
-            "values; each draw takes as long as the measurement.",
-        ),
-    ] = None
-    u_height_noise: Annotated[
-        float, LENGTH, Parameter(help="Noise of a height, standard deviation in µm.")
-    ] = 0.0
+    Attributes:
+        uncertainty: Number of draws of noise, height scale and pixel size, such as 100: standard uncertainties of all
+            values; each draw takes as long as the measurement.
+        u_height_noise: Noise of a height, standard deviation in µm.
+    """
+
+    uncertainty: Annotated[int | None, Parameter(name="--draws")] = None
+    u_height_noise: Annotated[float, LENGTH] = 0.0
     u_height_scale: Annotated[float, Parameter(help="Of the scale of the heights, relative.")] = 0.0
     u_pixel_size: Annotated[float, Parameter(help="Of the pixel size, relative, both axes together.")] = 0.0
     seed: Annotated[int, Parameter(help="Seed of the draws.")] = 0
@@ -92,12 +89,8 @@ CERTAIN = UncertaintyOptions()
 
 def texture(
     *files: Path,
-    s_filter: Annotated[
-        float | None, LENGTH, Parameter(help="Nesting index of the S-filter in µm; removes shorter waves.")
-    ] = None,
-    l_filter: Annotated[
-        float | None, LENGTH, Parameter(help="Nesting index of the L-filter in µm; removes longer waves.")
-    ] = None,
+    s_filter: Annotated[float | None, LENGTH] = None,
+    l_filter: Annotated[float | None, LENGTH] = None,
     s_filter_type: FilterType = "gaussian",
     l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
     form: str = "plane",
@@ -123,6 +116,8 @@ def texture(
         ratios: Material ratios in %, such as 2,50: Smc, Vm and Vv there, and Sxp of the first two.
         heights: Heights in µm from the mean, such as -0.5,0.5: Smr there.
         features: Also hills and dales: Spd, Spc, S5p, S5v, S10z, Sha, Sda, Shv, Sdv.
+        s_filter: Nesting index of the S-filter in µm; removes shorter waves.
+        l_filter: Nesting index of the L-filter in µm; removes longer waves.
 
     Examples:
         anisoscope profile texture part.x3p --s-filter 3 --l-filter 250

@@ -47,10 +47,7 @@ def new(
     u_ridge_angle: float | None = None,
     height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
     ink: str | None = None,
-    rig: Annotated[
-        Path | None,
-        Parameter(name=["--rig", "-g"], help="Rig file, for its geometry; its devices may be missing."),
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
 ) -> int:
     """Write a recipe with comments, valid as written; then adapt it.
 
@@ -63,6 +60,7 @@ def new(
         ridge_angle: Ridge angle of the ideal design in degrees.
         u_ridge_angle: Standard deviation of the ridge angle of good parts, degrees.
         ink: For a print instead: its ink, a file or one of the package, such as synthetic-red.
+        rig: Rig file, for its geometry; its devices may be missing.
 
     Examples:
         anisoscope recipe new --ridge-angle 10 --pitch 100 --product "plate 7" --out plate.toml
@@ -141,24 +139,14 @@ def suggest(
     file: File,
     /,
     *,
-    defect: Annotated[
-        tuple[str, ...],
-        Parameter(
-            name=["--defect"],
-            negative=(),
-            help="Smallest defect to be found, NAME=SIZE, in place of [defects]: ridge-angle=0.5, roughness=20%, "
-            "height-loss=10% or wear=5um; repeat the option for several, others are then ignored.",
-        ),
-    ] = (),
+    defect: Annotated[tuple[str, ...], Parameter(name=["--defect"], negative=())] = (),
     poses: Annotated[int, Parameter(help="Number of poses.")] = 6,
     angles: str = "0:345:15",
     tilts: Annotated[str, Parameter(help="Allowed tilts: from:to:step, or a list; degrees.")] = "-20:20:5",
     ignore: tuple[str, ...] = ("roughness along",),
     u_pose: float = 0.003,
     power: Annotated[float, Parameter(help="Required probability of finding each defect.")] = 0.9,
-    rig: Annotated[
-        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     light_angle: LightAngleOption = None,
     json_: Json = False,
 ) -> int:
@@ -171,6 +159,9 @@ def suggest(
         angles: Allowed stage angles: from:to:step, or a list; degrees.
         ignore: First words of a defect to ignore; repeat the option for several.
         u_pose: Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
+        defect: Smallest defect to be found, NAME=SIZE, in place of [defects]: ridge-angle=0.5, roughness=20%,
+            height-loss=10% or wear=5um; repeat the option for several, others are then ignored.
+        rig: Rig file, for its light angle.
 
     Examples:
         anisoscope recipe suggest recipe.toml --poses 6 --tilts=-20:20:5
@@ -231,25 +222,12 @@ def teach(
     file: File,
     /,
     *,
-    rig: Annotated[
-        Path | None,
-        Parameter(
-            name=["--rig", "-g"], help="Rig file (TOML); with --golden or --frames without devices, too."
-        ),
-    ] = None,
-    serial: Annotated[
-        str | None, Parameter(name=["--serial", "-s"], help="Serial number of the good part.")
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
+    serial: Annotated[str | None, Parameter(name=["--serial", "-s"])] = None,
     frames: FramesOption = None,
     reflectance: ReflectanceOption = 0.99,
     golden: Flag = False,
-    golden_of: Annotated[
-        Path | None,
-        Parameter(
-            name=["--golden-of"],
-            help="With --golden: another recipe, for the same plastic and rig, whose golden parts teach.",
-        ),
-    ] = None,
+    golden_of: Annotated[Path | None, Parameter(name=["--golden-of"])] = None,
     limits: Path | None = None,
     share: float = 0.95,
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
@@ -265,6 +243,9 @@ def teach(
         limits: AQDEF file (.dfq, .dfd) whose limits become the tolerances; nothing is photographed.
         share: With --golden: share of good prints that should pass all limits.
         golden: By golden parts, and nothing is photographed: tolerances of a print, [scatter] of ridges.
+        rig: Rig file (TOML); with --golden or --frames without devices, too.
+        serial: Serial number of the good part.
+        golden_of: With --golden: another recipe, for the same plastic and rig, whose golden parts teach.
 
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
@@ -350,9 +331,7 @@ def yield_command(
     golden_parts: int = 0,
     rigs: int = 25,
     u_pose: float = 0.003,
-    rig: Annotated[
-        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     light_angle: LightAngleOption = None,
     seed: Annotated[int, Parameter(help="Seed of parts, rigs and errors.")] = 1,
     jobs: JobsOption = None,
@@ -367,6 +346,7 @@ def yield_command(
         golden_parts: Golden parts of every rig, good parts all; with 0 the prediction is the reference.
         rigs: Rigs, each with a plastic of its own, among which the parts are divided.
         u_pose: Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
+        rig: Rig file, for its light angle.
 
     Examples:
         anisoscope recipe yield recipe.toml --scatter ridge_angle=0.3,alpha=0.1

@@ -329,13 +329,8 @@ def check(
     rig: RigPath,
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe of the check standard.")],
     out: Annotated[Path, Parameter(help="Record of the check standard, such as check.json.")],
-    teach: Annotated[
-        bool, Parameter(negative="", help="Store the measured contrasts as its reference.")
-    ] = False,
-    serial: Annotated[
-        str | None,
-        Parameter(name=["--serial", "-s"], help="Serial number of the check standard, with --teach."),
-    ] = None,
+    teach: Flag = False,
+    serial: Annotated[str | None, Parameter(name=["--serial", "-s"])] = None,
     max_deviation: Annotated[float, Parameter(help="Largest deviation of an ln ratio.")] = 0.02,
     valid_days: _Days = None,
     operator: _Operator = None,
@@ -344,6 +339,10 @@ def check(
     """Measure a check standard, and compare it with its first measurement.
 
     Exit code 0: within limits; 3: out of limits; inspections are then INVALID until the rig is repaired.
+
+    Args:
+        teach: Store the measured contrasts as its reference.
+        serial: Serial number of the check standard, with --teach.
 
     Examples:
         anisoscope calibrate check --rig rig.toml --recipe standard.toml --out check.json --teach --serial CHECK-1
@@ -397,12 +396,7 @@ def material(
     out: Annotated[Path | None, Parameter(help="Material file to write, such as abs.toml.")] = None,
     coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
     part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
-    recipe: Annotated[
-        Path | None,
-        Parameter(
-            name=["--recipe", "-r"], help="Recipe with exposure and region, and with the part's surface."
-        ),
-    ] = None,
+    recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
     readings: Path | None = None,
     frames: Path | None = None,
     reflectance: float = 0.99,
@@ -426,6 +420,7 @@ def material(
         reflectance: With --frames: reflectance of the white tile in its flat frames.
         step: Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.
         lobe: Family of lobes; auto: the one that fits better.
+        recipe: Recipe with exposure and region, and with the part's surface.
 
     Examples:
         anisoscope calibrate material --coupon --rig rig.toml --recipe recipe.toml --out abs.toml

@@ -44,9 +44,7 @@ _RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOM
 def commission(
     *,
     rig: _RigOption,
-    part: Annotated[
-        Path | None, Parameter(name=["--recipe", "-r"], help="Recipe of the part on the stage.")
-    ] = None,
+    part: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
     exposure: Annotated[float | None, Parameter(help="Exposure in seconds; else the recipe's.")] = None,
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
     channel: str | None = None,
@@ -85,6 +83,7 @@ def commission(
         bounces: Reflections that the model counts: 1 is direct light, or 'all'.
         out: Record to write; else RIG.commissioning.json next to the rig file.
         write: Write the findings into the rig file; with a flat the markers are taught then, the part may stay.
+        part: Recipe of the part on the stage.
 
     Examples:
         anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html

@@ -33,12 +33,7 @@ def focus(
     measure: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
     light: LightState = "on",
     channel: Channel = None,
-    map_: Annotated[
-        Path | None,
-        Parameter(
-            name="--map", help="Focus map: z at the seats of this tray list (x_mm, y_mm), as a calibration."
-        ),
-    ] = None,
+    map_: Annotated[Path | None, Parameter(name="--map")] = None,
     out: Annotated[Path, Parameter(help="With --map: record to write.")] = Path("focus.json"),
     yes: Yes = False,
     json_: Json = False,
@@ -48,6 +43,9 @@ def focus(
     Nothing is moved beyond the search (and z.approach_mm below it). An axis that was not homed is homed first: confirm,
     or give --yes. With --map x and y bring every seat below the camera, and a surface through its focus is fitted:
     name the record in the rig file under [calibration] focus, and inspections go to it.
+
+    Args:
+        map_: Focus map: z at the seats of this tray list (x_mm, y_mm), as a calibration.
 
     Examples:
         anisoscope rig focus --rig rig.toml --exposure 0.005 --from 9.5 --to 10.5

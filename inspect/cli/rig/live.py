@@ -57,9 +57,7 @@ def live(
     jog: Flag = False,
     pad: Path | None = None,
     yes: Yes = False,
-    port: Annotated[
-        int, Parameter(name="--web-port", help="With --web: TCP port of 127.0.0.1; 0 takes any free one.")
-    ] = 0,
+    port: Annotated[int, Parameter(name="--web-port")] = 0,
     json_: Json = False,
 ) -> int:
     """Show focus (of the best seen), saturation, mean, histogram and ridge direction, until Ctrl-C or q and Enter.
@@ -73,6 +71,7 @@ def live(
         web: Show the picture on a page of the console, in the browser.
         jog: Move the axes by keys, here or on the page, and by --pad.
         pad: With --jog: game pad, such as /dev/input/event5; auto takes the only one (Linux).
+        port: With --web: TCP port of 127.0.0.1; 0 takes any free one.
 
     Examples:
         anisoscope rig live --rig rig.toml --exposure 0.003

@@ -18,13 +18,8 @@ if TYPE_CHECKING:
 def markers(
     *,
     pdf: Annotated[Path, Parameter(help="Page to write (.pdf), A4 at true scale.")],
-    rig: Annotated[
-        Path | None, Parameter(name=["--rig", "-g"], help="Rig file whose table [fixture] is printed.")
-    ] = None,
-    field_mm: Annotated[
-        float | None,
-        Parameter(help="Without a rig file: shorter side of the camera's field, in mm, for four markers."),
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
+    field_mm: float | None = None,
     dpi: Annotated[float, Parameter(help="Dots of the printer per inch.")] = 1200.0,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace a file that exists.")] = False,
     json_: Json = False,
@@ -33,6 +28,10 @@ def markers(
 
     Without --rig it also prints the table [fixture] for the rig file. It warns if a module of a marker is smaller
     than three dots of the printer.
+
+    Args:
+        rig: Rig file whose table [fixture] is printed.
+        field_mm: Without a rig file: shorter side of the camera's field, in mm, for four markers.
 
     Examples:
         anisoscope rig markers --field-mm 4.1 --pdf markers.pdf

@@ -31,29 +31,16 @@ def scan(
             help="Rig file (TOML); given several times, a lamp each, one scan with all of them.",
         ),
     ] = (),
-    recipe: Annotated[
-        Path | None, Parameter(name=["--recipe", "-r"], help="Recipe with region, exposure and surface.")
-    ] = None,
+    recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
     out: Annotated[Path | None, Parameter(help="New folder for frames, table and budget.")] = None,
     coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
     part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
-    continue_: Annotated[
-        Path | None, Parameter(name="--continue", help="Continue the interrupted scan of this folder.")
-    ] = None,
+    continue_: Annotated[Path | None, Parameter(name="--continue")] = None,
     max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
     stages: Annotated[int, Parameter(help="Number of stage angles.")] = 24,
     tilts: Annotated[int, Parameter(help="Number of tilts.")] = 13,
-    exposure: Annotated[
-        float | None, Parameter(help="Shortest exposure in seconds; that of the recipe by default.")
-    ] = None,
-    channel: Annotated[
-        tuple[str, ...],
-        Parameter(
-            negative="",
-            consume_multiple=False,
-            help="Light channel of the rig file; given several times, one scan with all of them.",
-        ),
-    ] = (),
+    exposure: float | None = None,
+    channel: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False)] = (),
     dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
     yes: Yes = False,
     json_: Json = False,
@@ -64,6 +51,12 @@ def scan(
     is refused. Writes brdf.csv for fit brdf, readings.csv for calibrate material --readings, budget.json, and with a
     lamp of known wavelength goniometer.csv for ink fit. The stage homes and turns: keep its path free.
     With several rig files or channels each lamp has a folder, and the tables of all lamps lie above them.
+
+    Args:
+        recipe: Recipe with region, exposure and surface.
+        continue_: Continue the interrupted scan of this folder.
+        exposure: Shortest exposure in seconds; that of the recipe by default.
+        channel: Light channel of the rig file; given several times, one scan with all of them.
 
     Examples:
         anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan

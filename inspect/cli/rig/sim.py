@@ -28,10 +28,7 @@ def device(
     device_type: str = "",
     address: Annotated[str, Parameter(help="Bus address; the protocol's first if not given.")] = "",
     time_scale: float = 1.0,
-    fault: Annotated[
-        tuple[str, ...],
-        Parameter(negative="", help="Fault of the device, as NAME or NAME:NUMBER; may be repeated."),
-    ] = (),
+    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
 ) -> int:
     """Serve a simulated stage or light until Ctrl-C; the first line gives its port.
 
@@ -39,6 +36,7 @@ def device(
         tcp: Serve on this TCP port of 127.0.0.1; 0 takes any free one.
         device_type: Device of the protocol, such as KDC101; the usual one if not given.
         time_scale: Stretch of time; 1 is real time, 0 ends every move at once.
+        fault: Fault of the device, as NAME or NAME:NUMBER; may be repeated.
 
     Examples:
         anisoscope rig sim elliptec --tcp 4001

@@ -27,14 +27,7 @@ def snap(
     light: LightState = "on",
     channel: Channel = None,
     preview: Annotated[bool, Parameter(negative="", help="Also write a PNG preview next to it.")] = False,
-    stage: Annotated[
-        bool,
-        Parameter(
-            name="--read-axes",
-            negative="--no-read-axes",
-            help="Read the axes and write their angles into the file.",
-        ),
-    ] = True,
+    stage: Annotated[bool, Parameter(name="--read-axes", negative="--no-read-axes")] = True,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
     json_: Json = False,
 ) -> int:
@@ -42,6 +35,9 @@ def snap(
 
     Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object). The file of a colour
     camera holds the unchanged mosaic; the preview is in colour.
+
+    Args:
+        stage: Read the axes and write their angles into the file.
 
     Examples:
         anisoscope rig snap --rig rig.toml --exposure 0.005 --out picture.tif

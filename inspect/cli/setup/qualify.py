@@ -16,10 +16,7 @@ from anisoscope.cli.tables import answer
 def qualify(
     *,
     out: Path = Path("qualifications"),
-    rig: Annotated[
-        Path | None,
-        Parameter(name=["--rig", "-g"], help="Rig file: devices and calibrations are checked, too."),
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     exposure: float | None = None,
     code: str | None = None,
     check: Path | None = None,
@@ -38,6 +35,7 @@ def qualify(
         exposure: Exposure in seconds for the self test of the rig: the stage homes and turns. Left out, not tested.
         code: SHA-256 of the code that was released for use, as an earlier page states it.
         check: Verify the evidence in a folder instead: its hashes and its signature.
+        rig: Rig file: devices and calibrations are checked, too.
 
     Examples:
         anisoscope qualify

@@ -236,10 +236,7 @@ def type1(
 def process(
     *,
     standards: Annotated[Path, Parameter(help="CSV file with repeated readings: reference and a number.")],
-    gauge_study_: Annotated[
-        Path | None,
-        Parameter(name="--gauge-study", help="CSV file of a gauge study: part, appraiser and a number."),
-    ] = None,
+    gauge_study_: Annotated[Path | None, Parameter(name="--gauge-study")] = None,
     number: Number = None,
     tolerance: Tolerance,
     resolution: Resolution = None,
@@ -269,6 +266,7 @@ def process(
         u_gauges: Standard uncertainty by differences between gauges.
         largest_error: Maximum permissible error, in place of calibration, bias and linearity.
         corrected: Readings are corrected by the line of the standards.
+        gauge_study_: CSV file of a gauge study: part, appraiser and a number.
 
     Examples:
         anisoscope msa process --standards standards.csv --gauge-study gauge.csv --tolerance 0.4 --u-calibration 0.002

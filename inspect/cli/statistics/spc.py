@@ -25,89 +25,49 @@ LISTED = 20  # patterns in the terminal
 @dataclass(frozen=True)
 @everyday("chart", "subgroup", "by", "baseline", "lower", "upper")
 class Charting:
-    """Chart type and rules for a series."""
+    """Chart type and rules for a series.
 
-    chart: Annotated[
-        str | None,
-        Parameter(
-            help="i-mr: single values; xbar-r, xbar-s: means of subgroups and their range or standard deviation; p: "
-            "share of parts that FAIL; u: deviations of a part; p-laney, u-laney: where lots differ. By default i-mr, "
-            "with --subgroup xbar-s.",
-        ),
-    ] = None
-    subgroup: Annotated[
-        str | None,
-        Parameter(
-            help="What a subgroup is: lot, day, cavities (one part of each), or how many readings in a row, such as 5.",
-        ),
-    ] = None
-    of: Annotated[
-        str | None,
-        Parameter(help="Number that says how many parts a count of --number is of, in p and u charts."),
-    ] = None
-    by: Annotated[
-        str | None,
-        Parameter(help="A chart for each product, recipe, lot, cavity, station or operator."),
-    ] = None
-    baseline: Annotated[
-        int | None,
-        Parameter(help="Limits from this many measured values at the start; else from all."),
-    ] = None
-    period: Annotated[
-        str | None,
-        Parameter(
-            help="Limits from the values of this reference period, such as 2026-11-01..2026-11-07 or 14d..7d.",
-        ),
-    ] = None
-    limits_from: Annotated[
-        Path | None,
-        Parameter(help="Limits of earlier data from this file, for later data."),
-    ] = None
-    limits_to: Annotated[
-        Path | None,
-        Parameter(help="Write the limits of these charts to this file (TOML)."),
-    ] = None
+    Attributes:
+        chart: i-mr: single values; xbar-r, xbar-s: means of subgroups and their range or standard deviation; p: share
+            of parts that FAIL; u: deviations of a part; p-laney, u-laney: where lots differ. By default i-mr, with
+            --subgroup xbar-s.
+        subgroup: What a subgroup is: lot, day, cavities (one part of each), or how many readings in a row, such as 5.
+        of: Number that says how many parts a count of --number is of, in p and u charts.
+        by: A chart for each product, recipe, lot, cavity, station or operator.
+        baseline: Limits from this many measured values at the start; else from all.
+        period: Limits from the values of this reference period, such as 2026-11-01..2026-11-07 or 14d..7d.
+        limits_from: Limits of earlier data from this file, for later data.
+        limits_to: Write the limits of these charts to this file (TOML).
+        width: Limits of the EWMA, in its sigma (L).
+        center: Known mean, in place of a baseline; with --known-sigma.
+        sigma: Known short-term standard deviation; with --known-mean.
+        rules: Nelson's rules that count, such as 1,2,5,6; all eight by default (on average a false alarm in 73 values),
+            of p and u charts 1 to 4.
+        distribution: Capability by the quantiles of a distribution too: best, lognormal, weibull, rayleigh,
+            folded-normal, logistic or normal.
+        drift: Test for a drift, with false alarms of 1 % in total, and name the cycle data that it came with.
+        against: With --drift: the cycle data, or other numbers, to compare with, separated by commas.
+    """
+
+    chart: str | None = None
+    subgroup: str | None = None
+    of: str | None = None
+    by: str | None = None
+    baseline: int | None = None
+    period: str | None = None
+    limits_from: Path | None = None
+    limits_to: Path | None = None
     weight: Annotated[float, Parameter(name="--lambda", help="Weight of the newest value in the EWMA.")] = 0.2
-    width: Annotated[float, Parameter(name="--ewma-limit", help="Limits of the EWMA, in its sigma (L).")] = (
-        3.0
-    )
-    center: Annotated[
-        float | None,
-        Parameter(name="--known-mean", help="Known mean, in place of a baseline; with --known-sigma."),
-    ] = None
-    sigma: Annotated[
-        float | None,
-        Parameter(name="--known-sigma", help="Known short-term standard deviation; with --known-mean."),
-    ] = None
+    width: Annotated[float, Parameter(name="--ewma-limit")] = 3.0
+    center: Annotated[float | None, Parameter(name="--known-mean")] = None
+    sigma: Annotated[float | None, Parameter(name="--known-sigma")] = None
     lower: Annotated[float | None, Parameter(help="Lower limit of good parts.")] = None
     upper: Annotated[float | None, Parameter(help="Upper limit of good parts.")] = None
-    rules: Annotated[
-        str | None,
-        Parameter(
-            help="Nelson's rules that count, such as 1,2,5,6; all eight by default (on average a false alarm in 73 "
-            "values), of p and u charts 1 to 4.",
-        ),
-    ] = None
-    distribution: Annotated[
-        str | None,
-        Parameter(
-            help="Capability by the quantiles of a distribution too: best, lognormal, weibull, rayleigh, "
-            "folded-normal, logistic or normal.",
-        ),
-    ] = None
+    rules: str | None = None
+    distribution: str | None = None
 
-    drift: Annotated[
-        bool,
-        Parameter(
-            help="Test for a drift, with false alarms of 1 % in total, and name the cycle data that it came with.",
-        ),
-    ] = False
-    against: Annotated[
-        str | None,
-        Parameter(
-            help="With --drift: the cycle data, or other numbers, to compare with, separated by commas.",
-        ),
-    ] = None
+    drift: bool = False
+    against: str | None = None
 
     def compared(self) -> tuple[str, ...] | None:
         """What numbers are compared with; None for all cycle data.

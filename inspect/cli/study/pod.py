@@ -18,17 +18,13 @@ Scaled = Literal["linear", "log"]
 @everyday("recipe", "defect", "csv", "parts", "golden_parts", "threshold", "rig", "json_", "html")
 def pod_command(
     *,
-    recipe: Annotated[
-        Path | None, Parameter(name=["--recipe", "-r"], help="Recipe file of simulated parts (TOML).")
-    ] = None,
+    recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
     defect: str = "height_loss",
     csv: Path | None = None,
     parts: Annotated[int, Parameter(help="Simulated parts with a defect.")] = 400,
     largest: float | None = None,
     golden_parts: int = 3,
-    rig: Annotated[
-        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
-    ] = None,
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     light_angle: LightAngleOption = None,
     threshold: float | None = None,
     noise: float | None = None,
@@ -56,6 +52,8 @@ def pod_command(
         noise: Noise: signals at or below this are known to be so only.
         saturation: Saturation: signals at or above this are known to be so only.
         link: Of hits: logistic or normal curve.
+        recipe: Recipe file of simulated parts (TOML).
+        rig: Rig file, for its light angle.
 
     Examples:
         anisoscope research pod --recipe recipe.toml --defect height_loss --html pod.html
