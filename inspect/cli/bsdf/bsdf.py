@@ -199,8 +199,7 @@ def export(
             on_progress=advance,
         )
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     done = found.written
     _line(f"{target}: {found.name}, {done.format}, {done.size / 1e6:.3g} MB")
     _line(f"read back: {done.rms:.2%} rms off, directions to 60° and half vectors to 30° from the normal")
@@ -308,8 +307,7 @@ def import_(
     answer: dict[str, Any] = {"file": str(out), "rows": len(table.rows), "columns": list(table.columns),
                               "negative": negative, "remarks": list(table.remarks)}  # fmt: skip
     if json_:
-        print_json(answer)
-        return 0
+        return print_json(answer)
     _line(f"{out}: {len(table.rows)} rows ({', '.join(table.columns)})")
     for remark in table.remarks:
         _line(remark)
@@ -366,8 +364,7 @@ def textures(
             on_progress=advance,
         )
     if json_:
-        print_json(done.as_json())
-        return 0
+        return print_json(done.as_json())
     for line in (f"{out}: {', '.join(done.files)}", *done.notes, f"mitsuba -m scalar_spectral {out / SCENE}"):
         _line(line)
     return 0

@@ -30,8 +30,7 @@ def info(*, json_: Json = False) -> int:
     size = sum(one.size for one in entries)
     if json_:
         kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(entries)]
-        print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
-        return 0
+        return print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
     print_lines(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
     if folder.exists() and not folder.is_dir():
         print_lines(f"{folder} is not a folder: nothing is cached")
@@ -55,8 +54,7 @@ def clear(*, json_: Json = False) -> int:
     left = len(Cache().stored())
     if json_:
         kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(gone)]
-        print_json({"folder": str(folder), "removed": _numbers(gone), "kinds": kinds, "left": left})
-        return 0
+        return print_json({"folder": str(folder), "removed": _numbers(gone), "kinds": kinds, "left": left})
     for kind, rows in _by_kind(gone):
         print_lines(f"removed {len(rows)} {kind}, {_megabytes(sum(one.size for one in rows))}")
     size = _megabytes(sum(one.size for one in gone))

@@ -181,8 +181,7 @@ def depths(
     made = light.over(Fabrication(band_nm=(400.0, 700.0)))
     found = etch_depths(levels, made.bandwidth_nm, h_z, made.coherence_um, width, seed)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     low, high = found.band_nm
     at = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
     spike = f"spike over lobe there (Δc {made.coherence_um:g} µm, steps {width:g} µm)"
@@ -212,8 +211,7 @@ def _deliver(found: "EtchedDesign", out: Path | None, html: Path | None, *, as_j
 
         write_design_report(design, html, found.axes, found.warnings)
     if as_json:
-        print_json(found)
-        return 0
+        return print_json(found)
     from anisoscope.operations.design.pages import figure_rows
 
     print_table(design.name, ["quantity", "value", "unit"], [list(row) for row in figure_rows(design)])

@@ -61,8 +61,7 @@ def refine(
 
         write_refined_report(chosen, found.layout, found.found, html)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     print_table(
         f"dot of {chosen.name}",
         ["quantity", "value", "unit"],
@@ -131,8 +130,7 @@ def pattern(
 
         write_pattern_report(found.layout, designs, html)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     (high, wide_mm), dots = found.size_mm, found.rows * found.cols
     print_table(
         f"{found.cols} × {found.rows} dots of {found.dot_um:g} µm, {wide_mm:.2f} × {high:.2f} mm, {found.tiles} tiles",
@@ -224,8 +222,9 @@ def mask(
     high, wide = (1e-3 * side for side in found.size_um)
     layers = {str(FIRST_LAYER + n): depth for n, depth in enumerate(found.passes_nm)}
     if json_:
-        print_json({**counts, "layers_nm": layers, "size_mm": [high, wide], "bytes": out.stat().st_size})
-        return 0
+        return print_json(
+            {**counts, "layers_nm": layers, "size_mm": [high, wide], "bytes": out.stat().st_size}
+        )
     print_table(
         out.name,
         ["quantity", "value", "unit"],
@@ -295,8 +294,7 @@ def height(
     if out.suffix.lower() == ".npy" and extent is None and low == (0.0, 0.0):
         found = write_heights(layout, out)
         if json_:
-            print_json(found)
-            return 0
+            return print_json(found)
         sys.stdout.write(
             f"written: {out}, {found.rows} × {found.cols} heights in µm, pixel {found.pixel_um:g} µm (--pixel)\n"
         )
@@ -351,8 +349,7 @@ def resolution(
 
         draw_tradeoff(chosen, found, png)
     if json_:
-        print_json({"design": chosen.name, "seed": seed, "random_dots": random_dots, "pairs": found})
-        return 0
+        return print_json({"design": chosen.name, "seed": seed, "random_dots": random_dots, "pairs": found})
     print_table(
         f"{chosen.name}: random dots against the expectation, |h| ≤ 0.2",
         ["dot [µm]", "dpi", "Δc [µm]", "source at 500 nm [°]", "windows n", "relative error", "from dot to dot"],

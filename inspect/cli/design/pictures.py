@@ -89,8 +89,7 @@ def picture(
     if png is not None:
         draw_target(found.found, png)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     _print_target(found.found)
     return _written(out, png)
 
@@ -198,8 +197,7 @@ def hologram(
     if png is not None:
         draw_hologram(found, sought.reach, png)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     _print_judged(found)
     return _written(out, png)
 
@@ -258,8 +256,7 @@ def compare_lobe(
     if png is not None:
         pictures.draw_comparison(found, seen.reach, png)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     _print_compared(found, png)
     return 0
 

@@ -186,8 +186,7 @@ def code(
             on_progress=advance,
         )
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     tried = (
         "" if found.trial is None else f"; on the virtual rig: {found.trial.verdict}, {found.trial.report}"
     )

@@ -134,13 +134,12 @@ def list_(
     with progress("archive", quiet=json_) as advance:
         found = archived_inspections(store, inspection, on_progress=advance)
     if json_:
-        print_json(
+        return print_json(
             {
                 "archive": store.url,
                 "inspections": [one.model_dump(mode="json", exclude={"files"}) for one in found],
             }
         )
-        return 0
     rows = [
         [
             f"{one.created_at:%Y-%m-%d %H:%M}",

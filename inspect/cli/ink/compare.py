@@ -72,8 +72,7 @@ def compare(
     if png is not None:
         found.write_picture(png)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     _print(found.inks, synthetic, picture_size)
     print_lines(
         *(f"warning: {warning}" for warning in found.warnings),

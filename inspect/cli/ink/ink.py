@@ -139,13 +139,12 @@ def import_(
     write_ink(ink, out)
     warning = albedo_warning(ink)
     if json_:
-        print_json(
+        return print_json(
             {
                 "ink": ink.name, "alpha": alpha, "wavelengths": int(ink.nm.size), "from_nm": low, "to_nm": high,
                 "scale": scale, "written": out, "warnings": [] if warning is None else [warning],
             }
         )  # fmt: skip
-        return 0
     print_lines(f"{ink.name}: {ink.nm.size} wavelengths from {low:g} to {high:g} nm, alpha {alpha:g}")
     if warning is not None:
         print_lines(f"warning: {warning}")

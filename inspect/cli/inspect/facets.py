@@ -53,8 +53,7 @@ def angle_map(
         write_angle_page(found, record, html)
     kept = found.record()
     if json_:
-        print_json({**kept.model_dump(), "ridges": [fields_of(one) for one in found.by_ridge]})
-        return 0
+        return print_json({**kept.model_dump(), "ridges": [fields_of(one) for one in found.by_ridge]})
     print_table(
         f"{record.serial}: the ridges that lean most from the others",
         ["ridge", "x [mm]", "y [mm]", "lean [°]", "U (k = 2) [°]", "spread of its cells [°]"],

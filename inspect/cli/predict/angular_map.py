@@ -121,8 +121,7 @@ def write_angular_map(
     if options.picture is not None:
         _write_picture(found, lamp, options.picture)
     if as_json:
-        print_json({"map": height_map, **fields_of(found)})
-        return 0
+        return print_json({"map": height_map, **fields_of(found)})
     _print(found, height_map)
     for target in (options.picture, options.table):
         if target is not None:

@@ -27,8 +27,7 @@ def list_defects(*, as_json: bool) -> int:
             }
             for defect in DEFECTS.values()
         }
-        print_json(found)
-        return 0
+        return print_json(found)
     rows = []
     for defect in DEFECTS.values():
         rows.append(
@@ -73,8 +72,7 @@ def deliver(
         "origin_kept_in_file": written,
     } | ({"deviation": deviation} if deviation else {})
     if as_json:
-        print_json(result)
-        return 0
+        return print_json(result)
     table = [
         ["rows, columns", f"{rows}, {cols}", ""],
         ["pixel along y, x", f"{surface.pixel_y_um:.6g}, {surface.pixel_x_um:.6g}", "µm"],

@@ -184,8 +184,7 @@ def suggest(
             on_progress=advance,
         )
     if json_:
-        print_json(suggested)
-        return 0
+        return print_json(suggested)
     found, reached = suggested.suggestion, suggested.reached
     counts = sorted(found.shown[0].power)
     columns = [
@@ -286,8 +285,7 @@ def teach(
         assert rig is not None
         found = _by_golden(file, rig, share, golden_of)
     if json_:
-        print_json(found)
-        return 0
+        return print_json(found)
     print_table(
         f"{file}: version {found.version}",
         ["value", "was", "is", "because"],
@@ -364,7 +362,7 @@ def yield_command(
         lot = lot_of(file, angle, spread, off, parts, rigs, golden_parts, u_pose)
         found = part_yield(lot, Workers(jobs, scheduler), seed, advance)
     if json_:
-        print_json(
+        return print_json(
             {
                 "parts": parts,
                 "rigs": rigs,
@@ -374,7 +372,6 @@ def yield_command(
                 "yield": found,
             }
         )
-        return 0
     _print_yield(file.name, lot, found)
     return 0
 

@@ -80,8 +80,7 @@ def flat(
     if write:
         name_in_rig(rig, "flat", out, settings.light_channel)
     if json_:
-        print_json({"file": str(out), **meta, "record": record})
-        return 0
+        return print_json({"file": str(out), **meta, "record": record})
     print_lines(
         f"{out}: {meta['frames']} frames, median {meta['level']:.0%} of full scale, "
         f"radiance of the tile {meta['radiance']:.4f} 1/sr"
@@ -235,8 +234,7 @@ def response(
     with progress("response", quiet=json_) as advance:
         curve = calibrate_response(rig, out, taking.made(), white_level=white_level, on_progress=advance)
     if json_:
-        print_json({"file": str(out), **curve.model_dump(by_alias=True)})
-        return 0
+        return print_json({"file": str(out), **curve.model_dump(by_alias=True)})
     text = (
         f"{out}: fitted from {len(curve.exposures_s)} exposures, which agree within {curve.residual:.2%}; name it in "
         "the rig file under [camera.options] response, then take a new flat"

@@ -64,8 +64,7 @@ def light(
 
 def _show(lit: "dict[str, LightPart]", part: "LightPart", *, json_: bool) -> int:
     if json_:
-        print_json({"channel": part.channel, "channels": part.model_dump(mode="json")["channels"]})
-        return 0
+        return print_json({"channel": part.channel, "channels": part.model_dump(mode="json")["channels"]})
     if not part.channels:
         print(message("this light has one lamp and no channels"))  # noqa: T201
         return 0

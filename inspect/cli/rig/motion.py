@@ -114,8 +114,7 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
         raise RigError("; ".join(problems))
     if json_:
         rows = {table: {"device": name, f"at_{unit}": at} for table, (name, at, unit) in found.items()}
-        print_json({"interrupted": interruptions, "axes": rows})
-        return 0
+        return print_json({"interrupted": interruptions, "axes": rows})
     for table, (name, at, unit) in found.items():
         print(message("{axis} {name}: stopped, is at {after}", axis=table, name=name, after=_shown(at, unit)))  # noqa: T201
     return 0
@@ -134,8 +133,7 @@ def _stop_held(*, json_: bool) -> int:
     if problems:
         raise RigError("; ".join(problems))
     if json_:
-        print_json({"held": {str(pid): list(axes) for pid, axes in found.items()}})
-        return 0
+        return print_json({"held": {str(pid): list(axes) for pid, axes in found.items()}})
     for pid, axes in found.items():
         print(message("process {pid}: stopped {axes}", pid=str(pid), axes=", ".join(axes)))  # noqa: T201
     return 0

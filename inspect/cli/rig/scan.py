@@ -117,8 +117,7 @@ def _show_lamps(found: "tuple[ScanResult, ...]", folder: Path, *, as_json: bool)
 
     if as_json:
         lamps = [_values(one, folder / f"{one.wavelength_nm:g}nm") for one in found]
-        print_json({"folder": str(folder), "lamps": lamps})
-        return 0
+        return print_json({"folder": str(folder), "lamps": lamps})
     rows = [
         [f"{one.wavelength_nm:g}", f"{one.brdf.min():.3g}", f"{one.brdf.max():.3g}",
          f"{100.0 * np.median(one.u):.2f}", f"{100.0 * one.u.max():.2f}"]
@@ -136,8 +135,9 @@ def _show_plan(settings: "ScanSettings", frames: int, lamps: int, *, as_json: bo
     poses = lamps * len(settings.angles_deg) * len(settings.tilts_deg)
     seconds = poses * (_MOVE_S + frames * settings.exposure_s * (1.0 + sum(settings.brackets)))
     if as_json:
-        print_json(settings.model_dump(mode="json", by_alias=True) | {"poses": poses, "seconds": seconds})
-        return 0
+        return print_json(
+            settings.model_dump(mode="json", by_alias=True) | {"poses": poses, "seconds": seconds}
+        )
     for name, angles in (("stage", settings.angles_deg), ("tilt", settings.tilts_deg)):
         print_lines(f"{len(angles)} {name} angles: " + ", ".join(f"{angle:g}" for angle in angles))
     exposures = ", ".join(f"{settings.exposure_s * one:g}" for one in (1.0, *settings.brackets))
@@ -166,8 +166,7 @@ def _show(found: "ScanResult", folder: Path, *, as_json: bool) -> int:
 
     seat, values = found.coupon, _values(found, folder)
     if as_json:
-        print_json(values)
-        return 0
+        return print_json(values)
     rows = [
         [name, f"{100.0 * value:.2f}", f"{100.0 * found.budget[name].max():.2f}"]
         for name, value in values["u_rms"].items()
