@@ -3,14 +3,14 @@
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
-from typing import Literal
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.detection import MasterSignals, PartTrials, SizeCurve
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.quality.detection_probability import (
     DetectionCurve,
-    Scale,
     Trials,
     hit_miss,
     read_trials,
@@ -83,28 +83,14 @@ class Detection:
         )
 
 
-def detection_of_masters(
-    table: Path | str,
-    *,
-    threshold: float | None = None,
-    noise: float | None = None,
-    saturation: float | None = None,
-    size_scale: Scale = "log",
-    signal_scale: Scale = "log",
-    link: Literal["logit", "probit"] = "logit",
-    confidence: float = 0.95,
-) -> Detection:
+@by_keywords(signals=MasterSignals, curve=SizeCurve)
+def detection_of_masters(table: Path | str, *, signals: MasterSignals, curve: SizeCurve) -> Detection:
     """Probability of detection from master parts (MIL-HDBK-1823A).
 
     Args:
         table: CSV file size,hit (1 or 0) or size,signal.
-        threshold: of signals: a defect counts as found from this signal on.
-        noise: signals at or below this are known to be so only.
-        saturation: signals at or above this are known to be so only.
-        size_scale: the curve is over the size or its logarithm.
-        signal_scale: of signals, likewise.
-        link: of hits: logistic or normal curve.
-        confidence: of intervals and bounds.
+        signals: `MasterSignals`.
+        curve: `SizeCurve`.
 
     Raises:
         UsageError: a file that cannot be used, signals without a threshold, or trials that give no curve.
@@ -112,36 +98,31 @@ def detection_of_masters(
     table = Path(table)
     sizes, signal, hit = read_trials(table)
     if hit is not None:
-        found = hit_miss(Trials(sizes, hit), size_scale, link, confidence)
-    elif signal is None or threshold is None:
+        found = hit_miss(Trials(sizes, hit), curve.size_scale, curve.link, curve.confidence)
+    elif signal is None or signals.threshold is None:
         raise UsageError(f"{table}: signals need --threshold, from which on a defect counts as found")
     else:
-        scales = size_scale, signal_scale
         found = signal_over_size(
             sizes,
             signal,
-            threshold,
-            scales,
-            noise=noise,
-            saturation=saturation,
-            confidence=confidence,
+            signals.threshold,
+            (curve.size_scale, signals.signal_scale),
+            noise=signals.noise,
+            saturation=signals.saturation,
+            confidence=curve.confidence,
         )
     return Detection(found, table.stem, str(table))
 
 
+@by_keywords(trials=PartTrials, curve=SizeCurve)
 def detection_of_parts(
     recipe: Path | str,
     defect: str = "height_loss",
     *,
-    parts: int = 400,
-    largest: float | None = None,
-    golden_parts: int = 3,
+    trials: PartTrials,
+    curve: SizeCurve,
     rig: Path | str | None = None,
     light_angle_deg: float = 10.0,
-    size_scale: Scale = "log",
-    link: Literal["logit", "probit"] = "logit",
-    confidence: float = 0.95,
-    seed: int = 1,
     workers: Workers | None = None,
     on_progress: Advance = silent,
 ) -> Detection:
@@ -150,15 +131,10 @@ def detection_of_parts(
     Args:
         recipe: recipe file of the parts.
         defect: height_loss, edge_radius (µm), ridge_angle (degrees), alpha or albedo.
-        parts: how many with a defect.
-        largest: largest size; found by a short series of trials where it is not given.
-        golden_parts: of every rig; with 0 the prediction is the reference.
+        trials: `PartTrials`.
+        curve: `SizeCurve`.
         rig: rig file, for its light angle.
         light_angle_deg: of a rig without a file.
-        size_scale: the curve is over the size or its logarithm.
-        link: logistic or normal curve.
-        confidence: of intervals and bounds.
-        seed: of parts, rigs and errors.
         workers: processes; one by default.
         on_progress: called with the work being done, steps done and steps in all.
 
@@ -169,10 +145,11 @@ def detection_of_parts(
     """
     recipe = Path(recipe)
     angle = light_angle_deg if rig is None else read_rig(Path(rig)).light.angle_deg
-    lot = lot_of(recipe, angle, parts=parts, rigs=2, golden=golden_parts)
-    trials = detection_trials(lot, defect, largest, workers or Workers(), seed, on_progress)
-    found = hit_miss(trials, size_scale, link, confidence)
-    reference = f"{golden_parts} golden parts" if golden_parts else "the prediction"
+    golden = trials.golden_parts
+    lot = lot_of(recipe, angle, parts=trials.parts, rigs=2, golden=golden)
+    hits = detection_trials(lot, defect, trials.largest, workers or Workers(), trials.seed, on_progress)
+    found = hit_miss(hits, curve.size_scale, curve.link, curve.confidence)
+    reference = f"{golden} golden parts" if golden else "the prediction"
     return Detection(
         found, defect, f"{recipe.name}: simulated parts, each on a rig of its own, against {reference}"
     )

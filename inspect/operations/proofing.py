@@ -14,7 +14,8 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
-from anisoscope.parameters.proof import ProofView
+from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.proof import FilmSettings, ProofSettings, ProofView
 from anisoscope.report.proof_page import Proof, ProofLight, ProofMesh, write_proof_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point
@@ -39,7 +40,7 @@ from anisoscope.sim.proof.imagefile import (
 from anisoscope.sim.proof.mesh import Mesh, read_obj
 from anisoscope.sim.proof.render import PHOTO, ROUGHNESS, adaptation, direction, proof_picture, to_screen
 from anisoscope.sim.proof.scene import Scene, Shape, printed, surface
-from anisoscope.sim.proof.separation import Separation, Way, separation
+from anisoscope.sim.proof.separation import Separation, separation
 
 SECOND_LIGHT_DEG = (-15.0, 35.0)
 CONVENTION = (
@@ -51,7 +52,6 @@ MOST_DOTS = 16384
 STILL_SIDE = 360
 TONE_DOTS = 8
 MOST_PRESSED = 16_000_000
-PROOF_LIGHTS = ("d65", "a", "led-b1", "led-b3", "led-b5", "led-rgb1", "led-v1")
 
 
 def percent(share: float) -> str:
@@ -158,17 +158,12 @@ def film_paths(out: Path, inks: Sequence[Ink]) -> tuple[Path, ...]:
     return tuple(names)
 
 
+@by_keywords(films=FilmSettings)
 def halftone(
     image: Path | str,
     inks: Sequence[Ink | str] = (),
     *,
-    method: Method = "mask",
-    way: Way = "match",
-    illuminant: str = "d65",
-    angle_deg: float = 20.0,
-    gain: float = 1.0,
-    width_mm: float | None = None,
-    dpi: float = 300.0,
+    films: FilmSettings,
     on_progress: Advance = silent,
 ) -> Films:
     """Dots of three or four inks that never meet.
@@ -176,29 +171,21 @@ def halftone(
     Args:
         image: picture; its colour profile is applied.
         inks: red, green, blue, and perhaps white: inks, ink files or names; the synthetic ones by default.
-        method: void-and-cluster mask, or vector error diffusion.
-        way: coverages that meet the image's colours, or its linear R, G, B as coverages.
-        illuminant: name or CSV file of the light for which colours are met.
-        angle_deg: inclination of light and eye, on opposite sides.
-        gain: on the image's linear light; above 1 the bright parts are cut.
-        width_mm: of the print; a dot for every pixel where it is not given.
-        dpi: dots per inch.
+        films: `FilmSettings`.
         on_progress: called with the work being done, steps done and steps in all.
 
     Raises:
         UsageError: no picture, ink or light of this name, or a size that means nothing.
         ModelError: inks that mix no white, or as the separation.
     """
-    if not 1.0 <= dpi <= 20000.0:
-        raise UsageError(f"--dpi takes 1 to 20000, not {dpi:g}")
-    if width_mm is not None and not 0.0 < width_mm < np.inf:
-        raise UsageError(f"--print-width takes millimetres above 0, not {width_mm:g}")
     chosen = _inks(inks)
-    plan = separation(chosen, find_illuminant(illuminant), way=way, angle_deg=angle_deg, gain=gain)
+    lamp = find_illuminant(films.illuminant)
+    plan = separation(chosen, lamp, way=films.way, angle_deg=films.angle_deg, gain=films.gain)
     picture = read_image(Path(image))
-    dots = picture.srgb.shape[1] if width_mm is None else round(width_mm / MM_AN_INCH * dpi)
-    found = place_dots(to_dots(picture, dots), plan, method, advance=on_progress)
-    return Films(found, plan, chosen, dpi, picture.notes)
+    size = films.width_mm
+    dots = picture.srgb.shape[1] if size is None else round(size / MM_AN_INCH * films.dpi)
+    found = place_dots(to_dots(picture, dots), plan, films.method, advance=on_progress)
+    return Films(found, plan, chosen, films.dpi, picture.notes)
 
 
 def _of_halftone(found: Halftone) -> dict[str, Any]:
@@ -396,20 +383,15 @@ def _around(degrees: float) -> float:
     return (degrees + 180.0) % 360.0 - 180.0
 
 
+@by_keywords(settings=ProofSettings)
 def soft_proof(
     image: Path | str,
     inks: Sequence[Ink | str] = (),
     *,
+    settings: ProofSettings,
     view: ProofView | None = None,
     press: Press | None = None,
     overprints: Mapping[tuple[int, ...], Ink] | None = None,
-    mesh: Path | str | None = None,
-    illuminants: Sequence[str] = PROOF_LIGHTS,
-    method: Method = "mask",
-    way: Way = "match",
-    angle_deg: float = 20.0,
-    gain: float = 1.0,
-    dots: int = 768,
     paged: bool = False,
     on_progress: Advance = silent,
 ) -> SoftProof:
@@ -418,16 +400,10 @@ def soft_proof(
     Args:
         image: picture to print.
         inks: as for a halftone.
+        settings: `ProofSettings`.
         view: shape, turn and lights of the picture.
         press: errors of the press; None for one without.
         overprints: measured inks on each other, by their numbers from below, counted from 0; else they are modelled.
-        mesh: OBJ file of the shape "mesh".
-        illuminants: names or CSV files; the first is that of the separation and of the picture.
-        method: void-and-cluster mask, or vector error diffusion.
-        way: coverages that meet the image's colours, or its linear R, G, B as coverages.
-        angle_deg: inclination of light and eye for which colours are met.
-        gain: on the image's linear light.
-        dots: across the print; 0 for one a pixel.
         paged: refuse more dots than a page can show before they are placed.
         on_progress: called with the work being done, steps done and steps in all.
 
@@ -436,15 +412,15 @@ def soft_proof(
         ModelError: inks that mix no white, or as the separation.
     """
     chosen = _inks(inks)
-    lamps = tuple(find_illuminant(text) for text in illuminants)
-    solid = None if mesh is None else read_obj(Path(mesh))
-    plan = separation(chosen, lamps[0], way=way, angle_deg=angle_deg, gain=gain)
+    lamps = tuple(find_illuminant(text) for text in settings.illuminants)
+    solid = None if settings.mesh is None else read_obj(Path(settings.mesh))
+    plan = separation(chosen, lamps[0], way=settings.way, angle_deg=settings.angle_deg, gain=settings.gain)
     picture: Image = read_image(Path(image))
-    pixels = to_dots(picture, dots or picture.srgb.shape[1])
+    pixels = to_dots(picture, settings.dots or picture.srgb.shape[1])
     # The page holds all dots in one WebGL texture, whose side is limited; a PNG has no such limit.
     if paged and max(pixels.shape[:2]) > MOST_DOTS:
         raise UsageError(_too_many(*pixels.shape[:2]))
-    found = place_dots(pixels, plan, method, advance=on_progress)
+    found = place_dots(pixels, plan, settings.method, advance=on_progress)
     on_progress("press", 0, 1)
     primaries, result = chosen, None
     if press is None:

@@ -1,6 +1,8 @@
-"""How a soft proof is looked at: shape, turn, lights, and the model of the inks."""
+"""Prints: separation into inks, films, and how a soft proof is looked at."""
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from anisoscope.base.errors import UsageError
@@ -42,3 +44,59 @@ class ProofView:
             raise UsageError("pitch and elevation take degrees from -90 to 90")
         if not (abs(self.yaw_deg) < MOST_TURN_DEG and abs(self.azimuth_deg) < MOST_TURN_DEG):
             raise UsageError("yaw and azimuth take degrees up to a million")
+
+
+@dataclass(frozen=True)
+class Separating:
+    """Separation of an image into inks.
+
+    Attributes:
+        method: How the dots are placed: void-and-cluster mask, or vector error diffusion.
+        way: Coverages that meet the image's colours, or its linear R, G, B as coverages.
+        angle_deg: Inclination of light and eye, on opposite sides, for which it is separated, in degrees.
+        gain: Factor on the image's linear light; above 1 the bright parts are cut.
+    """
+
+    method: Literal["mask", "diffusion"] = "mask"
+    way: Literal["match", "channels"] = "match"
+    angle_deg: float = 20.0
+    gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class FilmSettings(Separating):
+    """Dots of a print, and films for its screens.
+
+    Attributes:
+        illuminant: Illuminant for which the image is separated: d65, a, led-b3 …, or CSV wavelength_nm,power.
+        width_mm: Width of the print in mm; else one dot a pixel.
+        dpi: Dots per inch, written into the files.
+
+    Raises:
+        UsageError: a size that means nothing.
+    """
+
+    illuminant: str = "d65"
+    width_mm: float | None = None
+    dpi: float = 300.0
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.dpi <= 20000.0:
+            raise UsageError(f"--dpi takes 1 to 20000, not {self.dpi:g}")
+        if self.width_mm is not None and not 0.0 < self.width_mm < math.inf:
+            raise UsageError(f"--print-width takes millimetres above 0, not {self.width_mm:g}")
+
+
+@dataclass(frozen=True)
+class ProofSettings(Separating):
+    """Print of a soft proof.
+
+    Attributes:
+        mesh: Mesh *.obj to print on.
+        illuminants: Illuminants: names or CSV files; the first is that of the separation and the picture.
+        dots: Dots across the print; 0: one a pixel of the image.
+    """
+
+    mesh: Path | None = None
+    illuminants: tuple[str, ...] = ("d65", "a", "led-b1", "led-b3", "led-b5", "led-rgb1", "led-v1")
+    dots: int = 768

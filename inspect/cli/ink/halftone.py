@@ -1,40 +1,28 @@
 """``anisoscope ink halftone``: an image as dots of three or four inks, with a film for every screen."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from anisoscope.cli.ink.options import (
-    AngleOption,
-    GainOption,
-    IlluminantOption,
-    InksOption,
-    OverwriteOption,
-    printed_inks,
-)
+from anisoscope.cli.ink.options import NAMES, InksOption, OverwriteOption, printed_inks
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Flag, Json, check_new, check_target
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
+from anisoscope.parameters.proof import FilmSettings
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.operations.proofing import Films
 
 
+@with_options(films=Options(FilmSettings, names=NAMES, whole=True))
 def halftone(
     image: Path,
     /,
     *,
     out: Path,
     inks: InksOption = None,
-    method: Literal["mask", "diffusion"] = "mask",
-    separation: Literal["match", "channels"] = "match",
-    illuminant: IlluminantOption = "d65",
-    angle: AngleOption = 20.0,
-    image_gain: GainOption = 1.0,
-    print_width: float | None = None,
-    dpi: Annotated[float, Parameter(help="Dots per inch, written into the files.")] = 300.0,
+    films: Given[FilmSettings],
     negative: Flag = False,
     overwrite: OverwriteOption = False,
     json_: Json = False,
@@ -44,9 +32,6 @@ def halftone(
     Args:
         image: The picture; its colour profile is applied.
         out: PNG of all dots; the films are written next to it as NAME-INK.png.
-        method: How the dots are placed: void-and-cluster mask, or vector error diffusion.
-        separation: Coverages that meet the image's colours, or its linear R, G, B as coverages.
-        print_width: Width of the print in mm; else one dot a pixel.
         negative: Films with white where the ink goes; else black, as screens need them.
 
     Examples:
@@ -56,7 +41,7 @@ def halftone(
     from anisoscope.operations.proofing import halftone as placed
 
     check_target(out, "--out", (image,), ".png")
-    chosen = printed_inks(inks)
+    chosen, settings = printed_inks(inks), films.made()
     paths = film_paths(out, chosen)
     for film in paths[1:]:
         check_target(film, "the film", (image,), ".png")
@@ -65,13 +50,7 @@ def halftone(
         found = placed(
             image,
             chosen,
-            method=method,
-            way=separation,
-            illuminant=illuminant,
-            angle_deg=angle,
-            gain=image_gain,
-            width_mm=print_width,
-            dpi=dpi,
+            films=settings,
             on_progress=advance,
         )
     written = found.write(out, negative=negative)

@@ -18,19 +18,8 @@ InksOption = Annotated[
         help="Inks (red, green, blue, and perhaps white), comma-separated: files *.toml or names; else synthetic ones."
     ),
 ]
-IlluminantOption = Annotated[
-    str,
-    Parameter(
-        help="Illuminant for which the image is separated: d65, a, led-b3 …, or CSV wavelength_nm,power."
-    ),
-]
-AngleOption = Annotated[
-    float,
-    Parameter(help="Inclination of light and eye, on opposite sides, for which it is separated, in degrees."),
-]
-GainOption = Annotated[
-    float, Parameter(help="Factor on the image's linear light; above 1 the bright parts are cut.")
-]
+NAMES = {"way": "--separation", "gain": "--image-gain", "width_mm": "--print-width"}
+"""Options of a separation that have another name than its fields."""
 
 
 def printed_inks(text: str | None) -> tuple["Ink", ...]:

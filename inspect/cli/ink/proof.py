@@ -2,18 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
-from anisoscope.cli.ink.options import AngleOption, GainOption, InksOption, OverwriteOption, printed_inks
+from anisoscope.cli.help_page import MORE, everyday
+from anisoscope.cli.ink.options import NAMES, InksOption, OverwriteOption, printed_inks
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json, check_new, check_target
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
-from anisoscope.parameters.proof import ProofView
+from anisoscope.parameters.proof import ProofSettings, ProofView
 from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 
 VIEW = Group("View and light", sort_key=20)
 PRESS = Group("Press", help="Inks are printed in the order in which they are named.", sort_key=21)
+OF_PRINT = Options(
+    ProofSettings,
+    names={**NAMES, "illuminants": "--illuminant"},
+    groups={"method": MORE, "gain": MORE},
+    whole=True,
+)
 OF_VIEW = Options(ProofView, VIEW, names={"pitch_deg": "--pitch-angle"}, default=ProofView())
 
 
@@ -42,10 +48,8 @@ class PressOptions:
     overprint: Annotated[tuple[str, ...], Parameter(negative="")] = ()
 
 
-@with_options(view=OF_VIEW)
-@everyday(
-    "out", "png", "inks", "mesh", "photo", "illuminant", "separation", "angle", "dots", "overwrite", "json_"
-)
+@with_options(view=OF_VIEW, settings=OF_PRINT)
+@everyday("out", "png", "inks", "photo", "settings", "overwrite", "json_")
 def proof(
     image: Path,
     /,
@@ -53,20 +57,8 @@ def proof(
     out: Annotated[Path | None, Parameter(help="Write the page *.html.")] = None,
     png: Annotated[Path | None, Parameter(help="Write a picture *.png, without a browser.")] = None,
     inks: InksOption = None,
-    mesh: Annotated[Path | None, Parameter(help="Mesh *.obj to print on.")] = None,
     photo: Annotated[Path | None, Parameter(help="Photograph to show next to the proof.")] = None,
-    illuminant: Annotated[
-        tuple[str, ...],
-        Parameter(
-            help="Illuminants: names or CSV files; the first is that of the separation and the picture.",
-            negative="",
-        ),
-    ] = ("d65", "a", "led-b1", "led-b3", "led-b5", "led-rgb1", "led-v1"),
-    method: Annotated[Literal["mask", "diffusion"], Parameter(help="How the dots are placed.")] = "mask",
-    separation: Literal["match", "channels"] = "match",
-    angle: AngleOption = 20.0,
-    image_gain: GainOption = 1.0,
-    dots: Annotated[int, Parameter(help="Dots across the print; 0: one a pixel of the image.")] = 768,
+    settings: Given[ProofSettings],
     picture_size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
     press: PressOptions | None = None,
     view: Given[ProofView],
@@ -77,7 +69,6 @@ def proof(
 
     Args:
         image: The picture to print.
-        separation: Coverages as for ink halftone.
 
     Examples:
         anisoscope ink proof image.png --out proof.html
@@ -86,7 +77,8 @@ def proof(
     """
     from anisoscope.operations.proofing import soft_proof
 
-    shown = view.over(ProofView())
+    shown, asked = view.over(ProofView()), settings.made()
+    mesh = asked.mesh
     # All options are checked before the separation: planning and dithering take long.
     if out is None and png is None:
         raise UsageError("ink proof needs something to write: --out proof.html, --png picture.png, or both")
@@ -97,7 +89,7 @@ def proof(
         raise UsageError("--photo shows a photograph on the page: it needs --out proof.html")
     if shown.shape == "mesh" and mesh is None:
         raise UsageError("--shape mesh needs --mesh FILE.obj")
-    if not 0 <= dots <= 16384 or not 16 <= picture_size <= 4096 or not illuminant:
+    if not 0 <= asked.dots <= 16384 or not 16 <= picture_size <= 4096 or not asked.illuminants:
         raise UsageError("--dots takes 0 to 16384, --picture-size 16 to 4096, --illuminant a light or more")
     chosen = printed_inks(inks)
     machine, over = _press(press or PressOptions(), len(chosen))
@@ -105,16 +97,10 @@ def proof(
         found = soft_proof(
             image,
             chosen,
+            settings=asked,
             view=shown,
             press=machine,
             overprints=over,
-            mesh=mesh,
-            illuminants=illuminant,
-            method=method,
-            way=separation,
-            angle_deg=angle,
-            gain=image_gain,
-            dots=dots,
             paged=out is not None,
             on_progress=advance,
         )

@@ -1,39 +1,40 @@
 """``anisoscope research pod``: how probably a defect is found, over its size."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.options import Json, LightAngleOption, light_angle_of
 from anisoscope.cli.progress import progress
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
 from anisoscope.cli.tables import hand_out
+from anisoscope.parameters.detection import MasterSignals, PartTrials, SizeCurve
+from anisoscope.views.options import Given, Options, with_options
 
-Scaled = Literal["linear", "log"]
+OF_SIGNALS = Options(
+    MasterSignals, groups=dict.fromkeys(("noise", "saturation", "signal_scale"), MORE), whole=True
+)
 
 
-@everyday("recipe", "defect", "csv", "parts", "golden_parts", "threshold", "rig", "json_", "html")
+@with_options(
+    trials=Options(PartTrials, groups={"largest": MORE, "seed": MORE}, whole=True),
+    signals=OF_SIGNALS,
+    curve=Options(SizeCurve, whole=True),
+)
+@everyday("recipe", "defect", "csv", "trials", "signals", "rig", "json_", "html")
 def pod_command(
     *,
     recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
     defect: str = "height_loss",
     csv: Path | None = None,
-    parts: Annotated[int, Parameter(help="Simulated parts with a defect.")] = 400,
-    largest: float | None = None,
-    golden_parts: int = 3,
+    trials: Given[PartTrials],
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     light_angle: LightAngleOption = None,
-    threshold: float | None = None,
-    noise: float | None = None,
-    saturation: float | None = None,
-    size_scale: Annotated[Scaled, Parameter(help="The curve is over the size or its logarithm.")] = "log",
-    signal_scale: Annotated[Scaled, Parameter(help="Of signals: the signal or its logarithm.")] = "log",
-    link: Literal["logit", "probit"] = "logit",
-    confidence: Annotated[float, Parameter(help="Confidence of intervals and of a90/95.")] = 0.95,
-    seed: Annotated[int, Parameter(help="Seed of parts, rigs and errors.")] = 1,
+    signals: Given[MasterSignals],
+    curve: Given[SizeCurve],
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
     json_: Json = False,
@@ -46,12 +47,6 @@ def pod_command(
     Args:
         defect: Defect of simulated parts: height_loss, edge_radius [µm], ridge_angle [°], alpha, albedo.
         csv: CSV file of master parts instead: size,hit (1 or 0) or size,signal.
-        largest: Largest simulated size; else found by a short series of trials.
-        golden_parts: Golden parts of every rig; with 0 the prediction is the reference.
-        threshold: Of signals: a defect counts as found from this signal on.
-        noise: Noise: signals at or below this are known to be so only.
-        saturation: Saturation: signals at or above this are known to be so only.
-        link: Of hits: logistic or normal curve.
         recipe: Recipe file of simulated parts (TOML).
         rig: Rig file, for its light angle.
 
@@ -65,31 +60,17 @@ def pod_command(
     if (recipe is None) == (csv is None):
         raise UsageError("name the parts: --recipe FILE for simulated ones, or --csv FILE for master parts")
     if csv is not None:
-        found = detection_of_masters(
-            csv,
-            threshold=threshold,
-            noise=noise,
-            saturation=saturation,
-            size_scale=size_scale,
-            signal_scale=signal_scale,
-            link=link,
-            confidence=confidence,
-        )
+        found = detection_of_masters(csv, signals=signals.made(), curve=curve.made())
     else:
         assert recipe is not None
         with light_angle_of(rig, light_angle) as angle, progress(defect, quiet=json_) as advance:
             found = detection_of_parts(
                 recipe,
                 defect,
-                parts=parts,
-                largest=largest,
-                golden_parts=golden_parts,
+                trials=trials.made(),
+                curve=curve.made(),
                 rig=rig,
                 light_angle_deg=angle,
-                size_scale=size_scale,
-                link=link,
-                confidence=confidence,
-                seed=seed,
                 workers=Workers(jobs, scheduler),
                 on_progress=advance,
             )
