@@ -12,6 +12,7 @@ import ast
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
+from linecache import getlines
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -382,7 +383,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - type checkers read the bloc
 @cache
 def _homes() -> dict[str, tuple[str, str]]:
     """Public name -> its module, and its name there: what the block of imports for type checkers says."""
-    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    tree = ast.parse("".join(getlines(__file__)))
     block = next(node for node in tree.body if isinstance(node, ast.If))
     return {
         one.asname or one.name: (node.module or "", one.name)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 VIEW = Group("View and light", sort_key=20)
 PRESS = Group("Press", help="Inks are printed in the order in which they are named.", sort_key=21)
-OF_PRINT = Options(
+OF_SETTINGS = Options(
     ProofSettings,
     names={**NAMES, "illuminants": "--illuminant"},
     groups={"method": MORE, "gain": MORE},
@@ -48,7 +48,7 @@ class PressOptions:
     overprint: Annotated[tuple[str, ...], Parameter(negative="")] = ()
 
 
-@with_options(view=OF_VIEW, settings=OF_PRINT)
+@with_options(view=OF_VIEW, settings=OF_SETTINGS)
 @everyday("out", "png", "inks", "photo", "settings", "overwrite", "json_")
 def proof(
     image: Path,

@@ -170,7 +170,7 @@ def test_a_photographed_hologram_is_compared_with_its_unit(anisoscope, hologram,
         (("--distance", 300, "--marks", "0,0=0,0;1,1=1,1;2,2=2,2;0,5=0,5"), "on a line"),
         (("--distance", -3, "--pixel-mm", 0.6), "positive distance"),
         ((*scale, "--background", 70000), "--background takes"),
-        ((*scale, "--light", "3"), "--light takes two numbers"),
+        ((*scale, "--light", "3"), "--light takes 2 numbers"),
         (("--distance", 900, "--pixel-mm", 0.6), "lie outside of the photograph"),
         ((*scale, "--lamp-half-angle", 20), "--lamp-half-angle takes"),
     ):
