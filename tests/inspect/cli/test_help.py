@@ -232,7 +232,6 @@ SAME_QUANTITY = {
     "--level": "height map is levelled",
     "--levels": "levels",
     "--light-angle": "angle (of the light|between light)",
-    "--method": "how the dots are placed",
     "--model": "model",  # of the reflected light
     "--open": "encryption",  # of orders from other computers
     "--out": "file|folder|page|record|write|png",  # the command's own product
@@ -252,7 +251,6 @@ SAME_QUANTITY = {
     "--s-filter": "s-filter",
     "--s-filter-type": "s-filter",
     "--scatter": "standard deviations",
-    "--separation": "coverages",
     "--step": "step of the",  # angle, in degrees
     "--steps": "number of",
     "--teach": "reference|markers",
