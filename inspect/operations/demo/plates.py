@@ -144,8 +144,8 @@ def _files(name: str, rng: np.random.Generator) -> Files:
 SCENE = Scene(PARTS, 150, _recipe, _files, EXPOSURE_S)
 
 
-MOST_TRIAL_MM, TRIAL_PIXELS, TRIAL_STATES = 8.0, 10, 2
-"""Largest plate of a trial, pixels of the camera along a field, and states of the ridges of a class."""
+MOST_TRIAL_MM, TRIAL_PIXELS, TRIAL_STATES = 8.0, 10, 20
+"""Largest plate of a trial, pixels of the camera along a field, and states of the ridges of all classes together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,8 @@ def photograph(
             "edge_radius_um": design.edge_radius_um,
             "foot_radius_um": design.foot_radius_um,
             "resolved_alpha": resolved,
-            "states": TRIAL_STATES,
+            # of two alone the mean of a class would scatter as single fields do
+            "states": max(2, TRIAL_STATES // len(plan.letters)),
         },
     }
     pixels = int(np.ceil(4000.0 * scale / pixel_um))
