@@ -7,6 +7,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.covariance import root
 from anisoscope.base.errors import RecipeError
+from anisoscope.ink.fitting import SCATTER
 from anisoscope.kinds.prints.colour import Eye, eye_of
 from anisoscope.kinds.prints.lobe_fit import check_poses
 from anisoscope.kinds.prints.model import Scene, State, roughness_matrix, squared_slopes
@@ -25,8 +26,8 @@ ROUGHNESS = "roughness of the ink"
 _DARK = 1e-9
 OF_ONE_INSPECTION = ("stage angle", "tilt of the arm")
 """Sources that the recipe states of the rig and that differ from one inspection to the next."""
-LEAST_ALPHA_SHARE, FILM_NM, OF_EACH = 0.01, 0.5, 0.001
-"""Scatter of good prints in form: roughness where none is stated, shift by the film, and each channel for itself."""
+FILM_NM, OF_EACH = 0.5, 0.001
+"""Scatter of good prints in form, besides that of sheets: shift by the film, and each channel for itself."""
 MOST_SLOPES = 40.0
 """tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that no prediction is made."""
 _LEANING_DEG = 0.3
@@ -191,8 +192,10 @@ def _of_substrate(scene: Scene, state: State) -> FloatArray:
     return np.asarray((more - scene.log_channels(state)) / step)
 
 
-def _fitted(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tuple[Source, ...]:
-    known, rig, poses = recipe.print.of_ink(scene.ink), recipe.uncertainty, len(scene.poses)
+def _fitted(
+    recipe: PrintRecipe, scene: Scene, state: State | None = None, known: InkUncertainty | None = None
+) -> tuple[Source, ...]:
+    known, rig, poses = known or recipe.print.of_ink(scene.ink), recipe.uncertainty, len(scene.poses)
     level = [scene.slope(name, state) for name in ("red", "green", "blue")]
     each = np.stack(level).sum(axis=0).reshape(poses, 3)
     return (
@@ -208,17 +211,18 @@ def _fitted(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tu
 def scatter_of_prints(recipe: PrintRecipe, expected: PrintExpectation) -> FloatArray:
     """(3P, 3P) covariance of ln of the channels of good prints about their mean, of which the form counts.
 
-    As the ink is uncertain, so prints of it vary; besides, flakes align otherwise, and films are otherwise thick.
+    As sheets of an ink vary, however well its file is known; besides, flakes align otherwise, and films are otherwise
+    thick.
     """
-    scene = expected.scene
-    alpha = max(recipe.print.of_ink(scene.ink).alpha_share, LEAST_ALPHA_SHARE)
+    scene, sheets = expected.scene, InkUncertainty(*SCATTER)
+    alpha = sheets.alpha_share
     between = [
         shared(name, "prediction", size * scene.slope(name))
         for name, size in (("ratio", alpha), ("skew", alpha), ("shift_nm", FILM_NM))
     ]
     own = [one for one in rig_sources(recipe, expected) if one.name in OF_ONE_INSPECTION]
     each = of_each("ink model", "prediction", np.full(expected.channels.size, OF_EACH))
-    return total((*expected.fitted, *between, *own, each), expected.channels.size)
+    return total((*_fitted(recipe, scene, known=sheets), *between, *own, each), expected.channels.size)
 
 
 def rig_sources(

@@ -4,7 +4,7 @@ The scatter of few prints cannot weigh the 63 channels of 21 poses. What is weig
 parameters of the fit (roughness in every direction, lean, levels, form of the lobe), taken linearly about the print
 that the recipe predicts, so that they are normal if the channels are; and pose by pose the three channels, without what
 the lean makes, because the lean may be that of the seat and is one of the nine. The scatter of good prints has the form
-of the budget, and the size that golden prints show (`base.significance.like_sample`). Lobe, colours and, where its
+of sheets of ink, and the size that golden prints show (`base.significance.like_sample`). Lobe, colours and, where its
 limit is learnt, the area share one level, and so do the poses' colours (Holm 1979).
 """
 
