@@ -42,6 +42,8 @@ Spectrum = npt.NDArray[np.complex128]
 OPENCV = "opencv-contrib-python-headless"
 MIN_RATIO = 1.5
 MIN_CORRELATION = 0.2
+OTHER_PART = 0.1
+"""Correlation below which a map is that of another part, such as a master or a golden one: it is nowhere on this one."""
 MIN_OVERLAP = 0.3
 PHASE_TOLERANCE = 0.25
 """In pitches; reflections, which the rendered map lacks, brighten one side of each groove and so shift the phase."""
@@ -80,6 +82,11 @@ class MapPlace:
             f"is which cannot be told (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place; "
             f"at least {MIN_CORRELATION:g} and {MIN_RATIO:g} times needed)"
         )
+
+    @property
+    def note(self) -> str | None:
+        """For the operator, where the map seems to be of this part and is not placed."""
+        return None if self.resolved or self.correlation < OTHER_PART else f"height map {self.words}"
 
 
 def place_rendered(
@@ -346,7 +353,7 @@ def _matched(
         says=place.words,
     )
     if not place.resolved:
-        return record, f"height map {place.words}"
+        return record, place.note
     shared = _shared(pictures, rendered, place, pixel_um * factor, pitch_um)
     if recipe.surface.bounces != 1:
         # what is reflected again is even over the map: that of the prediction is added to the rendered direct light

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.imaging.height_map_place import match_map, render
+from anisoscope.imaging.height_map_place import MapPlace, match_map, render
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds import surface as surface_kind
@@ -65,12 +65,19 @@ def test_a_map_of_a_piece_of_the_part_is_found_and_both_agree_there(recipe):
     np.testing.assert_allclose(found.measured, found.predicted, rtol=0.03)
 
 
-def test_the_map_of_another_part_is_said_to_be_unresolved(recipe):
+def test_the_map_of_another_part_is_unresolved_without_a_note(recipe):
     other = cut(surface(0.05, seed=9), slice(60, 211), slice(130, 431))
     found, note = match_map(recipe, *photographed(recipe, surface(0.05), other))
     assert (found.resolved, found.x_um, found.y_um, found.measured) == (False, None, None, ())
-    assert note.startswith("height map unresolved: only means are compared")
+    assert found.says.startswith("unresolved: only means are compared")
+    assert note is None
     assert abs((found.phase_um + 20.0 * 2.0 + 50.0) % 100.0 - 50.0) < 5.0
+
+
+def test_a_map_that_may_be_of_the_part_and_is_not_placed_has_a_note():
+    unsure = MapPlace(3.0, 4.0, 3.0, 0.3, 1.2, resolved=False)
+    assert unsure.note.startswith("height map unresolved: only means are compared; the ridges' phase is about +3 µm")
+    assert replace(unsure, correlation=0.05).note is None
 
 
 def test_without_a_map_nothing_is_said_and_a_small_one_is_not_matched(recipe):
