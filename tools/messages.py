@@ -92,7 +92,7 @@ SENTENCES = {
     "inspect/imaging/registration/placement.py": ERRORS,
     "inspect/imaging/deviation_map.py": ERRORS,
     "inspect/imaging/predicted_cells.py": ("predicted_cells",),
-    "inspect/imaging/height_map_place.py": {"match_map", "_matched", "words", "RegistrationError"},
+    "inspect/imaging/height_map_place.py": {"match_map", "note", "words", "RegistrationError"},
     "inspect/diagnosis/discriminating_poses.py": ("advice_for", "further_pose", "_nothing"),
     "inspect/commissioning/findings.py": (
         *("tilt_findings", "light_finding", "azimuth_finding", "_sense", "_zero", "_fixture_zero"),

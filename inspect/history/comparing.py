@@ -1,7 +1,6 @@
 """Comparison of two inspections: differences of their contrasts, and of recipe, rig and software."""
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,8 +16,6 @@ from anisoscope.record.schema import Record, read_record, record_signature
 _PREFIXES = ("u ", "deviation ", "tolerance ")
 _ROW_FIELDS = ("product", "recipe", "lot", "cavity", "station", "operator", "software")
 MAX_CHANGES = 40
-FOLDERS = re.compile(r"(?<![\w:/\\])(?:[A-Za-z]:)?[\\/](?:[^\\/?&\s]+[\\/])+")
-"""Folders of an absolute path, in a text or in the address of a port."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +176,7 @@ def record_of(row: Row) -> Record:
 
 def _record_changes(first: Record, second: Record) -> Iterator[Change]:
     for title in ("recipe", "rig", "white_reference", "convention"):
-        a, b = (_flat(getattr(record, title)) for record in (first, second))
+        a, b = _flat(getattr(first, title)), _flat(getattr(second, title))
         for key in dict.fromkeys((*a, *b)):
             if a.get(key) != b.get(key):
                 yield Change(f"{title.replace('_', ' ')}: {key}", a.get(key), b.get(key))
@@ -198,7 +195,7 @@ def _input_changes(first: Record, second: Record) -> Iterator[Change]:
 
 
 def _flat(value: object, key: str = "") -> dict[str, str]:
-    """A nested table as keys with dots and texts; files by their names, since folders differ between computers."""
+    """A nested table as keys with dots and texts."""
     if isinstance(value, Mapping):
         parts: list[tuple[str, Any]] = [
             (f"{key}.{name}".removeprefix("."), one) for name, one in value.items()
@@ -206,5 +203,5 @@ def _flat(value: object, key: str = "") -> dict[str, str]:
     elif isinstance(value, list | tuple):
         parts = [(f"{key}[{number}]", one) for number, one in enumerate(value)]
     else:
-        return {key: FOLDERS.sub("", str(value))}
+        return {key: str(value)}
     return {name: text for part, one in parts for name, text in _flat(one, part).items()}

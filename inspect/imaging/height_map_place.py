@@ -43,7 +43,7 @@ OPENCV = "opencv-contrib-python-headless"
 MIN_RATIO = 1.5
 MIN_CORRELATION = 0.2
 OTHER_PART = 0.1
-"""Correlation below which a map is that of another part, such as a master or a golden one: it is nowhere on this one."""
+"""Correlation below which a map is that of another part, such as a master or a golden one."""
 MIN_OVERLAP = 0.3
 PHASE_TOLERANCE = 0.25
 """In pitches; reflections, which the rendered map lacks, brighten one side of each groove and so shift the phase."""

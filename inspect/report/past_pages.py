@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,9 @@ from anisoscope.record.schema import ConclusionRecord
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.page import template_text, write_page
 from anisoscope.report.provenance import when
+
+FOLDERS = re.compile(r"(?<![\w:/\\])(?:[A-Za-z]:)?[\\/](?:[^\\/?&\s]+[\\/])+")
+"""Folders of an absolute path, in a text or in the address of a port."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +133,18 @@ def write_compared_page(
     content = {
         "title": f"{found.second.serial} against {found.first.serial}",
         "found": found,
+        "changes": [(one.what, _bare(one.first), _bare(one.second)) for one in found.changes],
         "sides": [(one, report_link(one.row.folder, path) if one.has_report else None) for one in sides],
         "pairs": pairs,
         "contrasts": [(true_minus(number_name(one.label)), _cells(one)) for one in found.contrasts],
         "numbers": [(true_minus(number_name(one.label)), _cells(one)) for one in found.numbers],
     }
     write_page(path, "compared.html", content, {"typeset": true_minus})
+
+
+def _bare(value: str | None) -> str:
+    """A value with files by their names: pages are passed on, folders of a computer are not."""
+    return "–" if value is None else FOLDERS.sub("", value)
 
 
 def _cells(one: Compared) -> tuple[str, ...]:

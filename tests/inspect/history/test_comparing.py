@@ -90,16 +90,6 @@ def test_records_inspections_folders_and_rows_compare_alike(pair, tmp_path):
     assert [one.label for one in compare(*records).numbers] == numbers
 
 
-def test_files_are_told_by_their_names_and_a_folder_of_a_computer_is_no_change(pair):
-    first = read_record(Path(pair[0].folder))
-    at = {"map": "/home/a/map.x3p", "port": "sim://elliptec?bench=/home/a/bench.toml"}
-    other = {"map": "C:\\lab\\map.x3p", "port": "sim://elliptec?bench=/srv/other.toml"}
-    records = [first.model_copy(update={"rig": {**first.rig, **one}}) for one in (at, other)]
-    assert [(one.what, one.first, one.second) for one in compare(*records).changes] == [
-        ("rig: port", "sim://elliptec?bench=bench.toml", "sim://elliptec?bench=other.toml")
-    ]
-
-
 @pytest.mark.parametrize("other", [3, None, {"record": 1}])
 def test_what_is_no_inspection_is_refused(pair, other):
     with pytest.raises(UsageError, match="compare takes two inspections, each a row of a history, a record"):

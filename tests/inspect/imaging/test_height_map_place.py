@@ -76,7 +76,9 @@ def test_the_map_of_another_part_is_unresolved_without_a_note(recipe):
 
 def test_a_map_that_may_be_of_the_part_and_is_not_placed_has_a_note():
     unsure = MapPlace(3.0, 4.0, 3.0, 0.3, 1.2, resolved=False)
-    assert unsure.note.startswith("height map unresolved: only means are compared; the ridges' phase is about +3 µm")
+    assert unsure.note.startswith(
+        "height map unresolved: only means are compared; the ridges' phase is about +3 µm"
+    )
     assert replace(unsure, correlation=0.05).note is None
 
 

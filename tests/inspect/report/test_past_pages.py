@@ -57,6 +57,8 @@ def test_two_inspections_stand_side_by_side(archive, tmp_path, parsed, capsys):
     }
     assert [found.get("class") for tag, found in page.found if tag == "div"].count("pair") == len(poses)
     assert "ln ratio 0° / 90°, tilt 10°" in page.text
+    assert "tile.npz" in page.text
+    assert "/tile.npz" not in page.text  # no folders of the computer on a page that is passed on
 
 
 def test_a_missing_report_is_made_again(archive, tmp_path, monkeypatch, capsys):
