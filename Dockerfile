@@ -17,6 +17,7 @@ RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends \
 WORKDIR /src
 COPY requirements.lock requirements-dev.lock pyproject.toml setup.py README.md LICENSE ./
 RUN pip install --no-cache-dir -r requirements.lock
+COPY LICENSES LICENSES
 COPY inspect inspect
 COPY rig rig
 COPY profiles profiles

@@ -1,6 +1,8 @@
 """What git tracks is small and of a known kind: caches and results of a run stay out of the repository."""
 
+import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -56,3 +58,14 @@ def test_a_large_file_a_database_and_an_unknown_name_are_refused():
         "notes: no list of this test names notes",
     ]
     assert refused({"tests/data/parts.tar.xz": 5_900_000, ".ci/run": 1, "Makefile": 1, ".gitignore": 1}) == []
+
+
+def test_files_of_others_have_their_licence_in_the_metadata():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    texts = [
+        file.read_text(encoding="utf-8") for glob in project["license-files"] for file in ROOT.glob(glob)
+    ]
+    for path in (ROOT / "inspect" / "line" / "data").glob("*.xml"):
+        holder = re.search(r"Copyright \(c\) .*", path.read_text(encoding="utf-8"))[0]
+        assert any(path.name in text and holder in text for text in texts), path.name
+    assert "MIT" in project["license"].split(" AND ")
