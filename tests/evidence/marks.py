@@ -485,11 +485,14 @@ def main() -> int:
     what = options.add_mutually_exclusive_group(required=True)
     what.add_argument("--fit", type=int, help="sheets in the prediction's light")
     what.add_argument("--judge", type=int, help="sheets of the path tracer")
+    options.add_argument("--first", type=int, default=0, help="number of the first sheet to judge")
     chosen = options.parse_args()
     if chosen.fit is not None:
         fit(chosen.fit)
     else:
-        sys.stdout.write(table_of(for_each(judged, range(chosen.judge), 2)) + "\n")
+        sys.stdout.write(
+            table_of(for_each(judged, range(chosen.first, chosen.first + chosen.judge), 2)) + "\n"
+        )
         number = range(max(chosen.judge // 6, 1))
         parts = {name: for_each(lambda k, name=name: judged_part(name, k), number, 2) for name in PARTS}
         sys.stdout.write(parts_table(parts))
