@@ -1,8 +1,8 @@
 """Lobe and albedo of a plastic from the radiances of one specimen in many poses, with priors.
 
 The specimen is a flat coupon or a ridged part. ln L of every pose is fitted by weighted least squares, u being the
-noise of the pose and `POSE_NOISE` together; parameters that a scan hardly determines keep their priors: seating, ridge
-angle, edge radius, and the amplitude of what reflects between facet and wall. The scale k is free. Two families of
+noise of the pose and `POSE_NOISE` together; parameters that a scan hardly determines keep their priors: seating, light
+angle, ridge angle, edge radius, and the amplitude of what reflects between facet and wall. The scale k is free. Two families of
 lobes are tried, one with a tail and Beckmann's with a second one mixed in; the Bayesian information criterion (Schwarz
 1978) chooses, and compares both with matte surfaces. A rejected family (`base.rejection`) has its covariance enlarged
 by the Birge ratio. Albedo and scale k are then known only together: what parts them is the amplitude of the lobe, which
@@ -82,7 +82,8 @@ _GRID = (0.5, 0.75, 1.0, 1.4, 2.0)
 _TYPICAL_TAIL = 0.5
 _KEPT = 0.7  # share of the prior above which a parameter is the prior's, not the scan's
 _BOUND_TOGETHER = 0.9  # correlation
-_NUISANCE = {"ln_k", "seating_x_deg", "seating_y_deg"}
+_NUISANCE = {"ln_k", "seating_x_deg", "seating_y_deg", "light_angle_deg"}
+_FAR = 2.0  # standard deviations of the prior beyond which the light angle is said
 _SEATING_LIMIT_DEG = 1.0  # five times its prior
 _WORDS = {
     "ln_alpha_along": "roughness along",
@@ -513,13 +514,23 @@ class LobeFit:
         """Lines on what does not hold."""
         named = tuple(f"these readings are those of {one}: it has no lobe to calibrate" for one in self.matte)
         if not self.misfit.rejected:
-            return named
+            return (*named, *self._light_angle())
         text = (
             f"the family of lobes does not fit: residuals of {100.0 * self.rms_share:.1f} %, "
             f"{self.residual_over_noise:.1f} times their noise; {100.0 * self.discrepancy_share:g} % of every pose "
             "remain as model discrepancy"
         )
         return (text, *named)
+
+    def _light_angle(self) -> tuple[str, ...]:
+        found, name = self.information, "light_angle_deg"
+        if name not in found.names:
+            return ()
+        number = found.names.index(name)
+        off = float(found.values[number])
+        if abs(off) < _FAR * found.prior[number]:
+            return ()
+        return (f"the light is {off:+.2f}° (u {found.u[name]:.2f}°) off the angle of the rig file: measure it",)
 
 
 def fit_lobe(

@@ -50,7 +50,7 @@ from anisoscope.prediction.recipe_models import read_surface
 from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
-from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.base import CommonUncertainty, RecipeBase
 from anisoscope.recipe.material_file import (
     CovariancePart,
     LobePart,
@@ -189,13 +189,15 @@ def setup_of(
     if recipe is None:
         if name == "part":
             raise UsageError("--part needs --recipe FILE with its design or height map")
-        return Setup(coupon(optics), Material(), scanned, Convention(rig.light.angle_deg), rig, None)
+        specimen = replace(coupon(optics), u_light_angle_deg=CommonUncertainty().light_angle_deg)
+        return Setup(specimen, Material(), scanned, Convention(rig.light.angle_deg), rig, None)
     if not isinstance(recipe, SurfaceRecipe):
         raise UsageError(f"{recipe.product}: a scan needs the recipe of a plastic surface")
     convention = Convention(rig.light.angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     material = recipe.material.material()
     recipe = _scanning(recipe.deciding(), scanned, name)
     specimen = coupon(optics) if name == "coupon" else _part(recipe, optics)
+    specimen = replace(specimen, u_light_angle_deg=recipe.uncertainty.light_angle_deg)
     return Setup(specimen, material, scanned, convention, rig, recipe)
 
 

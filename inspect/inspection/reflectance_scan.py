@@ -518,7 +518,7 @@ def _result(job: Job, setup: Setup, measured: Measured) -> ScanResult:
     budget["stage angle"] = np.abs(by_stage) * uncertainty.stage_deg
     seat = None
     if setup.specimen.name == "coupon":
-        seat = coupon_seat(setup, measured, uncertainty.light_angle_deg)
+        seat = coupon_seat(setup, measured)
         found = replace(setup.convention, light_angle_deg=seat.light_angle_deg)
         light, camera = directions(setup.poses, found)
         turn = seating_rotation(seat.about_x_deg, seat.about_y_deg)
@@ -535,13 +535,12 @@ def _result(job: Job, setup: Setup, measured: Measured) -> ScanResult:
     return ScanResult(setup.poses, light, camera, brdf, budget, job.rig.light.wavelength_nm, seat)
 
 
-def coupon_seat(setup: Setup, measured: Measured, u_light_angle_deg: float) -> CouponSeat:
+def coupon_seat(setup: Setup, measured: Measured) -> CouponSeat:
     """Seating of a coupon, light angle, and how flat it is.
 
     Args:
         setup: what was scanned.
         measured: radiances of the poses.
-        u_light_angle_deg: standard uncertainty of the light angle of the rig file.
 
     Raises:
         CalibrationError: it leans too far, or is not flat.
@@ -549,11 +548,11 @@ def coupon_seat(setup: Setup, measured: Measured, u_light_angle_deg: float) -> C
     own = [one.relative**2 for one in measured.components if not one.shared]
     noise = np.sqrt(np.sum(own, axis=0)) if own else np.zeros(len(setup.poses))
     scan = Scan(setup.poses, setup.convention, measured.radiance, noise)
-    free = fit_lobe(
-        scan, replace(setup.specimen, u_light_angle_deg=u_light_angle_deg), setup.material, ("tail",)
-    )
+    u_light_angle_deg = setup.specimen.u_light_angle_deg
+    free = fit_lobe(scan, setup.specimen, setup.material, ("tail",))
     # a lobe of another family would be met by turning the light
-    found = (free if free.fits else fit_lobe(scan, setup.specimen, setup.material, ("tail",))).information
+    still = replace(setup.specimen, u_light_angle_deg=0.0)
+    found = (free if free.fits else fit_lobe(scan, still, setup.material, ("tail",))).information
     values = dict(zip(found.names, map(float, found.values), strict=True))
     seat = values["seating_x_deg"], values["seating_y_deg"]
     off, u_off = values.get("light_angle_deg", 0.0), found.u.get("light_angle_deg", u_light_angle_deg)

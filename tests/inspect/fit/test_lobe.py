@@ -23,10 +23,10 @@ PART = ridged(DESIGN, bounces=1)
 TENS = (-20.0, -10.0, 0.0, 10.0, 20.0)
 
 
-def scanned(material, specimen, poses, seed=0, light=None):
+def scanned(material, specimen, poses, seed=0, light=None, shown=CONVENTION):
     """A scan of a specimen seated askew, of unknown scale, with 0.3 % noise."""
     seat = seating_rotation(0.1, -0.15)
-    to_light, to_camera = directions(poses, CONVENTION)
+    to_light, to_camera = directions(poses, shown)
     light = light or (lambda a, b: corrected.radiance(a, b, specimen.design, material))
     radiance = light(to_light @ seat, to_camera @ seat)
     noise = np.exp(NOISE * np.random.default_rng(seed).standard_normal(len(poses)))
@@ -101,6 +101,21 @@ def test_a_lobe_of_the_family_is_found(truth, specimen, poses):
         assert np.all(np.abs(log_ratios(one.material) - log_ratios(truth))[1:] < 3.0 * u)
         assert one.warnings() == ()
         assert one.discrepancy_share == 0.005
+
+
+@pytest.mark.parametrize(("specimen", "poses"), [(coupon(), coupon_poses()), (PART, part_poses())])
+def test_a_light_angle_that_the_rig_file_has_wrong_does_not_move_the_albedo(specimen, poses):
+    """The light is 0.25° farther than the rig file says; fixed there, it moves the albedo by 6 % or more."""
+    truth = Material(0.06, 0.09, 0.2, tail=0.7)
+    scan = scanned(truth, specimen, poses, shown=Convention(10.25))
+    fixed, free = (
+        fit_lobe(scan, replace(specimen, u_light_angle_deg=u), START, ("tail",)) for u in (0.0, 0.1)
+    )
+    assert abs(np.log(fixed.material.albedo / truth.albedo)) > 0.05
+    found = free.information
+    assert abs(np.log(found.material.albedo / truth.albedo)) < 2.0 * found.u["ln_albedo"] < 0.03
+    assert found.values[found.names.index("light_angle_deg")] == pytest.approx(0.25, abs=0.08)
+    assert any("off the angle of the rig file" in line for line in free.warnings())
 
 
 @pytest.mark.parametrize(

@@ -339,7 +339,7 @@ def test_a_coupon_that_is_not_flat_is_found():
         radiance=np.exp(1.0 + slopes[:, 0] * 0.0) * truth_of(setup), cells=np.exp(2.0 * cells), components=()
     )
     with pytest.raises(CalibrationError, match=r"lean by up to 0\.[89]\d° from their mean .* limit 0\.5°"):
-        coupon_seat(setup, measured, 0.02)
+        coupon_seat(setup, measured)
 
 
 def truth_of(setup):
@@ -486,7 +486,7 @@ def test_the_light_angle_is_found_from_a_coupon_of_uneven_roughness():
         radiance = corrected.radiance(light @ turn, camera @ turn, RidgeDesign(100.0, 0.0), material)
         radiance *= np.exp(0.003 * rng.standard_normal(len(poses)))
         measured = SimpleNamespace(radiance=radiance, cells=np.ones((len(poses), 3, 3)), components=())
-        found.append(coupon_seat(replace(setup, material=material), measured, 0.1))
+        found.append(coupon_seat(replace(setup, material=material), measured))
     uneven, even = found
     assert uneven.light_angle_deg == pytest.approx(10.13, abs=3.0 * uneven.u_light_angle_deg)
     assert uneven.u_light_angle_deg < 0.03
