@@ -2,11 +2,11 @@
 
 The specimen is a flat coupon or a ridged part. ln L of every pose is fitted by weighted least squares, u being the
 noise of the pose and `POSE_NOISE` together; parameters that a scan hardly determines keep their priors: seating, light
-angle, ridge angle, edge radius, and the amplitude of what reflects between facet and wall. The scale k is free. Two families of
-lobes are tried, one with a tail and Beckmann's with a second one mixed in; the Bayesian information criterion (Schwarz
-1978) chooses, and compares both with matte surfaces. A rejected family (`base.rejection`) has its covariance enlarged
-by the Birge ratio. Albedo and scale k are then known only together: what parts them is the amplitude of the lobe, which
-the family takes from slopes that no pose shows.
+angle, ridge angle, edge radius, and the amplitude of what reflects between facet and wall. The scale k is free. Two
+families of lobes are tried, one with a tail and Beckmann's with a second one mixed in; the Bayesian information
+criterion (Schwarz 1978) chooses, and compares both with matte surfaces. A rejected family (`base.rejection`) has its
+covariance enlarged by the Birge ratio. Albedo and scale k are then known only together: what parts them is the
+amplitude of the lobe, which the family takes from slopes that no pose shows.
 """
 
 from collections.abc import Callable, Sequence
@@ -530,7 +530,9 @@ class LobeFit:
         off = float(found.values[number])
         if abs(off) < _FAR * found.prior[number]:
             return ()
-        return (f"the light is {off:+.2f}° (u {found.u[name]:.2f}°) off the angle of the rig file: measure it",)
+        return (
+            f"the light is {off:+.2f}° (u {found.u[name]:.2f}°) off the angle of the rig file: measure it",
+        )
 
 
 def fit_lobe(
