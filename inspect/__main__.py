@@ -3,6 +3,7 @@
 A stop of a held rig is sent before the command line is even imported, which takes longer than the stop.
 """
 
+import atexit
 import contextlib
 import gc
 import itertools
@@ -20,6 +21,7 @@ SPINNING_CYCLES = "4"
 def main() -> NoReturn:
     """Entry point of the ``anisoscope`` command."""
     gc.set_threshold(COLLECTED_AFTER, 10, 10)
+    atexit.register(gc.freeze)  # nothing is looked through for cycles when all of it goes
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", SPINNING_CYCLES)
     if sys.argv[1:3] == ["rig", "stop"] and not {"--help", "-h", "--driver"} & set(sys.argv):
         _stop_at_once(sys.argv[3:])

@@ -7,14 +7,16 @@ roughness are fitted to the medians of the part, then the lean of every cell. Wh
 ridges it is held. A cell that no lean explains is left out: there is no facet, or something on it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, UsageError
+from anisoscope.fit.problem import Plastic
 from anisoscope.imaging.phase_map import PhaseMap, phases_of
 from anisoscope.imaging.pose_radiance import Image, Measured
 from anisoscope.parameters.material import Material
@@ -26,8 +28,8 @@ from anisoscope.prediction.recipe_models import rig_of
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import AngleRecord, RidgeLeanRecord
 from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.light.material import brdf, rays
 from anisoscope.sim.light.optics import bundle
-from anisoscope.sim.light.shine import shine_in
 
 CELL_UM = 48.0
 MARGIN_SHARE, MARGIN_POINTS = 0.12, 2.5
@@ -302,39 +304,41 @@ class _Scene:
         self.design = recipe.surface.ridge_design()
         self.material = recipe.material.material()
         self.to_light, self.to_camera = directions(expected.poses, expected.convention)
-        self.rig = rig_of(recipe, expected.poses, expected.convention)
+        optics = rig_of(recipe, expected.poses, expected.convention).optics
+        self.beams = bundle(self.to_light, self.to_camera, optics)
 
     @property
     def wall(self) -> float:
         """Width of the wall as a share of the pitch."""
         return self.design.wall_width_um / self.design.pitch_um
 
-    def rougher(self, share: float, albedo: float | None = None) -> Material:
-        """The material with both roughnesses times ``share``."""
+    def rougher(self, share: float, albedo: float | None = None, interface: float = 1.0) -> Material:
+        """The material with both roughnesses times ``share``, and its interface of ``interface`` times them."""
         known = self.material
-        return replace(
-            known,
-            alpha_along=known.alpha_along * share,
-            alpha_across=known.alpha_across * share,
-            albedo=known.albedo if albedo is None else albedo,
-        )
+        changed = {
+            "alpha_along": known.alpha_along * share,
+            "alpha_across": known.alpha_across * share,
+            "albedo": known.albedo if albedo is None else albedo,
+        }
+        return Plastic(**vars(known) | changed, interface_alpha=known.alpha_mean * interface)
 
     def log_radiance(self, across_deg: FloatArray, along_deg: FloatArray, material: Material) -> FloatArray:
         """(P, N) ln L of facets that lean so far, (N,) each."""
-        from anisoscope.sim.light.census_kernels import shine_at  # noqa: PLC0415 - start-up time
-
-        slopes = np.stack([-np.tan(np.radians(across_deg)), np.tan(np.radians(along_deg))], axis=-1)
-        beams = bundle(self.to_light, self.to_camera, self.rig.optics)
-        found = np.empty((len(self.to_light), len(slopes)))
-        values = np.empty(len(slopes))
-        for pose in range(len(found)):
-            total = np.zeros(len(slopes))
-            for light, camera, weight in zip(
-                beams.to_light[pose], beams.to_camera[pose], beams.weight, strict=True
-            ):
-                shine_at(slopes, shine_in(light, camera, material), values)
-                total += weight * values
-            found[pose] = np.log(np.maximum(total, 1e-12))
+        gx, gy = -np.tan(np.radians(across_deg)), np.tan(np.radians(along_deg))
+        none, steep = np.zeros_like(gx), 1.0 + gy**2
+        size = np.sqrt(steep + gx**2)
+        frame = (
+            np.stack([none, none + 1.0, gy]) / np.sqrt(steep),
+            np.stack([steep, -gx * gy, gx]) / (np.sqrt(steep) * size),
+            np.stack([-gx, -gy, none + 1.0]) / size,
+        )
+        found = np.empty((len(self.to_light), len(gx)))
+        for pose, ways in enumerate(zip(self.beams.to_light, self.beams.to_camera, strict=True)):
+            both = [[way @ axis for axis in frame] for way in ways]
+            reached = np.all([way[2] > 0.0 for way in both], axis=0)
+            light, camera = (rays(u, v, np.where(reached, w, 1.0), material) for u, v, w in both)
+            values = brdf(light, camera, material) * light.normal * camera.normal * reached
+            found[pose] = np.log(np.maximum((self.beams.weight / ways[1][:, 2]) @ values * size, 1e-12))
         return found
 
     def doubt(self) -> FloatArray:
@@ -469,19 +473,21 @@ def _part(scene: _Scene, medians: FloatArray) -> _PartLean:
     doubt = np.hypot(MODEL_ERROR, scene.doubt())
     nominal = scene.design.ridge_angle_deg
 
-    def off(state: FloatArray) -> FloatArray:
+    def off(state: FloatArray, interface: float) -> FloatArray:
         across, along, rougher = state
-        seen = scene.log_radiance(
-            np.array([across]), np.array([along]), scene.rougher(float(np.exp(rougher)))
-        )[:, 0]
+        material = scene.rougher(float(np.exp(rougher)), interface=interface)
+        seen = scene.log_radiance(np.array([across]), np.array([along]), material)[:, 0]
         before = (across - nominal) / U_LEAN_DEG, along / U_ALONG_DEG, rougher / U_ALPHA_SHARE
         return np.concatenate([(seen - medians) / doubt, before])
 
     starts = [np.array([nominal + step, 0.0, 0.0]) for step in (0.0, -3.0, 3.0)]
-    best = min(
-        (least_squares(off, start, ftol=1e-14, xtol=1e-12, gtol=1e-14) for start in starts),
-        key=lambda one: float(one.cost),
-    )
+
+    def fitted(start: FloatArray, interface: float) -> Any:  # noqa: ANN401 - a class of scipy without a public name
+        return least_squares(off, start, ftol=1e-14, xtol=1e-12, gtol=1e-14, args=(interface,))
+
+    best = min((fitted(start, 1.0) for start in starts), key=lambda one: float(one.cost))
+    # the interface, on which the light hardly depends and which costs most, is that of the roughness found
+    best = fitted(best.x, float(np.exp(best.x[2])))
     jacobian = np.asarray(best.jac)
     inner = np.linalg.inv(jacobian.T @ jacobian)
     poses = len(medians)
@@ -519,7 +525,7 @@ def _texture(scene: _Scene, part: _PartLean, points: FloatArray, means: FloatArr
     """
     h = 0.5  # degrees
     steps = np.array([(0.0, 0.0), (h, 0.0), (-h, 0.0), (0.0, h), (0.0, -h)]) + part.lean
-    logs = scene.log_radiance(steps[:, 0], steps[:, 1], scene.rougher(part.alpha))
+    logs = scene.log_radiance(steps[:, 0], steps[:, 1], scene.rougher(part.alpha, interface=part.alpha))
     slopes = np.stack([logs[:, 1] - logs[:, 2], logs[:, 3] - logs[:, 4]], axis=-1) / (2.0 * h)
     bend = np.stack([logs[:, 1] + logs[:, 2], logs[:, 3] + logs[:, 4]], axis=-1) - 2.0 * logs[:, :1]
     bend = bend / h**2 + slopes**2  # L''/L
@@ -545,7 +551,9 @@ def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: FloatArray
     across = np.arange(max(centre[0] - BELOW_DEG, -10.0), centre[0] + ABOVE_DEG, STEP_DEG)
     along = centre[1] + np.arange(-ASIDE_DEG, ASIDE_DEG + 0.5 * STEP_DEG, STEP_DEG)
     grid = np.stack(np.meshgrid(across, along, indexing="ij"), axis=-1)
-    table = scene.log_radiance(grid[..., 0].ravel(), grid[..., 1].ravel(), scene.rougher(part.alpha))
+    table = scene.log_radiance(
+        grid[..., 0].ravel(), grid[..., 1].ravel(), scene.rougher(part.alpha, interface=part.alpha)
+    )
     table = table.reshape(len(logs), len(across), len(along))
     slope = np.stack([np.gradient(table, STEP_DEG, axis=axis) for axis in (1, 2)], axis=-1)
     weight = 1.0 / np.hypot(texture, CELL_ERROR)

@@ -11,8 +11,7 @@ from anisoscope.inspection.reports import Reports
 from anisoscope.inspection.run import Inspected, UsedBefore, inspect_part, never_used
 from anisoscope.record.schema import Particulars
 from anisoscope.report.peers import LotMate
-from anisoscope.study.sweep import Workers
-from anisoscope.study.whatif import again_after_a_kill
+from anisoscope.study.sweep import Workers, again_after_a_kill
 
 
 def inspect(

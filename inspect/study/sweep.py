@@ -26,6 +26,8 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.rig.acquisition.interruptions import undisturbed
 
 Result = TypeVar("Result")
+PORTION = 512
+"""Tasks after which those done are kept whatever happens to a process."""
 
 CONNECT_TIMEOUT_S = 5.0
 NO_WORKERS_TIMEOUT_S = 20.0
@@ -127,6 +129,38 @@ def sweep(
             done += len(part.tasks)
             advance(doing, done, len(given))
     return results
+
+
+def again_after_a_kill(
+    function: Callable[..., Result], tasks: Sequence[Any], workers: Workers, advance: Advance = silent
+) -> list[Result]:
+    """A sweep in portions: where a process is killed, its portion alone is computed once more.
+
+    Raises:
+        SweepError: a process was killed twice at the same portion, or the cluster is gone.
+    """
+    found: list[Result] = []
+    for first in range(0, len(tasks), PORTION):
+        portion = tasks[first : first + PORTION]
+
+        progress = _from(first, len(tasks), advance)
+        try:
+            found += sweep(function, portion, workers, advance=progress, doing="inspections")
+        except SweepError:
+            if workers.scheduler is not None or workers.jobs == 1:
+                raise
+            found += sweep(function, portion, workers, advance=progress, doing="inspections")
+    return found
+
+
+def _from(first: int, of: int, advance: Advance) -> Advance:
+    """Progress of a portion as that of the whole."""
+
+    def progress(doing: str, done: int, total: int) -> None:
+        del total
+        advance(doing, first + done, of)
+
+    return progress
 
 
 def _parts(function: Callable[..., Any], tasks: Sequence[Any], seed: int | None) -> list[_Part]:

@@ -6,11 +6,11 @@ its frames where the region, the poses or another condition of the measurement c
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,15 +35,11 @@ from anisoscope.record.schema import Record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.peers import LotMate
 from anisoscope.study.statistics import Rate, rate
-from anisoscope.study.sweep import SweepError, Workers, sweep
+from anisoscope.study.sweep import Workers, again_after_a_kill
 
 VERDICTS = ("PASS", "FAIL", "INCONCLUSIVE", "INVALID")
 GOOD, BAD = frozenset({"accept"}), frozenset({"reject", "rework"})
 """Dispositions that say what a part really was."""
-
-
-PORTION = 512
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -214,38 +210,6 @@ def what_if(
         _risks([(one.disposition, one.before) for one in known], costs),
         _risks([(one.disposition, str(one.after)) for one in known], costs),
     )
-
-
-def again_after_a_kill(
-    function: Callable[[Any], Result], tasks: Sequence[Any], workers: Workers, advance: Advance = silent
-) -> list[Result]:
-    """A sweep in portions: where a process is killed, its portion alone is computed once more.
-
-    Raises:
-        SweepError: a process was killed twice at the same portion, or the cluster is gone.
-    """
-    found: list[Result] = []
-    for first in range(0, len(tasks), PORTION):
-        portion = tasks[first : first + PORTION]
-
-        progress = _from(first, len(tasks), advance)
-        try:
-            found += sweep(function, portion, workers, advance=progress, doing="inspections")
-        except SweepError:
-            if workers.scheduler is not None or workers.jobs == 1:
-                raise
-            found += sweep(function, portion, workers, advance=progress, doing="inspections")
-    return found
-
-
-def _from(first: int, of: int, advance: Advance) -> Advance:
-    """Progress of a portion as that of the whole."""
-
-    def progress(doing: str, done: int, total: int) -> None:
-        del total
-        advance(doing, first + done, of)
-
-    return progress
 
 
 def _risks(parts: Sequence[tuple[str | None, str]], costs: Costs | None) -> Risks:

@@ -26,6 +26,7 @@ from anisoscope.rig.framefolder import write_frame_folder
 pytestmark = pytest.mark.benchmark
 
 IMPORT = ("-c", "import numpy, cv2, scipy.optimize")
+INSPECTION = 7.5  # times the import of the libraries
 LIBRARIES = f"`python -c '{IMPORT[1]}'`"
 COMMANDS = (
     ("--help",),
@@ -100,7 +101,8 @@ def test_cold_inspection_of_frames(bench, tmp_path):
 
     works = {"command": job, LIBRARIES: process(folder, *IMPORT), "the first with a recipe": first}
     # the first in a round follows the last of the round before, which has filled the cache
-    bench.compare(f"`anisoscope inspect --frames` of {len(shots)} frames of a megapixel", works)
+    found = bench.compare(f"`anisoscope inspect --frames` of {len(shots)} frames of a megapixel", works)
     verdicts = {read_record(path.parent).verdict for path in (tmp_path / "judged").glob("*/record.json")}
     bench.note(f"verdicts {', '.join(verdicts)}; record, history and report included")
     assert verdicts == {taken.record.verdict}
+    assert found.ratio("command", LIBRARIES) <= INSPECTION

@@ -13,7 +13,7 @@ import pytest
 from loky.backend.process import LokyProcess
 
 from anisoscope.study import sweep as sweep_module
-from anisoscope.study.sweep import SweepError, Workers, sweep
+from anisoscope.study.sweep import SweepError, Workers, again_after_a_kill, sweep
 
 TWO = Workers(2)
 
@@ -279,3 +279,23 @@ def test_processes_end_with_their_parent(tmp_path):
             time.sleep(0.05)
         running.kill()
     assert all(gone(int(file.name.removeprefix("begun-"))) for file in begun)
+
+
+def test_a_killed_process_loses_nothing(tmp_path, monkeypatch):
+    def dies_once(path):
+        if not path.exists():
+            path.write_text("dead")
+            os.kill(os.getpid(), signal.SIGKILL)
+        return path.name
+
+    def dies_always(_):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(sweep_module, "PORTION", 3)
+    paths = [tmp_path / f"{number}" for number in range(6)]
+    for path in paths:
+        path.touch()
+    paths[4].unlink()
+    assert again_after_a_kill(dies_once, paths, Workers(2)) == [path.name for path in paths]
+    with pytest.raises(SweepError, match="killed"):
+        again_after_a_kill(dies_always, [Path(), Path()], Workers(2))

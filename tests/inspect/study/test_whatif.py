@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import time
 import tomllib
 from dataclasses import replace
@@ -22,8 +21,8 @@ from anisoscope.history.store import open_history
 from anisoscope.operations.past import write_whatif_page
 from anisoscope.record.schema import read_record
 from anisoscope.study import whatif as module
-from anisoscope.study.sweep import SweepError, Workers
-from anisoscope.study.whatif import Costs, again_after_a_kill, what_if
+from anisoscope.study.sweep import Workers
+from anisoscope.study.whatif import Costs, what_if
 
 HERE = Workers(1)
 
@@ -172,26 +171,6 @@ def test_a_page_that_cannot_be_written_is_refused_before_the_work(tmp_path, caps
 
 def test_conditions_are_those_of_the_history():
     assert filters_of(selection(["lot=L=1", "verdict=fail"])).verdict == "FAIL"
-
-
-def test_a_killed_process_loses_nothing(tmp_path, monkeypatch):
-    def dies_once(path):
-        if not path.exists():
-            path.write_text("dead")
-            os.kill(os.getpid(), signal.SIGKILL)
-        return path.name
-
-    def dies_always(_):
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    monkeypatch.setattr(module, "PORTION", 3)
-    paths = [tmp_path / f"{number}" for number in range(6)]
-    for path in paths:
-        path.touch()
-    paths[4].unlink()
-    assert again_after_a_kill(dies_once, paths, Workers(2)) == [path.name for path in paths]
-    with pytest.raises(SweepError, match="killed"):
-        again_after_a_kill(dies_always, [Path(), Path()], Workers(2))
 
 
 COUNT = int(os.environ.get("ANISOSCOPE_SOAK_INSPECTIONS", "10000"))
