@@ -19,7 +19,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.rejection import Misfit, misfit
-from anisoscope.fit.problem import DARK, MATTE, NO_INTERFACE, Plastic
+from anisoscope.fit.problem import DARK, MATTE, NO_INTERFACE
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import LONGEST_TAIL, Material
 from anisoscope.parameters.optics import POINT_LIKE, Optics
@@ -27,6 +27,7 @@ from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.recipe.material_file import Parameter, half_angles_deg, material_at, parameter_values
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid, seating_rotation
+from anisoscope.sim.light.material import HeldInterface
 from anisoscope.sim.light.optics import through
 
 POSE_NOISE = 0.003
@@ -267,7 +268,7 @@ class _Model:
         own = dict(zip(self.names, map(float, values), strict=True))
         material = material_at(self.base, self.lobe, values[: len(self.lobe)])
         if interface is not None:
-            material = Plastic(**vars(material), interface_alpha=interface)
+            material = HeldInterface(**vars(material), interface_alpha=interface)
         design = self.specimen.design
         design = replace(
             design,

@@ -16,6 +16,7 @@ from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.bounces import NODES, interreflection
 from anisoscope.sim.light.geometry import seating_rotation
+from anisoscope.sim.light.material import HeldInterface
 
 IntArray = npt.NDArray[np.intp]
 Model = Literal["printed", "corrected"]
@@ -35,25 +36,6 @@ MATTE: tuple[tuple[str, tuple[str, ...]], ...] = (
 """Surfaces without a lobe, and the parameters that they have besides their albedo."""
 NO_INTERFACE = 1.0 + 1e-6  # index of a matte surface
 _WIDEST_CREST = 0.3  # of the pitch
-
-
-@dataclass(frozen=True)
-class Plastic(Material):
-    """A material whose interface table belongs to a roughness held fixed while the lobes change.
-
-    The table costs 0.1 s and hardly depends on the roughness: by less than 5·10⁻⁵ of the radiance within half a
-    step of the grid to which `interface_alpha` is rounded.
-
-    Attributes:
-        interface_alpha: roughness of the transmittance table.
-    """
-
-    interface_alpha: float = 0.08
-
-    @property
-    def alpha_mean(self) -> float:
-        """The roughness used for the transmittance of the interface."""
-        return self.interface_alpha
 
 
 def interface_alpha(values: Mapping[str, float]) -> float:
@@ -105,7 +87,7 @@ class Scene:
         matte, second = values.get("matte_deg"), self.material.second_lobe
         if "second_weight" in values and "second_width" in values:
             second = values["second_weight"], values["second_width"]
-        material = Plastic(
+        material = HeldInterface(
             values["alpha_along"],
             values["alpha_across"],
             values["albedo"],

@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, UsageError
-from anisoscope.fit.problem import Plastic
 from anisoscope.imaging.phase_map import PhaseMap, phases_of
 from anisoscope.imaging.pose_radiance import Image, Measured
 from anisoscope.parameters.material import Material
@@ -28,7 +27,7 @@ from anisoscope.prediction.recipe_models import rig_of
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import AngleRecord, RidgeLeanRecord
 from anisoscope.sim.light.geometry import directions
-from anisoscope.sim.light.material import brdf, rays
+from anisoscope.sim.light.material import HeldInterface, brdf, rays
 from anisoscope.sim.light.optics import bundle
 
 CELL_UM = 48.0
@@ -320,7 +319,7 @@ class _Scene:
             "alpha_across": known.alpha_across * share,
             "albedo": known.albedo if albedo is None else albedo,
         }
-        return Plastic(**vars(known) | changed, interface_alpha=known.alpha_mean * interface)
+        return HeldInterface(**vars(known) | changed, interface_alpha=known.alpha_mean * interface)
 
     def log_radiance(self, across_deg: FloatArray, along_deg: FloatArray, material: Material) -> FloatArray:
         """(P, N) ln L of facets that lean so far, (N,) each."""

@@ -16,8 +16,6 @@ from anisoscope.record.schema import (
 )
 from anisoscope.rig.acquisition.journal import JOURNAL
 
-NOT_STATED = "not stated"
-
 
 @dataclass(frozen=True)
 class Group:
@@ -68,11 +66,11 @@ def _inspection(record: Record) -> tuple[tuple[str, str], ...]:
     return (
         ("serial number", record.serial),
         ("product", record.product),
-        ("lot", who.lot or NOT_STATED),
-        ("cavity", who.cavity or NOT_STATED),
-        ("operator", who.operator or NOT_STATED),
-        ("station", who.station or NOT_STATED),
-        *(() if who.job is None else (("job", who.job),)),
+        *(
+            (name, value)
+            for name in ("lot", "cavity", "operator", "station", "job")
+            if (value := getattr(who, name)) is not None
+        ),
         *(
             ()
             if who.place_mm is None
