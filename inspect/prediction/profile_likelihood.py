@@ -25,6 +25,10 @@ _VAGUE = (1.0, 30.0, 300.0)  # variance of an expansion, over that of the errors
 _GRIDDED, _NODES, _REACH = 3, 17, 3.2  # inputs that bend most; nodes along each, u to either side
 _DARKEST = 0.02  # of the radiance: an expansion may fall below zero
 _TRIED, _SEARCHED = 16, 4  # minima of the grid: by the model, and as starts
+_ALONG = (0.0625, 0.125, 0.25, 0.375, 0.5, 0.75)  # of the range of an input, at which it is tried alone
+_DRAWN, _SEED = 128, 3  # states that are drawn
+_STARTS, _FEW_STEPS, _ROUGHLY = 10, 10, 1e-2  # searches that begin there, and how far all go
+_FINISHED = 6  # of them go on
 
 FARTHEST = 8.0
 """Standard uncertainties to which states are looked at where a model does not know all; no good part is beyond."""
@@ -192,9 +196,30 @@ def nearest_costly(
         settled: relative change of the distance below which the search ends.
         farthest: range of the search for every input.
     """
+    return _descent(
+        curve,
+        deviation,
+        np.linalg.inv(np.linalg.cholesky(covariance)),
+        start,
+        settled,
+        farthest,
+        _COSTLY_STEPS,
+    )
+
+
+def _descent(
+    curve: Curve,
+    deviation: FloatArray,
+    white: FloatArray,
+    start: FloatArray,
+    settled: float,
+    farthest: float | FloatArray,
+    steps: int,
+) -> tuple[float, FloatArray]:
+    """`nearest_costly` with whitened errors and a number of steps."""
     from scipy.optimize import least_squares  # noqa: PLC0415 - start-up time
 
-    white, far = np.linalg.inv(np.linalg.cholesky(covariance)), np.zeros(len(start)) + farthest
+    far = np.zeros(len(start)) + farthest
 
     def rest(z: FloatArray) -> FloatArray:
         return np.concatenate([z, white @ (deviation - curve.change(z))])
@@ -208,7 +233,7 @@ def nearest_costly(
         slopes,
         bounds=(-far, far),
         ftol=settled,
-        max_nfev=_COSTLY_STEPS,
+        max_nfev=steps,
     )
     return float(2.0 * found.cost), np.asarray(found.x)
 
@@ -221,7 +246,8 @@ def nearest_anywhere(
     Radiance is nearly quadratic in what turns amplitudes of waves (edges, widths, depths), and the distance has a
     minimum for each phase of theirs. About a state the radiances are therefore expanded to second order; the inputs
     that bend most lie on a grid, with the others by linear least squares at every node; a search with the model itself
-    begins at the best minima of the grid. The expansion is repeated about the state that was found.
+    begins at the best minima of the grid. The expansion is repeated about the state that was found. Of a part that is
+    farther than half of the good ones, searches begin at the nearest of drawn states and of single inputs as well.
 
     Args:
         states: change of ln L of P poses, with K inputs.
@@ -242,15 +268,43 @@ def _nearest_anywhere(
     states = cast("BoundedCurve", known)
     off, metric = np.frombuffer(deviation), np.frombuffer(covariance).reshape(m, m)
     curve, count = Combined(states, np.frombuffer(basis).reshape(m, -1)), len(states.sources)
-    least, best = np.inf, np.zeros(count)
+    white = np.linalg.inv(np.linalg.cholesky(metric))
+    far, tried = states.farthest, [(np.inf, np.zeros(count))]
+
+    def search(starts: FloatArray) -> None:
+        tried.extend(_descent(curve, off, white, one, _ROUGHLY, far, _FEW_STEPS) for one in starts)
+        tried.sort(key=lambda one: one[0])
+
     for vague in _VAGUE:
-        for start in _starts(curve, off, metric, best, vague):
-            found = nearest_costly(curve, off, metric, start, settled=_CONVERGENCE, farthest=states.farthest)
-            if found[0] < least:
-                least, best = found
-        if least < m:  # as near as good parts are
+        search(_starts(curve, off, metric, tried[0][1], vague))
+        if tried[0][0] < m:  # as near as good parts are
             break
+    else:
+        search(_drawn_starts(curve, off, white, far))
+    ended = [
+        _descent(curve, off, white, one, _CONVERGENCE, far, _COSTLY_STEPS) for _, one in tried[:_FINISHED]
+    ]
+    least, best = min(ended, key=lambda one: one[0])
     return least, tuple(best.tolist())
+
+
+def _drawn_starts(curve: Combined, off: FloatArray, white: FloatArray, farthest: FloatArray) -> FloatArray:
+    """(n, K) states from which the model is searched too: the nearest of states along every input and of drawn ones.
+
+    Orders of a tile that come into the lens, or leave it, make minima that no expansion about one state knows.
+    """
+    count = len(farthest)
+    alone = np.vstack([side * share * np.eye(count) * farthest for side in (-1.0, 1.0) for share in _ALONG])
+    drawn = np.random.default_rng(_SEED).standard_normal((_DRAWN, count))
+    slope = white @ curve.tangent(np.zeros(count))
+    tried = np.vstack([alone, drawn])
+    missed = (off - curve.change(tried)) @ white.T
+    moved = tried + np.linalg.solve(np.eye(len(off)) + slope @ slope.T, missed.T).T @ slope
+    moved = np.clip(moved, -farthest, farthest)
+    left = np.sum(tried**2, axis=1) + np.sum(missed**2, axis=1)
+    again = np.sum(moved**2, axis=1) + np.sum(((off - curve.change(moved)) @ white.T) ** 2, axis=1)
+    both, cost = np.vstack([tried, moved]), np.concatenate([left, again])
+    return np.asarray(both[np.argsort(cost)[:_STARTS]])
 
 
 def _starts(

@@ -125,15 +125,14 @@ class EtchedPredictor:
             ModelError: light or camera at or below the horizon, or a direction that the tile is not sampled for.
         """
         levels, lines = np.array(self.tile.levels_um), self.light.spectrum
+        wavelengths = np.array(lines.wavelengths_um)
+        weights = np.array(lines.weights) / wavelengths**2
         found = []
         for light, camera in zip(to_light, to_camera, strict=True):
             half = half_vector(light, camera)
             window = window_of(light, camera, self.light.optics, None)
-            mirrored = sum(
-                share
-                * radiance_scale(half, wavelength)
-                * self.orders.density(levels, half, wavelength, window)
-                for wavelength, share in zip(lines.wavelengths_um, lines.weights, strict=True)
+            mirrored = radiance_scale(half, 1.0) * float(
+                weights @ self.orders.densities(levels, half, wavelengths, window)
             )
             diffuse = material.albedo / np.pi * light[2]
             found.append(self.reflectance * ((1.0 - material.albedo) * mirrored + diffuse))

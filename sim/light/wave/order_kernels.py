@@ -34,42 +34,51 @@ def shares_inside(apart: FloatArray, radius: float, found: FloatArray) -> None:
 
 
 @jit_kernel(nogil=True, error_model="numpy")
-def power_inside(
+def powers_inside(
     spectra: npt.NDArray[np.complex64],
     phases: npt.NDArray[np.complex128],
-    frequency_x: FloatArray,
-    frequency_y: FloatArray,
-    cols: tuple[int, int],
-    rows: tuple[int, int],
+    frequency_x: tuple[float, float],
+    frequency_y: tuple[float, float],
+    wavelengths: FloatArray,
     middle: tuple[float, float],
+    half_width: tuple[float, float],
     into: tuple[float, float, float, float],
     radius: float,
-) -> float:
-    """Sum of the power of all orders in a window, each times its `share_inside`.
+    found: FloatArray,
+) -> None:
+    """Sum of the power of all orders in a window, each times its `share_inside`, at every wavelength.
 
     Args:
-        spectra: (K, Y, X) Fourier coefficients.
-        phases: (K,) wave of every level.
-        frequency_x: (X,) in cycles per µm.
-        frequency_y: (Y,) likewise.
-        cols: first column of the window, and the one after the last.
-        rows: likewise.
-        middle: (x, y) frequency of the direction.
+        spectra: (Y, X, K) Fourier coefficients.
+        phases: (L, K) wave of every level.
+        frequency_x: the first one and their distance in cycles per µm.
+        frequency_y: likewise.
+        wavelengths: (L,) in µm.
+        middle: (x, y) frequency of the direction, in cycles per wavelength.
+        half_width: of the window, likewise.
         into: matrix, row by row, from frequencies about it to those in which the larger disc is the unit circle.
         radius: of the smaller disc there.
+        found: (L,) of the sums, which are written.
     """
-    total = 0.0
-    for row in range(rows[0], rows[1]):
-        y = frequency_y[row] - middle[1]
-        for col in range(cols[0], cols[1]):
-            x = frequency_x[col] - middle[0]
-            across, along = into[0] * x + into[1] * y, into[2] * x + into[3] * y
-            apart = math.sqrt(across * across + along * along)
-            if apart < 1.0 + radius:
-                real = imaginary = 0.0
-                for k in range(phases.size):
-                    part, turned = spectra[k, row, col], phases[k]
-                    real += turned.real * part.real - turned.imag * part.imag
-                    imaginary += turned.real * part.imag + turned.imag * part.real
-                total += share_inside(apart, radius) * (real * real + imaginary * imaginary)
-    return total
+    for line in range(wavelengths.size):
+        wavelength, total = wavelengths[line], 0.0
+        at_x, at_y = middle[0] / wavelength, middle[1] / wavelength
+        wide_x, wide_y = half_width[0] / wavelength, half_width[1] / wavelength
+        first_col = math.ceil((at_x - wide_x - frequency_x[0]) / frequency_x[1])
+        last_col = math.floor((at_x + wide_x - frequency_x[0]) / frequency_x[1])
+        first_row = math.ceil((at_y - wide_y - frequency_y[0]) / frequency_y[1])
+        last_row = math.floor((at_y + wide_y - frequency_y[0]) / frequency_y[1])
+        for row in range(first_row, last_row + 1):
+            y = (frequency_y[0] + row * frequency_y[1] - at_y) * wavelength
+            for col in range(first_col, last_col + 1):
+                x = (frequency_x[0] + col * frequency_x[1] - at_x) * wavelength
+                across, along = into[0] * x + into[1] * y, into[2] * x + into[3] * y
+                apart = math.sqrt(across * across + along * along)
+                if apart < 1.0 + radius:
+                    real = imaginary = 0.0
+                    for k in range(phases.shape[1]):
+                        part, turned = spectra[row, col, k], phases[line, k]
+                        real += turned.real * part.real - turned.imag * part.imag
+                        imaginary += turned.real * part.imag + turned.imag * part.real
+                    total += share_inside(apart, radius) * (real * real + imaginary * imaginary)
+        found[line] = total

@@ -16,6 +16,7 @@ design.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -125,18 +126,31 @@ class Orders:
 
     def density(self, levels_um: FloatArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
         """Blurred mean power spectrum in one direction as `fused.density`, in µm², of (K,) heights."""
-        return self.blurred(level_phases(levels_um, wavelength_um, half.z), half, wavelength_um, window)
+        return float(self.densities(levels_um, half, np.array([wavelength_um]), window)[0])
 
-    def blurred(self, phases: ComplexArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
-        """The same of (K,) waves of the levels."""
-        middle, wide = half.frequency(wavelength_um), window.half_width(wavelength_um, half.z)
-        overlap = _Overlap.of(window, wavelength_um)
+    def densities(
+        self, levels_um: FloatArray, half: HalfVector, wavelengths_um: FloatArray, window: Window
+    ) -> FloatArray:
+        """(L,) densities at (L,) wavelengths."""
+        return self.blurred(level_phases(levels_um, wavelengths_um, half.z), half, wavelengths_um, window)
+
+    def blurred(
+        self, phases: ComplexArray, half: HalfVector, wavelengths_um: FloatArray, window: Window
+    ) -> FloatArray:
+        """The same of (L, K) waves of the levels."""
+        overlap = _Overlap.of(window, 1.0)
         if overlap.round:
-            return self._inside(overlap, middle, wide, phases)
-        waves, fx, fy = self.around(middle, wide, phases)
-        power = waves.real.astype(np.float64) ** 2 + waves.imag.astype(np.float64) ** 2
-        off = fx[None, :] - middle[0], fy[:, None] - middle[1]
-        return float(np.sum(power * overlap.density(*off)))
+            return self._inside(
+                overlap, half.frequency(1.0), window.half_width(1.0, half.z), phases, wavelengths_um
+            )
+        found = []
+        for waves_of, wavelength in zip(phases, wavelengths_um.tolist(), strict=True):
+            middle = half.frequency(wavelength)
+            waves, fx, fy = self.around(middle, window.half_width(wavelength, half.z), waves_of)
+            power = waves.real.astype(np.float64) ** 2 + waves.imag.astype(np.float64) ** 2
+            off = fx[None, :] - middle[0], fy[:, None] - middle[1]
+            found.append(float(np.sum(power * window_density(window, *off, wavelength))))
+        return np.array(found)
 
     def _inside(
         self,
@@ -144,23 +158,32 @@ class Orders:
         middle: tuple[float, float],
         half_width: tuple[float, float],
         phases: ComplexArray,
-    ) -> float:
-        """As `blurred`, of two discs that look alike: thousands of directions of every wafer."""
-        from anisoscope.sim.light.wave.order_kernels import power_inside  # noqa: PLC0415 - numba when first needed
+        wavelengths_um: FloatArray,
+    ) -> FloatArray:
+        """As `blurred`, of two discs that look alike, for thousands of directions; frequencies per wavelength."""
+        from anisoscope.sim.light.wave.order_kernels import powers_inside  # noqa: PLC0415 - numba when first needed
 
-        cols, rows = self._window(middle, half_width)
-        power: float = power_inside(
-            self.spectra,
+        shortest = float(wavelengths_um.min())
+        self._window(*((x / shortest, y / shortest) for x, y in (middle, half_width)))
+        powers = np.empty(wavelengths_um.size)
+        powers_inside(
+            self._by_order,
             phases.astype(np.complex128),
-            self.frequency_x,
-            self.frequency_y,
-            (cols.start, cols.stop),
-            (rows.start, rows.stop),
+            (self.frequency_x[0], 1.0 / self.size_um[1]),
+            (self.frequency_y[0], 1.0 / self.size_um[0]),
+            wavelengths_um,
             middle,
+            half_width,
             overlap.into,
             overlap.radius,
+            powers,
         )
-        return power / overlap.area
+        return powers / overlap.area * wavelengths_um**2
+
+    @cached_property
+    def _by_order(self) -> npt.NDArray[np.complex64]:
+        """(Y, X, K) spectra, those of an order side by side."""
+        return np.ascontiguousarray(np.moveaxis(self.spectra, 0, -1))
 
 
 def _bands(labels: npt.NDArray[np.uint8], levels: int, half: list[int]) -> Bands:
@@ -179,9 +202,11 @@ def _bands(labels: npt.NDArray[np.uint8], levels: int, half: list[int]) -> Bands
     return found
 
 
-def level_phases(levels_um: FloatArray, wavelength_um: float, h_z: float) -> npt.NDArray[np.complex128]:
-    """(K,) wave exp(−ik·2h_z·z) of every level."""
-    turns = 2.0 * h_z / wavelength_um * np.asarray(levels_um, dtype=np.float64)
+def level_phases(
+    levels_um: FloatArray, wavelength_um: FloatArray | float, h_z: float
+) -> npt.NDArray[np.complex128]:
+    """(…, K) wave exp(−ik·2h_z·z) of every level, at (…) wavelengths."""
+    turns = np.multiply.outer(2.0 * h_z / np.asarray(wavelength_um), np.asarray(levels_um, dtype=np.float64))
     return np.asarray(np.exp(-2j * np.pi * turns))
 
 
@@ -310,12 +335,15 @@ class WidthOrders:
         """At another width, and with waves of the edges."""
         return replace(self, share=share, edges=edges)
 
-    def density(self, levels_um: FloatArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
-        """As `Orders.density`, of the width that is set."""
-        phases = level_phases(levels_um, wavelength_um, half.z)
+    def densities(
+        self, levels_um: FloatArray, half: HalfVector, wavelengths_um: FloatArray, window: Window
+    ) -> FloatArray:
+        """As `Orders.densities`, of the width that is set."""
+        phases = level_phases(levels_um, wavelengths_um, half.z)
         powers = np.array([1.0, self.share + self.edges, self.share**2])
         terms = self.narrower if self.share < 0.0 else self.wider
-        return terms.blurred(np.outer(powers, phases).ravel(), half, wavelength_um, window)
+        waves = (powers[:, None] * phases[:, None, :]).reshape(len(phases), -1)
+        return terms.blurred(waves, half, wavelengths_um, window)
 
 
 def _parabola(middle: Orders, near: Orders, far: Orders, side: float) -> Orders:

@@ -192,13 +192,17 @@ def test_a_wafer_of_two_passes_is_no_farther_than_its_own_state(of_two_passes):
 
 
 def test_the_distance_falls_where_more_is_uncertain(of_two_passes):
-    wide = expectation(of_two_passes(0.08), 0.0, OPTICS)
-    basis, own = log_basis(6), 2.5e-5 * np.eye(5)
+    """Whatever is uncertain; and no state of a single input is nearer than the nearest one of all."""
+    wide, basis, own = expectation(of_two_passes(0.08), 0.0, OPTICS).states, log_basis(6), 2.5e-5 * np.eye(5)
     rng = np.random.default_rng(2)
-    seen = basis @ wide.states.change(1.5 * rng.standard_normal(len(wide.states.sources)))
-    found = [
-        nearest_anywhere(expectation(of_two_passes(u_deg), 0.0, OPTICS).states, basis, seen, own)[0]
-        for u_deg in (0.05, 0.055, 0.06, 0.07, 0.08)
+    seen = basis @ wide.change(1.5 * rng.standard_normal(len(wide.sources)))
+    narrow = [
+        expectation(of_two_passes(u), 0.0, OPTICS).states for u in (0.045, 0.05, 0.051, 0.055, 0.06, 0.07)
     ]
+    found = [nearest_anywhere(states, basis, seen, own)[0] for states in (*narrow, wide)]
     assert found[0] > 1.0
-    assert max(np.diff(found)) < 0.1 * found[0]
+    assert max(np.diff(found)) < 0.02 * found[0]
+    alone = np.vstack([z * np.eye(len(wide.sources)) for z in np.linspace(-4.0, 4.0, 17)])
+    rest = seen - wide.change(alone) @ basis.T
+    each = np.sum(alone**2, axis=1) + np.sum(rest @ np.linalg.inv(own) * rest, axis=1)
+    assert found[-1] <= each.min()

@@ -30,7 +30,7 @@ def test_any_width_is_that_which_is_drawn(tile, series, share, tilt_deg):
     half, levels = half_vector(UP, to_camera), np.array(tile.levels_um)
     window = Window(Extent("disc", 0.06), Extent("disc", 0.1))
     drawn = Orders.of(tile.widened(share * STEP_UM)).density(levels, half, WAVELENGTH_UM, window)
-    found = series.at(share).density(levels, half, WAVELENGTH_UM, window)
+    found = series.at(share).densities(levels, half, np.array([WAVELENGTH_UM]), window)[0]
     assert found == pytest.approx(drawn, rel=1e-6 if abs(share) <= 1.0 else 1e-4)
     if share == 2.0:  # and the width matters
-        assert abs(series.density(levels, half, WAVELENGTH_UM, window) / drawn - 1.0) > 0.01
+        assert abs(series.densities(levels, half, np.array([WAVELENGTH_UM]), window)[0] / drawn - 1.0) > 0.01
