@@ -1,19 +1,34 @@
 """Etched wafers as a kind of part: their prediction from the diffraction orders of the tile, with its uncertainty."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cause_words import CauseWords
+from anisoscope.base.progress import Advance, silent
+from anisoscope.decision.decision import Decision
 from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.imaging.defect_regions import find_regions
+from anisoscope.imaging.deviation_map import (
+    LEAST_SCATTER,
+    LEAST_SPREAD,
+    MOST_LOG,
+    SCATTERS,
+    CellMap,
+    judge_area,
+)
 from anisoscope.imaging.part_turn import check_follows
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.predicted_cells import even_cells
 from anisoscope.imaging.quality_gates import check_edges
 from anisoscope.imaging.registration.placement import View
 from anisoscope.imaging.views import clipped_at_white
+from anisoscope.kinds.kind import Explanation, Sitting
+from anisoscope.kinds.parts import Reference
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.kinds.wafers.causes import WAFER_CAUSES, WAFER_WORDS
 from anisoscope.kinds.wafers.etched import EtchedPredictor
@@ -35,7 +50,10 @@ from anisoscope.prediction.input_doubt import NEGLIGIBLE
 from anisoscope.prediction.optics_selection import optics_for
 from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
-from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
+from anisoscope.record.schema import AreaRecord, DiagnosisRecord, RegionRecord
+from anisoscope.record.verdict import Verdict
+from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
 DRAWN_UM = 64.0
@@ -147,6 +165,96 @@ def without_grain(cells: FloatArray) -> FloatArray:
     return np.asarray((tiles / np.median(tiles, axis=(1, 3), keepdims=True)).reshape(cells.shape))
 
 
+LEAST_TILES = 5
+"""Tiles from which on their median is that of good ones, though two of them are marked at the same place."""
+LIMIT_ERROR = 6.5
+"""Standard error of the limit of the scores, in their spread over the root of their number."""
+_TREND_ROUNDS = 3
+
+
+def die_to_die(measured: Measured, poses: tuple[Pose, ...]) -> CellMap | None:
+    """How the cells differ from those at their place in the other tiles; None where the tiles are too few.
+
+    No prediction takes part. What changes evenly across the region, as of lamp and flat, is no deviation.
+
+    Args:
+        measured: the wafer, whose cells are quarters of a tile.
+        poses: of the recipe.
+    """
+    count, rows, cols = measured.cells.shape
+    if rows * cols < LEAST_TILES * CELLS_PER_PITCH**2:
+        return None
+    off = np.clip(np.log(without_grain(measured.cells)), -MOST_LOG, MOST_LOG).reshape(count, -1)
+    y, x = (one.ravel() for one in np.mgrid[-1.0 : 1.0 : rows * 1j, -1.0 : 1.0 : cols * 1j])
+    plane, scatter = np.stack([np.ones(rows * cols), x, y], axis=1), np.zeros((count, 1))
+    trend = np.zeros_like(off)
+    for _ in range(_TREND_ROUNDS):
+        rest = np.abs(off - trend)
+        scatter = np.maximum(1.4826 * np.median(rest, axis=1), LEAST_SCATTER)[:, None]
+        near = rest < 3.0 * scatter
+        trend = np.array(
+            [plane @ np.linalg.lstsq(plane[k], one[k])[0] for k, one in zip(near, off, strict=True)]
+        )
+    left = np.reshape(off - trend, measured.cells.shape)
+    score = np.log1p(np.sum((left / scatter[..., None]) ** 2, axis=0))
+    middle, low = np.quantile(score, [0.5, 0.16])
+    spread = max(float(middle - low), LEAST_SPREAD)
+    limit, pairs = float(middle) + SCATTERS * spread, consecutive_pairs(poses)
+    widths = np.sqrt(np.expm1(limit)) * scatter[:, 0]
+    return CellMap(
+        score,
+        limit,
+        np.stack([left[i] - left[j] for i, j in pairs]),
+        np.array([float(np.hypot(widths[i], widths[j])) for i, j in pairs]),
+        spread * LIMIT_ERROR / np.sqrt(score.size),
+    )
+
+
+Local = tuple[AreaRecord, tuple[RegionRecord, ...], CellMap, npt.NDArray[np.bool_]]
+
+
+def local_decision(
+    measured: Measured, poses: tuple[Pose, ...], marked_share: float, coverage: float
+) -> Local | None:
+    """Area of the cells that are unlike those of the other tiles, its regions, the map, and where; None of few tiles.
+
+    Args:
+        measured: the wafer.
+        poses: of the recipe.
+        marked_share: largest share of the area; a single cell is never more than the limit.
+        coverage: guard band by the standard uncertainty of the share.
+    """
+    cells = die_to_die(measured, poses)
+    if cells is None:
+        return None
+    rule = AreaPart(max_share=max(marked_share, 1.0 / cells.score.size))
+    area, over = judge_area(measured, cells, rule, coverage)
+    assert area is not None
+    assert over is not None
+    return area, find_regions(cells, measured.grid), cells, over
+
+
+def _with_local(decided: Decision, local: Local) -> Decision:
+    """The decision with what the tiles say of each other; FAIL goes before INCONCLUSIVE."""
+    area, regions, cells, over = local
+    line = f"{area.share:.1%} of the area differs from the same place of the other tiles (limit {area.max_share:.1%})"
+    order = (Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS)
+    verdict = min(decided.verdict, area.verdict, key=order.index)
+    own = decided.reasons if decided.verdict is verdict else ()
+    reasons = (line, *own) if area.verdict is verdict is not Verdict.PASS else own
+    return replace(
+        decided, verdict=verdict, reasons=reasons, area=area, regions=regions, cells=cells, deviating=over
+    )
+
+
+def _by_means(recipe: WaferRecipe, decided: Decision) -> tuple[WaferRecipe, Decision]:
+    """Recipe and decision for the diagnosis: without places, and without faults of the rig where marks fail."""
+    if decided.area is not None and decided.area.verdict is Verdict.FAIL:
+        rule = recipe.decision.model_copy(update={"rig_faults": False})
+        recipe = recipe.model_copy(update={"decision": rule})
+    return recipe, replace(decided, area=None, deviating=None)
+
+
 class Wafers(SurfaceKind[WaferRecipe]):
     """Mirrors with steps: their contrasts under rotation and tilt, predicted by waves.
 
@@ -173,12 +281,15 @@ class Wafers(SurfaceKind[WaferRecipe]):
     def as_recorded(self, recipe: WaferRecipe, recorded: Mapping[str, Any]) -> WaferRecipe:
         """As of all surfaces; a record that does not state ``step_edges_nm`` was judged without waves of the edges.
 
-        One that states no sizes of defects was judged without their limits.
+        One that states no sizes of defects was judged without their limits, and without its tiles among each other.
         """
         recipe = super().as_recorded(recipe, recorded)
         if "etch_depth_nm" not in recorded.get("defects", {}):
             unsized = recipe.defects.model_copy(update={"etch_depth_nm": None, "etch_width_nm": None})
             recipe = recipe.model_copy(update={"defects": unsized})
+        if "marked_share" not in recorded.get("defects", {}):
+            unmarked = recipe.defects.model_copy(update={"marked_share": None})
+            recipe = recipe.model_copy(update={"defects": unmarked})
         if "step_edges_nm" in recorded.get("uncertainty", {}):
             return recipe
         stated = recipe.uncertainty.model_copy(update={"step_edges_nm": 0.0})
@@ -189,6 +300,55 @@ class Wafers(SurfaceKind[WaferRecipe]):
         stages_deg = [view.stage_deg for view in views]
         notes = check_edges(without_grain(measured.cells), measured.grid, recipe)
         return notes + check_follows(measured.aligned, stages_deg, recipe.limits.part_turn_deg)
+
+    def decide(
+        self,
+        sitting: Sitting,
+        recipe: WaferRecipe,
+        expected: Expectation,
+        measured: Measured,
+        reference: Reference | None,
+    ) -> Decision:
+        """As of all surfaces, and by the tiles among each other, which need no prediction."""
+        decided = super().decide(sitting, recipe, expected, measured, reference)
+        share = recipe.defects.marked_share
+        local = (
+            None
+            if share is None
+            else local_decision(measured, expected.poses, share, recipe.decision.coverage)
+        )
+        return decided if local is None else _with_local(decided, local)
+
+    def diagnose(
+        self,
+        sitting: Sitting,
+        recipe: WaferRecipe,
+        expected: Expectation,
+        measured: Measured,
+        decided: Decision,
+        reference: Reference | None,
+        advance: Advance = silent,
+        *,
+        cached: bool = False,
+    ) -> Explanation:
+        """Causes by the means alone, whose signatures know no places; marks are no fault of the rig."""
+        recipe, decided = _by_means(recipe, decided)
+        return super().diagnose(
+            sitting, recipe, expected, measured, decided, reference, advance, cached=cached
+        )
+
+    def taken_back(
+        self,
+        recipe: WaferRecipe,
+        expected: Expectation,
+        measured: Measured,
+        decided: Decision,
+        *,
+        light_watched: bool,
+    ) -> tuple[DiagnosisRecord, str] | None:
+        """As of all surfaces, by the means alone."""
+        recipe, decided = _by_means(recipe, decided)
+        return super().taken_back(recipe, expected, measured, decided, light_watched=light_watched)
 
     def predicted_cells(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured

@@ -43,11 +43,13 @@ class WaferUncertainty(RigUncertainty):
 class WaferDefects(DefectsPart):
     """Smallest interesting sizes of the defects of a wafer; None tests for none. Those of ridges are of no account.
 
-    ``etch_depth_nm``: all passes too deep or too shallow; ``etch_width_nm``: features too wide or too narrow.
+    ``etch_depth_nm``: all passes too deep or too shallow; ``etch_width_nm``: features too wide or too narrow;
+    ``marked_share``: of the area in cells that differ from those at their place in the other tiles.
     """
 
     etch_depth_nm: Positive | None = 15.0
     etch_width_nm: Positive | None = 500.0
+    marked_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = 0.005
 
     @property
     def of_wafers(self) -> tuple[NamedDefect, ...]:
