@@ -34,7 +34,7 @@ _FIRST = {3: 5, 4: 4}  # level of the even grid from which cells are halved
 _DRAWS = {3: 8, 4: 4}  # directions in a cell
 _ROOTS = {3: 1.2207440846057596, 4: 1.1673039782614187}  # of x⁴ = x + 1 and x⁵ = x + 1
 _RELATIVE, _OF_PEAK = 0.05, 0.002  # a cell is halved where its halves differ by more
-_PIECE = 1 << 19
+_PIECE = 1 << 15
 _BYTES_A_VALUE = 100
 _DEEPEST = 32
 
