@@ -91,8 +91,8 @@ def _npz(path: Path, factor: float) -> _Arrays:
             with archive.open(info) as entry:
                 content = entry.read(info.file_size + 1)
             if info.filename == "pixel_um.npy":
-                numbers = np.load(BytesIO(content), allow_pickle=False)
-                pixel = (float(numbers[0]), float(numbers[1]))
+                y, x = np.broadcast_to(np.load(BytesIO(content), allow_pickle=False), 2).tolist()
+                pixel = (float(y), float(x))
                 continue
             key, name = info.filename.removesuffix(".npy"), f"{path.name}/{info.filename}"
             layer = key in LAYERS and HEIGHT in archive.namelist()
@@ -110,8 +110,8 @@ def read_array(
     """Read an npy or npz file: (rows, cols) heights, rows along y; NaN and infinity are missing.
 
     Args:
-        path: the file. An npz archive holds one array, and may hold ``pixel_um`` (y, x); with ``height_um`` it may hold
-            the layers ``intensity`` (rows, cols) and ``colour`` (rows, cols, 3) too.
+        path: the file. An npz archive holds one array, and may hold ``pixel_um`` (y, x) or one number; with
+            ``height_um`` it may hold the layers ``intensity`` (rows, cols) and ``colour`` (rows, cols, 3) too.
         pixel_um: (y, x) pixel size in µm; needed for npy.
         z_unit: unit of the heights: um, nm, mm or m.
 

@@ -162,6 +162,8 @@ def test_npz_with_one_array(tmp_path):
     np.savez(tmp_path / "a.npz", height=np.eye(3), pixel_um=[2.0, 1.0])
     surface = read_height_map(tmp_path / "a.npz")
     assert (surface.pixel_y_um, surface.pixel_x_um) == PIXEL
+    np.savez(tmp_path / "one.npz", height=np.eye(3), pixel_um=0.5)
+    assert read_height_map(tmp_path / "one.npz").pixel_y_um == 0.5
     np.savez(tmp_path / "b.npz", a=np.eye(3), b=np.eye(3))
     with pytest.raises(HeightMapError, match="one array"):
         read_height_map(tmp_path / "b.npz", pixel_um=PIXEL)
