@@ -27,7 +27,7 @@ from anisoscope.rig.acquisition.interruptions import undisturbed
 
 Result = TypeVar("Result")
 PORTION = 512
-"""Tasks after which those done are kept whatever happens to a process."""
+"""Tasks of a portion: results of a finished one outlive a process that ends."""
 
 CONNECT_TIMEOUT_S = 5.0
 NO_WORKERS_TIMEOUT_S = 20.0
