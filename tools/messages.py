@@ -69,6 +69,7 @@ SENTENCES = {
         "blind_to",
         "surface_finding",
         "_contrast_finding",
+        "_form_finding",
         "_finding",
     ),
     "inspect/decision/certificate.py": {"message"},
@@ -82,6 +83,8 @@ SENTENCES = {
         "_alike",
         "_of_the_lot",
         "_of_tolerance",
+        "_of_length",
+        "_of_form",
         "_limit_of",
     ),
     "inspect/diagnosis/part_diagnosis.py": ("explain", "_summary"),
@@ -313,7 +316,14 @@ def _tables() -> Iterator[str]:
         yield from (words for _, words in names)
     yield from (*NUMBER_WORDS.values(), " and ".join(f"{tilt:g}°" for tilt in TILTS_DEG))
     yield from (*nelson.RULES.values(), *nelson.MEANING.values())
-    yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR, rule.EXCLUDED_RULE, rule.OPEN_CRITERION)
+    yield from (
+        rule.AREA_OUTSIDE,
+        rule.AREA_NEAR,
+        rule.FORM_OUTSIDE,
+        rule.FORM_NEAR,
+        rule.EXCLUDED_RULE,
+        rule.OPEN_CRITERION,
+    )
     for name in ("ridges", "wafers", "prints", "plates"):
         for key, words in kind_named(name).cause_words.items():
             yield key.replace("-", " ")

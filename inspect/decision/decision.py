@@ -21,6 +21,7 @@ from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.decision.surface_exclusion import excluded_of, lacking_text, parts_needed, remedy_text
 from anisoscope.imaging.defect_regions import find_regions
 from anisoscope.imaging.deviation_map import CROWDED, CellMap, cell_map, judge_area
+from anisoscope.imaging.part_form import FormDeviation
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.parameters.geometry import Pose
 from anisoscope.prediction.expectation import Component, Expectation
@@ -30,6 +31,7 @@ from anisoscope.record.schema import (
     AreaRecord,
     BudgetRecord,
     ContrastRecord,
+    FormRecord,
     RegionRecord,
     TiltContrastRecord,
 )
@@ -61,6 +63,7 @@ class Decision:
         predictive: the test against golden parts by the stated scatter, or None.
         exclusions: largest sizes of the named defects that the part may have, one at a time; none where no response is
             known, or the part deviates.
+        form: largest lean of the facets over several ridges, judged; None where unknown or without a limit.
     """
 
     verdict: Verdict
@@ -79,6 +82,7 @@ class Decision:
     between_tilts: tuple[TiltContrastRecord, ...]
     predictive: PredictiveTest | None = None
     exclusions: tuple[Exclusion, ...] = ()
+    form: FormRecord | None = None
 
     @property
     def golden(self) -> int:
@@ -105,6 +109,7 @@ def decide(
     exclude: bool = True,
     waiting: bool = False,
     left_out: tuple[str, ...] = (),
+    form: FormDeviation | None = None,
 ) -> Decision:
     """Decide on a part.
 
@@ -118,6 +123,7 @@ def decide(
         exclude: find out which defects are excluded of a part that does not deviate.
         waiting: the part is of a lot of which too few others are known.
         left_out: serial numbers of parts of the lot that deviate from the others.
+        form: largest departure of the facets' lean from a plane, where it is known.
 
     Raises:
         MeasurementError: no uncertainty is stated, so that no distance is defined; or too few golden parts.
@@ -153,13 +159,15 @@ def decide(
     if cells is not None and golden is not None and not of_lot:
         cells = cells.by(golden.cell_limits)
     area, deviating = judge_area(measured, cells, recipe.area, rule.coverage)
+    most = None if recipe.area is None else recipe.area.max_lean_deg
+    shape = None if form is None or most is None else form.record(most, rule.coverage)
     regions = () if cells is None else find_regions(cells, measured.grid)
     where = "; ".join(_where(pairs, rule.alpha)) or ", ".join(
         deviating_between_tilts(expected, measured, rule.alpha)
     )
     named = predictive if decisive is not None else None
     like = None if named is None else named.strongest
-    verdict, reasons = _combine(pairs, p_value, area, rule, _alike(decisive), where, like)
+    verdict, reasons = _combine(pairs, p_value, area, shape, rule, _alike(decisive), where, like)
     verdict, reasons = _with_marks(verdict, reasons, measured, cells)
     if verdict is Verdict.PASS and (
         blind := _blind(predictive, recipe, 0 if golden is None else len(golden.parts))
@@ -204,6 +212,7 @@ def decide(
         between_tilts(expected, measured, rule.contrast),
         predictive,
         exclusions,
+        shape,
     )
 
 
@@ -325,6 +334,7 @@ def _combine(
     pairs: tuple[ContrastRecord, ...],
     p_value: float,
     area: AreaRecord | None,
+    form: FormRecord | None,
     rule: DecisionPart,
     alike: str,
     where: str,
@@ -339,6 +349,10 @@ def _combine(
     if area is not None:
         line = f"{area.share:.1%} of the area deviates in the contrast map (limit {area.max_share:.1%})"
         findings.append((area.verdict, line))
+        if area.max_length_um is not None:
+            findings.append((Verdict.FAIL if area.too_long else Verdict.PASS, _of_length(area)))
+    if form is not None:
+        findings.append((form.verdict, _of_form(form)))
     significant = p_value < rule.alpha
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
     line = f"all contrasts together: p {p_value_text(p_value)} for a part {alike} (level {rule.alpha:g})"
@@ -370,6 +384,32 @@ def _with_marks(
         return verdict, reasons
     own = reasons if verdict is Verdict.FAIL else ()
     return Verdict.FAIL, (_of_mirroring(measured.mirroring), *own)
+
+
+def _of_length(area: AreaRecord) -> str:
+    length, limit = f"{area.longest_um:.0f}", f"{area.max_length_um:g}"
+    if not area.too_long:
+        return f"the longest mark is {length} µm long (limit {limit} µm)"
+    x, y = area.longest_at or (0.0, 0.0)
+    return f"a mark is {length} µm long (limit {limit} µm), at x {x:+.2f} mm, y {y:+.2f} mm"
+
+
+def _of_form(form: FormRecord) -> str:
+    lean, u, limit = f"{form.lean_deg:.2g}", f"{2.0 * form.u_deg:.1g}", f"{form.max_lean_deg:g}"
+    where, depth = f"x {form.x:+.2f} mm, y {form.y:+.2f} mm", f"{abs(form.depth_um):.1f}"
+    if form.verdict == Verdict.PASS:
+        return (
+            f"the facets of several ridges lean by {lean}° ± {u}° (k = 2) from those around (limit {limit}°)"
+        )
+    if form.depth_um > 0.0:
+        return (
+            f"over several ridges the facets lean by {lean}° ± {u}° (k = 2) from those around (limit {limit}°), at "
+            f"{where}: the surface sinks in by about {depth} µm"
+        )
+    return (
+        f"over several ridges the facets lean by {lean}° ± {u}° (k = 2) from those around (limit {limit}°), at "
+        f"{where}: the surface stands out by about {depth} µm"
+    )
 
 
 def _of_mirroring(cells: npt.NDArray[np.bool_]) -> str:

@@ -7,6 +7,7 @@ roughness are fitted to the medians of the part, then the lean of every cell. Wh
 ridges it is held. A cell that no lean explains is left out: there is no facet, or something on it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,9 +19,10 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, UsageError
 from anisoscope.imaging.phase_map import PhaseMap, phases_of
 from anisoscope.imaging.pose_radiance import Image, Measured
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.prediction.expectation import Expectation
+from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.part_scatter import with_design
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.recipe_models import rig_of
@@ -208,7 +210,7 @@ def angle_map(
     if not measured.aligned:
         raise MeasurementError("the pictures of the part are not kept: the angle map is made from its frames")
     recipe = with_design(recipe.deciding())
-    scene = _Scene(recipe, expected)
+    scene = _Scene(recipe, expected.poses, expected.convention, expected.components)
     pixel_um = measured.grid.pixel_mm * 1000.0
     phases = phases_of(measured, scene.design.pitch_um, scene.wall)
     cells = _Cells.of(phases, scene.design, pixel_um, cell_um)
@@ -271,7 +273,8 @@ def planned_worth(recipe: SurfaceRecipe, expected: Expectation) -> str:
     Raises:
         HeightMapError: the recipe's height map has no ridges.
     """
-    scene = _Scene(with_design(recipe.deciding()), expected)
+    ideal = with_design(recipe.deciding())
+    scene = _Scene(ideal, expected.poses, expected.convention, expected.components)
     lean = scene.design.ridge_angle_deg
     part = _part(scene, scene.log_radiance(np.array([lean]), np.zeros(1), scene.material)[:, 0])
     along = "the lean along the ridges too"
@@ -281,6 +284,57 @@ def planned_worth(recipe: SurfaceRecipe, expected: Expectation) -> str:
         f"angle map: tells the mean lean of the facets across the ridges to ± {2.0 * part.u_lean_deg:.2g}° (k = 2), "
         f"their roughness to ± {200.0 * part.u_alpha:.2g} %, {along}"
     )
+
+
+def poses_for_angles(
+    recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention, count: int
+) -> list[int]:
+    """Poses by which the lean of a facet is known best across and along the ridges, though its roughness is not.
+
+    One pose after the other, each for the smallest sum of both variances. A pose is worth most where ln L is steep and
+    blind to roughness, which is about where facet and half vector are atan α apart.
+
+    Args:
+        recipe: of ridges.
+        poses: allowed ones.
+        convention: of the angles.
+        count: how many.
+
+    Returns:
+        Their numbers, the most valuable first.
+
+    Raises:
+        HeightMapError: the recipe's height map has no ridges.
+    """
+    scene = _Scene(recipe, poses, convention)
+    lean, h, none = scene.design.ridge_angle_deg, 0.1, np.zeros(2)
+    around = np.array([lean + h, lean - h])
+    across, along, rough = (
+        np.diff(seen[:, ::-1], axis=1)[:, 0] / step
+        for seen, step in (
+            (scene.log_radiance(around, none, scene.material), 2.0 * h),
+            (scene.log_radiance(np.full(2, lean), around - lean, scene.material), 2.0 * h),
+            (
+                np.hstack(
+                    [
+                        scene.log_radiance(np.array([lean]), none[:1], scene.rougher(1.0 + sign * h))
+                        for sign in (1.0, -1.0)
+                    ]
+                ),
+                float(np.log((1.0 + h) / (1.0 - h))),
+            ),
+        )
+    )
+    slopes = np.stack([across, along, rough], axis=1) / np.hypot(MODEL_ERROR, scene.doubt())[:, None]
+    information = np.diag([U_LEAN_DEG**-2.0, U_LEAN_DEG**-2.0, U_ALPHA_SHARE**-2.0])
+    chosen: list[int] = []
+    for _ in range(count):
+        each = np.linalg.inv(information + slopes[:, :, None] * slopes[:, None, :])
+        worth = each[:, 0, 0] + each[:, 1, 1]
+        worth[chosen] = np.inf
+        chosen.append(int(np.argmin(worth)))
+        information = information + np.outer(slopes[chosen[-1]], slopes[chosen[-1]])
+    return chosen
 
 
 def _limit(poses: int) -> float:
@@ -298,12 +352,18 @@ def _median_chi2(freedom: int) -> float:
 class _Scene:
     """Radiance of facets of any lean in the poses of a recipe with a design."""
 
-    def __init__(self, recipe: SurfaceRecipe, expected: Expectation) -> None:
-        self.recipe, self.expected = recipe, expected
+    def __init__(
+        self,
+        recipe: SurfaceRecipe,
+        poses: tuple[Pose, ...],
+        convention: Convention,
+        components: Sequence[Component] = (),
+    ) -> None:
+        self.recipe, self.components = recipe, components
         self.design = recipe.surface.ridge_design()
         self.material = recipe.material.material()
-        self.to_light, self.to_camera = directions(expected.poses, expected.convention)
-        optics = rig_of(recipe, expected.poses, expected.convention).optics
+        self.to_light, self.to_camera = directions(poses, convention)
+        optics = rig_of(recipe, poses, convention).optics
         self.beams = bundle(self.to_light, self.to_camera, optics)
 
     @property
@@ -493,7 +553,7 @@ def _part(scene: _Scene, medians: FloatArray) -> _PartLean:
     # how ln L of the poses moves the three: what all cells share is carried over
     carried = inner @ jacobian[:poses].T / doubt
     variance = inner[0, 0]
-    for one in scene.expected.components:
+    for one in scene.components:
         if one.source.endswith(_NOT_ADDED):
             continue
         moved = carried[0] * one.relative

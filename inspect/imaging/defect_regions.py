@@ -98,12 +98,10 @@ def _region(
     rows, cols = np.nonzero(inside)
     along, across = grid.size_mm
     step_y, step_x = along / inside.shape[0], across / inside.shape[1]
-    turn = np.radians(grid.turn_deg)
-    u = (cols.mean() - 0.5 * (inside.shape[1] - 1)) * step_x
-    v = (0.5 * (inside.shape[0] - 1) - rows.mean()) * step_y
+    x, y = grid.of_cell(rows.mean(), cols.mean(), inside.shape)
     return RegionRecord(
-        x=grid.center_mm[0] + np.cos(turn) * u - np.sin(turn) * v,
-        y=grid.center_mm[1] + np.sin(turn) * u + np.cos(turn) * v,
+        x=x,
+        y=y,
         width=(np.ptp(cols) + 1) * step_x,
         length=(np.ptp(rows) + 1) * step_y,
         area_share=inside.mean(),

@@ -23,6 +23,7 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.imaging.mark_classes import MarkSigns
 from anisoscope.imaging.phase_map import phase_map, phases_of
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Image, Measured
+from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Pose
 from anisoscope.recipe.surface import MOST_DEVIATION, AreaPart, SurfaceRecipe
 from anisoscope.record.schema import AreaRecord
@@ -59,6 +60,8 @@ CROWDED = 1.4
 """Limit by all cells over that by the calm points from which on marks have raised it, no texture."""
 LEAST_BLUR = 0.3
 """Standard deviation in points below which an average is of one point."""
+CLEAR = 1.15
+"""Score over the limit of cells whose groups are measured: by chance a good part has groups of a few cells of less."""
 _SAMPLE = 2000
 """Points of a bin that determine its medians and covariance."""
 _ROUNDS = 4
@@ -386,4 +389,26 @@ def judge_area(
         cell_deviations=tuple(map(float, cells.thresholds)),
         limit=cells.limit,
     )
+    if rule.max_length_um is not None:
+        longest_um, place = _longest(cells.score > CLEAR * cells.limit, measured.grid)
+        area = area.model_copy(
+            update={"longest_um": longest_um, "longest_at": place, "max_length_um": rule.max_length_um}
+        )
     return area, over
+
+
+def _longest(clear: npt.NDArray[np.bool_], grid: Grid) -> tuple[float, tuple[float, float] | None]:
+    """Length in µm of the longest group of touching cells, in any direction, and its middle in mm."""
+    count, labels = cv2.connectedComponents(clear.astype(np.uint8), connectivity=8)
+    along, across = (size / cells for size, cells in zip(grid.size_mm, clear.shape, strict=True))
+    longest, middle = 0.0, None
+    for label in range(1, count):
+        rows, cols = np.nonzero(labels == label)
+        length = float(np.ptp(np.stack([cols * across, rows * along], axis=1) @ _WAYS, axis=0).max())
+        if length + min(along, across) > longest:
+            longest = length + min(along, across)
+            middle = grid.of_cell(rows.mean(), cols.mean(), clear.shape)
+    return 1000.0 * longest, middle
+
+
+_WAYS = np.stack([function(np.linspace(0.0, np.pi, 12, endpoint=False)) for function in (np.cos, np.sin)])

@@ -12,7 +12,14 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.cause_words import CauseWords
-from anisoscope.base.errors import AnisoscopeError, CalibrationError, HeightMapError, ModelError, UsageError
+from anisoscope.base.errors import (
+    AnisoscopeError,
+    CalibrationError,
+    HeightMapError,
+    MeasurementError,
+    ModelError,
+    UsageError,
+)
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import bounded_text
@@ -35,6 +42,14 @@ from anisoscope.imaging.angle_map import AngleMap
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import signed_scores
 from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map, remember
+from anisoscope.imaging.part_form import (
+    FORM,
+    FormDeviation,
+    form_arrays,
+    form_deviation,
+    form_known,
+    remember_form,
+)
 from anisoscope.imaging.pose_radiance import (
     CELLS_PER_PITCH,
     STAGE_ANGLE,
@@ -124,6 +139,8 @@ MEASURED_BY = (
 """Keys of a recipe that the measurement depends on; all others concern the prediction or the decision."""
 PRIOR_PARTS = 30
 """Number of golden parts as which the stated scatter counted before they showed its size."""
+JUDGED_LATER = ("max_length_um", "max_lean_deg")
+"""Limits of the area that records of earlier versions do not name."""
 HEIGHT_MAP = "height map"
 MATERIAL = "material"
 
@@ -234,6 +251,18 @@ class SurfaceKind(
         del recipe, expected, measured
         return None
 
+    def form(self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured) -> FormDeviation | None:
+        """Largest lean of the facets over several ridges; None where no facets are seen."""
+        known = form_known(measured)
+        facets = self.facets(recipe, expected, measured) if known is None and measured.aligned else None
+        if isinstance(facets, AngleMap):
+            try:
+                known = form_deviation(facets)
+            except MeasurementError:
+                return None
+            remember_form(measured, known)
+        return known
+
     def match_map(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
     ) -> tuple[MapPlaceRecord | None, str | None]:
@@ -283,7 +312,17 @@ class SurfaceKind(
                 covariance = scatter_of(parts, measured).covariance
                 golden, left_out = golden.alike(np.log(measured.radiance), covariance)
         waiting = isinstance(reference, GoldenSet) and reference.lot is not None
-        return decide(expected, measured, recipe, golden, parts, waiting=waiting, left_out=left_out)
+        judged = recipe.area is not None and recipe.area.max_lean_deg is not None
+        return decide(
+            expected,
+            measured,
+            recipe,
+            golden,
+            parts,
+            waiting=waiting,
+            left_out=left_out,
+            form=self.form(recipe, expected, measured) if judged else None,
+        )
 
     def kept(self, recipe: RecipeT, measured: Measured) -> Mapping[str, Any]:
         """Radiances, cells and how they deviate, uncertainties; the pictures are in the frames."""
@@ -308,6 +347,7 @@ class SurfaceKind(
                 if recipe.area is None
                 else {f"local_{k}": v for k, v in cell_map(measured, recipe).arrays().items()}
             ),
+            **form_arrays(measured),
         }
 
     def needs_frames(self, recorded: Mapping[str, Any], recipe: RecipeT) -> str | None:
@@ -355,6 +395,7 @@ class SurfaceKind(
             between_tilts=decided.between_tilts,
             area=decided.area,
             regions=decided.regions,
+            form=decided.form,
             exclusions=tuple(one.record() for one in decided.exclusions),
         )
         return Results(
@@ -511,7 +552,7 @@ class SurfaceKind(
         )
 
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
-        """Direct light, sampled walls, a known lobe, no test for wear, golden parts by their own scatter: as recorded.
+        """As recorded: direct light, sampled walls, a known lobe, no test of wear or form, golden parts by own scatter.
 
         Uncertainties of the plastic are the recorded ones: their defaults were others. Scatter of parts that a record
         states without `in_prediction` was of golden parts only; against them it counted as that of 30 parts. Crests
@@ -542,6 +583,9 @@ class SurfaceKind(
         )
         if "rig_faults" not in recorded.get("decision", {}):
             changes["decision"] = recipe.decision.model_copy(update={"rig_faults": False})
+        if recipe.area is not None:
+            then_none = {name: None for name in JUDGED_LATER if name not in (recorded.get("area") or {})}
+            changes["area"] = recipe.area.model_copy(update=then_none)
         if "wear_um" not in recorded.get("defects", {}):
             changes["defects"] = recipe.defects.model_copy(update={"wear_um": None})
         return recipe.model_copy(update=changes)
@@ -859,4 +903,6 @@ def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Meas
         local = {name: np.asarray(kept[f"local_{name}"]) for name in names}
         values: dict[str, Any] = {k: v.item() if v.ndim == 0 else v for k, v in local.items()}
         remember(found, CellMap(**values))
+    if FORM in kept:
+        remember_form(found, FormDeviation(*map(float, kept[FORM])))
     return found

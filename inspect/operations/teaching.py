@@ -131,6 +131,7 @@ def suggest_poses(
     ignore: Sequence[str] = ("roughness along",),
     u_pose: float = 0.003,
     power: float = 0.9,
+    angle_map: bool = False,
     rig: Path | str | None = None,
     light_angle_deg: float = 10.0,
     on_progress: Advance = silent,
@@ -146,6 +147,7 @@ def suggest_poses(
         ignore: first words of names of defects that need not be shown.
         u_pose: relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
         power: required probability of finding each defect.
+        angle_map: three of the poses, or all but one, tell the lean of the facets best: across and along the ridges.
         rig: rig file, for its light angle and white reference.
         light_angle_deg: angle of the light, without a rig file.
         on_progress: called with the work being done, steps done and steps in all.
@@ -165,7 +167,19 @@ def suggest_poses(
     sized, asked = with_sizes(rules, defects)
     rig_file = None if rig is None else read_rig(Path(rig), channel=rules.acquisition.light_channel)
     angle = light_angle_deg if rig_file is None else rig_file.light.angle_deg
-    found = best_poses(sized, angle, poses, angles_deg, tilts_deg, u_pose, power, ignore, on_progress, asked)
+    found = best_poses(
+        sized,
+        angle,
+        poses,
+        angles_deg,
+        tilts_deg,
+        u_pose,
+        power,
+        ignore,
+        on_progress,
+        asked,
+        angle_map=angle_map,
+    )
     listed = ", ".join(f"[{stage:g}, {tilt:g}]" for stage, tilt in found.poses)
     reached = [frames for _, frames in sorted(found.frames.items()) if frames is not None]
     lines = ["[poses]", f"stage_and_tilt_deg = [{listed}]", "[acquisition]"]

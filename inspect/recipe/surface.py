@@ -310,6 +310,8 @@ NO_CELL_DEVIATION = (
 class AreaPart(Part):
     """Decision rule for the deviation map (`anisoscope.imaging.deviation_map`): the largest share of deviating cells.
 
+    ``max_length_um`` limits the longest mark, whatever its share of the region; ``max_lean_deg`` the lean of the facets
+    over several ridges about a plane (`anisoscope.imaging.part_form`): sink marks and waves. None: not judged.
     ``cell_deviation`` was the ln ratio beyond which a cell deviates; recipes with it are read, and it has no effect.
     """
 
@@ -317,6 +319,8 @@ class AreaPart(Part):
         Positive | Literal["auto"] | None, Field(exclude_if=lambda value: value is None)
     ] = None
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.02
+    max_length_um: Positive | None = None
+    max_lean_deg: Annotated[float | None, Field(gt=0.0, le=45.0)] = None
 
 
 class RigUncertainty(CommonUncertainty):

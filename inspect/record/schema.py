@@ -187,6 +187,8 @@ class AreaRecord(_Part):
     ``limit`` is the score beyond which a cell deviates; None where cells were judged by one ln ratio, or of a print.
     ``cell_deviations`` are ln ratios, one a pair, from about which on a cell deviates that does so in this pair alone.
     ``learnt`` if ``max_share`` is that of golden parts, ``p_value`` the chance that a part like them shows as much.
+    ``longest_um`` is the length of the longest group of clearly deviating cells, ``longest_at`` its place in mm; both
+    None where ``max_length_um``, its limit, is.
     """
 
     share: float
@@ -198,6 +200,18 @@ class AreaRecord(_Part):
     p_value: float | None = None
     cell_deviations: tuple[float, ...] | None = None
     limit: float | None = None
+    longest_um: float | None = None
+    longest_at: tuple[float, float] | None = None
+    max_length_um: float | None = None
+
+    @property
+    def too_long(self) -> bool:
+        """Whether a mark is longer than its limit."""
+        return (
+            self.longest_um is not None
+            and self.max_length_um is not None
+            and self.longest_um > self.max_length_um
+        )
 
 
 class CalibrationUse(InputFile):
@@ -460,6 +474,22 @@ class RidgeLeanRecord(_Part):
     y: float
     angle_deg: float
     u_deg: float
+
+
+class FormRecord(_Part):
+    """Largest lean of the facets over several ridges, in degrees about the plane through all of them, and its limit.
+
+    Place in mm on the sample. ``depth_um`` is that of the form there, from the lean across the ridges, negative where
+    it stands out.
+    """
+
+    lean_deg: float
+    u_deg: float
+    max_lean_deg: float
+    x: float
+    y: float
+    depth_um: float
+    verdict: Verdict
 
 
 class AngleRecord(_Part):

@@ -6,6 +6,7 @@ from anisoscope.record.schema import (
     AreaRecord,
     ComparisonRecord,
     ContrastRecord,
+    FormRecord,
     GoldenRecord,
     MapPlaceRecord,
     ReadingRecord,
@@ -25,6 +26,7 @@ class SurfaceDetails(Details):
     contrasts: tuple[ContrastRecord, ...] = ()
     between_tilts: tuple[TiltContrastRecord, ...] = ()
     area: AreaRecord | None = None
+    form: FormRecord | None = None
     regions: tuple[RegionRecord, ...] = ()
     comparisons: tuple[ComparisonRecord, ...] = ()
     reading: str | None = None

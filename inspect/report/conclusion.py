@@ -17,6 +17,7 @@ from anisoscope.record.schema import (
     ComponentRecord,
     ConclusionRecord,
     ContrastRecord,
+    FormRecord,
     Record,
     RegionRecord,
 )
@@ -103,6 +104,10 @@ def surface_finding(record: Record) -> str:
     if found.area is not None and found.area.share / found.area.max_share > min(_by_limit(worst), 1.0):
         area = found.area
         return f"{100.0 * area.share:.1f} % of the area deviates (limit {100.0 * area.max_share:g} %)"
+    if found.area is not None and found.area.too_long:
+        return f"A mark is {found.area.longest_um:.0f} µm long (limit {found.area.max_length_um:g} µm)"
+    if found.form is not None and found.form.verdict != Verdict.PASS:
+        return _form_finding(found.form)
     tilts = [one for one in found.between_tilts if one.p_value < record.recipe["decision"]["alpha"]]
     if tilts and worst.tolerance is None and record.verdict != "PASS":
         most = min(
@@ -114,6 +119,13 @@ def surface_finding(record: Record) -> str:
             f"is off by a factor of {math.exp(abs(off)):.2g} (p {p_value_text(most.p_value)})"
         )
     return _contrast_finding(worst)
+
+
+def _form_finding(form: FormRecord) -> str:
+    lean, limit, depth = f"{form.lean_deg:.2g}", f"{form.max_lean_deg:g}", f"{abs(form.depth_um):.1f}"
+    if form.depth_um > 0.0:
+        return f"Several ridges lean by {lean}° from those around (limit {limit}°): a sink mark of {depth} µm"
+    return f"Several ridges lean by {lean}° from those around (limit {limit}°): a bulge of {depth} µm"
 
 
 def _by_limit(contrast: ContrastRecord) -> float:

@@ -63,6 +63,10 @@ def _decisive(record: Record, verdict: str) -> list[str]:
         found.append(message(CONTRASTS[outside, len(limited) == 1], count=len(limited)))
     if details.area is not None and details.area.verdict == verdict:
         found.append(message(AREA_OUTSIDE if outside else AREA_NEAR))
+    if outside and details.area is not None and details.area.too_long:
+        found.append(message("a mark is longer than its limit"))
+    if details.form is not None and details.form.verdict == verdict:
+        found.append(message(FORM_OUTSIDE if outside else FORM_NEAR))
     if not outside and not found and any(not one.excluded for one in details.exclusions):
         found.append(message(OPEN_CRITERION))
     if outside and deviation_decides(record) and (record.p_value or 0.0) < level:
@@ -85,6 +89,11 @@ CONTRASTS = {
 }
 """Messages by whether contrasts are outside, and whether it is a single one."""
 AREA_OUTSIDE = "the deviating area lies outside its limit by more than the guard band (ISO 14253-1)"
+FORM_OUTSIDE = "the facets lean from those around by more than their limit and its guard band (ISO 14253-1)"
+FORM_NEAR = (
+    "the lean of the facets lies on one side or the other of its limit by less than the guard band (ISO "
+    "14253-1)"
+)
 AREA_NEAR = (
     "the deviating area lies on one side or the other of its limit by less than the guard band (ISO 14253-1)"
 )

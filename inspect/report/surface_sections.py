@@ -134,6 +134,7 @@ def facet_parts(facets: "AngleMap | None", record: Record) -> dict[str, Any] | N
         "maps": maps,
         "ridges": ridges[:MAX_RIDGES],
         "unlisted": max(len(ridges) - MAX_RIDGES, 0),
+        "form": surface_of(record).form,
     }
 
 

@@ -18,6 +18,7 @@ from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.predictive import separating_areas, separations
+from anisoscope.imaging.angle_map import poses_for_angles
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import PLASTIC, nominal_shape
 from anisoscope.prediction.part_scatter import (
@@ -39,6 +40,8 @@ REPEATED_DEG = 0.03
 MORE_PARTS = (1, 3, 10, 25)
 MOST_FRAMES = 256
 BRACKET, MOST_BRACKETS = 4, 4
+ANGLE_POSES = 3
+"""Poses that the angle map needs for lean across, lean along and roughness."""
 _ROUNDS = 6
 
 
@@ -188,6 +191,8 @@ def best_poses(
     ignored: Sequence[str] = (),
     advance: Advance = silent,
     asked: Sequence[str] = (),
+    *,
+    angle_map: bool = False,
 ) -> Suggestion:
     """Choose poses for the defects of a recipe.
 
@@ -203,6 +208,7 @@ def best_poses(
         ignored: first words of names of defects that need not be shown, such as "roughness along".
         advance: called at every step.
         asked: first words of names of the defects that must be shown; all if empty.
+        angle_map: the first poses, three at most, are those that tell the lean of the facets best.
 
     Raises:
         UsageError: too few poses are allowed, or no defect can be shown.
@@ -238,7 +244,9 @@ def best_poses(
     if not wanted:
         raise UsageError("no defect is left that poses could show")
     advance("choice of poses", 1, 2)
-    chosen = _chosen(allowed, scatter, np.array(list(wanted.values())), count)
+    first = min(ANGLE_POSES, count - 1) if angle_map else 0
+    kept = poses_for_angles(ideal, allowed, convention, first)
+    chosen = _chosen(allowed, scatter, np.array(list(wanted.values())), count, kept)
     poses = _in_order([allowed[k] for k in chosen])
     found = _judged(
         recipe, light_angle_deg, poses, scatter, changes, chosen, camera_share, power, tuple(wanted)
@@ -303,18 +311,23 @@ def _distances(scatter: FloatArray, changes: FloatArray, chosen: Sequence[int]) 
     return np.asarray(np.sqrt(np.einsum("ci,ij,cj->c", part, inverse, part)))
 
 
-def _chosen(poses: tuple[Pose, ...], scatter: FloatArray, changes: FloatArray, count: int) -> list[int]:
+def _chosen(
+    poses: tuple[Pose, ...], scatter: FloatArray, changes: FloatArray, count: int, kept: Sequence[int]
+) -> list[int]:
     def worth(chosen: Sequence[int]) -> float:
         found = _distances(scatter, changes, chosen)
         return float(found.min() + 1e-3 * found.mean())  # of equal ones the better for the others
 
     pairs = [(i, j) for i, j in combinations(range(len(poses)), 2) if poses[i].tilt_deg == poses[j].tilt_deg]
-    best = max(([i, j] for i, j in pairs), key=worth)  # a contrast needs two poses of one tilt
+    best = list(kept) or max(([i, j] for i, j in pairs), key=worth)  # a contrast needs two poses of one tilt
     while len(best) < count:
-        best.append(max((k for k in range(len(poses)) if k not in best), key=lambda k: worth([*best, k])))
+        more = [k for k in range(len(poses)) if k not in best]
+        if len(best) + 1 == count:
+            more = [k for k in more if _paired(poses, [*best, k])]
+        best.append(max(more, key=lambda k: worth([*best, k])))
     for _ in range(_ROUNDS):
         before = worth(best)
-        for place in range(count):
+        for place in range(len(kept), count):
             others = [k for n, k in enumerate(best) if n != place]
             options = [k for k in range(len(poses)) if k not in others and _paired(poses, [*others, k])]
             best[place] = max(options, key=lambda k: worth([*others[:place], k, *others[place:]]))

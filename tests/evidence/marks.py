@@ -2,6 +2,7 @@
 
     python tests/evidence/marks.py --fit 800         # writes inspect/imaging/data/mark-classes.json
     python tests/evidence/marks.py --judge 24        # the table of docs/evidence/marks.md
+    python tests/evidence/marks.py --cells 4         # which cells of a mark are found
 
 The fit sees the prediction's own light (`relief`). The judge is the path tracer, which shares nothing with it: sheets
 drawn in the same way with other seeds, and parts with the defects of `inject_defect`, other code for other shapes.
@@ -346,6 +347,50 @@ def judged_part(name: str, number: int) -> dict[str, list[Group]]:
     return found
 
 
+CELL_PARTS = {
+    "scratches, 1 %": ("scratches", {"density_per_mm2": 11.7}),
+    **{
+        f"burrs, {share:.0%}".replace("%", " %"): ("burrs", {"coverage": share})
+        for share in (0.02, 0.05, 0.08)
+    },
+    "missing ridges": ("missing-ridges", {"share": 0.08}),
+    "good": None,
+}
+"""Parts whose cells are counted: defects of the library and their values."""
+CHANGED_CELL_UM, CHANGED_SHARE = 0.5, 0.1
+"""Change of a height, and the share of a cell with it from which on the cell is spoiled."""
+
+
+def judged_cells(name: str, number: int) -> dict[str, tuple[int, int, int, float]]:
+    """Spoiled cells found, good ones that deviate, spoiled ones missed, and the share that deviates, by look."""
+    angle, pitch, alpha, lobe = list(JUDGED.values())[number % len(JUDGED)]
+    part = Part(
+        70_000 + 100 * number + len(name), NINE, angle=angle, pitch=pitch, alpha=alpha, lobe=lobe,
+        size=(1400.0, 1200.0), spread=0.1, phase=np.random.default_rng(number).random(), spoiled=CELL_PARTS[name],
+    )  # fmt: skip
+    found = {}
+    spoiled = part.spoiled_share(CHANGED_CELL_UM, pitch, 1) > CHANGED_SHARE
+    for look, poses in LOOKS.items():
+        over = map_of([part.pictures[k] for k in poses], angle, pitch, alpha, poses).deviating()
+        counts = (int(np.sum(one)) for one in (over & spoiled, over & ~spoiled, spoiled & ~over))
+        found[look] = (*counts, float(over.mean()))
+    return found
+
+
+def cells_table(count: int) -> str:
+    """F1 of the cells of a mark, and the largest share of a good part that deviates."""
+    lines = ["| part | " + " | ".join(LOOKS) + " |", "|---|" + "---|" * len(LOOKS)]
+    for name in CELL_PARTS:
+        found = for_each(lambda k, name=name: judged_cells(name, k), range(count), 2)
+        cells = []
+        for look in LOOKS:
+            hit, false, missed, share = np.array([one[look] for one in found]).T
+            score = 2.0 * hit.sum() / max(2.0 * hit.sum() + false.sum() + missed.sum(), 1.0)
+            cells.append(f"{100.0 * share.max():.1f} % of the worst" if name == "good" else f"{score:.2f}")
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def _by_look(
     pictures: list[np.ndarray], marks: np.ndarray, sheet: Sheet, angle: float, alpha: float
 ) -> dict[str, list[Group]]:
@@ -478,17 +523,20 @@ def table_of(sheets: list[dict[str, list[Group]]]) -> str:
 
 
 def main() -> int:
-    """Fit or judge."""
+    """Fit, judge, or count cells."""
     options = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     what = options.add_mutually_exclusive_group(required=True)
     what.add_argument("--fit", type=int, help="sheets in the prediction's light")
     what.add_argument("--judge", type=int, help="sheets of the path tracer")
+    what.add_argument("--cells", type=int, help="parts of a defect, cell by cell")
     options.add_argument("--first", type=int, default=0, help="number of the first sheet to judge")
     chosen = options.parse_args()
     if chosen.fit is not None:
         fit(chosen.fit)
+    elif chosen.cells is not None:
+        sys.stdout.write(cells_table(chosen.cells))
     else:
         sys.stdout.write(
             table_of(for_each(judged, range(chosen.first, chosen.first + chosen.judge), 2)) + "\n"

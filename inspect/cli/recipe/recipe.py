@@ -146,6 +146,7 @@ def suggest(
     ignore: tuple[str, ...] = ("roughness along",),
     u_pose: float = 0.003,
     power: Annotated[float, Parameter(help="Required probability of finding each defect.")] = 0.9,
+    angle_map: Flag = False,
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     light_angle: LightAngleOption = None,
     json_: Json = False,
@@ -161,6 +162,7 @@ def suggest(
         u_pose: Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
         defect: Smallest defect to be found, NAME=SIZE, in place of [defects]: ridge-angle=0.5, roughness=20%,
             height-loss=10% or wear=5um; repeat the option for several, others are then ignored.
+        angle_map: Begin with the three poses that show the angle of the facets best, across and along the ridges.
         rig: Rig file, for its light angle.
 
     Examples:
@@ -179,6 +181,7 @@ def suggest(
             ignore=ignore,
             u_pose=u_pose,
             power=power,
+            angle_map=angle_map,
             rig=rig,
             light_angle_deg=angle,
             on_progress=advance,

@@ -671,6 +671,13 @@ class Grid:
         x, y = self.center_mm
         return np.asarray(np.array([[cos, -sin, x], [sin, cos, y], [0, 0, 1]]) @ centred, dtype=np.float64)
 
+    def of_cell(self, row: float, col: float, cells: tuple[int, ...]) -> tuple[float, float]:
+        """Sample millimetres of a place in a raster of (rows, columns) cells over the same area."""
+        rows, cols = cells
+        point = ((col + 0.5) * self.shape[1] / cols - 0.5, (row + 0.5) * self.shape[0] / rows - 0.5, 1.0)
+        x, y, _ = self.to_mm() @ np.array(point)
+        return float(x), float(y)
+
 
 def resample(image: Image, placement: Placement, grid: Grid) -> Image:
     """The picture resampled once on the sample's raster; NaN where the picture has no value.

@@ -3,21 +3,29 @@
 import math
 import os
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.toml_edits import toml_literal
+from anisoscope.base.toml_file import Positive
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, read_surface_recipe
+
+
+class RidgeAreaPart(AreaPart):
+    """Decision rule for the deviation map of ridges; marks and form are judged by default."""
+
+    max_length_um: Positive | None = 200.0
+    max_lean_deg: Annotated[float | None, Field(gt=0.0, le=45.0)] = 0.5
 
 
 class RidgeRecipe(SurfaceRecipe):
     """The recipe of a plastic part with ridges, as read from its file; cells of its contrast map are judged as well."""
 
-    area: AreaPart | None = AreaPart()
+    area: RidgeAreaPart | None = RidgeAreaPart()
 
     @model_validator(mode="after")
     def _spans_pitches(self) -> Self:
@@ -85,6 +93,8 @@ wear_um = 10.0  # radius of worn edges
 
 [area]
 max_share = 0.02  # share of the area that may deviate from the other ridges of the part
+max_length_um = 200.0  # longest mark
+max_lean_deg = 0.5  # lean of the facets over 0.3 mm about that of the part: sink marks, waves
 
 [uncertainty]  # standard uncertainties of the rig that one inspection cannot see
 light_angle_deg = 0.1

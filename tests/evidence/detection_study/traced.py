@@ -75,13 +75,13 @@ class Part:
     ) -> None:
         rng = np.random.default_rng(seed)
         cols, rows = (int(one / POINT_UM) + 1 for one in size)
-        x = np.arange(cols) * POINT_UM - phase * pitch
-        ridge = np.floor(x / pitch).astype(int)
-        height = np.zeros(cols)
+        x = np.arange(cols, dtype=np.float64) * POINT_UM - phase * pitch
+        design = RidgeDesign(pitch, angle)
+        # a crest is one chord of the mesh: ridges are stretched from foot to foot, so that its slope stays
+        height, ridge = design.profile(x), np.floor((x + design.wall_width_um) / pitch).astype(int)
         for number in np.unique(ridge):
             lean = 0.0 if number == flat_ridge else angle + spread * rng.standard_normal()
-            chosen = ridge == number
-            height[chosen] = RidgeDesign(pitch, lean).profile(x[chosen])
+            height[ridge == number] *= np.tan(np.radians(lean)) / np.tan(np.radians(angle))
         surface = HeightMap(np.tile(height, (rows, 1)), POINT_UM, POINT_UM, {})
         if formed is not None:
             at_x, at_y = np.meshgrid(np.arange(cols) * POINT_UM, np.arange(rows) * POINT_UM)

@@ -1,5 +1,6 @@
 """Closed forms, calibration of the false alarms, and precedence."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -204,8 +205,9 @@ def test_a_significant_deviation_within_the_tolerance_is_a_warning(make_recipe):
 
 def test_reasons_speak_of_what_decided(make_recipe):
     assert all("0° / 90°, tilt 0°" in reason for reason in judge(make_recipe, OFF).reasons)
-    (reason,) = judge(make_recipe, 0.0, deviating_cells(0.25)).reasons
-    assert reason.startswith("25.0% of the area")
+    area, mark = judge(make_recipe, 0.0, deviating_cells(0.25)).reasons
+    assert area.startswith("25.0% of the area")
+    assert re.fullmatch(r"a mark is \d+ µm long \(limit 200 µm\), at x .* mm, y .* mm", mark)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.025, 0.1, 0.45])

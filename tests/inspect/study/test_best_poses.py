@@ -5,8 +5,11 @@ from itertools import pairwise
 import pytest
 
 from anisoscope.base.errors import UsageError
+from anisoscope.imaging.angle_map import poses_for_angles
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.geometry import Convention
 from anisoscope.recipe.surface import DefectsPart
+from anisoscope.sim.light.geometry import pose_grid
 from anisoscope.study.best_poses import best_poses, ideal_distances, sizes_in_toml, with_sizes
 
 TABLE = {
@@ -62,6 +65,23 @@ def test_chosen_poses_show_all_defects_better_than_as_many_upright_ones():
     assert (found.golden is None) == (rules.acquisition.frames_per_pose not in reached)
     loss = next(one for one in found.shown if one.defect.startswith("height loss"))
     assert (loss.area, loss.power[1]) == (pytest.approx(1.0, abs=1e-3), pytest.approx(1.0, abs=0.01))
+
+
+def test_poses_for_the_angle_map_come_first():
+    rules = recipe(reflections="direct")
+    angles, tilts = (0.0, 90.0, 180.0, 270.0), (-10.0, 0.0, 10.0)
+    allowed, convention = pose_grid(angles, tilts), Convention(10.0)
+    first = {
+        (allowed[k].stage_deg, allowed[k].tilt_deg) for k in poses_for_angles(rules, allowed, convention, 3)
+    }
+    # the mirror direction, where no roughness counts, and the lean along from 90° or its mirror image
+    assert (0.0, 0.0) in first
+    assert first & {(90.0, -10.0), (270.0, 10.0)}
+    found = best_poses(rules, 10.0, 4, angles, tilts, ignored=("roughness along",), angle_map=True)
+    assert first < set(found.poses)
+    few = best_poses(rules, 10.0, 3, angles, tilts, ignored=("roughness along",), angle_map=True)
+    assert len(set(few.poses)) == 3
+    assert len({tilt for _, tilt in few.poses}) < 3
 
 
 def test_frames_and_brackets_follow_from_noise_and_light():
