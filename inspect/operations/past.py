@@ -397,7 +397,7 @@ def write_whatif_page(path: Path, found: WhatIf, rows: Mapping[int, Row]) -> Non
     write_page(
         path,
         f"What if: {len(found.flipped)} of {len(found.inspections)} verdicts change",
-        [("recipe", f"{found.product}: {found.recipe}"), ("inspections", judged_text(found))],
+        [("recipe", f"{found.product}: {Path(found.recipe).name}"), ("inspections", judged_text(found))],
         VERDICTS,
         table,
         [RiskLine(*one) for one in risk_texts(found)],
@@ -420,6 +420,10 @@ def judged_text(found: WhatIf) -> str:
 def risk_texts(found: WhatIf) -> list[tuple[str, str, str]]:
     """Escapes, false rejects and cost in words: name, then and now."""
     then, now = found.before, found.after
+    if not then.escapes.of + then.false_rejects.of:
+        return [
+            ("escapes, false rejects and cost", *2 * ("unknown: no reviewer has decided about these parts",))
+        ]
     lines = [
         ("escapes: bad parts that PASS", _rate_text(then.escapes), _rate_text(now.escapes)),
         (

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+from anisoscope.base.language import message, translated
 from anisoscope.base.notation import number_name, number_text, true_minus
 from anisoscope.history.comparing import Compared, Comparison
 from anisoscope.history.rows import Row
@@ -17,8 +18,9 @@ from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.page import template_text, write_page
 from anisoscope.report.provenance import when
 
-FOLDERS = re.compile(r"(?<![\w:/\\])(?:[A-Za-z]:)?[\\/](?:[^\\/?&\s]+[\\/])+")
+FOLDERS = re.compile(r"(?<![\w:/\\])(?:[A-Za-z]:)?[\\/](?:[^\\/?&\n]+[\\/])+")
 """Folders of an absolute path, in a text or in the address of a port."""
+FAR = 2.0  # standard uncertainties
 
 
 @dataclass(frozen=True)
@@ -133,13 +135,45 @@ def write_compared_page(
     content = {
         "title": f"{found.second.serial} against {found.first.serial}",
         "found": found,
-        "changes": [(one.what, _bare(one.first), _bare(one.second)) for one in found.changes],
+        "answer": _answer(found),
+        "changes": [
+            (one.what, first, second)
+            for one in found.changes
+            if (first := _bare(one.first)) != (second := _bare(one.second))
+        ],
         "sides": [(one, report_link(one.row.folder, path) if one.has_report else None) for one in sides],
         "pairs": pairs,
         "contrasts": [(true_minus(number_name(one.label)), _cells(one)) for one in found.contrasts],
         "numbers": [(true_minus(number_name(one.label)), _cells(one)) for one in found.numbers],
     }
     write_page(path, "compared.html", content, {"typeset": true_minus})
+
+
+def _answer(found: Comparison) -> str:
+    """What differs most of what was judged, in a sentence."""
+    verdicts = message(
+        "{second} is {after}, {first} is {before}.",
+        first=found.first.serial,
+        second=found.second.serial,
+        before=message(found.first.verdict),
+        after=message(found.second.verdict),
+    )
+    most = max(
+        (one for one in found.contrasts if one.ratio is not None),
+        key=lambda one: abs(one.ratio or 0.0),
+        default=None,
+    )
+    if most is None or most.difference is None or most.u is None:
+        return verdicts
+    if abs(most.ratio or 0.0) < FAR:
+        return f"{verdicts} {message('No judged number differs by more than twice its uncertainty.')}"
+    differs = message(
+        "Most different: {name}, by {difference} ± {reach} (k = 2).",
+        name=translated(true_minus(number_name(most.label))),
+        difference=true_minus(f"{most.difference:+.3g}"),
+        reach=f"{2.0 * most.u:.2g}",
+    )
+    return f"{verdicts} {differs}"
 
 
 def _bare(value: str | None) -> str:

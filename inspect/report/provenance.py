@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 
+from anisoscope.base.notation import true_minus
 from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.record.schema import (
     InputFile,
@@ -291,7 +292,11 @@ def _trace(
 
     step = (WIDTH - 2.0 * MARGIN) / max(len(values) - 1, 1)
     points = tuple(
-        (MARGIN + k * step, down(number), f"{pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°: {number:{form}}")
+        (
+            MARGIN + k * step,
+            down(number),
+            true_minus(f"{pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°: {number:{form}}"),
+        )
         for k, (pose, number) in enumerate(zip(monitor.poses, values, strict=True))
     )
     return Trace(title, points, () if limit is None else (down(limit), down(-limit)))

@@ -114,6 +114,7 @@ class Chart:
             axes.legend(frameon=False, fontsize=7.5)
         if self.to_scale:
             axes.set_aspect("equal")
+            axes.locator_params(axis="y", nbins=1)
         axes.grid()
         axes.set_xlabel(self.x_label)
         axes.set_ylabel(self.y_label)
@@ -214,7 +215,9 @@ def chart_uri(chart: Chart | Map, *, wide: bool = False) -> str:
 
     with mpl.rc_context(page_style()):
         figure = chart_figure(1, 1)
-        if wide:
+        if isinstance(chart, Chart) and chart.to_scale:
+            figure.set_size_inches(_PANEL[0], 0.4 * _PANEL[1])
+        elif wide:
             figure.set_size_inches(2.0 * _PANEL[0], 1.2 * _PANEL[1])
         chart.draw(figure.subplots())
         return svg_uri(figure)

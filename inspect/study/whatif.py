@@ -98,7 +98,7 @@ class Risks:
     Attributes:
         escapes: of the bad parts (reject, rework) those that PASS.
         false_rejects: of the good parts (accept) those that FAIL.
-        cost: of both, where costs are given, over these parts.
+        cost: of both over these parts, where costs are given and a reviewer has decided about one of them.
     """
 
     escapes: Rate
@@ -215,7 +215,12 @@ def what_if(
 def _risks(parts: Sequence[tuple[str | None, str]], costs: Costs | None) -> Risks:
     escapes = rate(np.array([verdict == "PASS" for decided, verdict in parts if decided in BAD], dtype=bool))
     rejects = rate(np.array([verdict == "FAIL" for decided, verdict in parts if decided in GOOD], dtype=bool))
-    cost = None if costs is None else escapes.count * costs.escape + rejects.count * costs.false_reject
+    known = costs is not None and escapes.of + rejects.of > 0
+    cost = (
+        None
+        if costs is None or not known
+        else escapes.count * costs.escape + rejects.count * costs.false_reject
+    )
     return Risks(escapes, rejects, cost)
 
 

@@ -318,7 +318,8 @@ def history(
         rows = found.rows(filters)
         decided = found.dispositions_of([row.id for row in rows])
         total = found.count(filters) if len(rows) == limit else len(rows)
-        source = message("history {path}", path=found.address)
+        place_name = found.address.path.name if found.address.path else found.address
+        source = message("history {path}", path=place_name)
     if html is not None:
         from anisoscope.inspection.past_pages import history_page
 

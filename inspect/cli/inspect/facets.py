@@ -5,6 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from anisoscope.base.notation import true_minus
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json, check_suffix
 from anisoscope.cli.progress import progress
@@ -59,8 +60,8 @@ def angle_map(
         ["ridge", "x [mm]", "y [mm]", "lean [°]", "U (k = 2) [°]", "spread of its cells [°]"],
         [
             [
-                f"{one.ridge:+d}",
-                *(f"{round(place, 2) + 0.0:+.2f}" for place in (one.x_mm, one.y_mm)),
+                true_minus(f"{one.ridge:+d}" if one.ridge else "0"),
+                *(true_minus(f"{round(place, 2) + 0.0:+.2f}") for place in (one.x_mm, one.y_mm)),
                 f"{one.angle_deg:.2f}",
                 f"{2 * one.u_deg:.2f}",
                 f"{one.spread_deg:.2f}",
@@ -69,12 +70,12 @@ def angle_map(
         ],
     )
     designed = "" if nominal is None else f", designed {nominal:g}°"
-    along = "" if kept.along_deg is None else f"; along the ridges {kept.along_deg:+.2f}°"
+    along = "" if kept.along_deg is None else f"; along the ridges {true_minus(f'{kept.along_deg:+.2f}')}°"
     print_lines(
         f"facets lean {kept.mean_deg:.2f}° ± {2 * kept.u_mean_deg:.2f}° (k = 2) across the ridges{designed}{along}",
         f"{kept.cells} cells of {kept.cell_um[0]:.0f} × {kept.cell_um[1]:.0f} µm differ by {kept.spread_deg:.2f}°, "
         f"each ± {2 * kept.u_cell_deg:.2f}° (k = 2); no facet seen in {kept.unseen_share:.1%} of them",
-        f"roughness {kept.alpha:.2f} ± {2 * kept.u_alpha:.2f} times that of the recipe",
+        f"roughness {kept.alpha:.2f} ± {2 * kept.u_alpha:.2f} (k = 2) times that of the recipe",
         *(f"written: {path}" for path in [*(out or []), *([html] if html else [])]),
     )
     return 0
