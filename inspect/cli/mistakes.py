@@ -342,6 +342,9 @@ def _completed(error: MissingArgumentError, line: list[str]) -> list[str] | None
             return [*line[:k], name, *line[k:]]
     own = examples(error.app) if error.app is not None else []
     shown = [shlex.split(one) for one in (*own, *FIRST_EXAMPLES)]
+    for words in (shlex.split(one)[1:] for one in own):
+        if name in words and words[: len(line)] == line and not any(one.startswith("-") for one in line):
+            return words
     values = [list(_values(one, one.index(name))) for one in shown if name in one]
     if not values or not values[0] or not name.startswith("-"):
         return None
