@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,12 @@ from anisoscope.imaging.quality_gates import check_edges
 from anisoscope.imaging.registration.placement import View
 from anisoscope.imaging.views import clipped_at_white
 from anisoscope.kinds.kind import Explanation, Sitting
-from anisoscope.kinds.parts import Reference
+from anisoscope.kinds.parts import Beginning, Reference
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.kinds.wafers.causes import WAFER_CAUSES, WAFER_WORDS
 from anisoscope.kinds.wafers.etched import EtchedPredictor
 from anisoscope.kinds.wafers.lighting import moved_light, recipe_wafer
-from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer, recognises
+from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer, recognises, write_new_recipe
 from anisoscope.kinds.wafers.states import (
     BEYOND,
     DEPTH,
@@ -50,6 +51,7 @@ from anisoscope.prediction.input_doubt import NEGLIGIBLE
 from anisoscope.prediction.optics_selection import optics_for
 from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
 from anisoscope.record.schema import AreaRecord, DiagnosisRecord, RegionRecord
 from anisoscope.record.verdict import Verdict
@@ -255,7 +257,7 @@ def _by_means(recipe: WaferRecipe, decided: Decision) -> tuple[WaferRecipe, Deci
     return recipe, replace(decided, area=None, deviating=None)
 
 
-class Wafers(SurfaceKind[WaferRecipe]):
+class Wafers(SurfaceKind[WaferRecipe], Beginning):
     """Mirrors with steps: their contrasts under rotation and tilt, predicted by waves.
 
     A tile that repeats is at no one place, and its grain is alike everywhere: nothing is matched or fitted.
@@ -277,6 +279,11 @@ class Wafers(SurfaceKind[WaferRecipe]):
     def recipe(self) -> type[WaferRecipe]:
         """The model of its recipe."""
         return WaferRecipe
+
+    def new_recipe(self, out: Path, requested: NewRecipe) -> str:
+        """Write the recipe of a wafer about its tile."""
+        write_new_recipe(out, requested)
+        return "[light], [material] and [region]"
 
     def as_recorded(self, recipe: WaferRecipe, recorded: Mapping[str, Any]) -> WaferRecipe:
         """As of all surfaces; a record that does not state ``step_edges_nm`` was judged without waves of the edges.

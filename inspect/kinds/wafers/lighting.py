@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from anisoscope.kinds.wafers.etched import EtchedPredictor, WaferLight, tile_of
-from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.kinds.wafers.recipe import WaferRecipe, read_tile
 from anisoscope.prediction.profile_likelihood import FARTHEST
-from anisoscope.prediction.recipe_models import line_spectrum, read_surface
+from anisoscope.prediction.recipe_models import line_spectrum
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import LightPart
 
@@ -37,7 +37,9 @@ def recipe_wafer(
         RecipeError: it is not the tile that repeats.
     """
     assert recipe.light is not None
-    surface = read_surface(recipe)
+    table = recipe.surface
+    assert table.height_map is not None
+    surface = read_tile(table.height_map, table.pixel_um, table.role)
     tile = tile_of(surface, recipe.surface.pitch_um, str(recipe.surface.height_map))
     light, reflectance = wafer_light(recipe.light), recipe.material.reflectance
     reach = max(reach, needed_reach(recipe, light_angle_deg))

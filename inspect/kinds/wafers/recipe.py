@@ -1,13 +1,28 @@
 """The recipe of an etched wafer: a mirror with steps, and the lamp and lens that decide what it shows."""
 
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.base.toml_edits import toml_literal
 from anisoscope.base.toml_file import NotNegative, Positive, Share
+from anisoscope.profiles.files.load import read_height_map
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.named_defect import NamedDefect
-from anisoscope.recipe.surface import DefectsPart, MaterialPart, RigUncertainty, ScatterPart, SurfaceRecipe
+from anisoscope.recipe.new_recipe import NewRecipe
+from anisoscope.recipe.surface import (
+    DefectsPart,
+    MaterialPart,
+    RigUncertainty,
+    ScatterPart,
+    SurfaceRecipe,
+    read_surface_recipe,
+)
 
 
 class WaferMaterial(MaterialPart):
@@ -122,3 +137,98 @@ def recognises(table: Mapping[str, Any]) -> bool:
     """Is this the table of a wafer's recipe? What is reflected, whatever the angle, only a mirror states."""
     material = table.get("material")
     return isinstance(material, Mapping) and material.get("reflectance") is not None
+
+
+_TEMPLATE = """\
+schema = 1
+product = {product}
+
+[surface]
+height_map = {tile}   # the tile that repeats, whole and square
+pitch_um = {side_um:g}   # its side
+
+[material]
+reflectance = 0.9      # this makes it a mirror
+albedo = 0.001         # share of the reflected light that is scattered everywhere
+u_albedo = 0.0003
+
+[light]                # lamp and lens as the wafer sees them
+wavelength_nm = 520.0
+bandwidth_nm = 10.0
+lamp_half_angle_deg = 0.3
+aperture_half_angle_deg = 0.7
+
+[poses]
+angles_deg = [0.0, 90.0, 180.0]
+tilts_deg = [0.0, 3.0]
+
+[acquisition]
+exposure_s = 2.5e-5
+brackets = [12.0, 160.0]   # a mirror is a hundred times as bright as the markers
+
+[region]               # five tiles or more are compared with each other
+size_mm = [{region_mm:.6g}, {region_mm:.6g}]
+
+[decision]
+deviation = "fail"
+unexcluded = "inconclusive"
+
+[uncertainty]
+seating_tilt_deg = 0.05
+light_angle_deg = 0.05
+tilt_deg = 0.02
+etch_depth_nm = 1.0    # of good wafers
+etch_width_nm = 20.0
+"""
+_LARGEST_MM = 2.0
+LAYOUT = "header.npy"
+"""Array of a layout by which a reader of height maps fails."""
+
+
+def write_new_recipe(out: Path, requested: NewRecipe) -> None:
+    """Write the recipe of a wafer, valid as written; the path of its tile is relative to the recipe.
+
+    Raises:
+        UsageError: no tile was named, or options of other kinds were.
+        HeightMapError: the tile cannot be read.
+    """
+    if (requested.ridge_angle_deg, requested.u_ridge_angle_deg, requested.ink) != (None, None, None):
+        raise UsageError(
+            "--kind wafers takes the tile alone: leave --ridge-angle, --u-ridge-angle and --ink out"
+        )
+    if requested.height_map is None:
+        raise UsageError(
+            "the recipe of a wafer needs its tile: give --height-map (`anisoscope design height` makes one)"
+        )
+    side_um = max(read_tile(requested.height_map).extent_um)
+    largest_um = 1000.0 * min(_LARGEST_MM, requested.largest_mm or _LARGEST_MM)
+    tile = Path(os.path.relpath(requested.height_map.resolve(), out.resolve().parent)).as_posix()
+    text = _TEMPLATE.format(
+        product=toml_literal(requested.product or "wafer"),
+        tile=toml_literal(tile),
+        side_um=side_um,
+        region_mm=1e-3 * side_um * max(1, int(largest_um / side_um)),
+    )
+    write_text(out, text)
+    try:
+        read_surface_recipe(out, WaferRecipe)
+    except BaseException:
+        out.unlink()
+        raise
+
+
+def read_tile(path: Path, pixel_um: tuple[float, float] | None = None, role: str = "part") -> HeightMap:
+    """The height map of a tile; arguments as of `read_height_map`.
+
+    Raises:
+        HeightMapError: it cannot be read, or is a design, a layout or a mask.
+    """
+    try:
+        return read_height_map(path, pixel_um=pixel_um, role=role)
+    except HeightMapError as problem:
+        if path.is_file() and (path.suffix.lower() in {".toml", ".gds"} or LAYOUT in str(problem)):
+            raise HeightMapError(
+                f"{path} is no height map: of a design, a layout or a mask make the tile with "
+                f"`anisoscope design height {path.name} --out tile.npz`"
+            ) from problem
+        raise

@@ -1,8 +1,11 @@
 """``anisoscope recipe new`` with a spread of the ridge angle, and ``recipe check`` of poses that cannot be."""
 
+import numpy as np
 import pytest
 
 from anisoscope.kinds.registry import kind_of, read_recipe
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.heightmap import HeightMap
 
 
 def test_a_spread_of_the_ridge_angle_goes_into_the_design(anisoscope, tmp_path):
@@ -56,13 +59,27 @@ def test_a_kind_is_picked_by_its_name(anisoscope, tmp_path):
         assert kind_of(path).name == name
 
 
+def test_the_recipe_of_a_wafer_is_about_its_tile(anisoscope, tmp_path):
+    """Of whole tiles, as many as two millimetres hold; a mask is answered with the command that makes a tile."""
+    height = np.kron([[0.0, -0.13], [-0.13, 0.0]], np.ones((64, 64)))
+    write_height_map(HeightMap(height, 4.0, 4.0), tmp_path / "tile.npz")
+    options = ("recipe", "new", "--kind", "wafers", "--height-map")
+    assert anisoscope(*options, tmp_path / "tile.npz", "--out", tmp_path / "wafer.toml").code == 0
+    recipe = read_recipe(tmp_path / "wafer.toml")
+    assert (recipe.surface.pitch_um, recipe.region.size_mm) == (512.0, (1.536, 1.536))
+    (tmp_path / "mask.gds").write_bytes(bytes(6))
+    done = anisoscope(*options, tmp_path / "mask.gds", "--out", tmp_path / "other.toml")
+    assert done.code != 0
+    assert "`anisoscope design height mask.gds --out tile.npz`" in done.err
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
         (("--kind", "cards"), "there is no kind of part 'cards'; installed: plates, prints, ridges, wafers"),
         (("--kind", "ridges", "--ink", "synthetic-red"), "the other options are for the recipe of a print"),
         (("--kind", "prints"), "needs its ink: give --ink"),
-        (("--kind", "wafers"), "there is no recipe of a wafer to begin with"),
+        (("--kind", "wafers"), "the recipe of a wafer needs its tile: give --height-map"),
     ],
 )
 def test_a_kind_that_is_not_there_or_does_not_fit_the_options_is_refused(anisoscope, tmp_path, options, says):
