@@ -33,7 +33,7 @@ from anisoscope.kinds.registry import kind_named
 from anisoscope.kinds.wafers.causes import wafer_causes
 from anisoscope.quality import nelson
 from anisoscope.report import rule
-from anisoscope.report.conclusion import OUTCOMES
+from anisoscope.report.conclusion import BULGE, OUTCOMES, SINK
 from anisoscope.report.inspection_page import INVALID_RULE, MEANING
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -210,7 +210,7 @@ FURTHER = (
     "no two measured values of the baseline follow each other: there is no moving range",
     "all values of the baseline are the same: there is nothing to draw limits from; is the number rounded?",
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
-    *("burr", "filled groove", "dust", "fibre", "weld line", TEXTURE, UNKNOWN),
+    *("burr", "filled groove", "dust", "fibre", "weld line", TEXTURE, UNKNOWN, SINK, BULGE),
     *("ridge angle +{size}", "ridge angle −{size}", "height loss {size}", "edges worn to {size}"),
     *("roughness along the ridges +{size}", "roughness across the ridges +{size}"),
     *("etched too deep by {size}", "etched too shallow by {size}"),

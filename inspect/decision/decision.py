@@ -401,6 +401,11 @@ def _of_form(form: FormRecord) -> str:
         return (
             f"the facets of several ridges lean by {lean}° ± {u}° (k = 2) from those around (limit {limit}°)"
         )
+    if form.depth_um == 0.0:
+        return (
+            f"over several ridges the facets lean by {lean}° ± {u}° (k = 2) from those around (limit {limit}°), at "
+            f"{where}"
+        )
     if form.depth_um > 0.0:
         return (
             f"over several ridges the facets lean by {lean}° ± {u}° (k = 2) from those around (limit {limit}°), at "

@@ -22,6 +22,8 @@ LEAST_SEEN = 0.5
 FORM = "form"
 MEDIAN_U = 1.2533
 """Standard uncertainty of a median of normal values over that of their mean."""
+OPPOSITE = 0.3
+"""Lean of the other flank of a hollow or bulge, over that of the steeper one, at the least."""
 NEAR_ROWS = 1
 """Rows of cells on either side that the depth is averaged over."""
 _ROUNDS, _USUAL = 10, 1.5
@@ -36,7 +38,8 @@ class FormDeviation:
         u_deg: its standard uncertainty.
         x_mm: place on the sample from the rotation axis.
         y_mm: likewise.
-        depth_um: of the form about it, from the lean across the ridges; negative where it stands out.
+        depth_um: of the form about it, from the lean across the ridges; negative where it stands out,
+            0 where the other flank is not seen.
     """
 
     lean_deg: float
@@ -165,7 +168,7 @@ def _medians(values: FloatArray, half_rows: int, half_cols: int) -> tuple[FloatA
 
 
 def _bottom(smooth: FloatArray, leans_deg: FloatArray, at: int, step_um: float) -> tuple[int, float]:
-    """Column of the bottom of a form with a flank at column ``at`` of a row, and its depth; negative of a top.
+    """Column of the bottom of a form with a flank at column ``at`` of a row, and its depth (below 0: height).
 
     The lean across is −dz/dx: left of the bottom of a hollow it is above 0, right of it below. The form is the integral
     over the flank, whose end towards the stronger opposite lean is the bottom.
@@ -187,4 +190,6 @@ def _bottom(smooth: FloatArray, leans_deg: FloatArray, at: int, step_um: float) 
     before, after = (
         float(np.max(-sign * part, initial=0.0)) for part in (smooth[:first], smooth[last + 1 :])
     )
+    if max(before, after) < OPPOSITE * abs(smooth[at]):
+        return at, 0.0
     return (last, change) if after >= before else (first, -change)

@@ -480,7 +480,7 @@ class FormRecord(_Part):
     """Largest lean of the facets over several ridges, in degrees about the plane through all of them, and its limit.
 
     Place in mm on the sample. ``depth_um`` is that of the form there, from the lean across the ridges, negative where
-    it stands out.
+    it stands out, 0 where only one flank of it is seen.
     """
 
     lean_deg: float

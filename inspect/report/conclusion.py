@@ -65,6 +65,9 @@ LIKELY = 0.05
 """Probability on a good part from which on a region of a single cell is no finding."""
 
 
+SINK, BULGE = "sink mark", "bulge"
+FORM_MM = 0.5
+"""Distance of a region from the middle of a hollow or bulge within which it is its flank."""
 SECOND_KIND = 0.15
 """Weight from which on a kind of a region is shown besides the likeliest."""
 POSSIBLE = 0.05
@@ -83,9 +86,15 @@ def named_regions(record: Record, words: Mapping[str, CauseWords]) -> tuple[tupl
     found = [one for one in details.regions if one.cells > 1 or one.p_value < LIKELY]
     if details.area is not None and details.area.verdict == Verdict.FAIL:
         found.sort(key=lambda one: -one.cells)
-    named = _named(record, words)
+    named, form = _named(record, words), _form_of(record)
     word = named[0].words.region if len(named) == 1 else ""
-    return tuple((one, _kinds(one, word)) for one in found)
+    if form is None:
+        return tuple((one, _kinds(one, word)) for one in found)
+    hollow: Kinds = ((SINK if form.depth_um > 0.0 else BULGE, None),)
+    return tuple(
+        (one, hollow if math.hypot(one.x - form.x, one.y - form.y) < FORM_MM else _kinds(one, word))
+        for one in found
+    )
 
 
 def _kinds(region: RegionRecord, word: str) -> Kinds:
@@ -121,8 +130,16 @@ def surface_finding(record: Record) -> str:
     return _contrast_finding(worst)
 
 
+def _form_of(record: Record) -> FormRecord | None:
+    """The hollow or bulge that fails a part; it is measured, where the cells alone would have a cause of their own."""
+    form = surface_of(record).form if record.verdict == "FAIL" else None
+    return form if form is not None and form.verdict == Verdict.FAIL and form.depth_um != 0.0 else None
+
+
 def _form_finding(form: FormRecord) -> str:
     lean, limit, depth = f"{form.lean_deg:.2g}", f"{form.max_lean_deg:g}", f"{abs(form.depth_um):.1f}"
+    if form.depth_um == 0.0:
+        return f"Several ridges lean by {lean}° from those around (limit {limit}°)"
     if form.depth_um > 0.0:
         return f"Several ridges lean by {lean}° from those around (limit {limit}°): a sink mark of {depth} µm"
     return f"Several ridges lean by {lean}° from those around (limit {limit}°): a bulge of {depth} µm"
@@ -160,12 +177,22 @@ def _of_verdict(
         others = ", ".join(rivals)
         finding = f"{finding}; cannot be distinguished from: {others}"
     if record.verdict == "FAIL":
-        if not named:
-            return "undiagnosed" if record.diagnosis is None else "unexplained", measured
-        return "tied" if rivals else named[0].key, finding
+        return _failed(record, named, finding, measured, tied=bool(rivals))
     if reason.startswith("warning") or _apart(record):
         return "warning", f"The part is within its limits, but deviates. {finding or measured}"
     return "pass", _passed(record, measured)
+
+
+def _failed(
+    record: Record, named: tuple[_Named, ...], finding: str, measured: str, *, tied: bool
+) -> tuple[str, str]:
+    """Key of the action, and the finding, of a part that fails."""
+    form = _form_of(record)
+    if form is not None:
+        return "undiagnosed", _form_finding(form)
+    if not named:
+        return "undiagnosed" if record.diagnosis is None else "unexplained", measured
+    return "tied" if tied else named[0].key, finding
 
 
 def _undecided(record: Record, measured: str) -> tuple[str, str]:

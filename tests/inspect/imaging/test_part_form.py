@@ -70,6 +70,12 @@ def test_marks_of_single_cells_and_a_single_ridge_are_no_form():
         form_deviation(replace(plain, angle_deg=lean))
 
 
+def test_a_flank_without_another_has_no_depth():
+    found = form_deviation(leaning(lambda x, y: -3.0 * ((np.abs(x - 0.3) < 0.25) & (np.abs(y) < 0.3))))
+    assert found.lean_deg > 1.0
+    assert found.depth_um == 0.0
+
+
 def test_near_the_limit_neither_passes_nor_fails():
     near = FormDeviation(0.5, 0.05, 0.0, 0.0, 4.0)
     assert near.record(0.5, 1.645).verdict is Verdict.INCONCLUSIVE
