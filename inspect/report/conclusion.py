@@ -183,18 +183,6 @@ def _of_verdict(
     return "pass", _passed(record, measured)
 
 
-def _failed(
-    record: Record, named: tuple[_Named, ...], finding: str, measured: str, *, tied: bool
-) -> tuple[str, str]:
-    """Key of the action, and the finding, of a part that fails."""
-    form = _form_of(record)
-    if form is not None:
-        return "undiagnosed", _form_finding(form)
-    if not named:
-        return "undiagnosed" if record.diagnosis is None else "unexplained", measured
-    return "tied" if tied else named[0].key, finding
-
-
 def _undecided(record: Record, measured: str) -> tuple[str, str]:
     """Key of the action, and the finding, of an INCONCLUSIVE part."""
     if record.details is not None and record.details.not_described:
@@ -250,6 +238,18 @@ class _Named(NamedTuple):
     cause: CauseRecord | ComponentRecord
     key: str
     words: CauseWords
+
+
+def _failed(
+    record: Record, named: tuple[_Named, ...], finding: str, measured: str, *, tied: bool
+) -> tuple[str, str]:
+    """Key of the action, and the finding, of a part that fails."""
+    form = _form_of(record)
+    if form is not None:
+        return "undiagnosed", _form_finding(form)
+    if not named:
+        return "undiagnosed" if record.diagnosis is None else "unexplained", measured
+    return "tied" if tied else named[0].key, finding
 
 
 def _named(record: Record, words: Mapping[str, CauseWords]) -> tuple[_Named, ...]:
