@@ -102,7 +102,7 @@ SENTENCES = {
         *("_lean_zero", "_seat", "_steps", "_centre", "_pixel"),
     ),
     "inspect/commissioning/commissioning.py": ("_notes",),
-    "inspect/kinds/surface.py": ("predicted_cells", "comparable_means", "summary"),
+    "inspect/kinds/surface.py": ("predicted_cells", "comparable_means", "summary", "_hidden_form"),
     "inspect/kinds/surface_reference.py": ("unlike_text",),
     "inspect/kinds/wafers/kind.py": ("predicted_cells", "comparable_means"),
     "inspect/kinds/plates/kind.py": ("finding", "code_lines", "grade_lines", "conclude"),

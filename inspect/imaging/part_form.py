@@ -40,6 +40,7 @@ class FormDeviation:
         y_mm: likewise.
         depth_um: of the form about it, from the lean across the ridges; negative where it stands out,
             0 where the other flank is not seen.
+        windows: number of windows that the part holds side by side.
     """
 
     lean_deg: float
@@ -47,10 +48,21 @@ class FormDeviation:
     x_mm: float
     y_mm: float
     depth_um: float
+    windows: float = 10.0
 
-    def record(self, limit_deg: float, coverage: float) -> FormRecord:
-        """What a record holds of it, judged by a limit with a guard band of ``coverage`` · u."""
+    @property
+    def by_chance_deg(self) -> float:
+        """Largest lean that noise alone makes anywhere on a plane part, about."""
+        return self.u_deg * float(np.sqrt(2.0 * np.log(max(self.windows, 2.0))))
+
+    def record(self, limit_deg: float, coverage: float) -> FormRecord | None:
+        """What a record holds of it, judged by a limit with a guard band of ``coverage`` · u; None if hidden.
+
+        Noise hides the form where it alone reaches into the guard band.
+        """
         guard = coverage * self.u_deg
+        if self.by_chance_deg > limit_deg - guard:
+            return None
         verdict = Verdict.INCONCLUSIVE
         if self.lean_deg <= limit_deg - guard:
             verdict = Verdict.PASS
@@ -114,6 +126,7 @@ def form_deviation(found: AngleMap) -> FormDeviation:
         MEDIAN_U * scatter / float(np.sqrt(known[i, j])),
         *_place(found, i, column),
         depth,
+        float(np.isfinite(off).sum()) / ((2 * half_y + 1) * (2 * half_x + 1)),
     )
 
 

@@ -263,6 +263,17 @@ class SurfaceKind(
             remember_form(measured, known)
         return known
 
+    @staticmethod
+    def _hidden_form(recipe: SurfaceRecipe, measured: Measured, decided: Decision) -> str | None:
+        """Note that noise hides the form of the part."""
+        form, limit = form_known(measured), None if recipe.area is None else recipe.area.max_lean_deg
+        if form is None or limit is None or decided.form is not None:
+            return None
+        return (
+            f"sink marks are not judged: noise alone makes several ridges lean by {form.by_chance_deg:.2g}° (limit "
+            f"{limit:g}°); take more frames_per_pose, a longer exposure_s, or a larger region"
+        )
+
     def match_map(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
     ) -> tuple[MapPlaceRecord | None, str | None]:
@@ -466,6 +477,7 @@ class SurfaceKind(
                     changed,
                     unexplained,
                     compared.note,
+                    self._hidden_form(recipe, measured, decided),
                     unfitted,
                     unplaced,
                 )

@@ -78,6 +78,7 @@ def test_a_flank_without_another_has_no_depth():
 
 def test_near_the_limit_neither_passes_nor_fails():
     near = FormDeviation(0.5, 0.05, 0.0, 0.0, 4.0)
+    assert FormDeviation(0.47, 0.15, 0.0, 0.0, 0.0).record(0.5, 1.645) is None  # noise alone makes 0.32
     assert near.record(0.5, 1.645).verdict is Verdict.INCONCLUSIVE
     assert near.record(0.58, 1.645).verdict is Verdict.INCONCLUSIVE
     assert near.record(0.6, 1.645).verdict is Verdict.PASS
@@ -137,7 +138,9 @@ def judged(name, number, poses=NINE):
         seen = some.measured(None, pitch, 1)
         area, _ = judge_area(seen, cell_map(seen, own), own.area, 1.645)
         form = form_deviation(some.map_by(recipe)).record(recipe.area.max_lean_deg, 1.645)
-        found.append((area.verdict is Verdict.FAIL, area.too_long, form.verdict is Verdict.FAIL))
+        found.append(
+            (area.verdict is Verdict.FAIL, area.too_long, form is not None and form.verdict is Verdict.FAIL)
+        )
     return found
 
 
