@@ -48,7 +48,7 @@ class FormDeviation:
     x_mm: float
     y_mm: float
     depth_um: float
-    windows: float = 10.0
+    windows: float
 
     @property
     def by_chance_deg(self) -> float:

@@ -10,7 +10,6 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.atomic_write import write_text
 from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import (
     AnisoscopeError,
@@ -22,14 +21,11 @@ from anisoscope.base.errors import (
 )
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.regular_file import bounded_text
 from anisoscope.base.significance import LEAST_SAMPLE
-from anisoscope.base.toml_edits import with_values
-from anisoscope.decision.consistency import contrast_scatter, scatter_of
+from anisoscope.decision.consistency import scatter_of
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
 from anisoscope.decision.equipment import Equipment
-from anisoscope.decision.predictive import learnt_scatter, suggested_scatter
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.cause_words import plastic_words
@@ -39,7 +35,6 @@ from anisoscope.diagnosis.part_diagnosis import evidence_of, explain, rig_reason
 from anisoscope.diagnosis.ranking import TIE
 from anisoscope.diagnosis.rig_causes import rig_faults
 from anisoscope.imaging.angle_map import AngleMap
-from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import signed_scores
 from anisoscope.imaging.deviation_map import CellMap, cell_log_ratios, cell_map, remember
 from anisoscope.imaging.part_form import (
@@ -72,7 +67,6 @@ from anisoscope.kinds.parts import (
     Reporting,
     Teaching,
     Tolerances,
-    reference_on,
     untaught,
     usable,
 )
@@ -80,8 +74,8 @@ from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.surface_reference import (
     golden_record,
     other_parts,
-    scatter_texts,
     taught_tolerances,
+    teach_scatter,
     unlike_text,
     with_power,
     without_odd_parts,
@@ -95,7 +89,6 @@ from anisoscope.prediction.expectation import (
     expectation,
 )
 from anisoscope.prediction.part_scatter import (
-    CAMERA_SHARE,
     PartScatter,
     part_scatter,
     with_design,
@@ -110,7 +103,7 @@ from anisoscope.recipe.surface import (
     check_material,
     read_surface_recipe,
 )
-from anisoscope.recipe.teaching import Change, Taught, previous_version_path
+from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import (
     DiagnosisRecord,
     MapPlaceRecord,
@@ -122,7 +115,7 @@ from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.conclusion import Kinds, named_regions, surface_finding
 from anisoscope.report.inspection_page import Pictures, Sections
-from anisoscope.rig.rigfile import RigFile, read_replay_rig
+from anisoscope.rig.rigfile import RigFile
 
 RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
 NO_RETURN = (
@@ -263,16 +256,21 @@ class SurfaceKind(
             remember_form(measured, known)
         return known
 
-    @staticmethod
-    def _hidden_form(recipe: SurfaceRecipe, measured: Measured, decided: Decision) -> str | None:
-        """Note that noise hides the form of the part."""
-        form, limit = form_known(measured), None if recipe.area is None else recipe.area.max_lean_deg
-        if form is None or limit is None or decided.form is not None:
+    def _unjudged_form(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured, decided: Decision
+    ) -> str | None:
+        """Note that the form of the part was to be judged, and why it was not."""
+        limit = None if recipe.area is None else recipe.area.max_lean_deg
+        if limit is None or decided.form is not None or not measured.aligned:
             return None
-        return (
-            f"sink marks are not judged: noise alone makes several ridges lean by {form.by_chance_deg:.2g}° (limit "
-            f"{limit:g}°); take more frames_per_pose, a longer exposure_s, or a larger region"
-        )
+        form, facets = form_known(measured), self.facets(recipe, expected, measured)
+        if form is not None:
+            return (
+                f"sink marks are not judged: noise alone makes several ridges lean by {form.by_chance_deg:.2g}° "
+                f"(limit {limit:g}°); take more frames_per_pose, a longer exposure_s, or a larger region"
+            )
+        reason = "too few cells of the angle map are known" if isinstance(facets, AngleMap) else str(facets)
+        return f"sink marks are not judged: {reason}"
 
     def match_map(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
@@ -477,7 +475,7 @@ class SurfaceKind(
                     changed,
                     unexplained,
                     compared.note,
-                    self._hidden_form(recipe, measured, decided),
+                    self._unjudged_form(recipe, expected, measured, decided),
                     unfitted,
                     unplaced,
                 )
@@ -780,68 +778,6 @@ def _chance_text(reading: ReadingRecord) -> str:
 
 
 MAX_REGIONS = 5
-
-LEAST_CHANGE = 0.05
-"""Relative change of a scatter for which a recipe gets a new version."""
-
-
-def teach_scatter(kind: SurfaceKind[Any], recipe_path: Path, rig_path: Path, source_path: Path) -> Taught:
-    """Write a new version of a recipe with the scatter that golden parts of it, or of another recipe, teach.
-
-    How parts, plastic and seat scatter is the same in any poses and of any ridges. What the golden parts show corrects
-    what their recipe states (`predictive.learnt_scatter`); what they do not show stays as it states it.
-
-    Args:
-        kind: of both recipes.
-        recipe_path: the recipe that changes.
-        rig_path: the rig of both; no device is opened.
-        source_path: the recipe of the golden parts.
-
-    Raises:
-        UsageError: less than three golden parts, another plastic, or nothing would change.
-        CalibrationError: the golden parts are not those of recipe and rig.
-        RecipeError, RigFileError, RecordError: a file.
-    """
-    recipe, source = kind.read_recipe(recipe_path), kind.read_recipe(source_path)
-    rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
-    if recipe.material.material() != source.material.material():
-        raise UsageError(
-            f"{recipe_path} and {source_path} state different plastics, whose parts need not scatter alike: name the "
-            "same material file in both"
-        )
-    known = cast("GoldenSet | None", reference_on(kind, source_path, source, rig))
-    parts = kind.part_scatter(source, rig.light.angle_deg)
-    count = 0 if known is None else len(known.parts)
-    if known is None or parts is None or count < LEAST_PARTS:
-        lacking = f"it has {count}" if parts is not None else "it states none, or has no ridges"
-        raise UsageError(f"{source_path}: {LEAST_PARTS} golden parts or more teach [scatter], {lacking}")
-    stated, before = scatter_texts(source), scatter_texts(recipe)
-    keys = {name: text.split(", ")[1] for name, (_, text) in stated.items()}
-    scatter = contrast_scatter(parts, CAMERA_SHARE)
-    learnt = learnt_scatter(scatter, known.contrasts(), keys)
-    values: dict[tuple[str, ...], Any] = {("version",): recipe.version + 1}
-    changes = []
-    for one in suggested_scatter(scatter, known.contrasts()):
-        key, (value, text) = keys[one.source], stated[one.source]
-        new, old, unit = value * learnt[key], before[one.source][0], text.split(", ")[0]
-        if ("scatter", key) in values or abs(new - old) <= LEAST_CHANGE * old:
-            continue
-        rounded, share = float(f"{new:.2g}"), 0.01 if unit == "%" else 1.0
-        values["scatter", key] = float(f"{rounded * share:.6g}")
-        why = (
-            f"{count} golden parts of {source_path.name} show {value * one.ratio:.2g} {unit} of {one.source}"
-        )
-        changes.append(Change(f"scatter.{key}", f"{old:.2g} {unit}", f"{rounded:g} {unit}", why))
-    if not changes:
-        raise UsageError(
-            f"{recipe_path}: [scatter] stays: it is within {LEAST_CHANGE:.0%} of what those of {source_path} teach"
-        )
-    previous = previous_version_path(recipe_path, recipe.version)
-    text = bounded_text(recipe_path)
-    new_text = with_values(text, values)
-    write_text(previous, text)
-    write_text(recipe_path, new_text)
-    return Taught(recipe.version + 1, previous, None, tuple(changes), ())
 
 
 def _contrast_table(record: Record, found: SurfaceDetails) -> Table:

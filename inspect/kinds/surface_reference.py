@@ -2,12 +2,16 @@
 
 from collections.abc import Collection, Iterable
 from dataclasses import asdict
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
-from anisoscope.base.errors import CalibrationError
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.regular_file import bounded_text
 from anisoscope.base.significance import log_basis
+from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.decision import Decision
 from anisoscope.decision.equipment import Equipment
@@ -17,6 +21,7 @@ from anisoscope.decision.predictive import (
     MAX_BIRGE,
     birge_ratio,
     detectable,
+    learnt_scatter,
     size_interval,
     size_of,
     suggested_scatter,
@@ -25,13 +30,16 @@ from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.kinds.command_output import CommandOutput, Table
+from anisoscope.kinds.parts import reference_on
 from anisoscope.prediction.crests import EDGE_RADIUS
 from anisoscope.prediction.part_scatter import CAMERA_SHARE, PartScatter, named_defects
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.recipe.named_defect import NamedDefect
 from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import DirectionRecord, GoldenRecord, Record
 from anisoscope.record.surface_details import surface_of
+from anisoscope.rig.rigfile import read_replay_rig
 
 TARGET_RATIO = 4.0  # T/U
 GOLDEN_SIGMAS = 3.0
@@ -240,3 +248,71 @@ def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> G
             for one in found.directions
         ),
     )
+
+
+LEAST_CHANGE = 0.05
+"""Relative change of a scatter for which a recipe gets a new version."""
+
+
+def teach_scatter(
+    kind: Any,  # noqa: ANN401
+    recipe_path: Path,
+    rig_path: Path,
+    source_path: Path,
+) -> Taught:
+    """Write a new version of a recipe with the scatter that golden parts of it, or of another recipe, teach.
+
+    How parts, plastic and seat scatter is the same in any poses and of any ridges. What the golden parts show corrects
+    what their recipe states (`predictive.learnt_scatter`); what they do not show stays as it states it.
+
+    Args:
+        kind: `SurfaceKind` of both recipes.
+        recipe_path: the recipe that changes.
+        rig_path: the rig of both; no device is opened.
+        source_path: the recipe of the golden parts.
+
+    Raises:
+        UsageError: less than three golden parts, another plastic, or nothing would change.
+        CalibrationError: the golden parts are not those of recipe and rig.
+        RecipeError, RigFileError, RecordError: a file.
+    """
+    recipe, source = kind.read_recipe(recipe_path), kind.read_recipe(source_path)
+    rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
+    if recipe.material.material() != source.material.material():
+        raise UsageError(
+            f"{recipe_path} and {source_path} state different plastics, whose parts need not scatter alike: name the "
+            "same material file in both"
+        )
+    known = cast("GoldenSet | None", reference_on(kind, source_path, source, rig))
+    parts = kind.part_scatter(source, rig.light.angle_deg)
+    count = 0 if known is None else len(known.parts)
+    if known is None or parts is None or count < LEAST_PARTS:
+        lacking = f"it has {count}" if parts is not None else "it states none, or has no ridges"
+        raise UsageError(f"{source_path}: {LEAST_PARTS} golden parts or more teach [scatter], {lacking}")
+    stated, before = scatter_texts(source), scatter_texts(recipe)
+    keys = {name: text.split(", ")[1] for name, (_, text) in stated.items()}
+    scatter = contrast_scatter(parts, CAMERA_SHARE)
+    learnt = learnt_scatter(scatter, known.contrasts(), keys)
+    values: dict[tuple[str, ...], Any] = {("version",): recipe.version + 1}
+    changes = []
+    for one in suggested_scatter(scatter, known.contrasts()):
+        key, (value, text) = keys[one.source], stated[one.source]
+        new, old, unit = value * learnt[key], before[one.source][0], text.split(", ")[0]
+        if ("scatter", key) in values or abs(new - old) <= LEAST_CHANGE * old:
+            continue
+        rounded, share = float(f"{new:.2g}"), 0.01 if unit == "%" else 1.0
+        values["scatter", key] = float(f"{rounded * share:.6g}")
+        why = (
+            f"{count} golden parts of {source_path.name} show {value * one.ratio:.2g} {unit} of {one.source}"
+        )
+        changes.append(Change(f"scatter.{key}", f"{old:.2g} {unit}", f"{rounded:g} {unit}", why))
+    if not changes:
+        raise UsageError(
+            f"{recipe_path}: [scatter] stays: it is within {LEAST_CHANGE:.0%} of what those of {source_path} teach"
+        )
+    previous = previous_version_path(recipe_path, recipe.version)
+    text = bounded_text(recipe_path)
+    new_text = with_values(text, values)
+    write_text(previous, text)
+    write_text(recipe_path, new_text)
+    return Taught(recipe.version + 1, previous, None, tuple(changes), ())
