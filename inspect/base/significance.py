@@ -78,7 +78,9 @@ DOUBT = 0.5
 _DRAWN, _BLOCK, _SEED = 20000, 2000, 11
 
 
-def like_sample(value: FloatArray, sample: FloatArray, stated: FloatArray) -> tuple[float, float]:
+def like_sample(
+    value: FloatArray, sample: FloatArray, stated: FloatArray, alike: FloatArray | None = None
+) -> tuple[float, float]:
     """T² of one new observation from n earlier ones, and its p value; the form of their scatter is stated before.
 
     The size of the scatter is that of the sample: s² = (ν₀ + q)/(ν₀ + m(n − 1)) with q = Σ (xᵢ − x̄)ᵀS₀⁻¹(xᵢ − x̄) and
@@ -86,12 +88,13 @@ def like_sample(value: FloatArray, sample: FloatArray, stated: FloatArray) -> tu
     one, which counts as m observations (inverse Wishart prior; ibid., 3.6), so that three observations serve, and many
     have a scatter of their own: S = (m s² S₀ + Σ (xᵢ − x̄)(xᵢ − x̄)ᵀ)/(m + n − 1), T² = n/(n + 1)·(x − x̄)ᵀS⁻¹(x − x̄).
     Its distribution is drawn for normal observations that scatter in the stated form, and with a doubt of it
-    (`DOUBT`); the greater probability counts.
+    (`DOUBT`), and for observations of ``alike``; the greatest probability counts.
 
     Args:
         value: (m,) of the new observation.
         sample: (n, m) of the earlier ones, n ≥ `LEAST_SAMPLE`.
         stated: (m, m) S₀, in any unit.
+        alike: (G, N, m) of simulated good parts that are not normal, N of each of G rigs.
 
     Raises:
         MeasurementError: too few earlier observations, or no scatter is stated in some direction.
@@ -108,7 +111,10 @@ def like_sample(value: FloatArray, sample: FloatArray, stated: FloatArray) -> tu
     t2 = float(_t_squared((white @ value)[None], (sample @ white.T)[None])[0])
     freedom = m + n - 1.0
     theory = _theory(np.array([t2]), m, freedom)
-    chances = [float(calibrated_at(theory, _drawn(m, n, doubt), _COUNTED)[0]) for doubt in (0.0, DOUBT)]
+    nulls = [_drawn(m, n, doubt) for doubt in (0.0, DOUBT)]
+    if alike is not None:
+        nulls.append(_drawn_from(alike @ white.T, n))
+    chances = [float(calibrated_at(theory, null, _COUNTED)[0]) for null in nulls]
     return t2, min(max(chances), 1.0)
 
 
@@ -136,6 +142,17 @@ def _drawn(m: int, n: int, doubt: float) -> FloatArray:
     for _ in range(_DRAWN // _BLOCK):
         each = rng.standard_normal((_BLOCK, n + 1, m)) * np.exp(doubt * rng.standard_normal((_BLOCK, 1, m)))
         found.append(_theory(_t_squared(each[:, 0], each[:, 1:]), m, m + n - 1.0))
+    return quantiles(np.concatenate(found), _COUNTED)
+
+
+def _drawn_from(alike: FloatArray, n: int) -> FloatArray:
+    """The same of n + 1 whitened observations of one rig, at most as many as are simulated of it."""
+    rigs, parts, m = alike.shape
+    rng, found, count = np.random.default_rng(_SEED), [], min(n + 1, parts)
+    for _ in range(_DRAWN // _BLOCK):
+        rig = rng.integers(rigs, size=(_BLOCK, 1))
+        each = alike[rig, rng.random((_BLOCK, parts)).argsort(axis=1)[:, :count]]
+        found.append(_theory(_t_squared(each[:, 0], each[:, 1:]), m, m + count - 2.0))
     return quantiles(np.concatenate(found), _COUNTED)
 
 

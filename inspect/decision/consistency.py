@@ -6,11 +6,14 @@ good parts is simulated by drawing golden sets and parts from the stated uncerta
 distribution.
 """
 
+from collections.abc import Hashable
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.covariance import root
 from anisoscope.base.significance import chi2_tail, like_sample, log_basis, mahalanobis
 from anisoscope.decision.predictive import PredictiveTest, Scatter, predictive_test
 from anisoscope.imaging.pose_radiance import Measured
@@ -19,6 +22,7 @@ from anisoscope.prediction.lobe_doubt import LobeDoubt, weights_between
 from anisoscope.prediction.part_scatter import PartScatter
 from anisoscope.prediction.profile_likelihood import (
     SETTLED,
+    States,
     nearest,
     nearest_anywhere,
     nearest_states,
@@ -26,6 +30,7 @@ from anisoscope.prediction.profile_likelihood import (
 from anisoscope.prediction.propagation import TAIL
 
 _SINGULAR = 1e-9
+_RIGS, _OF_A_RIG, _SEED = 16, 64, 11  # simulated good parts of models that are evaluated themselves
 _TAILS = 9  # of the lobe that are looked at together
 _TOGETHER = 200  # parts
 _NARROWED = 4  # times that their range becomes that between the neighbours of the best: to a 1/256 of it
@@ -180,7 +185,8 @@ def golden_test(
 ) -> tuple[float, int, float, PredictiveTest | None]:
     """T² from the mean of golden parts, the number of contrasts, the p value, and the predictive test behind it.
 
-    Where no scatter between parts is stated, its form is that of the budget (`base.significance.like_sample`).
+    Where no scatter between parts is stated, its form is that of the budget (`base.significance.like_sample`), and
+    good parts are drawn from the states of the model where it has them.
 
     Args:
         scatter: stated scatter of good parts, or None.
@@ -200,10 +206,25 @@ def golden_test(
     if scatter is None:
         single = tuple(one for one in measured.components if one.source not in OF_THE_RIG)
         own = tuple(one for one in expected.components if not varies or one.source.startswith(varies))
-        t2, p_value = like_sample(value, golden, contrast_covariance(own + single, basis))
+        alike = None
+        if expected.states is not None:
+            rng, errors = np.random.default_rng(_SEED), root(contrast_covariance(single, basis))
+            good = _good_parts(cast("Hashable", expected.states), varies) @ basis.T
+            alike = good + rng.standard_normal(good.shape) @ errors
+        t2, p_value = like_sample(value, golden, contrast_covariance(own + single, basis), alike)
         return t2, len(basis), p_value, None
     found = predictive_test(scatter, golden, value, alpha, batches)
     return found.t2, found.dof, found.p_value, found
+
+
+@lru_cache(maxsize=4)
+def _good_parts(known: Hashable, varies: tuple[str, ...]) -> FloatArray:
+    """(G, N, P) change of ln L of good parts: on one of G rigs they share all but the sources that vary."""
+    states = cast("States", known)
+    drawn = np.random.default_rng(_SEED).standard_normal((_RIGS, _OF_A_RIG, len(states.sources)))
+    shared = np.array([bool(varies) and not source.startswith(varies) for source in states.sources])
+    drawn[..., shared] = drawn[:, :1, shared]
+    return states.change(drawn)
 
 
 def own_covariance(expected: Expectation, measured: Measured) -> FloatArray:

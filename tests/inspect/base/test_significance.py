@@ -64,6 +64,28 @@ def test_a_scatter_of_another_form_than_stated_costs_little(count, most):
     assert np.mean(np.array(found) < 0.01) <= most
 
 
+def test_good_parts_with_long_tails_are_drawn_as_they_are():
+    """Of squares of normal values T² is far more often large than of normal ones; its own distribution counts."""
+    rng, n = np.random.default_rng(8), 10
+    parts = rng.normal(size=(20000, n + 1, 2)) ** 4
+    form = np.cov(parts.reshape(-1, 2).T)
+    off = parts[:, 1:] - parts[:, 1:].mean(axis=1, keepdims=True)
+    size = np.einsum("rni,ij,rnj->r", off, np.linalg.inv(form), off)
+    own = 2.0 * (0.5 + size)[:, None, None] / (0.5 + 2.0 * (n - 1)) * form
+    scatter = (own + np.swapaxes(off, 1, 2) @ off) / (n + 1.0) * (1.0 + 1.0 / n)
+    away = parts[:, 0] - parts[:, 1:].mean(axis=1)
+    t2 = np.einsum("ri,ri->r", away, np.linalg.solve(scatter, away[..., None])[..., 0])
+    pool = rng.normal(size=(16, 128, 2)) ** 4
+    for level in (0.1, 0.02):
+        part = int(np.argsort(-t2)[int(level * len(t2))])
+        (found, p_value), normal = (
+            like_sample(parts[part, 0], parts[part, 1:], form, alike) for alike in (pool, None)
+        )
+        assert found == pytest.approx(t2[part])
+        assert p_value == pytest.approx(level, rel=0.3)
+        assert normal[1] < 0.7 * p_value
+
+
 def test_many_golden_parts_tell_the_form_themselves():
     """500 parts of another form than stated: T² is that of their own covariance."""
     rng = np.random.default_rng(6)
