@@ -96,6 +96,35 @@ class Etched:
         """Every etched feature wider by a length, narrower where it is negative."""
         return replace(self, wider_um=self.wider_um + wider_um)
 
+    def turned(self) -> Self:
+        """The pattern turned by 90°."""
+        return replace(self, labels=np.rot90(self.labels))
+
+    def pass_deeper(self, number: int, deeper_um: float) -> Self:
+        """One pass deeper by a length; passes are numbered from the shallowest.
+
+        Raises:
+            HeightMapError: the pass would not etch at all.
+        """
+        passes = [depth + deeper_um * (at == number) for at, depth in enumerate(self.passes_um)]
+        if passes[number] <= 0.0:
+            raise HeightMapError(
+                f"a pass of {passes[number] * 1e3:g} nm does not etch: take a smaller under-etch"
+            )
+        return replace(self, passes_um=tuple(passes))
+
+    def mask_shifted(self, number: int, right_um: float, up_um: float) -> Self:
+        """The mask of one pass shifted against the others, by whole pixels.
+
+        Args:
+            number: of the pass.
+            right_um: towards higher columns.
+            up_um: towards higher rows.
+        """
+        bit = self.labels & np.uint8(1 << number)
+        by = tuple(round(length / self.pixel_um) for length in (up_um, right_um))
+        return replace(self, labels=self.labels - bit + np.roll(bit, by, axis=(0, 1)))
+
     def pieces(self) -> Iterator["Piece"]:
         """The tile as pieces of pixels: whole ones, or a middle, four strips and four corners where edges have moved.
 

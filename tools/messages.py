@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 from babel.messages.catalog import Catalog
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po, write_po
@@ -30,7 +31,8 @@ from anisoscope.kinds.plates.kind import RULE as PLATE_RULE
 from anisoscope.kinds.prints.decision import NONE_EXCLUDED, NOT_JUDGED
 from anisoscope.kinds.prints.missing_ink import MISSING_TITLE
 from anisoscope.kinds.registry import kind_named
-from anisoscope.kinds.wafers.causes import wafer_causes
+from anisoscope.kinds.wafers.causes import DEEP_PASS, SHALLOW_PASS, SHIFTED, wafer_causes
+from anisoscope.profiles.etching import Etched
 from anisoscope.quality import nelson
 from anisoscope.report import rule
 from anisoscope.report.conclusion import BULGE, OUTCOMES, SINK
@@ -328,7 +330,10 @@ def _tables() -> Iterator[str]:
         for key, words in kind_named(name).cause_words.items():
             yield key.replace("-", " ")
             yield from filter(None, (words.more, words.less, words.either, words.action, words.region))
-    for cause in (*all_causes(10.0), *wafer_causes()):
+    one_pass = Etched(np.zeros((1, 1), np.uint8), (0.1,), 1.0)
+    for title in (DEEP_PASS, SHALLOW_PASS, *SHIFTED.values()):
+        yield from (title, bare_title(title))
+    for cause in (*all_causes(10.0), *wafer_causes(one_pass)):
         yield from dict.fromkeys((cause.title, bare_title(cause.title)))
 
 

@@ -239,6 +239,11 @@ class _Named(NamedTuple):
     key: str
     words: CauseWords
 
+    @property
+    def opposite(self) -> str:
+        """Cause of the opposite sign, or ""."""
+        return self.words.opposite and self.words.opposite + self.cause.cause.removeprefix(self.key)
+
 
 def _failed(
     record: Record, named: tuple[_Named, ...], finding: str, measured: str, *, tied: bool
@@ -277,7 +282,7 @@ def _rivals(record: Record, named: tuple[_Named, ...]) -> tuple[str, ...]:
     if not named or record.diagnosis is None:
         return ()
     best, *others = record.diagnosis.causes
-    no_finding = {NOTHING, OTHER, named[0].words.opposite}
+    no_finding = {NOTHING, OTHER, named[0].opposite}
     return tuple(
         bare_title(one.title)
         for one in others
@@ -289,7 +294,7 @@ def _sign_unknown(record: Record, named: tuple[_Named, ...]) -> bool:
     """Whether the cause of the opposite sign explains the part as well."""
     if not named or record.diagnosis is None:
         return False
-    return any(one.tie and one.cause == named[0].words.opposite for one in record.diagnosis.causes)
+    return any(one.tie and one.cause == named[0].opposite for one in record.diagnosis.causes)
 
 
 def _finding(named: tuple[_Named, ...], nominal: Mapping[str, float], sign_unknown: bool) -> str:

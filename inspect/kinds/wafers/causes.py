@@ -2,7 +2,8 @@
 
 Signatures come from wave optics on the recipe's tile. Etching too deep leaves a mean phase, and so a spike in the
 mirror direction. Features too wide do so too, because the levels then have unequal areas; they also move the lobes.
-Causes of plastic parts (burrs, wear, …) are not considered.
+A pattern turned by 90° is a cause as well; of several passes each by itself is too deep or too shallow, and its mask
+shifted against the first one. Causes of plastic parts (burrs, wear, …) are not considered.
 
 Further stage angles, further tilts, and the same poses under a second lamp are evaluated one by one. Etching a design
 without a spike too deep or too shallow changes the radiance by the square of the error at the design's wavelength. With
@@ -27,33 +28,39 @@ from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.kinds.wafers.etched import EtchedPredictor, NearWidths
-from anisoscope.kinds.wafers.lighting import moved_light, needed_reach, recipe_wafer
+from anisoscope.kinds.wafers.lighting import moved_light, needed_reach, recipe_tile, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer
 from anisoscope.kinds.wafers.states import DEPTH, EDGES, SCATTER, WIDTH, edges_u_nm, width_step_nm
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.input_doubt import NEGLIGIBLE
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import pose_grid
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
-Changed = Callable[[EtchedPredictor, State, float], tuple[EtchedPredictor, State]]
-
 DEPTHS_NM = (2.0, 4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0)
 WIDTHS_NM = (50.0, 100.0, 150.0, 200.0, 275.0, 350.0, 500.0, 700.0, 900.0)
 SCATTERED = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 ANGLES_DEG = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+SHIFTS_NM = (250.0, 500.0, 1000.0, 2000.0)
+"""In whole pixels of the tile, at least one."""
+DEEP_PASS, SHALLOW_PASS = "pass {number} etched too deep, by", "pass {number} etched too shallow, by"
+SHIFTED = {"x": "mask {number} shifted along x, by", "y": "mask {number} shifted along y, by"}
 _DOUBT_OF_DEPTH, _DOUBT_OF_WIDTH = 0.05, 0.1
 """Passes are not all off by the same, nor all edges; of one pass and straight edges these are generous."""
 
 
-def wafer_causes() -> tuple[Cause, ...]:
+def wafer_causes(tile: Etched) -> tuple[Cause, ...]:
     """Every cause that is looked for on a wafer.
 
     Too deep and too shallow look alike where the design has no spike, and nearly so do too wide and too narrow: each is
     a cause of its own, so that a tie says so instead of an interval over both.
+
+    Args:
+        tile: of the recipe.
     """
     rig = [cause for cause in all_causes() if cause.group == "rig"]
     both = tuple(sorted((0.0, *ANGLES_DEG, *(-angle for angle in ANGLES_DEG))))
@@ -63,6 +70,8 @@ def wafer_causes() -> tuple[Cause, ...]:
         _of("under-etch", "etched too shallow, by", "nm", deep, DEPTHS_NM, _DOUBT_OF_DEPTH),
         _of("width-bias", "etched features too wide, by", "nm", wide, WIDTHS_NM, _DOUBT_OF_WIDTH),
         _of("width-loss", "etched features too narrow, by", "nm", wide, WIDTHS_NM, _DOUBT_OF_WIDTH),
+        *_of_passes(tile),
+        _of("turned", "pattern turned, by", "°", "loading: the wafer lies turned", (90.0,), 0.0),
         replace(
             _of(
                 "scatter",
@@ -78,28 +87,33 @@ def wafer_causes() -> tuple[Cause, ...]:
     )
 
 
+def _of_passes(tile: Etched) -> list[Cause]:
+    """Of several passes: every one by itself too deep or too shallow, and the masks after the first one shifted."""
+    count, pixel_nm = len(tile.passes_um), 1e3 * tile.pixel_um
+    if count == 1:
+        return []
+    steps = sorted({max(round(shift / pixel_nm), 1) * pixel_nm for shift in SHIFTS_NM})
+    shifts = (*(-one for one in reversed(steps)), 0.0, *steps)
+    etching, overlay = "etching: time, gas or temperature of this pass", "exposure: overlay of the masks"
+    found = []
+    for number in range(1, count + 1):
+        for name, title in (("deep-pass", DEEP_PASS), ("shallow-pass", SHALLOW_PASS)):
+            called = title.format(number=number)
+            found.append(_of(f"{name}-{number}", called, "nm", etching, DEPTHS_NM, _DOUBT_OF_DEPTH))
+        for axis, title in SHIFTED.items() if number > 1 else ():
+            one = _of(
+                f"mask-{axis}-{number}", title.format(number=number), "nm", overlay, (), _DOUBT_OF_WIDTH
+            )
+            found.append(replace(one, extents=shifts))
+    return found
+
+
 def _of(name: str, title: str, unit: str, explains: str, extents: tuple[float, ...], doubt: float) -> Cause:
     return Cause(name, title, unit, "shape", explains, (0.0, *extents), _not_on_maps, doubt)
 
 
 def _not_on_maps(_surface: HeightMap, _state: State, extent: float) -> tuple[HeightMap, State]:
     raise ModelError(f"a change of {extent:g} on a wafer is made of its tile, not of a height map")
-
-
-def _deeper(wafer: EtchedPredictor, state: State, extent: float) -> tuple[EtchedPredictor, State]:
-    return wafer.with_depths(extent), state
-
-
-def _shallower(wafer: EtchedPredictor, state: State, extent: float) -> tuple[EtchedPredictor, State]:
-    return wafer.with_depths(-extent), state
-
-
-def _wider(wafer: EtchedPredictor, state: State, extent: float) -> tuple[EtchedPredictor, State]:
-    return wafer.with_widths(extent), state
-
-
-def _narrower(wafer: EtchedPredictor, state: State, extent: float) -> tuple[EtchedPredictor, State]:
-    return wafer.with_widths(-extent), state
 
 
 def _scattering(wafer: EtchedPredictor, state: State, extent: float) -> tuple[EtchedPredictor, State]:
@@ -111,18 +125,27 @@ def spoiled(
     cause: Cause, wafer: EtchedPredictor, state: State, extent: float, surface: HeightMap
 ) -> tuple[EtchedPredictor, State]:
     """A wafer with a cause of this extent, and the state of scatter, lamp and seat; ``surface`` is its height map."""
-    if cause.name in _CHANGES:
-        return _CHANGES[cause.name](wafer, state, extent)
+    if cause.name == "scatter":
+        return _scattering(wafer, state, extent)
+    if cause.group == "shape":
+        name, _, number = cause.name.rpartition("-")
+        made = _CHANGES[name if number.isdecimal() else cause.name]
+        return made(wafer, extent, int(number) - 1 if number.isdecimal() else 0), state
     return wafer, cause.change(surface, state, extent)[1]
 
 
-_CHANGES: dict[str, Changed] = {
-    "over-etch": _deeper,
-    "under-etch": _shallower,
-    "width-bias": _wider,
-    "width-loss": _narrower,
-    "scatter": _scattering,
+_CHANGES: dict[str, Callable[[EtchedPredictor, float, int], EtchedPredictor]] = {
+    "over-etch": lambda wafer, nm, _: wafer.with_depths(nm),
+    "under-etch": lambda wafer, nm, _: wafer.with_depths(-nm),
+    "width-bias": lambda wafer, nm, _: wafer.with_widths(nm),
+    "width-loss": lambda wafer, nm, _: wafer.with_widths(-nm),
+    "deep-pass": lambda wafer, nm, number: replace(wafer, tile=wafer.tile.pass_deeper(number, 1e-3 * nm)),
+    "shallow-pass": lambda wafer, nm, number: replace(wafer, tile=wafer.tile.pass_deeper(number, -1e-3 * nm)),
+    "mask-x": lambda wafer, nm, number: wafer.with_pattern(wafer.tile.mask_shifted(number, 1e-3 * nm, 0.0)),
+    "mask-y": lambda wafer, nm, number: wafer.with_pattern(wafer.tile.mask_shifted(number, 0.0, 1e-3 * nm)),
+    "turned": lambda wafer, _degrees, _number: wafer.with_pattern(wafer.tile.turned()),
 }
+"""By name, without the number of the pass: wafer, extent and number of the pass."""
 
 
 def wafer_signatures(
@@ -141,7 +164,7 @@ def wafer_signatures(
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     state = State(recipe.material.material(), light_angle_deg)
     good = evaluate(fixed(wafer), [state], poses, convention)[0]
-    causes = [cause for cause in wafer_causes() if names is None or cause.name in names]
+    causes = [cause for cause in wafer_causes(wafer.tile) if names is None or cause.name in names]
     found, left_out = [], []
     for number, cause in enumerate(causes):
         advance(f"signature of {cause.name}", number, len(causes))
@@ -221,7 +244,7 @@ def wafer_options(
     expected = _expected(recipe, views, wafer, state, log_radiance, good, convention)
     covariance = planned_covariance(recipe, expected)
     found = []
-    for number, cause in enumerate(one for one in wafer_causes() if one.name in names):
+    for number, cause in enumerate(one for one in wafer_causes(wafer.tile) if one.name in names):
         advance("what would distinguish causes", 1 + number, 1 + len(names))
         found.append(_signature(cause, wafer, state, surface, log_radiance, good))
     known = Signatures(views.poses, np.exp(good), 0.0, tuple(found), ())
@@ -447,10 +470,14 @@ def _lit(state: State, more: float) -> State:
     return replace(state, light_angle_deg=state.light_angle_deg + more)
 
 
-WAFER_CAUSES = CauseModel(lambda _recipe: wafer_causes(), wafer_signatures, wafer_options)
+WAFER_CAUSES = CauseModel(
+    lambda recipe: wafer_causes(recipe_tile(of_wafer(recipe))[0]), wafer_signatures, wafer_options
+)
 
 _EITHER_DEPTH = "Etch depth is off by about {size}; the sign cannot be told from these poses"
 _EITHER_WIDTH = "Etched widths are off by about {size}; the sign cannot be told from these poses"
+_EITHER_PASS = "Depth of pass {name} is off by about {size}; the sign cannot be told from these poses"
+_OVERLAY = "Reject the wafer and measure the overlay of its masks: alignment of the exposure sets it"
 _ETCH = "Reject the wafer and check time, gas and temperature of the etch passes against a step height"
 _WIDTHS = "Reject the wafer and measure line widths: exposure dose, focus and sideways etching set them"
 WAFER_WORDS: Mapping[str, CauseWords] = {
@@ -465,6 +492,18 @@ WAFER_WORDS: Mapping[str, CauseWords] = {
     ),
     "width-loss": CauseWords(
         "Etched features are about {size} too narrow", _WIDTHS, opposite="width-bias", either=_EITHER_WIDTH
+    ),
+    "deep-pass": CauseWords(
+        "Pass {name} is etched about {size} too deep", _ETCH, opposite="shallow-pass", either=_EITHER_PASS
+    ),
+    "shallow-pass": CauseWords(
+        "Pass {name} is etched about {size} too shallow", _ETCH, opposite="deep-pass", either=_EITHER_PASS
+    ),
+    "mask-x": CauseWords("Mask {name} is shifted by about {size} along x", _OVERLAY),
+    "mask-y": CauseWords("Mask {name} is shifted by about {size} along y", _OVERLAY),
+    "turned": CauseWords(
+        "The pattern is turned by 90°",
+        "Do not reject: turn the wafer by 90° in its seat, and inspect it again",
     ),
     "scatter": CauseWords(
         "The wafer scatters about {size} more of the light than it should",

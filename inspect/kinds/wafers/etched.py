@@ -97,6 +97,11 @@ class EtchedPredictor:
         tile = self.tile.widened(1e-3 * wider_nm)
         return replace(self, tile=tile, orders=Orders.of(tile, self.reach, self.bands))
 
+    def with_pattern(self, tile: Etched) -> Self:
+        """The same wafer with another pattern."""
+        bands: dict[str, Bands] = {}
+        return replace(self, tile=tile, orders=Orders.of(tile, self.reach, bands), bands=bands)
+
     def near_widths(self, step_nm: float) -> NearWidths:
         """The same wafer at any bias of its widths in nm, quick: by parabolas through widths up to a step away.
 

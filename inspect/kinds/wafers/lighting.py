@@ -8,6 +8,7 @@ from anisoscope.kinds.wafers.etched import EtchedPredictor, WaferLight, tile_of
 from anisoscope.kinds.wafers.recipe import WaferRecipe, read_tile
 from anisoscope.prediction.profile_likelihood import FARTHEST
 from anisoscope.prediction.recipe_models import line_spectrum
+from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import LightPart
 
@@ -37,13 +38,18 @@ def recipe_wafer(
         RecipeError: it is not the tile that repeats.
     """
     assert recipe.light is not None
-    table = recipe.surface
-    assert table.height_map is not None
-    surface = read_tile(table.height_map, table.pixel_um, table.role)
-    tile = tile_of(surface, recipe.surface.pitch_um, str(recipe.surface.height_map))
+    tile, surface = recipe_tile(recipe)
     light, reflectance = wafer_light(recipe.light), recipe.material.reflectance
     reach = max(reach, needed_reach(recipe, light_angle_deg))
     return EtchedPredictor.of(tile, light, reflectance, reach), surface
+
+
+def recipe_tile(recipe: WaferRecipe) -> tuple[Etched, HeightMap]:
+    """The tile of a recipe's wafer, and its height map; errors as of `recipe_wafer`."""
+    table = recipe.surface
+    assert table.height_map is not None
+    surface = read_tile(table.height_map, table.pixel_um, table.role)
+    return tile_of(surface, table.pitch_um, str(table.height_map)), surface
 
 
 def needed_reach(recipe: WaferRecipe, light_angle_deg: float) -> float:

@@ -93,7 +93,8 @@ def test_folders_of_frames_are_read_through_the_curve(virtual_rig, curve, undiag
         assert pair.measured == pytest.approx(pair.predicted, rel=0.03)
     path.rename(path.with_name("gone.json"))  # the inspection has its own copy
     again_found = recompute(found.folder).differences
-    assert [one for one in again_found if not one.startswith(("details.", "diagnosis"))] == []
+    diagnosed = ("details.", "diagnosis", "notes")  # with the note that sink marks are not judged
+    assert [one for one in again_found if not one.startswith(diagnosed)] == []
     path.with_name("gone.json").rename(path)
 
     stated = lay_out(virtual_rig, "stated")

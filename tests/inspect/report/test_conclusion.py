@@ -1,11 +1,13 @@
 """Finding and action of a verdict in plain words, for every verdict, cause and kind."""
 
+import numpy as np
 import pytest
 
-from anisoscope.diagnosis.cause_words import plastic_words
+from anisoscope.diagnosis.cause_words import plastic_words, words_of
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.kinds.registry import kind_named, kind_names
 from anisoscope.kinds.wafers.causes import WAFER_WORDS, wafer_causes
+from anisoscope.profiles.etching import Etched
 from anisoscope.record.surface_details import surface_of
 from anisoscope.report.conclusion import OUTCOMES, concluded
 
@@ -87,6 +89,10 @@ def test_an_unknown_sign_is_one_finding_and_not_two_causes(conclude):
         both.finding == "Etch depth is off by about 22 nm (± 1 nm); the sign cannot be told from these poses."
     )
     assert "too deep" in conclude(causes[0], words=WAFER_WORDS).finding
+    of_pass = [row(f"{name}-pass-2", 22.0, 1.4, "nm") for name in ("deep", "shallow")]
+    assert conclude(*of_pass, words=WAFER_WORDS).finding == (
+        "Depth of pass 2 is off by about 22 nm (± 1 nm); the sign cannot be told from these poses."
+    )
 
 
 @pytest.mark.parametrize("severity", [-1.8, 0.04, 1.2])
@@ -165,7 +171,8 @@ PART = {"cause", "title", "unit", "severity", "u", "interval"}
 
 def test_every_cause_of_every_kind_has_words():
     assert {one.name for one in all_causes()} <= PLASTIC_WORDS.keys()
-    assert {one.name for one in wafer_causes()} <= WAFER_WORDS.keys()
+    wafer = Etched(np.zeros((4, 4), np.uint8), (0.06, 0.13), 0.5)
+    assert all(words_of(one.name, WAFER_WORDS) for one in wafer_causes(wafer))
     for words in (kind_named(name).cause_words for name in kind_names()):
         for one in words.values():
             assert one.action

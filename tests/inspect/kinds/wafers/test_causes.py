@@ -1,20 +1,30 @@
 """Causes on wafers: what they would change, from which size they show, what is told apart; before any part is there."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import tomli_w
 
 from anisoscope.base.cache import VARIABLE
+from anisoscope.diagnosis.part_diagnosis import evidence_of
+from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
-from anisoscope.kinds.wafers.causes import WAFER_CAUSES, wafer_causes, wafer_signatures
+from anisoscope.kinds.wafers.causes import WAFER_CAUSES, wafer_signatures
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.operations.demo import wafers as demo_wafer
-from anisoscope.prediction.expectation import expectation
+from anisoscope.parameters.etching import PatternOptions
+from anisoscope.prediction.expectation import Component, expectation
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.recipe.surface import read_surface_recipe
+from anisoscope.sim.bench.wafer import build_wafer
+from anisoscope.sim.bench.waferpart import WaferPart
+from anisoscope.sim.design.depths import design_depths
+from anisoscope.sim.design.pattern import make_layout
+from anisoscope.sim.light.geometry import directions
 
 TILE_UM = 256.0
 
@@ -43,9 +53,9 @@ def by_name(known):
     return {one.cause.name: one for one in known.found}
 
 
-def test_causes_of_wafers_and_of_plastic_keep_apart(known):
+def test_causes_of_wafers_and_of_plastic_keep_apart(recipe, known):
     names = set(by_name(known))
-    assert names == {cause.name for cause in wafer_causes()}
+    assert names == {cause.name for cause in WAFER_CAUSES.causes(recipe)}
     assert names & {"over-etch", "width-bias", "seating-x", "light-angle"}
     assert not names & {"burrs", "wear", "ridge-angle", "missing-ridges", "roughness-along", "colour"}
     assert known.left_out == ()
@@ -101,3 +111,57 @@ def test_signatures_of_wafers_are_kept_and_belong_to_their_light(recipe, tmp_pat
     other_light = recipe.light.model_copy(update={"wavelength_nm": 530.0})
     with pytest.raises(pytest.fail.Exception, match="computed again"):
         cached_signatures(recipe.model_copy(update={"light": other_light}), 0.0, causes=none)
+
+
+OFF = {"turned": ("turned", 90.0), "shifted": ("mask-x-2", 500.0), "deeper": ("deep-pass-1", 12.0)}
+
+
+@pytest.fixture(scope="module")
+def two_passes(tmp_path_factory):
+    """Recipe and tile of a wafer with a pass for each axis; passes and masks are told apart by four tilts."""
+    folder = tmp_path_factory.mktemp("two-passes")
+    passes = design_depths(4, (450.0, 650.0)).passes_nm
+    design = demo_wafer.design().model_copy(update={"passes_nm": passes})
+    options = PatternOptions(64.0, 4)
+    layout = make_layout(np.zeros((2, 2), np.int64), (design,), np.random.default_rng(1), options)
+    write_height_map(layout.window(), folder / "tile.npz")
+    table = demo_wafer.recipe()
+    table["surface"]["pitch_um"] = 128.0
+    table["region"]["size_mm"] = [0.384, 0.384]
+    table["poses"]["tilts_deg"] = [0.0, 2.0, 3.0, 6.0]
+    table["uncertainty"]["step_edges_nm"] = 0.0
+    (folder / "recipe.toml").write_text(tomli_w.dumps(table))
+    return read_surface_recipe(folder / "recipe.toml", WaferRecipe), layout.window(), 1e-3 * np.array(passes)
+
+
+@pytest.mark.parametrize("wrong", OFF)
+def test_a_turned_pattern_a_shifted_mask_and_a_deep_pass_are_named(two_passes, tmp_path, wrong):
+    """The heights are changed here, and photographed point by point of the lamp; 0.3 % of every pose is added."""
+    recipe, tile, passes_um = two_passes
+    rng, expected = np.random.default_rng(3), expectation(recipe, 0.0, OPTICS)
+    deep = np.stack(
+        [np.abs(-tile.height_um - depth) < 1e-6 for depth in (passes_um[0], passes_um[1], passes_um.sum())]
+    )
+    masks = np.stack([deep[0] | deep[2], deep[1] | deep[2]])
+    if wrong == "turned":
+        masks = np.rot90(masks, axes=(1, 2))
+    if wrong == "shifted":
+        masks[1] = np.roll(masks[1], round(0.5 / tile.pixel_x_um), axis=1)
+    if wrong == "deeper":
+        passes_um[0] += 0.012
+    made = tile.with_height(-np.tensordot(passes_um, masks, 1))
+    write_height_map(made, tmp_path / "made.npz")
+    part = WaferPart(file=tmp_path / "made.npz", reflectance=0.9, **demo_wafer.LIGHT)
+    wafer = build_wafer(part, 0.5, rng)
+    rows, cols = (round(128.0 / pixel) for pixel in wafer.pixel_um)
+    views = zip(*directions(expected.poses, expected.convention), strict=True)
+    seen = np.array([wafer.radiance(*view)[0, :rows, :cols].mean(dtype=float) for view in views])
+    seen *= np.exp(0.003 * rng.standard_normal(len(seen)))
+    errors = (Component("pictures", "measurement", np.full(len(seen), 0.003), shared=False),)
+    measured = SimpleNamespace(radiance=seen, components=errors)
+    decided = SimpleNamespace(area=None, deviating=None)
+    found = diagnose(wafer_signatures(recipe, 0.0), evidence_of(recipe, expected, measured, decided))
+    name, size = OFF[wrong]
+    assert found.causes[0].cause == name
+    assert found.causes[0].severity == pytest.approx(size, rel=0.2)
+    assert found.causes[0].weight > 0.9
