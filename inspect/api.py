@@ -118,7 +118,6 @@ if TYPE_CHECKING:
     from anisoscope.quality.capability import Specification
     from anisoscope.quality.chart_limits import read_chart_limits, write_chart_limits
     from anisoscope.quality.control import ControlStudy
-    from anisoscope.quality.control import Settings as ChartSettings
     from anisoscope.quality.drift import drift_study
     from anisoscope.quality.readings import Readings, history_readings, read_readings
     from anisoscope.record.schema import Record, read_record
@@ -176,7 +175,6 @@ __all__ = [
     "AnisoscopeError",
     "AntiMirror",
     "Autofocus",
-    "ChartSettings",
     "ControlStudy",
     "Convention",
     "Costs",

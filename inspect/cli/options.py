@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, overload
 
 from cyclopts import Group, Parameter
 
@@ -167,6 +167,28 @@ def parse_range(text: str, option: str) -> tuple[float, ...]:
         raise UsageError(f"{option} takes from:to:step with a step above 0, such as -20:20:5, not {text!r}")
     first, last, step = numbers
     return tuple(first + step * k for k in range(int((last - first) / step + 1e-9) + 1))
+
+
+@overload
+def parse_pixel(text: str, option: str = "--pixel") -> tuple[float, float]: ...
+
+
+@overload
+def parse_pixel(text: str | None, option: str = "--pixel") -> tuple[float, float] | None: ...
+
+
+def parse_pixel(text: str | None, option: str = "--pixel") -> tuple[float, float] | None:
+    """Pixel size (y, x) in µm of an option SIZE or Y,X.
+
+    Raises:
+        UsageError: not one or two positive numbers.
+    """
+    if text is None:
+        return None
+    numbers = parse_numbers(text, option, "0.5,0.5", "um")
+    if len(numbers) not in (1, 2) or min(numbers) <= 0:
+        raise UsageError(f"{option} takes one or two positive numbers of µm, SIZE or Y,X, not {text!r}")
+    return numbers[0], numbers[-1]
 
 
 def check_suffix(path: Path | None, option: str, *suffixes: str) -> None:

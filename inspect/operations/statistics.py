@@ -11,8 +11,11 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.history.filters import parse_moment
+from anisoscope.parameters.charting import Charting
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.quality.bias import ALPHA, Bias, bias_study
 from anisoscope.quality.capability import Specification, charted, specification
+from anisoscope.quality.chart_limits import read_chart_limits
 from anisoscope.quality.control import ControlStudy, Settings, control_study
 from anisoscope.quality.drift import Drift, drift_study
 from anisoscope.quality.gauge import GaugeStudy, gauge_data, gauge_study
@@ -242,20 +245,13 @@ class Charts:
         return all(one.stable for one in self.studies) and not any(one.seen for one in self.drifts)
 
 
+@by_keywords(charting=Charting)
 def control_charts(
     readings: Readings,
     number: str | None = None,
     *,
-    by: str | None = None,
-    settings: Settings | None = None,
-    subgroup: str | None = None,
-    of: str | None = None,
-    known: Mapping[str, tuple[str, Limits]] | None = None,
-    period: str | None = None,
-    limits: Specification | None = None,
+    charting: Charting,
     tolerances: Mapping[str, float] | None = None,
-    drift: bool = False,
-    against: tuple[str, ...] | None = None,
     on_progress: Advance = silent,
 ) -> Charts:
     """Control charts and capability: of a number, or of all that are worth a chart.
@@ -263,27 +259,19 @@ def control_charts(
     Args:
         readings: in the order in which they were measured; with cycle data of machines for ``drift``.
         number: its name; None for all.
-        by: product, recipe, lot, cavity, station or operator: a chart for each.
-        settings: of the charts.
-        subgroup: lot, day, cavities (a part of each), a column of words, or how many readings that follow each other.
-        of: number that says how many parts a count is of; one by default.
-        known: charts and limits by name, as `read_chart_limits` has them, in place of those of the data.
-        period: values on which the limits rest: ``FROM..TO``, either may be missing.
-        limits: of good parts; by default those that the readings state.
+        charting: chart type, limits and rules, or its fields as keywords.
         tolerances: of a recipe, by number, in place of those of the readings.
-        drift: test for a drift, and compare it with cycle data.
-        against: what it is compared with; None for all cycle data.
         on_progress: called with the work being done, steps done and steps in all.
 
     Raises:
         UsageError: no number, settings that make no sense, or no chart is possible.
     """
-    used = Settings() if settings is None else settings
-    names = charted(readings) if number is None else (readings.number(number)[0],)
-    if number is None and used.chart[0] in COUNTED:
-        names = (COUNTED[used.chart[0]],)
-    if not names:
-        raise UsageError(f"{readings.source}: there is no number to chart")
+    used = _settings(charting)
+    limits, by = None, charting.by
+    if charting.lower is not None or charting.upper is not None:
+        limits = Specification(charting.lower, charting.upper)
+    known = None if charting.limits_from is None else read_chart_limits(charting.limits_from)
+    names = _names(readings, number, used.chart)
     if len(names) > 1 and (limits is not None or used.center is not None):
         raise UsageError("limits and known means belong to one number: name it with --number")
     if by is not None and by not in GROUPS:
@@ -296,22 +284,22 @@ def control_charts(
         title, part = name if by is None else f"{name}, {by} {group or 'not stated'}", groups[group]
         on_progress(title, place, len(wanted))
         try:
-            stand, study = _study(
-                title,
-                part,
-                name,
+            points, stand, left = charted_points(part, name, used.chart, charting.subgroup, charting.of)
+            own = replace(
                 used,
-                limits or tolerances,
-                subgroup=subgroup,
-                of=of,
-                known=known,
-                period=period,
+                period=None if charting.period is None else period_of(stand, charting.period),
+                known=_known_of(known, title, used.chart),
             )
+            wide = limits if limits or points.counted else specification(part, name, tolerances)
+            study = control_study(title, points, own, wide)
+            study = replace(study, notes=(*study.notes, *left, *repeated(part, name)))
             values, labels = (
                 (study.values, study.labels) if study.points.counted else (part.numbers[name], part.labels)
             )
-            beside = (stand if study.points.counted else part).against(against, name) if drift else {}
-            moved = drift_study(title, values, labels, beside) if drift else None
+            beside = (stand if study.points.counted else part).against
+            moved = (
+                drift_study(title, values, labels, beside(charting.against, name)) if charting.drift else None
+            )
         except UsageError as error:
             if len(wanted) == 1:
                 raise
@@ -329,26 +317,26 @@ def control_charts(
     )
 
 
-def _study(
-    title: str,
-    part: Readings,
-    name: str,
-    settings: Settings,
-    limits: Specification | Mapping[str, float] | None,
-    *,
-    subgroup: str | None,
-    of: str | None,
-    known: Mapping[str, tuple[str, Limits]] | None,
-    period: str | None,
-) -> tuple[Readings, ControlStudy]:
-    """Control study of a number, and a reading for each of its points."""
-    points, stand, left = charted_points(part, name, settings.chart, subgroup, of)
-    within = None if period is None else period_of(stand, period)
-    own = replace(settings, period=within, known=_known_of(known, title, settings.chart))
-    if not points.counted and not isinstance(limits, Specification):
-        limits = specification(part, name, limits)
-    study = control_study(title, points, own, limits if isinstance(limits, Specification) else None)
-    return stand, replace(study, notes=(*study.notes, *left, *repeated(part, name)))
+def _names(readings: Readings, number: str | None, chart: str) -> tuple[str, ...]:
+    if number is not None:
+        return (readings.number(number)[0],)
+    names = (COUNTED[chart[0]],) if chart[0] in COUNTED else charted(readings)
+    if not names:
+        raise UsageError(f"{readings.source}: there is no number to chart")
+    return names
+
+
+def _settings(charting: Charting) -> Settings:
+    return Settings(
+        charting.baseline,
+        charting.weight,
+        charting.width,
+        charting.center,
+        charting.sigma,
+        distribution=charting.distribution,
+        rules=charting.rules,
+        chart=charting.chart or ("i-mr" if charting.subgroup is None else "xbar-s"),
+    )
 
 
 def _known_of(known: Mapping[str, tuple[str, Limits]] | None, title: str, chart: str) -> Limits | None:

@@ -19,6 +19,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
+from anisoscope.parameters.charting import Charting
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
 from anisoscope.quality.distributions import FittedCapability, fitted_capability
 from anisoscope.quality.limits import (
@@ -36,7 +37,7 @@ from anisoscope.quality.nelson import RULES, Flag, flags
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WEIGHT, WIDTH = 0.2, 3.0
+WEIGHT, WIDTH = Charting.weight, Charting.width
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,9 +75,9 @@ class Given(Generic[M]):
         Raises:
             UsageError: a list that is none of numbers.
         """
-        values = {name: getattr(self, name) for name in self.option}
+        values = self.values
         for name, reader in self.lists.items():
-            if values.get(name) is not None:
+            if name in values:
                 values[name] = _read(reader, values[name], self.option[name])
         return cast("M", self.model(**values))
 
@@ -114,6 +114,7 @@ class Options:
         without: field -> reason why this command has no option for it.
         readers: field -> function of the text and the option that makes its value.
         groups: field -> panel, where it is not ``group``.
+        repeated: fields that hold several values, each stated by the option again.
         whole: the command takes the whole model (`Given.made`): what is not stated has its default, and a field without
             one must be stated; lists of numbers are texts until then.
         flags: whether fields that are true or false have one option each, which makes them true.
@@ -129,6 +130,7 @@ class Options:
     readers: Mapping[str, Callable[[str, str], Any]] = field(default_factory=dict)
     flags: bool = False
     groups: Mapping[str, Group] = field(default_factory=dict)
+    repeated: Sequence[str] = ()
     whole: bool = False
 
     def option(self, name: str) -> str:
@@ -171,14 +173,14 @@ def options_class(options: Options) -> type:
         kind, likely = _taken_apart(hints[one.name])
         kind = str if kind is datetime else kind  # people write it in words, which the command reads
         reader = options.readers.get(one.name) or _reader(kind, one.name, likely)
-        if options.whole and get_origin(kind) is tuple and float in get_args(kind):
+        listed = get_origin(kind) is tuple and (float in get_args(kind) or one.name in options.readers)
+        if options.whole and listed and one.name not in options.repeated:
             lists[one.name] = reader or _list_reader(unit_of(one.name))
-            kind, reader, default = (
-                str,
-                None,
-                default if default is None or default is MISSING else _shown(default),
-            )
+            kind, reader = str, None
+            default = default if default is MISSING else _shown(default) if default else None
         more: dict[str, Any] = {"group": options.groups[one.name]} if one.name in options.groups else {}
+        if one.name in options.repeated:
+            more |= {"consume_multiple": False, "allow_leading_hyphen": True}
         if not options.whole:
             more["show_default"] = False if default in (MISSING, None) else _shown(default)
         parameter = Parameter(

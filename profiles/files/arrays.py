@@ -17,10 +17,11 @@ from numpy.lib import format as npy_format
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.regular_file import regular_file
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, check_packing, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
+from anisoscope.profiles.files.units import micrometres_per, require_pixel
 from anisoscope.profiles.files.x3p import DAMAGED, ZIP_TROUBLE
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, HeightMap
 
@@ -167,7 +168,7 @@ def write_array(surface: HeightMap, path: Path | str) -> None:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
 
 
-def _read(path: Path, given: Given) -> HeightMap:
+def _read(path: Path, given: FileScales) -> HeightMap:
     return read_array(path, pixel_um=given.pixel_um, z_unit=given.z_unit or "um")
 
 

@@ -10,13 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import Trust
 from anisoscope.profiles.heightmap import HeightMap
 
 PIXEL_LIMITS_UM = (0.01, 1000.0)
@@ -30,8 +31,6 @@ DEFLATE_LIMIT = 1032
 PACKED_FREELY_BYTES = 2**26
 PACKED_RATIO = 200
 AXIS_TOLERANCE = 0.05
-
-Trust = Literal["checksum", "pixel-size", "heights"]
 
 
 @dataclass

@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.decoder_process import decode, require_decoder
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
+from anisoscope.profiles.files.units import micrometres_per, require_pixel
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, HeightMap, Layer
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -35,7 +36,7 @@ def _noted(name: str, text: object) -> tuple[float, float] | None:
         return refuse(name, "heightMap", repr(str(text)[:60]), "the file is damaged; copy or export it again")
 
 
-def read_exr(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_exr(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read an OpenEXR file.
 
     Args:
@@ -49,7 +50,7 @@ def read_exr(path: Path | str, given: Given | None = None) -> HeightMap:
         HeightMapError: OpenEXR is not installed, no scales, damaged, or implausible.
     """
     path = Path(path)
-    name, given = path.name, given or Given()
+    name, given = path.name, given or FileScales()
     answer, raw = decode("exr", path, channels=[])
     noted = _noted(name, answer.get("heightMap"))
     if noted is not None and (given.pixel_um or given.z_unit):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from anisoscope.profiles.files.units import Given
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.heightmap import HeightMap
 
 
@@ -38,7 +38,7 @@ class Format:
     name: str
     title: str
     suffixes: tuple[str, ...]
-    read: Callable[[Path, Given], HeightMap]
+    read: Callable[[Path, FileScales], HeightMap]
     signatures: tuple[tuple[int, bytes], ...] = ()
     zip_member: str = ""
     units_from_user: str = ""

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.plugins import Registry
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import refuse
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.library import LIBRARY_FORMATS, read_library
-from anisoscope.profiles.files.units import Given
 from anisoscope.profiles.files.x3p import ZIP_TROUBLE
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -54,7 +54,7 @@ def _by_suffix(suffix: str) -> Format | None:
     return next((entry for entry in all_formats() if suffix in entry.suffixes), None)
 
 
-def _unknown(path: Path, given: Given) -> HeightMap:
+def _unknown(path: Path, given: FileScales) -> HeightMap:
     """Read a file of unknown extension if the library recognises its first bytes."""
     try:
         return read_library(path, given)

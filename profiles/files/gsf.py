@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, stated_micrometres_per, stated_or_given_pixel
+from anisoscope.profiles.files.units import stated_micrometres_per, stated_or_given_pixel
 from anisoscope.profiles.heightmap import HeightMap
 
 MAGIC = b"Gwyddion Simple Field 1.0\n"
@@ -47,7 +48,7 @@ def _real_um(name: str, fields: dict[str, str], key: str) -> float | None:
         return refuse(name, key, repr(fields[key][:40]), DAMAGED)
 
 
-def read_gsf(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_gsf(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read a gsf file.
 
     Returns:

@@ -16,10 +16,11 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, Given, chosen_channel
+from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, chosen_channel
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, INTERPOLATED, HeightMap, Layer
 
 MAGIC = b"GWYP"
@@ -148,7 +149,7 @@ def _grid(name: str, field: _Thing) -> FloatArray:
     return data.reshape(rows, cols)
 
 
-def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_gwy(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read the channel of a gwy file that is given, else the first one that holds heights in lengths.
 
     Returns:

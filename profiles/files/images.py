@@ -24,12 +24,13 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.library import read_library
-from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
+from anisoscope.profiles.files.units import micrometres_per, require_pixel
 from anisoscope.profiles.heightmap import COLOUR, HeightMap
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -90,7 +91,7 @@ def check_png(content: Content) -> str:
     return note
 
 
-def _factor(name: str, kind: str, given: Given) -> float:
+def _factor(name: str, kind: str, given: FileScales) -> float:
     """µm per number of the picture."""
     unit = micrometres_per(given.z_unit or "um")
     if given.height_per_count is not None:
@@ -119,7 +120,7 @@ def _noted_pixel(description: str) -> tuple[float, float] | None:
         return None
 
 
-def read_image(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_image(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read a TIFF or PNG picture of heights.
 
     Args:
@@ -133,7 +134,7 @@ def read_image(path: Path | str, given: Given | None = None) -> HeightMap:
         HeightMapError: no such picture, damaged, scales not given, or implausible.
     """
     path = Path(path)
-    given = given or Given()
+    given = given or FileScales()
     content = load_content(path)
     png_note = check_png(content) if content.data.startswith(PNG_MAGIC) else None
     kind = "tiff" if png_note is None else "png"
@@ -147,10 +148,10 @@ def read_image(path: Path | str, given: Given | None = None) -> HeightMap:
                 "leave --z-unit and --height-per-count out",
             )
         return read_library(path, given, "ps")
-    if png_note and given == Given() and (scales := PNG_NOTE.fullmatch(png_note)):
+    if png_note and given == FileScales() and (scales := PNG_NOTE.fullmatch(png_note)):
         return _counted(path.name, raw, [_real(path.name, text) for text in scales.groups()])
     noted = _noted_pixel(str(answer.get("description", "")))
-    if noted and raw.dtype.kind == "f" and given == Given():
+    if noted and raw.dtype.kind == "f" and given == FileScales():
         given = replace(given, pixel_um=noted, z_unit="um")
     pixel = require_pixel(path.name, given.pixel_um)
     factor = _factor(path.name, raw.dtype.kind, given)

@@ -12,10 +12,11 @@ from typing import Any
 import numpy.typing as npt
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import check_packing, checked_map, refuse
 from anisoscope.profiles.files.content import Content, load_content, scaled
 from anisoscope.profiles.files.decoder_process import decode
-from anisoscope.profiles.files.units import Given, stated_micrometres_per, stated_or_given_pixel
+from anisoscope.profiles.files.units import stated_micrometres_per, stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
 PROBES = ("di", "jpk", "ps", "wsxm", "ezd", "ibw", "mdt", "mi")
@@ -64,7 +65,7 @@ LIBRARY_FORMATS = (
 )
 
 
-def read_library(path: Path | str, given: Given | None = None, key: str | None = None) -> HeightMap:
+def read_library(path: Path | str, given: FileScales | None = None, key: str | None = None) -> HeightMap:
     """Read a file through SurfaceTopography.
 
     Args:

@@ -2,16 +2,16 @@
 
 import hashlib
 import stat
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.regular_file import regular_file
+from anisoscope.parameters.height_map_file import FileScales, Rows
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.profiles.files.arrays import write_array
-from anisoscope.profiles.files.checks import Trust, refuse, trusting
+from anisoscope.profiles.files.checks import refuse, trusting
 from anisoscope.profiles.files.content import check_size
 from anisoscope.profiles.files.exr import write_exr
 from anisoscope.profiles.files.format import Format
@@ -21,12 +21,11 @@ from anisoscope.profiles.files.gwy import write_gwy
 from anisoscope.profiles.files.images import write_ply, write_png, write_stl, write_tiff
 from anisoscope.profiles.files.sur import write_sur
 from anisoscope.profiles.files.text import write_text
-from anisoscope.profiles.files.units import Given, Layout, micrometres_per
+from anisoscope.profiles.files.units import micrometres_per
 from anisoscope.profiles.files.x3p_write import write_x3p
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.provenance import provenance_of, with_comment
 
-Rows = Literal["auto", "up", "down"]
 HEAD_BYTES = 4096
 WRITERS = {
     ".x3p": write_x3p,
@@ -70,7 +69,7 @@ def _fingerprint(path: Path) -> tuple[str, bytes]:
     return digest.hexdigest(), head
 
 
-def _check_given(name: str, found: Format, given: Given) -> None:
+def _check_given(name: str, found: Format, given: FileScales) -> None:
     """Refuse units for a format that states its own, and image options for others."""
     if not found.units_from_user and (given.z_unit or given.xy_unit):
         refuse(
@@ -87,51 +86,21 @@ def _check_given(name: str, found: Format, given: Given) -> None:
         refuse(name, "channel", f"files of format {found.title} have one map", "leave --channel out")
     if given.grid_um is not None and found.name not in SCATTERED:
         refuse(name, "grid", "scattered points are those of text files and meshes", "leave --grid out")
-    if given.regions and ".x3p" not in found.suffixes:
+    if given.mask_regions and ".x3p" not in found.suffixes:
         refuse(name, "mask", "only x3p files hold a mask.png", "leave --mask-from-x3p out")
 
 
-def read_height_map(
-    path: Path | str,
-    *,
-    pixel_um: tuple[float, float] | None = None,
-    z_unit: str | None = None,
-    role: str = "part",
-    xy_unit: str | None = None,
-    layout: Layout = "auto",
-    height_per_count: float | None = None,
-    rows: Rows = "auto",
-    trust: Sequence[Trust] = (),
-    mask_regions: Sequence[str] = (),
-    missing: Sequence[float] = (),
-    channel: str | None = None,
-    grid_um: float | None = None,
-) -> HeightMap:
+@by_keywords(scales=FileScales)
+def read_height_map(path: Path | str, *, scales: FileScales) -> HeightMap:
     """Read a height map, by content and extension, and check that it is plausible.
 
     Args:
         path: a file of one of `anisoscope.profiles.files.formats.all_formats`; how well each was tried stands in
             ``docs/height-maps.md``.
-        pixel_um: (y, x) pixel size in µm for files that have none.
-        z_unit: unit of the heights for formats that state none: um, nm, mm or m; µm where it is not given.
-        role: "part", or "tool" for the mould: the part is its negative, so that z changes its sign and x
-            is mirrored.
-        xy_unit: unit of x and y in a list of points; that of the heights where it is not given.
-        layout: "matrix" or "xyz" where a text file with three columns could be either.
-        height_per_count: height of one count of an integer picture, in ``z_unit``.
-        rows: whether y rises ("up") or falls ("down") with the rows of the file. "auto": up for x3p and sdf,
-            as their standards define it, for opd, text and numpy; down for all others, whose first row
-            is the top of the picture.
-        trust: checks that must not refuse the file: "checksum" (that of main.xml of an x3p file whose heights have a
-            right one), "pixel-size" (its limits and that of the field), "heights" (their least range). What was let
-            pass is listed as ``trusted`` in the origin.
-        mask_regions: regions of the ``mask.png`` of an x3p file that become missing points, by name or colour, or
-            "all"; without them every point is read.
-        missing: numbers that stand for missing points in a text file, such as -9999, in the unit of the file.
-        channel: name or number (from 1) of the heights in a file with several channels; the first that is a length
-            where it is not given. The others are ``other_channels`` in the origin.
-        grid_um: step of the grid onto which scattered points of a text file or a mesh are interpolated; without it they
-            must lie on a grid.
+        scales: what the file does not state, or its fields as keywords; with ``role`` "tool" the part is the negative
+            of the map: z changes its sign and x is mirrored. ``rows`` "auto" is up for x3p and sdf, as their standards
+            define it, for opd, text and numpy; down for all others, whose first row is the top of the picture. What
+            ``trust`` let pass is listed as ``trusted`` in the origin, other channels as ``other_channels``.
 
     Returns:
         The map; its origin holds ``file``, ``sha256``, ``format``, ``reader``, ``pixel_um`` [y, x],
@@ -142,17 +111,15 @@ def read_height_map(
         HeightMapError: unreadable, damaged, ambiguous or implausible; one line that says what to do.
     """
     path = Path(path)
-    if role not in ("part", "tool"):
-        raise HeightMapError(f"unknown role {role!r}; a height map is of a part or of a tool")
-    micrometres_per(z_unit or "um")
-    micrometres_per(xy_unit or "um")
-    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout, tuple(missing), tuple(mask_regions), channel,
-                  grid_um)  # fmt: skip
+    if scales.role not in ("part", "tool"):
+        raise HeightMapError(f"unknown role {scales.role!r}; a height map is of a part or of a tool")
+    micrometres_per(scales.z_unit or "um")
+    micrometres_per(scales.xy_unit or "um")
     sha256, head = _fingerprint(path)
     found = find_format(path, head)
-    _check_given(path.name, found, given)
-    with trusting(trust) as trusted:
-        surface = _oriented(found.read(path, given), role, rows)
+    _check_given(path.name, found, scales)
+    with trusting(scales.trust) as trusted:
+        surface = _oriented(found.read(path, scales), scales.role, scales.rows)
     passed = {"trusted": trusted.passed} if trusted.passed else {}
     return surface.with_height(
         surface.height_um,
@@ -161,7 +128,7 @@ def read_height_map(
         reader=surface.origin.get("reader", "anisoscope"),
         pixel_um=[surface.pixel_y_um, surface.pixel_x_um],
         missing_share=surface.missing_share,
-        role=role,
+        role=scales.role,
         **passed,
     )
 

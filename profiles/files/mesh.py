@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.base.regular_file import regular_file
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import refuse
 from anisoscope.profiles.files.content import DAMAGED
 from anisoscope.profiles.files.decoder_process import decode
@@ -19,7 +20,7 @@ from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.gridding import gridded
 from anisoscope.profiles.files.images import STL_HEADER_BYTES, TRIANGLE
 from anisoscope.profiles.files.text import points_to_map
-from anisoscope.profiles.files.units import Given, micrometres_per
+from anisoscope.profiles.files.units import micrometres_per
 from anisoscope.profiles.heightmap import HeightMap
 
 STATED = re.compile(rb"unit\s*[:=]?\s*(mm|um|nm|m)\b")
@@ -33,7 +34,7 @@ CORNERS = 3
 HEADER_BYTES = 1000
 
 
-def read_mesh(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_mesh(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read an STL or PLY file.
 
     Args:
@@ -43,7 +44,7 @@ def read_mesh(path: Path | str, given: Given | None = None) -> HeightMap:
     Raises:
         HeightMapError: damaged, no unit, corners on no grid, or two heights at one place.
     """
-    path, given = Path(path), given or Given()
+    path, given = Path(path), given or FileScales()
     name = path.name
     with regular_file(path) as stream:
         stated = STATED.search(stream.read(HEADER_BYTES))

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.cells import grid_of, number_of, numbers_of, text_of
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, stated_or_given_pixel
+from anisoscope.profiles.files.units import stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap, Layer
 
 ZYGO_TEXT = re.compile(r"\A\W*Zygo (XYZ|ASCII) Data File - Format \d")
@@ -61,7 +62,7 @@ def _origin(content: Content) -> dict[str, Any]:
     return origin
 
 
-def read_metropro(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_metropro(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read the connected phase of a MetroPro file as heights.
 
     Returns:
@@ -120,7 +121,7 @@ def _fields(name: str, lines: list[str], number: int, least: int) -> list[str]:
     return found
 
 
-def read_zygo_text(path: Path, given: Given) -> HeightMap:
+def read_zygo_text(path: Path, given: FileScales) -> HeightMap:
     """Read a text that MetroPro or Mx exported, "Zygo XYZ" or "Zygo ASCII Data File".
 
     Thirteen or fourteen lines, ``#``, then points (column, row, height in µm), or intensities, ``#`` and phases. Line 4

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.cells import grid_of, number_of, numbers_of, text_of
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, stated_or_given_pixel
+from anisoscope.profiles.files.units import stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
 WYKO_TEXT = re.compile(r"\A\W*Wyko ASCII Data File Format\s+\d+\s+(?P<nanometres>\d+)")
@@ -85,7 +86,7 @@ def _date(content: Content, blocks: dict[str, _Block]) -> str:
         return ""
 
 
-def read_opd(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_opd(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read the first height array of an opd file.
 
     Returns:
@@ -128,7 +129,7 @@ def read_opd(path: Path | str, given: Given | None = None) -> HeightMap:
     return checked_map(name, scaled(raw, factor, missing), pixel, origin, layers=layers)
 
 
-def read_wyko_text(path: Path, given: Given) -> HeightMap:
+def read_wyko_text(path: Path, given: FileScales) -> HeightMap:
     """Read a "Wyko ASCII Data File".
 
     Blocks by name as in an opd file, then one line for each x, from the bottom of the picture up, in wavelengths over

@@ -17,16 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.cells import grid_of, number_of, numbers_of, text_of
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import (
-    Given,
-    micrometres_per,
-    stated_micrometres_per,
-    stated_or_given_pixel,
-)
+from anisoscope.profiles.files.units import micrometres_per, stated_micrometres_per, stated_or_given_pixel
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
 ESRI_HEADER = re.compile(r"\A\s*ncols\s+\d+\s*[\r\n]", re.IGNORECASE)
@@ -42,7 +38,7 @@ HEADER_BYTES = 3468
 VERSION = "OM_MS_2.0"
 
 
-def read_nms(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_nms(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read an nms file.
 
     Returns:
@@ -90,7 +86,7 @@ MICROMETRES = 1e3
 TMD_HEADER_BYTES = 24
 
 
-def read_tmd(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_tmd(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read a tmd file.
 
     Returns:
@@ -126,7 +122,7 @@ def read_tmd(path: Path | str, given: Given | None = None) -> HeightMap:
 TMD = Format("tmd", "TrueMap tmd", (".tmd",), read_tmd, ((0, TMD_MAGIC),), place=6)
 
 
-def read_keyence_text(path: Path, given: Given) -> HeightMap:
+def read_keyence_text(path: Path, given: FileScales) -> HeightMap:
     """Read a CSV export of heights of Keyence VK and VR microscopes.
 
     Lines of a key and its value, the title of the block, then its rows, quoted.
@@ -173,7 +169,7 @@ def read_keyence_text(path: Path, given: Given) -> HeightMap:
     return checked_map(name, scaled(grid_of(name, numbers, rows, cols), factor), pixel, origin)
 
 
-def read_esri_text(path: Path, given: Given) -> HeightMap:
+def read_esri_text(path: Path, given: FileScales) -> HeightMap:
     """Read an ESRI grid (ARC/INFO ASCII GRID): ``ncols``, ``nrows``, ``cellsize``, ``NODATA_value``, then the heights.
 
     Args:

@@ -10,10 +10,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, stated_or_given_pixel
+from anisoscope.profiles.files.units import stated_or_given_pixel
 from anisoscope.profiles.heightmap import HeightMap
 
 TOPOGRAPHY = 3
@@ -47,7 +48,7 @@ def _origin(content: Content, layers: int) -> dict[str, Any]:
     return origin
 
 
-def read_plu(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_plu(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read the first layer of a plu file.
 
     Returns:

@@ -17,10 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, stated_or_given_pixel
+from anisoscope.profiles.files.units import stated_or_given_pixel
 from anisoscope.profiles.heightmap import HeightMap
 
 VERSIONS = ("ISO-1.0", "ISO-2.0", "BCR-1.0")
@@ -139,7 +140,7 @@ def _iso_date(text: str) -> str:
         return ""
 
 
-def read_sdf(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_sdf(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read an sdf file.
 
     Returns:

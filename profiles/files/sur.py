@@ -22,10 +22,11 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given, stated_micrometres_per
+from anisoscope.profiles.files.units import stated_micrometres_per
 from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap
 
 PLAIN, PACKED = b"DIGITAL SURF", b"DSCOMPRESSED"
@@ -187,7 +188,7 @@ def _origin(content: Content, header: _Header) -> dict[str, Any]:
     return origin
 
 
-def read_sur(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_sur(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read the surface of a sur file.
 
     Returns:

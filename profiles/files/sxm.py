@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, load_content, scaled
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, Given, chosen_channel
+from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, chosen_channel
 from anisoscope.profiles.heightmap import HeightMap
 
 MAGIC = b":NANONIS_VERSION:"
@@ -56,7 +57,7 @@ def _pictures(name: str, rows: list[str]) -> list[_Picture]:
     return found
 
 
-def read_sxm(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_sxm(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read the channel of an sxm file that is given, else the first one in a unit of length.
 
     Returns:
@@ -66,7 +67,7 @@ def read_sxm(path: Path | str, given: Given | None = None) -> HeightMap:
         HeightMapError: no channel of heights, damaged, or implausible.
     """
     content = load_content(Path(path))
-    name, given = content.name, given or Given()
+    name, given = content.name, given or FileScales()
     if given.pixel_um is not None:
         refuse(name, "units", "an sxm file states its own pixel", "leave the pixel size out")
     end = END.search(content.data)

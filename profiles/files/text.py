@@ -13,6 +13,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales, Layout
 from anisoscope.profiles.files.cells import number_of, text_of
 from anisoscope.profiles.files.checks import AXIS_TOLERANCE, check_claim, checked_map, passes, refuse
 from anisoscope.profiles.files.content import scaled
@@ -20,8 +21,6 @@ from anisoscope.profiles.files.format import Format
 from anisoscope.profiles.files.gridding import gridded
 from anisoscope.profiles.files.units import (
     STATED_MICROMETRES_PER,
-    Given,
-    Layout,
     micrometres_per,
     require_pixel,
     stated_micrometres_per,
@@ -421,7 +420,7 @@ def _gwyddion_map(
     return checked_map(name, scaled(table.numbers, stated.factor), pixel, origin)
 
 
-def read_text(path: Path | str, given: Given | None = None) -> HeightMap:
+def read_text(path: Path | str, given: FileScales | None = None) -> HeightMap:
     """Read a matrix of heights (rows along y, as in the file), or a list of points x y z.
 
     A header ``X (mm), Y (mm), Z (um)`` gives the units of a list. A matrix whose corner is empty and whose first row
@@ -438,7 +437,7 @@ def read_text(path: Path | str, given: Given | None = None) -> HeightMap:
     Raises:
         HeightMapError: no numbers, an ambiguous file, a missing pixel size, or implausible values.
     """
-    path, given = Path(path), given or Given()
+    path, given = Path(path), given or FileScales()
     name, text = path.name, text_of(path)
     table = read_table(name, text)
     stated = _gwyddion_header(name, table)
@@ -463,7 +462,7 @@ def read_text(path: Path | str, given: Given | None = None) -> HeightMap:
     return checked_map(name, scaled(heights, micrometres_per(z_unit)), pixel, origin)
 
 
-def _points(name: str, table: Table, given: Given) -> HeightMap:
+def _points(name: str, table: Table, given: FileScales) -> HeightMap:
     """The map of a list of points."""
     if given.pixel_um is not None:
         refuse(

@@ -1,8 +1,6 @@
 """Units that a file does not state and a user must; and units that a file states."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 from anisoscope.base.errors import HeightMapError
 
@@ -15,35 +13,7 @@ STATED_MICROMETRES_PER = {
     "\u00c5": 1e-4,  # the letter
     "\u212b": 1e-4,  # the sign of the unit
 }
-Layout = Literal["auto", "matrix", "xyz"]
 MOST_NAMED = 20
-
-
-@dataclass(frozen=True)
-class Given:
-    """Units and scales stated by the user where the file has none.
-
-    Attributes:
-        pixel_um: (y, x) pixel size in µm.
-        z_unit: unit of the heights: um, nm, mm or m; None if nothing was said.
-        height_per_count: height of one count of an integer image, in ``z_unit`` or µm.
-        xy_unit: unit of x and y of a list of points.
-        layout: what a text file with three columns holds.
-        missing: numbers that stand for missing points in a text file, in its own unit.
-        regions: regions of the ``mask.png`` of an x3p file that become missing points.
-        channel: name of a channel of heights, or its number from 1, in a file with several.
-        grid_um: step of the grid onto which scattered points are interpolated.
-    """
-
-    pixel_um: tuple[float, float] | None = None
-    z_unit: str | None = None
-    height_per_count: float | None = None
-    xy_unit: str | None = None
-    layout: Layout = "auto"
-    missing: tuple[float, ...] = ()
-    regions: tuple[str, ...] = ()
-    channel: str | None = None
-    grid_um: float | None = None
 
 
 def chosen_channel(name: str, wanted: str, names: Sequence[str]) -> int:

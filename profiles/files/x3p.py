@@ -32,6 +32,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.parameters.height_map_file import FileScales
 from anisoscope.profiles.files.checks import (
     DEFLATE_LIMIT,
     MAX_POINTS,
@@ -44,7 +45,6 @@ from anisoscope.profiles.files.checks import (
 )
 from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.format import Format
-from anisoscope.profiles.files.units import Given
 from anisoscope.profiles.files.x3p_write import MAX_DOCUMENT_BYTES, ULPS, add_ulps, listed_digest, write_x3p
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -636,10 +636,10 @@ def read_x3p(path: Path | str, regions: Sequence[str] = ()) -> HeightMap:
     return checked_map(name, grid, pixel, origin, stage_height=True)
 
 
-def _read(path: Path, given: Given) -> HeightMap:
+def _read(path: Path, given: FileScales) -> HeightMap:
     if given.pixel_um is not None:
         refuse(path.name, "units", "an x3p file states its own", "leave the pixel size and the unit out")
-    return read_x3p(path, given.regions)
+    return read_x3p(path, given.mask_regions)
 
 
 X3P = Format("x3p", "ISO 25178-72 x3p", (".x3p",), _read, zip_member="main.xml", place=1)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError, UsageError
-from anisoscope.cli.profile.profile import app, parse_pixel
+from anisoscope.cli.options import parse_pixel
+from anisoscope.cli.profile.profile import app
 from anisoscope.profiles.files.load import read_height_map
 
 

@@ -95,7 +95,7 @@ class SourceOptions:
             return reflectance_file(self.from_file), {}
         if self.height_map is None:
             return ridges.over(RidgeDesign(100.0, 0.0)), {"bounces": self.bounces}
-        from anisoscope.cli.profile.profile import parse_pixel
+        from anisoscope.cli.options import parse_pixel
         from anisoscope.profiles.files.load import read_height_map
 
         ridges.refuse(
@@ -347,7 +347,7 @@ def textures(
         anisoscope bsdf textures dots.png --inks synthetic-red,synthetic-green,synthetic-blue --out textures
         anisoscope bsdf textures part.x3p --out textures
     """
-    from anisoscope.cli.profile.profile import parse_pixel
+    from anisoscope.cli.options import parse_pixel
     from anisoscope.operations.reflectance import SCENE, bsdf_textures
 
     resolution, plastics = _resolution(nodes), _plastic(material, plastic)

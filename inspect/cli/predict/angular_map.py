@@ -99,7 +99,7 @@ def write_angular_map(
         HeightMapError: a map that waves cannot take.
         ModelError: more memory or more maps than are taken.
     """
-    from anisoscope.cli.profile.profile import parse_pixel
+    from anisoscope.cli.options import parse_pixel
     from anisoscope.prediction.angular import COLOUR_NM, AngularTask, angular_reflectance
     from anisoscope.profiles.files.load import read_height_map
     from anisoscope.sim.materials.spectra import find_illuminant

@@ -247,7 +247,7 @@ def predict(
     _check_waves(waves, model, roughness, height_map)
     pixel_um = None
     if pixel is not None:
-        from anisoscope.cli.profile.profile import parse_pixel
+        from anisoscope.cli.options import parse_pixel
 
         pixel_um = parse_pixel(pixel)
     method = Method(

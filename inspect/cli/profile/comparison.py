@@ -19,7 +19,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     write_each,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.views.options import parse_numbers
@@ -42,7 +42,7 @@ def compare(
     recipe: Path | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Json = False,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Register other maps on the first: difference, wear volume, ridges, degree of replication.
 
@@ -75,10 +75,10 @@ def compare(
     if len(seconds) > 1 or several.table is not None or several.out_dir is not None:
         if not out is difference is plot is None:
             raise UsageError("--out, --plot and --difference are of one second map; several take --out-dir")
-        reference = scales.read(first)
+        reference = reader(scales)(first)
 
         def work(path: Path, target: Path | None = None) -> Values:
-            found = compare_maps(reference, scales.read(path), mirrored=mirrored)
+            found = compare_maps(reference, reader(scales)(path), mirrored=mirrored)
             if target is not None:
                 write_comparison_page(found, (first.name, path.name), target, shown, _contrasts(found, light))
             return _values(found)
@@ -91,7 +91,7 @@ def compare(
     _check_targets(out, difference, plot, overwrite=several.overwrite)
     with progress(f"{first.name}, {second.name}") as advance:
         advance("reading", 0, 3)
-        maps = scales.read(first), scales.read(second)
+        maps = reader(scales)(first), reader(scales)(second)
         advance("registering", 1, 3)
         found = compare_maps(*maps, mirrored=mirrored)
         contrasts = _contrasts(found, light)

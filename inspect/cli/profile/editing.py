@@ -20,7 +20,7 @@ from anisoscope.cli.profile.many import (
     write_each,
     written_suffix,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales, note_lost_layers
+from anisoscope.cli.profile.profile import AS_STATED, Scales, note_lost_layers, reader
 from anisoscope.cli.tables import print_table
 from anisoscope.profiles.editing import operations
 from anisoscope.views.options import quantity
@@ -44,7 +44,7 @@ def edit(
     format_: Format = "x3p",
     several: Several = NO_TABLE,
     json_: Json = False,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Edit height maps step by step; every step is written into the history of the new file.
 
@@ -116,7 +116,7 @@ def _run(
                 raise UsageError(f"{other}, which a step reads, lies in --out-dir; give another one")
 
         def work(path: Path, target: Path) -> Values:
-            edited = edit_map(scales.read(path), steps, read=scales.read)
+            edited = edit_map(reader(scales)(path), steps, read=reader(scales))
             write_height_map(edited, target)
             note_lost_layers(edited, target)
             return map_values(edited)
@@ -126,7 +126,7 @@ def _run(
         raise UsageError("one map takes --out FILE, several take --out-dir FOLDER")
     check_table(several, alone="--out-dir")
     _check_target(out, [files[0], *others], overwrite=several.overwrite)
-    edited = edit_map(scales.read(files[0]), steps, read=scales.read)
+    edited = edit_map(reader(scales)(files[0]), steps, read=reader(scales))
     write_height_map(edited, out)
     note_lost_layers(edited, out)
     _show(edited, out, as_json=as_json)
@@ -236,7 +236,7 @@ def command(name: str) -> Callable[..., int]:
             "scales",
             Argument.KEYWORD_ONLY,
             default=AS_STATED,
-            annotation=Annotated[Scales, Parameter(name="*")],
+            annotation=Scales,
         ),
     ]
     arguments = [

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.cli.options import LENGTH, Json
 from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
-from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales
+from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales, reader
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def lines(
     form: str = "plane",
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Profile parameters (ISO 21920-2) on parallel lines of height maps: Ra, Rq, Rz, Rp, Rv, Rt, Rsm, Rsk, Rku, Rdq.
 
@@ -59,7 +59,7 @@ def lines(
 
     def measure(path: Path) -> "LineParameters":
         return line_parameters(
-            scales.read(path),
+            reader(scales)(path),
             direction,
             form=form,
             s_filter_um=s_filter,

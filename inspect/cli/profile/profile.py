@@ -1,14 +1,14 @@
 """``anisoscope profile``: look at height maps and convert them."""
 
 import sys
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.options import LENGTH, Json, check_new
+from anisoscope.cli.options import LENGTH, Json, check_new, parse_pixel
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     NONE,
@@ -23,9 +23,12 @@ from anisoscope.cli.profile.many import (
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.cli.progress import progress
-from anisoscope.views.options import parse_numbers
+from anisoscope.parameters.height_map_file import FileScales
+from anisoscope.views.options import Given, Options, options_class
 
 app = App(
     name="profile",
@@ -59,13 +62,8 @@ for _step in (
         f"anisoscope.cli.profile.editing:{_step.replace('filter', 'filter_').replace('-', '_')}", name=_step
     )
 
-Unit = Literal["um", "nm", "mm", "m"]
-Layout = Literal["auto", "matrix", "xyz"]
-Role = Literal["part", "tool"]
-Rows = Literal["auto", "up", "down"]
 FilterType = Literal["gaussian", "robust", "spline"]
 Layer = Literal["intensity", "colour", "interpolated"]
-Trust = Literal["checksum", "pixel-size", "heights"]
 PeriodLimit = Annotated[
     float | None,
     LENGTH,
@@ -83,76 +81,30 @@ TipRadius = Annotated[
 VIEW_SUFFIX, MOST_EXAGGERATION = "-view.html", 1e6
 
 
-def parse_pixel(text: str | None) -> tuple[float, float] | None:
-    """Pixel size (y, x) in µm of an option SIZE or Y,X.
-
-    Raises:
-        UsageError: not one or two positive numbers.
-    """
-    if text is None:
-        return None
-    numbers = parse_numbers(text, "--pixel", "0.5,0.5", "um")
-    if len(numbers) not in (1, 2) or min(numbers) <= 0:
-        raise UsageError(f"--pixel takes one or two positive numbers of µm, SIZE or Y,X, not {text!r}")
-    return numbers[0], numbers[-1]
-
-
 FILE_FORMAT = Group("File format", help="For what the file of a height map does not say itself.", sort_key=60)
+OF_SCALES = Options(
+    FileScales,
+    names={"mask_regions": "--mask-from-x3p"},
+    readers={
+        "pixel_um": parse_pixel,
+        "mask_regions": lambda text, _: tuple(part.strip() for part in text.split(",") if part.strip()),
+    },
+    repeated=("missing", "trust"),
+    whole=True,
+)
+if TYPE_CHECKING:
+    Which = Given[FileScales]
+else:
+    Which = options_class(OF_SCALES)
+AS_STATED = Which()
+Scales = Annotated[Which, Parameter(name="*", group=FILE_FORMAT)]
 
 
-@Parameter(group=FILE_FORMAT)
-@dataclass(frozen=True)
-class Scales:
-    """Scales and role of a height map whose file does not state them.
+def reader(scales: Which) -> "Callable[[Path], HeightMap]":
+    """How a command reads height maps."""
+    from anisoscope.profiles.files.load import read_height_map
 
-    Attributes:
-        pixel: Pixel size in µm of a file without one: SIZE or Y,X.
-        height_per_count: Height of one count of an integer picture, in --z-unit (µm).
-        xy_unit: Unit of x and y of a list of points; that of the heights if not given.
-        channel: Channel of heights in a file with several, by name or number; else the first length.
-        grid: Step in µm of a grid onto which scattered points of a text or a mesh are interpolated.
-        rows: Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md.
-        trust: Check that must not refuse the file: checksum (of main.xml of an x3p), pixel-size, heights; may be given
-            several times, and is noted in the origin.
-        mask_from_x3p: Regions of the mask.png of an x3p file that become missing points: names or colours separated by
-            commas, or all.
-        role: Map of the part, or of the tool (mould), whose negative the part is.
-    """
-
-    pixel: str | None = None
-    z_unit: Annotated[Unit | None, Parameter(help="Unit of the heights of a file that states none.")] = None
-    height_per_count: float | None = None
-    xy_unit: Unit | None = None
-    layout: Annotated[Layout, Parameter(help="What a text file with three columns holds.")] = "auto"
-    missing: Annotated[
-        tuple[float, ...],
-        Parameter(
-            help="Number that stands for missing points in a text file, such as -9999; may be given several times.",
-            negative="",
-            consume_multiple=False,
-            allow_leading_hyphen=True,
-        ),
-    ] = ()
-    channel: str | None = None
-    grid: Annotated[float | None, LENGTH] = None
-    rows: Rows = "auto"
-    trust: Annotated[tuple[Trust, ...], Parameter(negative="", consume_multiple=False)] = ()
-    mask_from_x3p: str | None = None
-    role: Role = "part"
-
-    def read(self, file: Path) -> "HeightMap":
-        """Read a height map with these scales."""
-        from anisoscope.profiles.files.load import read_height_map
-
-        given = dict(vars(self))
-        pixel_um, mask = parse_pixel(given.pop("pixel")), given.pop("mask_from_x3p") or ""
-        regions = [part.strip() for part in mask.split(",") if part.strip()]
-        return read_height_map(
-            file, pixel_um=pixel_um, grid_um=given.pop("grid"), mask_regions=regions, **given
-        )
-
-
-AS_STATED = Scales()
+    return partial(read_height_map, scales=scales.made())
 
 
 @app.command
@@ -160,7 +112,7 @@ def info(
     *files: Path,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Size, missing share and height parameters (ISO 25178-2, mean removed, not levelled) of height maps.
 
@@ -174,7 +126,7 @@ def info(
     """
     from anisoscope.operations.map_series import map_values
 
-    return measure_maps(files, many, scales.read, map_values, _print_info, to_json=json_, content=_info)
+    return measure_maps(files, many, reader(scales), map_values, _print_info, to_json=json_, content=_info)
 
 
 def _info(surface: "HeightMap") -> dict[str, object]:
@@ -237,7 +189,7 @@ def convert(
     layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Write height maps in another format: SOURCE TARGET by the extension, or any number of maps with --out-dir.
 
@@ -261,7 +213,7 @@ def convert(
     from anisoscope.profiles.files.load import MESH_WRITERS, WRITERS, write_height_map
 
     def run(path: Path, target: Path) -> Values:
-        surface = scales.read(path)
+        surface = reader(scales)(path)
         if layer is not None:
             write_layer(surface, layer, target)
         else:
@@ -305,7 +257,7 @@ def report(
     tip_radius: TipRadius = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Write one HTML page about each height map: pictures, ridges, roughness, burrs, height parameters, origin.
 
@@ -324,7 +276,7 @@ def report(
             raise UsageError("--out is one page, --out-dir a page for each map; give one of them")
 
         def run(path: Path, target: Path) -> Values:
-            surface = scales.read(path)
+            surface = reader(scales)(path)
             write_profile_page(
                 surface, path.name, target, period_limit_um=period_limit, tip_radius_um=tip_radius
             )
@@ -339,7 +291,7 @@ def report(
     check_new((out,), overwrite=several.overwrite)
     with progress(chosen[0].name) as advance:
         advance("reading", 0, 3)
-        surface = scales.read(chosen[0])
+        surface = reader(scales)(chosen[0])
         write_profile_page(
             surface, chosen[0].name, out, advance, period_limit_um=period_limit, tip_radius_um=tip_radius
         )
@@ -355,7 +307,7 @@ def view(
     layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Write one HTML page with each height map in 3-D, to be turned in the browser without network or program.
 
@@ -384,7 +336,7 @@ def view(
             )
 
         def run(path: Path, target: Path) -> Values:
-            surface = scales.read(path)
+            surface = reader(scales)(path)
             drawn = write_view_page(surface, path.name, target, exaggerate, layer)
             return {**map_values(surface), "3-D": (float(drawn.scene is not None), "")}
 
@@ -396,7 +348,7 @@ def view(
     check_new((target,), overwrite=several.overwrite)
     with progress(source.name) as advance:
         advance("drawing", 0, 1)
-        drawn = write_view_page(scales.read(source), source.name, target, exaggerate, layer)
+        drawn = write_view_page(reader(scales)(source), source.name, target, exaggerate, layer)
     if drawn.png is None:
         sys.stderr.write(f"no 3-D view: {drawn.note}; the page has a still picture from above\n")
     elif drawn.scene is None:

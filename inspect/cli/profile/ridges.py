@@ -17,7 +17,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     print_sheet,
 )
-from anisoscope.cli.profile.profile import AS_STATED, PeriodLimit, Scales, TipRadius
+from anisoscope.cli.profile.profile import AS_STATED, PeriodLimit, Scales, TipRadius, reader
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def ridges(
     tip_radius: TipRadius = None,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Measure pitch, direction, angles, heights, roughness and burrs of ridged height maps, with uncertainties.
 
@@ -99,9 +99,9 @@ def ridges(
 
     chosen = expanded(files)
     if len(chosen) > 1 or many.table is not None:
-        return measure_each(chosen, lambda path: _values(measure(scales.read(path))), many, to_json=json_)
+        return measure_each(chosen, lambda path: _values(measure(reader(scales)(path))), many, to_json=json_)
     check_table(many)
-    surface = scales.read(chosen[0])
+    surface = reader(scales)(chosen[0])
     try:
         found = measure(surface)
     except HeightMapError:

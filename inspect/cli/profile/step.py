@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.cli.options import Json
 from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
-from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
 from anisoscope.cli.tables import print_lines
 from anisoscope.views.options import parse_numbers
 
@@ -21,7 +21,7 @@ def step(
     edges: str | None = None,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Height of a step, or depth of a groove, on every line of height maps (ISO 5436-1, types A1 and A2).
 
@@ -38,7 +38,7 @@ def step(
     places = () if edges is None else parse_numbers(edges, "--edges", "40,90", "um")
 
     def measure(path: Path) -> "StepHeight":
-        return step_height(scales.read(path), along, places)
+        return step_height(reader(scales)(path), along, places)
 
     def show(name: str, found: "StepHeight") -> None:
         at = " and ".join(f"{one:.4g}" for one in found.edges_um)

@@ -8,8 +8,8 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.quantity import unit_of
-from anisoscope.cli.options import LENGTH, OF_RIDGES, Json, check_map, check_new, number
-from anisoscope.cli.profile.profile import AS_STATED, Scales, parse_pixel
+from anisoscope.cli.options import LENGTH, OF_RIDGES, Json, check_map, check_new, number, parse_pixel
+from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, parse_numbers, quantity, with_options
@@ -133,7 +133,7 @@ def make(
 def _grid(size: str, pixel: str) -> tuple[tuple[int, int], tuple[float, float]]:
     pixel_um = parse_pixel(pixel)
     field = parse_numbers(size, "--size", "300,600", "um")
-    if pixel_um is None or len(field) not in (1, 2) or min(field) <= 0:
+    if len(field) not in (1, 2) or min(field) <= 0:
         raise UsageError(f"--size takes one or two positive numbers of µm, SIZE or Y,X, not {size!r}")
     rows, cols = (round(length / step) for length, step in zip((field[0], field[-1]), pixel_um, strict=True))
     if rows * cols > MAX_POINTS:
@@ -199,7 +199,7 @@ def spoil(
     list_: Annotated[bool, Parameter(name="--list", negative="", help="List the defects.")] = False,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
     json_: Json = False,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
     **parameters: str,
 ) -> int:
     """Add a defect to a height map: by its severity, or by its dimensions.
@@ -225,7 +225,7 @@ def spoil(
     check_map(out, "--out")
     check_new((out,), overwrite=overwrite)
     _check_seed(seed)
-    surface = scales.read(file)
+    surface = reader(scales)(file)
     given = {
         (key := name.replace("-", "_")): number(text, f"--{name}", unit_of(key))
         for name, text in parameters.items()

@@ -20,7 +20,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     print_sheet,
 )
-from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales
+from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales, reader
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 from anisoscope.views.options import parse_numbers
@@ -103,7 +103,7 @@ def texture(
     json_: Json = False,
     doubt: Annotated[UncertaintyOptions, Parameter(name="*", group="Uncertainty")] = CERTAIN,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
-    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    scales: Scales = AS_STATED,
 ) -> int:
     """Height, spatial, hybrid, functional and feature parameters (ISO 25178-2) of height maps.
 
@@ -157,14 +157,14 @@ def texture(
             raise UsageError("--plot draws one map; give one file and no --table")
 
         def with_uncertainty(path: Path) -> Values:
-            surface = scales.read(path)
+            surface = reader(scales)(path)
             values = valued(surface)
             spreads = doubt.spreads(surface, valued)
             return {**values, **{f"u({name})": (one.u, values[name][1]) for name, one in spreads.items()}}
 
         return measure_each(chosen, with_uncertainty, many, to_json=json_)
     check_table(many)
-    surface = scales.read(chosen[0])
+    surface = reader(scales)(chosen[0])
     found = measured(surface)
     with progress(chosen[0].name, quiet=doubt.uncertainty is None) as advance:
         spreads = doubt.spreads(surface, valued, advance)

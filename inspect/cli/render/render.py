@@ -263,7 +263,7 @@ class SurfaceOptions:
         self, height_map: Path | None, ridges: Given[RidgeDesign], base: "Stated"
     ) -> "tuple[HeightMap, dict[str, Any]]":
         """The surface of the command line, else of the recipe, and how it is rendered."""
-        from anisoscope.cli.profile.profile import parse_pixel
+        from anisoscope.cli.options import parse_pixel
         from anisoscope.operations.render import ridge_sample
         from anisoscope.profiles.files.load import read_height_map
 

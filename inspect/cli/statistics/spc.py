@@ -1,19 +1,21 @@
 """``anisoscope spc``: control charts and capability of measured series."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.history.options import ALL, Place, Selection
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.statistics.source import Csv, Html, Limit, Number, print_grid, readings_from
 from anisoscope.cli.tables import print_lines
+from anisoscope.parameters.charting import Charting
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.operations.statistics import Charts
@@ -22,69 +24,48 @@ if TYPE_CHECKING:
 LISTED = 20  # patterns in the terminal
 
 
-@dataclass(frozen=True)
-@everyday("chart", "subgroup", "by", "baseline", "lower", "upper")
-class Charting:
-    """Chart type and rules for a series.
-
-    Attributes:
-        chart: i-mr: single values; xbar-r, xbar-s: means of subgroups and their range or standard deviation; p: share
-            of parts that FAIL; u: deviations of a part; p-laney, u-laney: where lots differ. By default i-mr, with
-            --subgroup xbar-s.
-        subgroup: What a subgroup is: lot, day, cavities (one part of each), or how many readings in a row, such as 5.
-        of: Number that says how many parts a count of --number is of, in p and u charts.
-        by: A chart for each product, recipe, lot, cavity, station or operator.
-        baseline: Limits from this many measured values at the start; else from all.
-        period: Limits from the values of this reference period, such as 2026-11-01..2026-11-07 or 14d..7d.
-        limits_from: Limits of earlier data from this file, for later data.
-        limits_to: Write the limits of these charts to this file (TOML).
-        width: Limits of the EWMA, in its sigma (L).
-        center: Known mean, in place of a baseline; with --known-sigma.
-        sigma: Known short-term standard deviation; with --known-mean.
-        rules: Nelson's rules that count, such as 1,2,5,6; all eight by default (on average a false alarm in 73 values),
-            of p and u charts 1 to 4.
-        distribution: Capability by the quantiles of a distribution too: best, lognormal, weibull, rayleigh,
-            folded-normal, logistic or normal.
-        drift: Test for a drift, with false alarms of 1 % in total, and name the cycle data that it came with.
-        against: With --drift: the cycle data, or other numbers, to compare with, separated by commas.
-    """
-
-    chart: str | None = None
-    subgroup: str | None = None
-    of: str | None = None
-    by: str | None = None
-    baseline: int | None = None
-    period: str | None = None
-    limits_from: Path | None = None
-    limits_to: Path | None = None
-    weight: Annotated[float, Parameter(name="--lambda", help="Weight of the newest value in the EWMA.")] = 0.2
-    width: Annotated[float, Parameter(name="--ewma-limit")] = 3.0
-    center: Annotated[float | None, Parameter(name="--known-mean")] = None
-    sigma: Annotated[float | None, Parameter(name="--known-sigma")] = None
-    lower: Annotated[float | None, Parameter(help="Lower limit of good parts.")] = None
-    upper: Annotated[float | None, Parameter(help="Upper limit of good parts.")] = None
-    rules: str | None = None
-    distribution: str | None = None
-
-    drift: bool = False
-    against: str | None = None
-
-    def compared(self) -> tuple[str, ...] | None:
-        """What numbers are compared with; None for all cycle data.
-
-        Raises:
-            UsageError: no drift is asked for.
-        """
-        if self.against is None:
-            return None
-        if not self.drift:
-            raise UsageError("--against goes with --drift")
-        return tuple(name.strip() for name in self.against.split(",") if name.strip())
+def _rules(text: str, option: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(one) for one in text.split(","))
+    except ValueError:
+        raise UsageError(
+            f"{option} takes numbers separated by commas, such as 1,2,5,6, not {text!r}"
+        ) from None
 
 
-USUAL = Charting()
+OF_CHARTING = Options(
+    Charting,
+    names={
+        "weight": "--lambda",
+        "width": "--ewma-limit",
+        "center": "--known-mean",
+        "sigma": "--known-sigma",
+    },
+    readers={
+        "rules": _rules,
+        "against": lambda text, _: tuple(name.strip() for name in text.split(",") if name.strip()),
+    },
+    groups=dict.fromkeys(
+        (
+            "of",
+            "period",
+            "limits_from",
+            "weight",
+            "width",
+            "center",
+            "sigma",
+            "rules",
+            "distribution",
+            "drift",
+            "against",
+        ),
+        MORE,
+    ),
+    whole=True,
+)
 
 
+@with_options(charting=OF_CHARTING)
 def spc(
     *,
     csv: Csv = None,
@@ -92,7 +73,8 @@ def spc(
     number: Number = None,
     which: Selection = ALL,
     limit: Limit = 0,
-    charting: Annotated[Charting, Parameter(name="*")] = USUAL,
+    charting: Given[Charting],
+    limits_to: Annotated[Path | None, Parameter(group=MORE)] = None,
     html: Html = None,
     json_: Json = False,
 ) -> int:
@@ -104,52 +86,25 @@ def spc(
 
     Exit codes: 0 stable, 1 not stable or drifting, 64 and above no chart is possible.
 
+    Args:
+        limits_to: Write the limits of these charts to this file (TOML).
+
     Examples:
         anisoscope spc --number "ln 0-90" --recipe plate.toml --html spc.html
         anisoscope spc -n "ln 0-90" --subgroup lot --drift --html drift.html
         anisoscope spc --csv heights.csv --lower 9.8 --upper 10.2
     """
     from anisoscope.operations.statistics import control_charts
-    from anisoscope.quality.capability import Specification
-    from anisoscope.quality.chart_limits import read_chart_limits, write_chart_limits
-    from anisoscope.quality.control import Settings
+    from anisoscope.quality.chart_limits import write_chart_limits
 
-    compared = charting.compared()
+    asked = charting.made()
     tolerances = _tolerances(which.values.get("recipe"))
     chosen = which if tolerances is None else replace(cast("Any", which), recipe=None)
-    readings = readings_from(csv, place, chosen, limit, machine=charting.drift)
-    limits = None
-    if charting.lower is not None or charting.upper is not None:
-        limits = Specification(charting.lower, charting.upper)
-    settings = Settings(
-        charting.baseline,
-        charting.weight,
-        charting.width,
-        charting.center,
-        charting.sigma,
-        distribution=charting.distribution,
-        rules=None if charting.rules is None else _rules(charting.rules),
-        chart=charting.chart or ("i-mr" if charting.subgroup is None else "xbar-s"),
-    )
-    known = None if charting.limits_from is None else read_chart_limits(charting.limits_from)
+    readings = readings_from(csv, place, chosen, limit, machine=asked.drift)
     with progress("control charts", quiet=json_) as advance:
-        found = control_charts(
-            readings,
-            number,
-            by=charting.by,
-            settings=settings,
-            subgroup=charting.subgroup,
-            of=charting.of,
-            known=known,
-            period=charting.period,
-            limits=limits,
-            tolerances=tolerances,
-            drift=charting.drift,
-            against=compared,
-            on_progress=advance,
-        )
+        found = control_charts(readings, number, charting=asked, tolerances=tolerances, on_progress=advance)
     first = found.charts[0].number
-    title = first if charting.by is None else f"{first}, by {charting.by}"
+    title = first if asked.by is None else f"{first}, by {asked.by}"
     if html is not None:
         from anisoscope.report.spc_page import Points, write_spc_page
 
@@ -158,8 +113,8 @@ def spc(
         ]
         page = f"Control charts: {title}"
         write_spc_page(html, page, _source(readings), found.studies, drawn, found.skipped)
-    if charting.limits_to is not None:
-        write_chart_limits(charting.limits_to, found.studies, readings.source)
+    if limits_to is not None:
+        write_chart_limits(limits_to, found.studies, readings.source)
     if json_:
         print_json(found)
     else:
@@ -167,15 +122,6 @@ def spc(
         if html is not None:
             print_lines(f"{html}: charts of {title}")
     return 0 if found.stable else 1
-
-
-def _rules(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(one) for one in text.split(","))
-    except ValueError:
-        raise UsageError(
-            f"--rules takes numbers separated by commas, such as 1,2,5,6, not {text!r}"
-        ) from None
 
 
 def _tolerances(recipe: str | None) -> dict[str, float] | None:
