@@ -156,10 +156,11 @@ if TYPE_CHECKING:
     from anisoscope.operations.map_series import map_values, measure_maps, write_map_table
     from anisoscope.operations.proofing import halftone, soft_proof
     from anisoscope.parameters.proof import ProofView
+    from anisoscope.parameters.texture import MapUncertainty
     from anisoscope.profiles.limits import judge as judge_limits
     from anisoscope.profiles.limits import read_limits
     from anisoscope.profiles.metrology.regions import direction_regions
-    from anisoscope.profiles.textures.texture import MapUncertainty, texture_uncertainty
+    from anisoscope.profiles.textures.texture import texture_uncertainty
     from anisoscope.report.experiment_page import write_experiment_page, write_findings_page
     from anisoscope.report.ink_page import write_ink_fit_page, write_ink_show_page
     from anisoscope.report.study_page import StudyPage

@@ -13,10 +13,12 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.texture import Filtering, Smoothing
 from anisoscope.profiles.editing.steps import edit_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.period import find_period
-from anisoscope.profiles.textures.filters import Smoothing, mean_surface, without_form
+from anisoscope.profiles.textures.filters import mean_surface, without_form
 
 Direction = Literal["across", "along", "x", "y"]
 
@@ -60,26 +62,16 @@ class LineParameters:
     spread: dict[str, float]
 
 
+@by_keywords(filtering=Filtering)
 def line_parameters(
-    surface: HeightMap,
-    direction: Direction = "across",
-    *,
-    form: str = "plane",
-    s_filter_um: float | None = None,
-    l_filter_um: float | None = None,
-    s_filter: Smoothing = "gaussian",
-    l_filter: Smoothing = "gaussian",
+    surface: HeightMap, direction: Direction = "across", *, filtering: Filtering
 ) -> LineParameters:
     """Profile parameters on parallel lines of a map, at most 256 of them, evenly spread.
 
     Args:
         surface: the map, (rows, cols) in µm; missing points stay out of everything.
         direction: "x" or "y", or "across" or "along" the ridges: the map is turned by linear interpolation then.
-        form: F-operation (:func:`.forms.fit_form`).
-        s_filter_um: nesting index λs in µm.
-        l_filter_um: nesting index λc in µm.
-        s_filter: kind of the S-filter along the lines: "gaussian" (ISO 16610-21), "robust" (-31) or "spline" (-22).
-        l_filter: kind of the L-filter.
+        filtering: form (:func:`.forms.fit_form`) and filters along the lines, or the fields as keywords.
 
     Raises:
         HeightMapError: no ridges for "across" or "along", a nesting index that a line cannot hold, or too few points.
@@ -87,19 +79,22 @@ def line_parameters(
     """
     if direction not in ("across", "along", "x", "y"):
         raise UsageError(f"lines run across, along, x or y, not {direction!r}")
+    s_filter_um, l_filter_um = filtering.s_filter_um, filtering.l_filter_um
     surface = surface.measured()
     turn = _turn(surface, direction)
-    flat = surface.with_height(without_form(surface, form))
+    flat = surface.with_height(without_form(surface, filtering.form))
     if abs(turn) > STRAIGHT_DEG:
         flat = edit_map(flat, [{"step": "rotate", "angle": -turn}])
     if s_filter_um is not None:
-        flat = flat.with_height(mean_surface(flat, s_filter_um, s_filter, direction="x"))
+        flat = flat.with_height(mean_surface(flat, s_filter_um, filtering.s_filter, direction="x"))
     if l_filter_um is not None:
         if s_filter_um is not None and s_filter_um >= l_filter_um:
             raise HeightMapError(
                 f"the S-filter ({s_filter_um:g} µm) must be below the L-filter ({l_filter_um:g} µm)"
             )
-        flat = flat.with_height(flat.height_um - mean_surface(flat, l_filter_um, l_filter, direction="x"))
+        flat = flat.with_height(
+            flat.height_um - mean_surface(flat, l_filter_um, filtering.l_filter, direction="x")
+        )
     rows = np.unique(
         np.linspace(0, flat.shape[0] - 1, min(flat.shape[0], MOST_LINES)).round().astype(np.intp)
     )
@@ -118,7 +113,8 @@ def line_parameters(
         values[name] = float(known.mean()) if known.size else float("nan")
         spread[name] = float(known.std(ddof=1)) if known.size > 1 else float("nan")
     return LineParameters(
-        direction, turn, len(found), length, sections, s_filter_um, l_filter_um, s_filter, l_filter, values, spread
+        direction, turn, len(found), length, sections, s_filter_um, l_filter_um, filtering.s_filter, filtering.l_filter,
+        values, spread,
     )  # fmt: skip
 
 

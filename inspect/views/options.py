@@ -117,7 +117,7 @@ class Options:
         repeated: fields that hold several values, each stated by the option again.
         whole: the command takes the whole model (`Given.made`): what is not stated has its default, and a field without
             one must be stated; lists of numbers are texts until then.
-        flags: whether fields that are true or false have one option each, which makes them true.
+        flags: fields that are true or false and have one option alone, which makes them true; True for all of them.
     """
 
     model: type
@@ -128,7 +128,7 @@ class Options:
     default: object = None
     without: Mapping[str, str] = field(default_factory=dict)
     readers: Mapping[str, Callable[[str, str], Any]] = field(default_factory=dict)
-    flags: bool = False
+    flags: bool | Sequence[str] = False
     groups: Mapping[str, Group] = field(default_factory=dict)
     repeated: Sequence[str] = ()
     whole: bool = False
@@ -183,9 +183,10 @@ def options_class(options: Options) -> type:
             more |= {"consume_multiple": False, "allow_leading_hyphen": True}
         if not options.whole:
             more["show_default"] = False if default in (MISSING, None) else _shown(default)
+        alone = options.flags if isinstance(options.flags, bool) else one.name in options.flags
         parameter = Parameter(
             name=options.names.get(one.name) or options.option(one.name),
-            negative=() if kind is not bool or options.flags else None,
+            negative=() if kind is not bool or alone else None,
             help=options.help.get(one.name, texts.get(one.name, "")),
             converter=None if reader is None else _converter(reader),
             n_tokens=None if reader is None else 1,

@@ -13,7 +13,7 @@ below, the filter passes more than half at λ (see :func:`transmission`).
 No filter gives a height where none was measured.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -21,13 +21,14 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.texture import Filtering, Smoothing
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks, sealed
 from anisoscope.profiles.textures.forms import fit_form
 
 Direction = Literal["xy", "x", "y"]
 Element = Literal["ball", "disk"]
-Smoothing = Literal["gaussian", "robust", "spline"]
 Mask = npt.NDArray[np.bool_]
 
 ALPHA = float(np.sqrt(np.log(2.0) / np.pi))
@@ -42,24 +43,14 @@ MAX_ELEMENT_POINTS = 40_000
 
 
 @dataclass(frozen=True)
-class ScaleLimited:
+class ScaleLimited(Filtering):
     """A scale-limited surface (ISO 25178-2, 3.1) and its filter settings.
 
     Attributes:
         map: heights about their mean, in µm.
-        form: the F-operation.
-        s_filter_um: nesting index of the S-filter in µm; None where it was not applied.
-        l_filter_um: nesting index of the L-filter in µm; None where it was not applied.
-        s_filter: kind of the S-filter: "gaussian", "robust" or "spline".
-        l_filter: kind of the L-filter.
     """
 
-    map: HeightMap
-    form: str
-    s_filter_um: float | None
-    l_filter_um: float | None
-    s_filter: Smoothing = "gaussian"
-    l_filter: Smoothing = "gaussian"
+    map: HeightMap = field(kw_only=True)
 
     @property
     def name(self) -> str:
@@ -394,31 +385,21 @@ def without_form(surface: HeightMap, form: str) -> FloatArray:
     return left
 
 
-def scale_limited(
-    surface: HeightMap,
-    *,
-    form: str = "plane",
-    s_filter_um: float | None = None,
-    l_filter_um: float | None = None,
-    s_filter: Smoothing = "gaussian",
-    l_filter: Smoothing = "gaussian",
-) -> ScaleLimited:
+@by_keywords(filtering=Filtering)
+def scale_limited(surface: HeightMap, *, filtering: Filtering) -> ScaleLimited:
     """The S-F or S-L surface of a map.
 
     The form is removed before the S-filter, which then meets no tilt at the ends of the field, and again after it.
 
     Args:
         surface: the map; missing points stay missing.
-        form: form to remove (:func:`.forms.fit_form`).
-        s_filter_um: nesting index in µm below which waves are removed.
-        l_filter_um: nesting index in µm above which waves are removed.
-        s_filter: kind of the S-filter (:func:`mean_surface`).
-        l_filter: kind of the L-filter.
+        filtering: form (:func:`.forms.fit_form`) and filters (:func:`mean_surface`), or the fields as keywords.
 
     Raises:
         UsageError: no such kind of filter.
         HeightMapError: a nesting index that the map cannot hold, or an S-filter that is not below the L-filter.
     """
+    s_filter_um, l_filter_um = filtering.s_filter_um, filtering.l_filter_um
     for name, cutoff in (("S-filter", s_filter_um), ("L-filter", l_filter_um)):
         if cutoff is not None:
             check_cutoff(name, cutoff, surface)
@@ -427,21 +408,16 @@ def scale_limited(
             f"the S-filter ({s_filter_um:g} µm) must be below the L-filter ({l_filter_um:g} µm); "
             "between them lie the waves that are measured"
         )
-    found = surface.with_height(sealed(without_form(surface, form)))
+    found = surface.with_height(sealed(without_form(surface, filtering.form)))
     if s_filter_um is not None:
-        found = found.with_height(sealed(mean_surface(found, s_filter_um, s_filter)))
-        found = found.with_height(sealed(without_form(found, form)))
+        found = found.with_height(sealed(mean_surface(found, s_filter_um, filtering.s_filter)))
+        found = found.with_height(sealed(without_form(found, filtering.form)))
     if l_filter_um is not None:
-        found = found.with_height(sealed(found.height_um - mean_surface(found, l_filter_um, l_filter)))
-    note = {
-        "form": form,
-        "s_filter_um": s_filter_um,
-        "l_filter_um": l_filter_um,
-        "s_filter": s_filter,
-        "l_filter": l_filter,
-    }
+        found = found.with_height(
+            sealed(found.height_um - mean_surface(found, l_filter_um, filtering.l_filter))
+        )
     height = found.height_um
     if l_filter_um is not None:  # else about its mean already
         height = sealed(height - known_mean(height))
-    limited = surface.with_height(height, filtering=note)
-    return ScaleLimited(limited, form, s_filter_um, l_filter_um, s_filter, l_filter)
+    limited = surface.with_height(height, filtering=dict(vars(filtering)))
+    return ScaleLimited(**vars(filtering), map=limited)

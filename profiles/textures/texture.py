@@ -11,13 +11,14 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.texture import Extent, Filtering, MapUncertainty, Smoothing
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 from anisoscope.profiles.textures.bearing import Bearing, Core, Volumes, bearing, core, volumes
 from anisoscope.profiles.textures.features import Features, features
 from anisoscope.profiles.textures.filters import (
     ScaleLimited,
-    Smoothing,
     scale_limited,
     standard_of,
     transmission,
@@ -306,32 +307,14 @@ def _sum(values: FloatArray) -> FloatArray:
     return np.array([np.sum(values, where=known), np.count_nonzero(known)], dtype=np.float64)
 
 
-def texture(
-    surface: HeightMap,
-    *,
-    form: str = "plane",
-    s_filter_um: float | None = None,
-    l_filter_um: float | None = None,
-    s_filter: Smoothing = "gaussian",
-    l_filter: Smoothing = "gaussian",
-    pruning: float | None = None,
-    border_features: bool = True,
-    ratios_percent: Sequence[float] = (),
-    at_heights_um: Sequence[float] = (),
-) -> Texture:
+@by_keywords(filtering=Filtering, extent=Extent)
+def texture(surface: HeightMap, *, filtering: Filtering, extent: Extent) -> Texture:
     """Filter a map and take all parameters.
 
     Args:
         surface: the map, (rows, cols) in µm; missing points stay out of everything.
-        form: form to remove: "none", "plane", "poly1" … "poly10", "sphere", "cylinder".
-        s_filter_um: nesting index in µm of the S-filter; None for none.
-        l_filter_um: nesting index in µm of the L-filter; None for none.
-        s_filter: kind of the S-filter: "gaussian" (ISO 16610-61), "robust" (-71, order 2) or "spline" (-22).
-        l_filter: kind of the L-filter.
-        pruning: Wolf pruning of hills and dales, as a share of Sz, such as 0.05; None for no feature parameters.
-        border_features: peaks and pits of hills and dales at the border or a gap count too.
-        ratios_percent: material ratios, at which also Smc, Vm and Vv are taken, and Sxp of the first two.
-        at_heights_um: heights from the mean, at which also Smr is taken.
+        filtering: form and filters, or the fields as keywords.
+        extent: further parameters, or the fields as keywords.
 
     Raises:
         UsageError: the surface is no height map, or there is no such kind of filter.
@@ -339,14 +322,7 @@ def texture(
     """
     if not isinstance(surface, HeightMap):
         raise UsageError(f"texture takes a HeightMap, not {type(surface).__name__}")
-    limited = scale_limited(
-        surface.measured(),
-        form=form,
-        s_filter_um=s_filter_um,
-        l_filter_um=l_filter_um,
-        s_filter=s_filter,
-        l_filter=l_filter,
-    )
+    limited = scale_limited(surface.measured(), filtering=filtering)
     curve = bearing(limited.map)
     return Texture(
         surface=limited,
@@ -360,39 +336,11 @@ def texture(
         smc_80_um=curve.smc(0.8),
         sxp_um=curve.smc(0.025) - curve.smc(0.5),
         ssw_um=dominant_wavelength(limited.map),
-        features=None if pruning is None else features(limited.map, pruning, border=border_features),
-        free=tuple(_free_rows(curve, ratios_percent, at_heights_um)),
+        features=features(limited.map, 0.01 * extent.pruning_percent, border=extent.border_features)
+        if extent.features
+        else None,
+        free=tuple(_free_rows(curve, extent.ratios_percent, extent.heights_um)),
     )
-
-
-MOST_SHARE = 0.2
-
-
-@dataclass(frozen=True)
-class MapUncertainty:
-    """Standard uncertainties of a height map.
-
-    Attributes:
-        height_noise_um: noise of a height in µm, independent from point to point.
-        height_scale: of the scale of the heights, relative.
-        pixel_size: of the pixel size, relative, both axes together.
-
-    Raises:
-        UsageError: one is negative or not finite, a relative one is beyond 0.2, or all are 0.
-    """
-
-    height_noise_um: float = 0.0
-    height_scale: float = 0.0
-    pixel_size: float = 0.0
-
-    def __post_init__(self) -> None:
-        limits = {"height_noise_um": np.inf, "height_scale": MOST_SHARE, "pixel_size": MOST_SHARE}
-        for name, most in limits.items():
-            value = getattr(self, name)
-            if not (np.isfinite(value) and 0.0 <= value <= most):
-                raise UsageError(f"the uncertainty {name} is a number from 0 to {most:g}, not {value:g}")
-        if not any(getattr(self, name) for name in limits):
-            raise UsageError(f"all uncertainties of the map are 0; give one of {', '.join(limits)}")
 
 
 @dataclass(frozen=True)
@@ -412,32 +360,30 @@ def texture_uncertainty(
     surface: HeightMap,
     evaluate: Callable[[HeightMap], Mapping[str, tuple[float, str]]],
     inputs: MapUncertainty,
-    draws: int,
     *,
-    seed: int = 0,
     on_progress: Advance = silent,
 ) -> dict[str, Spread]:
     """Uncertainties of parameters of a map, by Monte Carlo (JCGM 101:2008, 7).
 
     Each draw multiplies the heights by 1 + ``height_scale`` g and both pixel sizes by 1 + ``pixel_size`` g and adds
-    noise to every height, g and noise normal; everything is then evaluated anew, filters and form included.
+    noise to every height, g and noise normal; everything is then evaluated anew, filters and form included. Without
+    draws there are none.
 
     Args:
         surface: the map, (rows, cols) in µm.
         evaluate: values and units by name, of a map; those in ° are directions, which repeat after 180°.
-        inputs: standard uncertainties of the map.
-        draws: how many, 2 or more.
-        seed: of the random numbers; the same seed gives the same uncertainties.
+        inputs: standard uncertainties of the map, number and seed of the draws; the same seed gives the same
+            uncertainties.
         on_progress: called at every draw.
 
     Raises:
-        UsageError: fewer than two draws.
         HeightMapError: a drawn map cannot be evaluated.
     """
-    if draws < 2:
-        raise UsageError(f"a Monte Carlo takes two draws or more, not {draws}")
+    draws = inputs.draws
+    if draws is None:
+        return {}
     nominal = evaluate(surface)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(inputs.seed)
     found: dict[str, list[float]] = {name: [] for name in nominal}
     for number in range(draws):
         on_progress("uncertainty", number, draws)

@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.options import LENGTH, Json
+from anisoscope.cli.options import Json
 from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
-from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales, reader
+from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
+from anisoscope.cli.profile.texture import OF_FILTERING
 from anisoscope.cli.tables import print_table
+from anisoscope.parameters.texture import Filtering
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.profiles.lines import LineParameters
@@ -28,14 +31,11 @@ MEANINGS = {
 }
 
 
+@with_options(filtering=OF_FILTERING)
 def lines(
     *files: Path,
     direction: Literal["across", "along", "x", "y"] = "across",
-    s_filter: Annotated[float | None, LENGTH] = None,
-    l_filter: Annotated[float | None, LENGTH] = None,
-    s_filter_type: FilterType = "gaussian",
-    l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
-    form: str = "plane",
+    filtering: Given[Filtering],
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Scales = AS_STATED,
@@ -47,26 +47,16 @@ def lines(
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
         direction: Direction of the profiles: across or along the ridges, or x or y.
-        s_filter_type: S-filter of ISO 16610: gaussian (-21), robust (-31) or spline (-22).
-        form: Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.
-        s_filter: Nesting index λs of the S-filter in µm; removes shorter waves.
-        l_filter: Nesting index λc of the L-filter in µm; removes longer waves.
 
     Examples:
         anisoscope profile lines part.x3p --direction across --l-filter 250
     """
     from anisoscope.profiles.lines import line_parameters
 
+    read, filters = reader(scales), filtering.made()
+
     def measure(path: Path) -> "LineParameters":
-        return line_parameters(
-            reader(scales)(path),
-            direction,
-            form=form,
-            s_filter_um=s_filter,
-            l_filter_um=l_filter,
-            s_filter=s_filter_type,
-            l_filter=l_filter_type,
-        )
+        return line_parameters(read(path), direction, filtering=filters)
 
     return measure_maps(files, many, measure, _values, _print, to_json=json_)
 

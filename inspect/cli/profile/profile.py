@@ -62,7 +62,6 @@ for _step in (
         f"anisoscope.cli.profile.editing:{_step.replace('filter', 'filter_').replace('-', '_')}", name=_step
     )
 
-FilterType = Literal["gaussian", "robust", "spline"]
 Layer = Literal["intensity", "colour", "interpolated"]
 PeriodLimit = Annotated[
     float | None,

@@ -41,7 +41,7 @@ def test_summits_at_the_border_may_be_left_out():
     assert inner.peaks == 3 * 4
     assert inner.spd_per_um2 == pytest.approx(features(surface).spd_per_um2 * 12 / 30)
     assert (inner.sha_um2, inner.shv_um3) == (features(surface).sha_um2, features(surface).shv_um3)
-    found = texture(surface, form="none", pruning=0.05, border_features=False)
+    found = texture(surface, form="none", features=True, border_features=False)
     assert (found.features.peaks, found.features.pits) == (inner.peaks, inner.pits)
 
 
@@ -107,6 +107,6 @@ def test_extreme_peak_height_of_a_linear_bearing_curve():
     surface = HeightMap(
         np.random.default_rng(0).permutation(np.linspace(0.0, 10.0, 10_000)).reshape(100, 100), 1.0, 1.0
     )
-    found = texture(surface, form="none", pruning=0.05)
+    found = texture(surface, form="none", features=True)
     assert found.sxp_um == pytest.approx(4.75, rel=0.01)
     assert found.features is not None

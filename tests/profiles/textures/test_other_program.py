@@ -77,7 +77,7 @@ THEIRS = {
 
 @pytest.mark.parametrize("kind", sorted(THEIRS))
 def test_all_parameters_that_both_define_alike(kind):
-    found = texture(HeightMap(waves(kind), PIXEL[1], PIXEL[0]), form="none", pruning=0.05)
+    found = texture(HeightMap(waves(kind), PIXEL[1], PIXEL[0]), form="none", features=True)
     h, s, y, c, v, f = found.heights, found.spatial, found.hybrid, found.core, found.volumes, found.features
     ours = (
         *(h.sa_um, h.sq_um, h.sz_um, h.sp_um, h.sv_um, h.ssk, h.sku, y.sdq, 100.0 * y.sdr, s.sal_um, s.str_),
