@@ -86,6 +86,7 @@ if TYPE_CHECKING:
         msa_stability,
         msa_type1,
     )
+    from anisoscope.operations.surfaces import make_surface
     from anisoscope.operations.teaching import (
         add_golden,
         certify_golden,
@@ -274,7 +275,6 @@ __all__ = [
     "history_readings",
     "hold_archived",
     "home_axis",
-    "ideal_ridges",
     "ink_brdf",
     "ink_picture",
     "inspect",
@@ -282,6 +282,7 @@ __all__ = [
     "line_parameters",
     "list_calibrations",
     "lot_mates",
+    "make_surface",
     "map_values",
     "measure_maps",
     "measure_ridges",
@@ -395,48 +396,6 @@ def _homes() -> dict[str, tuple[str, str]]:
 
 def __dir__() -> list[str]:
     return __all__
-
-
-def ideal_ridges(
-    ridge_angle_deg: float = 10.0,
-    pitch_um: float = 100.0,
-    *,
-    wall: Literal["perpendicular", "vertical"] = "perpendicular",
-    height_loss: float = 0.0,
-    size_um: tuple[float, float] = (1000.0, 1000.0),
-    pixel_um: float = 1.0,
-    alpha_along: float = 0.0,
-    alpha_across: float = 0.0,
-    correlation_um: float = 8.0,
-    seed: int = 0,
-) -> "HeightMap":
-    """Height map of ideal ridges, smooth or with rough facets, as ``anisoscope profile make ridges`` makes it.
-
-    Args:
-        ridge_angle_deg: angle of the large facets.
-        pitch_um: distance of the ridges.
-        wall: perpendicular to the facet, or vertical.
-        height_loss: share of the height that is missing at the crest.
-        size_um: (y, x) size of the field.
-        pixel_um: pixel size.
-        alpha_along: Beckmann roughness along the ridges.
-        alpha_across: Beckmann roughness across them.
-        correlation_um: mean correlation length of the roughness.
-        seed: of the roughness.
-
-    Raises:
-        HeightMapError: a number outside its range.
-    """
-    import numpy as np
-
-    from anisoscope.parameters.ridges import RidgeDesign
-    from anisoscope.profiles.ideal import add_facet_roughness, ridges
-
-    shape = (round(size_um[0] / pixel_um), round(size_um[1] / pixel_um))
-    surface = ridges(RidgeDesign(pitch_um, ridge_angle_deg, wall, height_loss), shape, pixel_um)
-    return add_facet_roughness(
-        surface, alpha_along, alpha_across, correlation_um, np.random.default_rng(seed)
-    )
 
 
 def spoil(

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from anisoscope.api import control_chart, ideal_ridges, predict
+from anisoscope.api import control_chart, make_surface, predict
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notebook import MOST_ROWS, data_frame, html_table
 from anisoscope.parameters.ridges import RidgeDesign
@@ -13,7 +13,7 @@ from anisoscope.parameters.ridges import RidgeDesign
 def test_what_a_file_or_an_operator_wrote_is_escaped():
     assert "<script>" not in html_table("<script>", ("<script>",), [("<script>",)])
     assert "<script>" not in control_chart([1.0, 1.1, 0.9] * 4, name="<script>")._repr_html_()
-    surface = ideal_ridges(size_um=(20, 200), pixel_um=2.0)
+    surface = make_surface("ridges", size_um=(20, 200), pixel_um=(2.0, 2.0))
     assert "<script>" not in surface.with_height(surface.height_um, file='"><script>')._repr_html_()
 
 
