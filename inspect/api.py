@@ -9,7 +9,7 @@ The module behind a name is imported when the name is first used.
 """
 
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from linecache import getlines
@@ -104,6 +104,7 @@ if TYPE_CHECKING:
     from anisoscope.parameters.optics import Optics
     from anisoscope.parameters.ridges import RidgeDesign
     from anisoscope.parameters.taking import Taking
+    from anisoscope.parameters.workers import Workers
     from anisoscope.prediction.predicted import Predicted
     from anisoscope.profiles.comparison import Comparison, compare_maps
     from anisoscope.profiles.editing.steps import edit_map
@@ -142,8 +143,6 @@ if TYPE_CHECKING:
     from anisoscope.sim.press import Change as MachineChange
     from anisoscope.sim.press import mould, write_moulded
     from anisoscope.study.objective import Noise, Scoring, Tolerances
-    from anisoscope.study.part_yield import PartYield
-    from anisoscope.study.sweep import Workers
     from anisoscope.study.whatif import Costs
 
     __version__: str
@@ -152,7 +151,7 @@ if TYPE_CHECKING:
     from anisoscope.experiment.experiment import run_experiment as experiment
     from anisoscope.experiment.findings_map import findings_maps as findings_map
     from anisoscope.ink.fitting import InkFit
-    from anisoscope.operations.detecting import detection_of_masters, detection_of_parts
+    from anisoscope.operations.detecting import detection_of_masters, detection_of_parts, recipe_yield
     from anisoscope.operations.inks import calibrate_ink, compare_inks, fit_ink
     from anisoscope.operations.map_series import map_values, measure_maps, write_map_table
     from anisoscope.operations.proofing import halftone, soft_proof
@@ -602,52 +601,6 @@ def control_chart(
     series = np.asarray(values, dtype=np.float64)
     specification = None if lower is None and upper is None else Specification(lower, upper)
     return control_study(name, individuals(series, labels), Settings(baseline=baseline), specification)
-
-
-def recipe_yield(
-    recipe: Path | str,
-    *,
-    parts: int = 1000,
-    scatter: Mapping[str, float] | None = None,
-    shift: Mapping[str, float] | None = None,
-    golden_parts: int = 0,
-    rigs: int = 25,
-    u_pose: float = 0.003,
-    light_angle_deg: float = 10.0,
-    seed: int = 1,
-    jobs: int | None = 1,
-) -> "PartYield":
-    """How many parts of a lot pass a recipe, as ``anisoscope recipe yield`` says it.
-
-    Args:
-        recipe: recipe file.
-        parts: number of parts of the lot.
-        scatter: standard deviations between the parts by name: ridge_angle (degrees), alpha, albedo, height_loss
-            (shares), edge_radius (µm), seating (degrees); None: those of good parts in the recipe.
-        shift: how far the mean of the lot is off the nominal part, by the same names but seating.
-        golden_parts: golden parts of every rig; with 0 the prediction is the reference.
-        rigs: number of rigs among which the parts are divided.
-        u_pose: relative standard uncertainty of a pose by camera and lamp.
-        light_angle_deg: angle between light and camera.
-        seed: of parts, rigs and errors.
-        jobs: processes; None is one for every core.
-
-    Raises:
-        UsageError: a name that is none, a number that means nothing, or a kind of part without [scatter].
-        RecipeError: the recipe.
-    """
-    from anisoscope.base.errors import UsageError
-    from anisoscope.study.lot import Shift, Spread, lot_of
-    from anisoscope.study.part_yield import part_yield
-    from anisoscope.study.sweep import Workers
-
-    try:
-        spread = None if scatter is None else Spread(**scatter)
-        off = Shift(**(shift or {}))
-    except TypeError as error:
-        raise UsageError(f"scatter and shift: {str(error).rpartition('() ')[2]}") from None
-    lot = lot_of(Path(recipe), light_angle_deg, spread, off, parts, rigs, golden_parts, u_pose)
-    return part_yield(lot, Workers(jobs), seed)
 
 
 def drivers(group: DriverGroup) -> tuple[str, ...]:

@@ -3,20 +3,27 @@
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, overload
+from typing import TYPE_CHECKING, Annotated, Any, overload
 
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.quantity import read_number
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.log import report
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import InputUncertainty, default_uncertainty
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.ridges import LIKELY_PITCH, RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.views.options import Options, parse_numbers, quantity
+
+if TYPE_CHECKING:
+    from anisoscope.operations.stated import Stated
+    from anisoscope.report.study_page import StudyPage
 
 RecipeOption = Annotated[
     Path | None,
@@ -113,17 +120,107 @@ LightAngleOption = Annotated[
 ]
 Flag = Annotated[bool, Parameter(negative="")]
 """What is so where it is stated, and has no --no-…"""
+Html = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 
-@contextmanager
-def light_angle_of(rig: Path | None, stated_deg: float | None) -> Iterator[float]:
-    """Angle of the light that is stated, or the usual one; a line on stderr says afterwards that this was assumed."""
-    yield Convention.light_angle_deg if stated_deg is None else stated_deg
-    if rig is None and stated_deg is None:
-        report(
-            f"no rig file: light at {Convention.light_angle_deg:g}° is assumed; name --rig, or --light-angle"
-        )
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Output:
+    """Form of a result."""
+
+    json_: Json = False
+    html: Html = None
+
+    def one_alone(self) -> None:
+        """Refuse both forms.
+
+        Raises:
+            UsageError: they are stated.
+        """
+        if self.json_ and self.html is not None:
+            raise UsageError("--json and --html exclude each other")
+
+    def hand_out(self, found: Any) -> None:  # noqa: ANN401 - any result with a page
+        """Write the page of a study, and print it."""
+        from anisoscope.cli.json_output import print_json
+        from anisoscope.cli.tables import print_lines, print_table
+
+        page = self.written(found.page())
+        if self.json_:
+            print_json(found)
+            return
+        for table in page.tables:
+            print_table(table.title, table.columns, table.rows, table.note or None)
+        print_lines(page.subtitle, *page.notes, *([page.answer] if page.answer else []))
+
+    def written(self, page: "StudyPage") -> "StudyPage":
+        """The page, written where that is asked for."""
+        if self.html is not None:
+            page.write(self.html)
+        return page
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class DrawnOutput(Output):
+    """Form of a result with charts."""
+
+    plot: Annotated[Path | None, Parameter(help="Write the charts as a picture, *.png or *.svg.")] = None
+
+    def check(self) -> None:
+        """Refuse a picture that cannot be written; errors as for `check_picture`."""
+        from anisoscope.report.study_page import check_picture
+
+        check_picture(self.plot)
+
+    def written(self, page: "StudyPage") -> "StudyPage":
+        """The page, written and drawn where that is asked for."""
+        if self.plot is not None:
+            page.write_picture(self.plot)
+        return super().written(page)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Base:
+    """Recipe and material file that options stand over."""
+
+    recipe: RecipeOption = None
+    file: MaterialOption = None
+
+    def stated(self) -> "Stated":
+        """Surface, plastic and orientation; errors as for `operations.stated`."""
+        from anisoscope.operations.stated import stated
+
+        return stated(self.recipe, self.file)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Lamp:
+    """Light angle, of a rig file or stated."""
+
+    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")] = None
+    light_angle: LightAngleOption = None
+
+    @contextmanager
+    def angle(self) -> Iterator[float]:
+        """The stated angle, or the usual one; a line on stderr says afterwards that this was assumed."""
+        usual = Convention.light_angle_deg
+        yield usual if self.light_angle is None else self.light_angle
+        if self.rig is None and self.light_angle is None:
+            report(f"no rig file: light at {usual:g}° is assumed; name --rig, or --light-angle")
+
+
+PRINTED, DRAWN, NO_BASE, USUAL_LAMP = Output(), DrawnOutput(), Base(), Lamp()
+OF_WORKERS = Options(
+    Workers,
+    MORE,
+    default={"jobs": None},
+    help={"jobs": "Processes on this machine; left out, one for every core."},
+    whole=True,
+)
 
 
 @contextmanager

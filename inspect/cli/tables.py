@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import print_json
@@ -12,7 +11,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from anisoscope.kinds.command_output import CommandOutput
-    from anisoscope.report.study_page import StudyPage
 
 
 _NUMBER = re.compile(r"[<>≤≥±+−-]?\s*\d|–$")
@@ -70,24 +68,3 @@ def answer(content: Any, lines: Iterable[str], *, json_: bool) -> None:  # noqa:
         print_json(content)
     else:
         print_lines(*lines)
-
-
-def hand_out(
-    found: Any,  # noqa: ANN401 - any result
-    page: "StudyPage",
-    *,
-    json_: bool,
-    html: Path | None = None,
-    plot: Path | None = None,
-) -> None:
-    """Write the page and the picture of a study, and print it."""
-    if html is not None:
-        page.write(html)
-    if plot is not None:
-        page.write_picture(plot)
-    if json_:
-        print_json(found)
-        return
-    for table in page.tables:
-        print_table(table.title, table.columns, table.rows, table.note or None)
-    print_lines(page.subtitle, *page.notes, *([page.answer] if page.answer else []))

@@ -1,5 +1,6 @@
 """How probably a defect is found, over its size: of simulated parts of a recipe, or of master parts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
@@ -7,8 +8,9 @@ from pathlib import Path
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.progress import Advance, silent
-from anisoscope.parameters.detection import MasterSignals, PartTrials, SizeCurve
+from anisoscope.parameters.detection import LotSize, MasterSignals, PartTrials, SizeCurve
 from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.workers import Workers
 from anisoscope.quality.detection_probability import (
     DetectionCurve,
     Trials,
@@ -18,9 +20,8 @@ from anisoscope.quality.detection_probability import (
 )
 from anisoscope.report.study_page import Chart, Curve, StudyPage, Table
 from anisoscope.rig.rigfile import read_rig
-from anisoscope.study.lot import lot_of
-from anisoscope.study.part_yield import detection_trials
-from anisoscope.study.sweep import Workers
+from anisoscope.study.lot import Lot, Shift, Spread, lot_of
+from anisoscope.study.part_yield import PartYield, detection_trials, part_yield
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,6 @@ def detection_of_masters(table: Path | str, *, signals: MasterSignals, curve: Si
 @by_keywords(trials=PartTrials, curve=SizeCurve)
 def detection_of_parts(
     recipe: Path | str,
-    defect: str = "height_loss",
     *,
     trials: PartTrials,
     curve: SizeCurve,
@@ -130,7 +130,6 @@ def detection_of_parts(
 
     Args:
         recipe: recipe file of the parts.
-        defect: height_loss, edge_radius (µm), ridge_angle (degrees), alpha or albedo.
         trials: `PartTrials`.
         curve: `SizeCurve`.
         rig: rig file, for its light angle.
@@ -145,11 +144,74 @@ def detection_of_parts(
     """
     recipe = Path(recipe)
     angle = light_angle_deg if rig is None else read_rig(Path(rig)).light.angle_deg
-    golden = trials.golden_parts
-    lot = lot_of(recipe, angle, parts=trials.parts, rigs=2, golden=golden)
+    golden, defect = trials.golden_parts, trials.defect
+    lot = lot_of(recipe, angle, LotSize(trials.parts, golden, rigs=2))
     hits = detection_trials(lot, defect, trials.largest, workers or Workers(), trials.seed, on_progress)
     found = hit_miss(hits, curve.size_scale, curve.link, curve.confidence)
     reference = f"{golden} golden parts" if golden else "the prediction"
     return Detection(
         found, defect, f"{recipe.name}: simulated parts, each on a rig of its own, against {reference}"
     )
+
+
+@dataclass(frozen=True, eq=False)
+class LotYield:
+    """Yield of a lot.
+
+    Attributes:
+        lot: its parts and how they are inspected.
+        found: verdicts of its parts, with the risks of producer and consumer.
+    """
+
+    lot: Lot = field(
+        metadata=json_field(
+            by=lambda lot: {
+                "parts": lot.parts,
+                "rigs": lot.rigs,
+                "golden_parts": lot.golden,
+                "scatter": lot.spread,
+                "shift": lot.shift,
+            },
+            merged=True,
+        )
+    )
+    found: PartYield = field(metadata=json_field("yield"))
+
+
+@by_keywords(size=LotSize)
+def recipe_yield(
+    recipe: Path | str,
+    *,
+    size: LotSize,
+    scatter: Mapping[str, float] | None = None,
+    shift: Mapping[str, float] | None = None,
+    rig: Path | str | None = None,
+    light_angle_deg: float = 10.0,
+    workers: Workers | None = None,
+    on_progress: Advance = silent,
+) -> LotYield:
+    """How many parts of a lot pass a recipe: ``anisoscope recipe yield``.
+
+    Args:
+        recipe: recipe file.
+        size: `LotSize`, or its fields as keywords.
+        scatter: standard deviations between the parts by name: ridge_angle (degrees), alpha, albedo, height_loss
+            (shares), edge_radius (µm), seating (degrees); None: those of good parts in the recipe.
+        shift: how far the mean of the lot is off the nominal part, by the same names but seating.
+        rig: rig file, for its light angle.
+        light_angle_deg: angle between light and camera, without a rig file.
+        workers: processes; one by default.
+        on_progress: called with the number of finished rigs.
+
+    Raises:
+        UsageError: a name that is none, a number that means nothing, or a kind of part without [scatter].
+        RecipeError, RigFileError: a file.
+    """
+    try:
+        spread = None if scatter is None else Spread(**scatter)
+        off = Shift(**(shift or {}))
+    except TypeError as error:
+        raise UsageError(f"scatter and shift: {str(error).rpartition('() ')[2]}") from None
+    angle = light_angle_deg if rig is None else read_rig(Path(rig)).light.angle_deg
+    lot = lot_of(Path(recipe), angle, size, spread, off)
+    return LotYield(lot, part_yield(lot, workers or Workers(), size.seed, on_progress))

@@ -9,9 +9,10 @@ from anisoscope.inspection.recompute import Recomputed, recompute_or_reason
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.reports import Reports
 from anisoscope.inspection.run import Inspected, UsedBefore, inspect_part, never_used
+from anisoscope.parameters.workers import Workers
 from anisoscope.record.schema import Particulars
 from anisoscope.report.peers import LotMate
-from anisoscope.study.sweep import Workers, again_after_a_kill
+from anisoscope.study.sweep import again_after_a_kill
 
 
 def inspect(

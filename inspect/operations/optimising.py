@@ -10,12 +10,12 @@ from anisoscope.base.json_fields import in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.report.study_page import Chart, Curve, Map, StudyPage, Table
 from anisoscope.sim.light.geometry import directions
 from anisoscope.study.box import check_bounds
 from anisoscope.study.objective import Part, Scoring, score
 from anisoscope.study.optimum import Landscape, Optimum, Slice, optimum
-from anisoscope.study.sweep import Workers
 
 LABELS = {
     "ridge_angle": "ridge angle [°]",

@@ -23,14 +23,13 @@ from anisoscope.kinds.parts import Reference, collecting
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import add_golden as added_golden
 from anisoscope.kinds.registry import kind_of
+from anisoscope.parameters.detection import PoseChoice
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import Record, read_record, sha256_of
 from anisoscope.rig.rigfile import RigFile, read_rig
 from anisoscope.study.best_poses import Suggestion, best_poses, sizes_in_toml, with_sizes
-
-ANGLES_DEG = tuple(15.0 * step for step in range(24))
-TILTS_DEG = tuple(5.0 * step for step in range(-4, 5))
 
 
 def check_recipe(
@@ -121,17 +120,11 @@ class Suggested:
         return [(n, frames) for n, frames in sorted(self.suggestion.frames.items()) if frames is not None]
 
 
+@by_keywords(choice=PoseChoice)
 def suggest_poses(
     recipe: Path | str,
     *,
-    defects: Sequence[str] = (),
-    poses: int = 6,
-    angles_deg: Sequence[float] = ANGLES_DEG,
-    tilts_deg: Sequence[float] = TILTS_DEG,
-    ignore: Sequence[str] = ("roughness along",),
-    u_pose: float = 0.003,
-    power: float = 0.9,
-    angle_map: bool = False,
+    choice: PoseChoice,
     rig: Path | str | None = None,
     light_angle_deg: float = 10.0,
     on_progress: Advance = silent,
@@ -140,14 +133,7 @@ def suggest_poses(
 
     Args:
         recipe: recipe file.
-        defects: smallest defects to be found, NAME=SIZE, in place of those of the recipe: ``ridge-angle=0.5``.
-        poses: number of poses, 3 or more.
-        angles_deg: allowed stage angles.
-        tilts_deg: allowed tilts.
-        ignore: first words of names of defects that need not be shown.
-        u_pose: relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
-        power: required probability of finding each defect.
-        angle_map: three of the poses, or all but one, tell the lean of the facets best: across and along the ridges.
+        choice: allowed poses and what they must show, or its fields as keywords.
         rig: rig file, for its light angle and white reference.
         light_angle_deg: angle of the light, without a rig file.
         on_progress: called with the work being done, steps done and steps in all.
@@ -164,22 +150,10 @@ def suggest_poses(
             f"{path}: poses are chosen where a recipe states how good parts differ ([scatter]), not for {kind.one}"
         )
     sized: SurfaceRecipe
-    sized, asked = with_sizes(rules, defects)
+    sized, asked = with_sizes(rules, choice.defects)
     rig_file = None if rig is None else read_rig(Path(rig), channel=rules.acquisition.light_channel)
     angle = light_angle_deg if rig_file is None else rig_file.light.angle_deg
-    found = best_poses(
-        sized,
-        angle,
-        poses,
-        angles_deg,
-        tilts_deg,
-        u_pose,
-        power,
-        ignore,
-        on_progress,
-        asked,
-        angle_map=angle_map,
-    )
+    found = best_poses(sized, angle, on_progress, asked, choice=choice)
     listed = ", ".join(f"[{stage:g}, {tilt:g}]" for stage, tilt in found.poses)
     reached = [frames for _, frames in sorted(found.frames.items()) if frames is not None]
     lines = ["[poses]", f"stage_and_tilt_deg = [{listed}]", "[acquisition]"]

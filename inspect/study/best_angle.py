@@ -27,6 +27,7 @@ from anisoscope.experiment.experiment import (
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.profiles.defects import burrs
 from anisoscope.report.study_page import Chart, Curve, StudyPage, Table
 from anisoscope.sim.light import corrected
@@ -43,7 +44,7 @@ from anisoscope.study.convergence import (
     signed_contrasts,
 )
 from anisoscope.study.ridges import ridge_radiance
-from anisoscope.study.sweep import Workers, sweep
+from anisoscope.study.sweep import sweep
 
 _SEATINGS = 7  # Gauss-Hermite nodes about each axis
 

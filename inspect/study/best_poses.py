@@ -19,7 +19,9 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.predictive import separating_areas, separations
 from anisoscope.imaging.angle_map import poses_for_angles
+from anisoscope.parameters.detection import PoseChoice
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.prediction.expectation import PLASTIC, nominal_shape
 from anisoscope.prediction.part_scatter import (
     PartScatter,
@@ -180,57 +182,40 @@ class Suggestion:
     brightest: float = 0.0
 
 
+@by_keywords(choice=PoseChoice)
 def best_poses(
     recipe: SurfaceRecipe,
     light_angle_deg: float,
-    count: int,
-    angles_deg: Sequence[float],
-    tilts_deg: Sequence[float],
-    camera_share: float = 0.003,
-    power: float = 0.9,
-    ignored: Sequence[str] = (),
     advance: Advance = silent,
     asked: Sequence[str] = (),
     *,
-    angle_map: bool = False,
+    choice: PoseChoice,
 ) -> Suggestion:
     """Choose poses for the defects of a recipe.
 
     Args:
         recipe: with the scatter of good parts and the sizes of the defects.
         light_angle_deg: the rig's angle between light and camera.
-        count: number of poses, 3 or more.
-        angles_deg: allowed stage angles.
-        tilts_deg: allowed tilts.
-        camera_share: relative standard uncertainty of a pose by camera and lamp with the recipe's frames per pose; it
-            falls with the root of their number.
-        power: required probability of finding each defect.
-        ignored: first words of names of defects that need not be shown, such as "roughness along".
         advance: called at every step.
         asked: first words of names of the defects that must be shown; all if empty.
-        angle_map: the first poses, three at most, are those that tell the lean of the facets best.
+        choice: allowed poses, or its fields as keywords; its ``defects`` are in the recipe already (`with_sizes`).
 
     Raises:
         UsageError: too few poses are allowed, or no defect can be shown.
         HeightMapError: the height map has no ridges.
         RecipeError: as for a prediction.
     """
+    count, camera_share = choice.poses, choice.u_pose
     ideal = with_design(recipe.deciding())
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-    allowed = _above_horizon(pose_grid(tuple(angles_deg), tuple(tilts_deg)), convention)
-    if not 0.0 < camera_share < 1.0:
-        raise UsageError(
-            f"the uncertainty of a pose by camera and lamp is a share between 0 and 1, not {camera_share:g}"
-        )
-    if not 0.0 < power < 1.0:
-        raise UsageError(f"the required probability lies between 0 and 1, not at {power:g}")
+    allowed = _above_horizon(pose_grid(choice.angles_deg, choice.tilts_deg), convention)
     if not 3 <= count <= len(allowed):
         raise UsageError(
             f"{count} poses of {len(allowed)} that are allowed: choose 3 or more, and allow more than that"
         )
     advance("responses", 0, 2)
     allowed, radiance, scatter, changes = _first_order(ideal, allowed, convention, camera_share)
-    for words in ignored:
+    for words in choice.ignore:
         if not any(name.startswith(words) for name in changes):
             raise UsageError(f"no defect begins with {words!r}; there are {', '.join(changes)}")
     for words in asked:
@@ -239,18 +224,16 @@ def best_poses(
     wanted = {
         name: change
         for name, change in changes.items()
-        if not name.startswith(tuple(ignored)) and (not asked or name.startswith(tuple(asked)))
+        if not name.startswith(choice.ignore) and (not asked or name.startswith(tuple(asked)))
     }
     if not wanted:
         raise UsageError("no defect is left that poses could show")
     advance("choice of poses", 1, 2)
-    first = min(ANGLE_POSES, count - 1) if angle_map else 0
+    first = min(ANGLE_POSES, count - 1) if choice.angle_map else 0
     kept = poses_for_angles(ideal, allowed, convention, first)
     chosen = _chosen(allowed, scatter, np.array(list(wanted.values())), count, kept)
     poses = _in_order([allowed[k] for k in chosen])
-    found = _judged(
-        recipe, light_angle_deg, poses, scatter, changes, chosen, camera_share, power, tuple(wanted)
-    )
+    found = _judged(recipe, light_angle_deg, poses, scatter, changes, chosen, choice, tuple(wanted))
     return replace(found, brackets=_brackets(radiance[chosen]), brightest=float(radiance[chosen].max()))
 
 
@@ -354,11 +337,11 @@ def _judged(
     scatter: FloatArray,
     changes: dict[str, FloatArray],
     chosen: list[int],
-    camera_share: float,
-    power: float,
+    choice: PoseChoice,
     wanted: tuple[str, ...],
 ) -> Suggestion:
     """The chosen poses with the power to second order."""
+    camera_share, power = choice.u_pose, choice.power
     distances = dict(zip(changes, _distances(scatter, np.array(list(changes.values())), chosen), strict=True))
     table = recipe.poses.model_dump(exclude={"angles_deg", "tilts_deg", "stage_and_tilt_deg"})
     only = type(recipe.poses).model_validate({**table, "stage_and_tilt_deg": poses})

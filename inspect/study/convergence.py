@@ -21,6 +21,7 @@ from anisoscope.experiment.experiment import STAGE_DEG, TILTS_DEG
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.profiles.defects import burrs, ridge_angle_error
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
@@ -30,7 +31,7 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
-from anisoscope.study.sweep import Workers, sweep
+from anisoscope.study.sweep import sweep
 
 FITTED = 4  # mildest severities that give the order
 PITCH_UM = 100.0

@@ -25,6 +25,7 @@ from anisoscope.diagnosis.separability import planned_components
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds.registry import kind_of
+from anisoscope.parameters.detection import LotSize
 from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.cache import cached_expectation, prediction_key
 from anisoscope.prediction.crest_edges import crest_edges, edge_radius_model
@@ -170,12 +171,9 @@ class Lot:
 def lot_of(
     path: Path,
     light_angle_deg: float,
+    size: LotSize,
     spread: Spread | None = None,
     shift: Shift | None = None,
-    parts: int = 1000,
-    rigs: int = 25,
-    golden: int = 0,
-    u_pose: float = 0.003,
 ) -> Lot:
     """Lot of a recipe file; arguments as for `Lot`, and no spread is that of good parts in the recipe.
 
@@ -190,7 +188,16 @@ def lot_of(
         )
     recipe = cast("SurfaceRecipe", kind.read_recipe(path))
     usual = Spread.of(recipe) if spread is None else spread
-    return Lot(recipe, light_angle_deg, usual, shift or Shift(), parts, rigs, golden, u_pose)
+    return Lot(
+        recipe,
+        light_angle_deg,
+        usual,
+        shift or Shift(),
+        size.parts,
+        size.rigs,
+        size.golden_parts,
+        size.u_pose,
+    )
 
 
 @dataclass(frozen=True, eq=False)

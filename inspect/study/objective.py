@@ -8,7 +8,6 @@ smooth function of the design and can be repeated.
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +16,12 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.goal import Goal, Kind
 from anisoscope.parameters.material import InternalReflection, Material
 from anisoscope.parameters.ridges import RidgeDesign, Wall
 from anisoscope.prediction.reflections import Groove
 from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.study.ridges import RidgedParts, ridge_radiances
-
-Kind = Literal["difference", "michelson", "log_ratio"]
-Over = Literal["mean", "worst"]
 
 _ALPHA_RANGE = (0.001, 1.0)
 _ANGLE_RANGE = (0.05, 44.9)
@@ -153,53 +150,27 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Scoring:
-    """Objective function and its settings.
+class Scoring(Goal):
+    """Objective function and its settings: those of `Goal`, and what they score.
+
+    Light that reflects more often than once is that of the nominal part in the nominal poses: its scatter is small.
 
     Attributes:
-        contrast: which contrast; its absolute value counts.
         pairs_deg: pairs of stage angles.
-        tilts_deg: tilts of camera and light.
-        over: mean over pairs and tilts, or the worst of them.
         convention: how angles are counted.
-        score: "contrast", or "snr": the contrast as a multiple of its standard deviation.
         noise: of the measurement.
         tolerances: None scores the nominal design.
-        z: with tolerances, the score is mean − z·standard deviation.
-        quantile: score this quantile of the sample instead, 0 to 0.5.
-        samples: size of the sample, a power of two.
-        seed: of the sample's scrambling.
-        bounces: largest number of reflections; 1 is direct light, "all" follows them to the end. Light that reflects
-            more often is that of the nominal part in the nominal poses: its scatter is small.
     """
 
-    contrast: Kind = "difference"
     pairs_deg: tuple[tuple[float, float], ...] = ((0.0, 90.0),)
-    tilts_deg: tuple[float, ...] = (0.0,)
-    over: Over = "mean"
     convention: Convention = field(default_factory=Convention)
-    score: Literal["contrast", "snr"] = "contrast"
     noise: Noise = field(default_factory=Noise)
     tolerances: Tolerances | None = None
-    z: float = 2.0
-    quantile: float | None = None
-    samples: int = 64
-    seed: int = 1
-    bounces: int | Literal["all"] = "all"
 
     def __post_init__(self) -> None:
-        if self.samples < 8 or self.samples & (self.samples - 1):
-            raise UsageError(f"the sample must be a power of two from 8 on, not {self.samples}")
-        if self.quantile is not None and not 0.0 < self.quantile <= 0.5:
-            raise UsageError(f"the quantile must lie above 0 and up to 0.5, not {self.quantile:g}")
-        if not 0.0 <= self.z < float("inf"):
-            raise UsageError(f"z must be 0 or more, not {self.z:g}")
-        if self.bounces != "all" and self.bounces < 1:
-            raise UsageError(f"light reflects at least once, not {self.bounces} times")
+        super().__post_init__()
         if self.score == "snr" and self.tolerances is None and not self.noise.present:
             raise UsageError("a signal-to-noise ratio needs noise (--noise) or tolerances (--robust)")
-        if self.score == "snr" and self.quantile is not None:
-            raise UsageError("a signal-to-noise ratio has no quantile: leave one of the two out")
 
     @property
     def poses(self) -> tuple[Pose, ...]:

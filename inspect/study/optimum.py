@@ -17,9 +17,10 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.workers import Workers
 from anisoscope.study.box import LIMITS, Bounds, Box, check_bounds, scores_of_task, tabled, value_of
 from anisoscope.study.objective import Part, Scored, Scoring, score
-from anisoscope.study.sweep import Workers, sweep
+from anisoscope.study.sweep import sweep
 
 FLAT_SHARE = 0.01  # a parameter is flat if its whole range changes the score by less
 COST_SHARE = 0.01  # the interval of a parameter is where the score loses at most this

@@ -13,13 +13,14 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.decision import pair_values
+from anisoscope.parameters.workers import Workers
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.quality.detection_probability import Trials
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.study.lot import VERDICTS, Judged, Lot, Shift, judged_on_rig, setting_of
 from anisoscope.study.statistics import Rate, rate
-from anisoscope.study.sweep import Workers, sweep
+from anisoscope.study.sweep import sweep
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ import numpy as np
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.parameters.workers import Workers
 from anisoscope.rig.acquisition.interruptions import undisturbed
 
 Result = TypeVar("Result")
@@ -41,26 +42,6 @@ class SweepError(AnisoscopeError):
     """A sweep that cannot be run to its end: the cluster is missing, or a task failed."""
 
     exit_code: ClassVar[int] = 69
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Processes or cluster of a sweep.
-
-    Attributes:
-        jobs: processes on this machine; 1 is this process, None one for every core.
-        scheduler: address of a Dask scheduler, such as "tcp://host:8786"; it replaces ``jobs``.
-
-    Raises:
-        UsageError: fewer than one process.
-    """
-
-    jobs: int | None = 1
-    scheduler: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.jobs is not None and self.jobs < 1:
-            raise UsageError(f"--jobs takes 1 or more, not {self.jobs}")
 
 
 @dataclass(frozen=True)

@@ -29,13 +29,14 @@ from anisoscope.inspection.pipeline import Case, judge
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation
 from anisoscope.kinds.parts import Redeciding, Reference, read_reference
 from anisoscope.kinds.registry import kind_of
+from anisoscope.parameters.workers import Workers
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import Record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.peers import LotMate
 from anisoscope.study.statistics import Rate, rate
-from anisoscope.study.sweep import Workers, again_after_a_kill
+from anisoscope.study.sweep import again_after_a_kill
 
 VERDICTS = ("PASS", "FAIL", "INCONCLUSIVE", "INVALID")
 GOOD, BAD = frozenset({"accept"}), frozenset({"reject", "rework"})

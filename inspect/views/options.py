@@ -75,10 +75,11 @@ class Given(Generic[M]):
         Raises:
             UsageError: a list that is none of numbers.
         """
-        values = self.values
+        values = {name: getattr(self, name) for name in self.option}
         for name, reader in self.lists.items():
-            if name in values:
-                values[name] = _read(reader, values[name], self.option[name])
+            text = values.pop(name)
+            if text is not None:  # else that of the model
+                values[name] = _read(reader, text, self.option[name])
         return cast("M", self.model(**values))
 
     def refuse(self, names: Sequence[str], why: str) -> None:
@@ -186,7 +187,9 @@ def options_class(options: Options) -> type:
         alone = options.flags if isinstance(options.flags, bool) else one.name in options.flags
         parameter = Parameter(
             name=options.names.get(one.name) or options.option(one.name),
-            negative=() if kind is not bool or alone else None,
+            negative=()
+            if alone or not (kind is bool or (one.name in options.repeated and default))
+            else None,
             help=options.help.get(one.name, texts.get(one.name, "")),
             converter=None if reader is None else _converter(reader),
             n_tokens=None if reader is None else 1,

@@ -9,11 +9,11 @@ from scipy.optimize import minimize_scalar
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.study.objective import Part, Scoring, Tolerances, errors_sample, score
 from anisoscope.study.optimum import optimum
-from anisoscope.study.sweep import Workers
 
 pytestmark = pytest.mark.benchmark
 TOLERANCES = Tolerances(ridge_angle=0.3, alpha=0.1, height_loss=0.03, seating=0.3)

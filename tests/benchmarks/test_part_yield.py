@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.workers import Workers
 from anisoscope.study.lot import Lot, Spread
 from anisoscope.study.part_yield import part_yield
-from anisoscope.study.sweep import Workers
 
 pytestmark = pytest.mark.benchmark
 RECIPE = RidgeRecipe.model_validate(

@@ -14,18 +14,19 @@ from cyclopts import Parameter
 from anisoscope.cli import app, main
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import OF_WORKERS, Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.study.optimise import JobsOption, SchedulerOption
 from anisoscope.cli.tables import console
-from anisoscope.study.sweep import Workers
+from anisoscope.parameters.workers import Workers
+from anisoscope.views.options import Given, with_options
 from detection_study.mitsuba import ARCHIVE
 from detection_study.product import RECIPES, WORLDS, RecipeName, World
 from detection_study.run import Plan, study_results
 from detection_study.text import block_of, causes_block, causes_of, numbers_of, write_results
 
 
-@everyday("world", "rigs", "recipe", "poses", "diagnose", "jobs", "seed", "folder", "json_", "markdown")
+@with_options(workers=OF_WORKERS)
+@everyday("world", "rigs", "recipe", "poses", "diagnose", "seed", "folder", "json_", "markdown")
 def detection_command(
     *,
     world: Annotated[
@@ -70,8 +71,7 @@ def detection_command(
             help="Parts that Mitsuba rendered, for the world mitsuba; tests/data/mitsuba/parts.tar.xz."
         ),
     ] = None,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
+    workers: Given[Workers],
     seed: Annotated[int, Parameter(help="Seed of parts, rigs and cameras.")] = 1,
     folder: Annotated[
         Path | None, Parameter(help="Folder for surfaces and parts, so that a study can continue.")
@@ -98,7 +98,7 @@ def detection_command(
     plan = Plan(worlds, recipes, rigs, pictured, seed, diagnose, **folder_option)
     rendered = (archive or ARCHIVE) if "mitsuba" in named else None
     with progress("detection", quiet=json_) as advance:
-        found = study_results(plan, Workers(jobs, scheduler), advance, rendered)
+        found = study_results(plan, workers.made(), advance, rendered)
     if markdown is not None:
         write_results(markdown, found)
     if json_:

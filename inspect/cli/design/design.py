@@ -9,7 +9,7 @@ from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Html, Json
 from anisoscope.cli.tables import print_table
 from anisoscope.parameters.etching import check_seed
 from anisoscope.parameters.fabrication import Fabrication
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from anisoscope.operations.design.etched import EtchedDesign
     from anisoscope.sim.design.designfile import DesignFile
 
-HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 OutOption = Annotated[Path | None, Parameter(help="Write the design *.toml.")]
 NameOption = Annotated[str | None, Parameter(help="Name of the design.")]
 
@@ -82,7 +81,7 @@ def lobe(
     fabrication: Given[Fabrication],
     name: NameOption = None,
     out: OutOption = None,
-    html: HtmlOption = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """Find the mixture of step widths whose reflectance comes closest to a Gaussian lobe.
@@ -113,7 +112,7 @@ def antimirror(
     fabrication: Given[Fabrication],
     name: NameOption = None,
     out: OutOption = None,
-    html: HtmlOption = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """Design a surface that reflects everywhere except in the mirror direction.
@@ -140,7 +139,7 @@ def mixture(
     shares: Annotated[str, Parameter(help="Share of the area of each design, comma-separated, 1 together.")],
     name: NameOption = None,
     out: OutOption = None,
-    html: HtmlOption = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """Mix designs by shares of the area: their reflectances add.

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, check_new
+from anisoscope.cli.options import Html, Json, check_new
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 from anisoscope.parameters.etching import DotSearch, PatternOptions, check_seed
@@ -17,7 +17,6 @@ from anisoscope.views.options import Given, Options, parse_numbers, with_options
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 
-HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 GDS = (".gds", ".gds2", ".gdsii")
 USUAL = "16:16,56:16,112:16,160:16,160:80"
 MOST_RANDOM = 100
@@ -31,7 +30,7 @@ def refine(
     options: Given[DotSearch],
     out: Annotated[Path | None, Parameter(help="Write the dot as a layout *.npz.")] = None,
     png: Annotated[Path | None, Parameter(help="Write a picture of the dot.")] = None,
-    html: HtmlOption = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """Search the dot of a lobe whose own reflectance is closest to the expected one.
@@ -86,7 +85,7 @@ def pattern(
     plate_size: str | None = None,
     options: Given[PatternOptions],
     png: Annotated[Path | None, Parameter(help="Write a picture of the classes, one pixel per dot.")] = None,
-    html: HtmlOption = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """Lay out a picture as dots, each with one reflectance.

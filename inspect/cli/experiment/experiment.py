@@ -12,8 +12,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, Json, MaterialOption, RecipeOption
-from anisoscope.cli.study.optimise import HtmlOption
+from anisoscope.cli.options import NO_BASE, OF_LIGHT, OF_PLASTIC, PRINTED, Base, Output
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
@@ -119,19 +118,17 @@ FrameOption = Annotated[
 
 
 @with_options(plastic=OF_PLASTIC, rig=OF_LIGHT)
-@everyday("recipe", "model", "measured", "plastic", "file", "rig", "json_", "csv_", "html")
+@everyday("base", "model", "measured", "plastic", "rig", "output", "csv_")
 def experiment(
     *,
-    recipe: RecipeOption = None,
+    base: Base = NO_BASE,
     model: ModelOption = "printed",
     measured: Path | None = None,
     plastic: Given[Material],
-    file: MaterialOption = None,
     rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
-    json_: Json = False,
+    output: Output = PRINTED,
     csv_: Annotated[bool, Parameter(name="--as-csv", negative="")] = False,
-    html: HtmlOption = None,
 ) -> int:
     """Predict the contrasts of the ridge experiment and their marginal means (Luongo et al. 2017, Fig. 8).
 
@@ -144,13 +141,12 @@ def experiment(
         anisoscope research experiment --measured table.csv --html fig8.html
     """
     from anisoscope.experiment.experiment import Setup, run_experiment
-    from anisoscope.operations.stated import stated
 
-    _at_most_one({"--json": json_, "--as-csv": csv_, "--html": html is not None})
-    base = stated(recipe, file)
-    setup = Setup(model, plastic.over(base.material), rig.over(base.convention), shadow_frame)
+    _at_most_one({"--json": output.json_, "--as-csv": csv_, "--html": output.html is not None})
+    known, html = base.stated(), output.html
+    setup = Setup(model, plastic.over(known.material), rig.over(known.convention), shadow_frame)
     result = run_experiment(setup, measured)
-    if json_:
+    if output.json_:
         print_json(result)
     elif csv_:
         sys.stdout.write(result.csv())
@@ -169,22 +165,19 @@ def experiment(
     rig=replace(OF_LIGHT, without={"tilt_plane": "both planes are mapped"}),
 )
 @everyday(
-    *("recipe", "model", "grid_points", "alpha_from", "alpha_to"),
-    *("plastic", "file", "rig", "json_", "html", "svg"),
+    *("base", "model", "grid_points", "alpha_from", "alpha_to", "plastic", "rig", "output", "svg"),
 )
 def findings(
     *,
-    recipe: RecipeOption = None,
+    base: Base = NO_BASE,
     model: ModelOption = "printed",
     grid_points: Annotated[int, Parameter(help="Roughnesses per side of the grid, 2 to 100.")] = 24,
     alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
     alpha_to: Annotated[float, Parameter(help="Largest roughness of the grid.")] = 0.3,
     plastic: Given[Material],
-    file: MaterialOption = None,
     rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
-    json_: Json = False,
-    html: HtmlOption = None,
+    output: Output = PRINTED,
     svg: Annotated[Path | None, Parameter(help="Write the map as an SVG picture to this file.")] = None,
 ) -> int:
     """Map the roughnesses at which the published findings come out, for both planes of tilt.
@@ -196,13 +189,12 @@ def findings(
     """
     from anisoscope.experiment.experiment import Setup
     from anisoscope.experiment.findings_map import findings_maps
-    from anisoscope.operations.stated import stated
 
-    _at_most_one({"--json": json_, "--html": html is not None, "--svg": svg is not None})
-    base = stated(recipe, file)
-    setup = Setup(model, plastic.over(base.material), rig.over(base.convention), shadow_frame)
+    _at_most_one({"--json": output.json_, "--html": output.html is not None, "--svg": svg is not None})
+    known, html = base.stated(), output.html
+    setup = Setup(model, plastic.over(known.material), rig.over(known.convention), shadow_frame)
     found = findings_maps(setup, alpha_from=alpha_from, alpha_to=alpha_to, grid_points=grid_points)
-    if json_:
+    if output.json_:
         print_json(found)
     elif html is not None or svg is not None:
         _write_maps(found.maps, html, svg)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, Json, MaterialOption
+from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, PRINTED, MaterialOption, Output
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
@@ -30,23 +30,22 @@ if TYPE_CHECKING:
 def show(
     fitted: "Fit",
     title: str,
-    json_: bool,
-    html: Path | None,
+    output: Output,
     brdf: "tuple[BrdfTable, Reciprocity] | None" = None,
 ) -> int:
     """Print a fit, or write its page."""
     from anisoscope.fit.text import fit_as_json, quality
 
-    if json_:
+    if output.json_:
         found = fit_as_json(fitted)
         rows = _rows(fitted, brdf)
         found |= {} if brdf is None else _brdf_as_json(*brdf)
         print_json(found | {"rows": rows})
-    elif html is not None:
+    elif output.html is not None:
         from anisoscope.report.fit_page import write_fit_page
 
-        write_fit_page(fitted, title, html, () if brdf is None else (_reciprocity_words(brdf[1]),))
-        console().print(f"{html}: {quality(fitted)}", markup=False, highlight=False, soft_wrap=True)
+        write_fit_page(fitted, title, output.html, () if brdf is None else (_reciprocity_words(brdf[1]),))
+        console().print(f"{output.html}: {quality(fitted)}", markup=False, highlight=False, soft_wrap=True)
     else:
         _print(fitted, title, brdf)
     return 0 if fitted.fits or not fitted.estimates else 3
@@ -157,7 +156,6 @@ def _print_parameters(fitted: "Fit") -> None:
         )
 
 
-HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 FreeOption = Annotated[
     str,
     Parameter(
@@ -241,8 +239,7 @@ def ridges(
     file: MaterialOption = None,
     options: ModelOptions = MODEL_DEFAULTS,
     rig: Given[Convention],
-    json_: Json = False,
-    html: HtmlOption = None,
+    output: Output = PRINTED,
 ) -> int:
     """Fit ridge angle, roughness, height loss, seating and scale to exposures or contrasts of one part.
 
@@ -258,9 +255,9 @@ def ridges(
     """
     from anisoscope.operations.fit import fit_ridges
 
-    _at_most_one(json_, html)
+    output.one_alone()
     design, material = _part(ridges, plastic, file)
-    with progress("fitting", quiet=json_) as advance:
+    with progress("fitting", quiet=output.json_) as advance:
         fitted = fit_ridges(
             table,
             kind=quantity,
@@ -276,7 +273,7 @@ def ridges(
             covariance=covariance,
             on_progress=advance,
         )
-    return show(fitted, f"Fit of {table.name}", json_, html)
+    return show(fitted, f"Fit of {table.name}", output)
 
 
 @app.command
@@ -291,8 +288,7 @@ def experiment(
     file: MaterialOption = None,
     options: ModelOptions = MODEL_DEFAULTS,
     rig: Given[Convention],
-    json_: Json = False,
-    html: HtmlOption = None,
+    output: Output = PRINTED,
 ) -> int:
     """Fit one plastic and one scale to the contrasts of the published experiment, over all its ridge angles.
 
@@ -307,7 +303,7 @@ def experiment(
     from anisoscope.fit.table import experiment_problem
     from anisoscope.operations.fit import start_values
 
-    _at_most_one(json_, html)
+    output.one_alone()
     design, material = _part(ridges, plastic, file)
     chosen = tuple(n for n in parse_free(free) if free.strip() != "all" or n != "ridge_angle_deg")
     problem = experiment_problem(
@@ -317,7 +313,7 @@ def experiment(
         start_values(design, material, (options.seating_x, options.seating_y), options.k),
         tuple(n for n in chosen if not (n == "height_loss" and options.model == "printed" and free == "all")),
     )
-    return show(_fit(problem, json_), f"Fit of {table.name} to the published experiment", json_, html)
+    return show(_fit(problem, output.json_), f"Fit of {table.name} to the published experiment", output)
 
 
 def _scene(
@@ -341,8 +337,7 @@ def brdf(
     plastic: Given[Material],
     file: MaterialOption = None,
     options: ModelOptions = MODEL_DEFAULTS,
-    json_: Json = False,
-    html: HtmlOption = None,
+    output: Output = PRINTED,
 ) -> int:
     """Compare a measured BRDF with a model, and fit material and ridge angle to it.
 
@@ -359,7 +354,7 @@ def brdf(
     from anisoscope.fit.table import read_brdf, reciprocity
     from anisoscope.operations.fit import start_values
 
-    _at_most_one(json_, html)
+    output.one_alone()
     if free is not None and not fit:
         raise UsageError("--free needs --fit")
     design, material = _part(ridges, plastic, file, ridge_angle)
@@ -372,12 +367,7 @@ def brdf(
     scene = Scene(read.to_light, read.to_camera, **_scene(options, design, material))
     values = start_values(design, material, (options.seating_x, options.seating_y), options.k)
     problem = Problem(scene, read.readings, values, chosen if fit else ())
-    return show(_fit(problem, json_), f"BRDF of {table.name}", json_, html, (read, reciprocity(read)))
-
-
-def _at_most_one(json_: bool, html: Path | None) -> None:
-    if json_ and html is not None:
-        raise UsageError("--json and --html exclude each other")
+    return show(_fit(problem, output.json_), f"BRDF of {table.name}", output, (read, reciprocity(read)))
 
 
 def _fit(problem: "Problem", quiet: bool) -> "Fit":

@@ -1,6 +1,7 @@
 """``anisoscope whatif``: judge inspections of the past by another recipe."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +11,12 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.history.history import write_line
 from anisoscope.cli.history.options import Place, Which, filters_of, opened
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import OF_WORKERS, PRINTED, Output
 from anisoscope.cli.progress import progress
-from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
 from anisoscope.cli.tables import print_table
+from anisoscope.parameters.workers import Workers
 from anisoscope.record.verdict import Verdict
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.study.whatif import WhatIf
@@ -23,6 +25,7 @@ KEYS = tuple(Which.option)
 MOST_LINES = 20
 
 
+@with_options(workers=replace(OF_WORKERS, group=None))
 def whatif(
     *,
     recipe: Annotated[Path, Parameter(help="The other recipe; its golden parts are those next to it.")],
@@ -34,10 +37,8 @@ def whatif(
     limit: Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")] = 0,
     cost_escape: Annotated[float | None, Parameter(help="What a bad part costs that passes.")] = None,
     cost_reject: Annotated[float | None, Parameter(help="What a good part costs that fails.")] = None,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    html: HtmlOption = None,
-    json_: Json = False,
+    workers: Given[Workers],
+    output: Output = PRINTED,
 ) -> int:
     """Judge past inspections by another recipe: which verdicts change, what that means for escapes and cost.
 
@@ -51,26 +52,25 @@ def whatif(
         anisoscope whatif --recipe tighter.toml --where lot=L42 --html flips.html --cost-escape 900 --cost-reject 4
     """
     from anisoscope.operations.past import whatif as judged
-    from anisoscope.study.sweep import Workers
     from anisoscope.study.whatif import Costs
 
-    which = selection(where or ())
+    which, html = selection(where or ()), output.html
     if (cost_escape is None) != (cost_reject is None):
         raise UsageError("--cost-escape and --cost-reject go together")
     if html is not None and (html.resolve() == recipe.resolve() or not html.absolute().parent.is_dir()):
         raise UsageError(f"--html {html}: name a page in a folder that exists, not the recipe")
     costs = None if cost_escape is None or cost_reject is None else Costs(cost_escape, cost_reject)
-    with opened(place) as found, progress("inspections", quiet=json_) as advance:
+    with opened(place) as found, progress("inspections", quiet=output.json_) as advance:
         result = judged(
             found,
             recipe,
             filters_of(which, limit),
             costs=costs,
-            workers=Workers(jobs, scheduler),
+            workers=workers.made(),
             html=html,
             on_progress=advance,
         )
-    if json_:
+    if output.json_:
         print_json(result)
     else:
         _print(result, html)

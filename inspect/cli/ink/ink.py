@@ -8,7 +8,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Flag, Json, check_new, check_suffix
+from anisoscope.cli.options import Flag, Html, Json, check_new, check_suffix
 from anisoscope.cli.tables import console, print_lines, print_table
 from anisoscope.views.options import parse_numbers
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from anisoscope.ink.appearance import Show
     from anisoscope.ink.fitting import InkFit
 
-HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
 HORIZON_DEG = 90.0
 NEEDED_NM = (400.0, 700.0)
@@ -41,7 +40,7 @@ def fit(
     floor: float | None = None,
     name: Annotated[str | None, Parameter(help="Name of the ink.")] = None,
     out: Annotated[Path | None, Parameter(help="Write the ink file *.toml.")] = None,
-    html: HtmlOption = None,
+    html: Html = None,
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -161,7 +160,7 @@ def show(
     ink_model: Literal["goniochromatic", "schlick", "tio2"] = "goniochromatic",
     exposure: Annotated[float | None, Parameter(name="--brightness")] = None,
     adapt: Flag = False,
-    html: HtmlOption = None,
+    html: Html = None,
     png: Path | None = None,
     overwrite: OverwriteOption = False,
     json_: Json = False,

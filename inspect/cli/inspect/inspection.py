@@ -254,7 +254,7 @@ def recompute(
 def _recompute_all(folders: list[Path], jobs: int | None, scheduler: str | None, *, json_: bool) -> int:
     from anisoscope.base.errors import RecordError
     from anisoscope.operations.inspecting import recompute_all
-    from anisoscope.study.sweep import Workers
+    from anisoscope.parameters.workers import Workers
 
     with progress("inspections", quiet=json_) as advance:
         found = recompute_all(folders, Workers(jobs, scheduler), advance)

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Flag, Json, LightAngleOption, light_angle_of
+from anisoscope.cli.options import USUAL_LAMP, Flag, Json, Lamp
 from anisoscope.cli.tables import answer, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
@@ -86,10 +86,7 @@ def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
 def show(
     *,
     recipe: RecipeFile,
-    rig: Annotated[
-        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
-    ] = None,
-    light_angle: LightAngleOption = None,
+    lamp: Lamp = USUAL_LAMP,
     json_: Json = False,
 ) -> int:
     """List the golden parts, their scatter, and the defects that can be found with them.
@@ -112,8 +109,8 @@ def show(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
             )
     channel = rules.acquisition.light_channel
-    with light_angle_of(rig, light_angle) as usual:
-        angle = usual if rig is None else read_rig(rig, channel=channel).light.angle_deg
+    with lamp.angle() as usual:
+        angle = usual if lamp.rig is None else read_rig(lamp.rig, channel=channel).light.angle_deg
         output = collecting(kind, rules).show_reference(known, rules, angle)
     measured_with = getattr(known, "equipment", None)
     content = fields_of(GoldenParts.of(path, known)) | {"equipment": measured_with} | output.content

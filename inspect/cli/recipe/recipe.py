@@ -6,13 +6,24 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import PITCH, Flag, Json, LightAngleOption, light_angle_of, parse_range
+from anisoscope.cli.options import (
+    OF_WORKERS,
+    PITCH,
+    USUAL_LAMP,
+    Flag,
+    Json,
+    Lamp,
+    LightAngleOption,
+    parse_range,
+)
 from anisoscope.cli.progress import progress
-from anisoscope.cli.study.optimise import JobsOption, SchedulerOption, named_numbers
+from anisoscope.cli.study.optimise import named_numbers
 from anisoscope.cli.tables import print_lines, print_output, print_table
-from anisoscope.views.options import parse_numbers
+from anisoscope.parameters.detection import LotSize, PoseChoice
+from anisoscope.parameters.workers import Workers
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.recipe.teaching import Taught
@@ -135,20 +146,23 @@ def check(
 
 
 @app.command
+@with_options(
+    choice=Options(
+        PoseChoice,
+        names={"defects": "--defect"},
+        default={"angles_deg": "0:345:15", "tilts_deg": "-20:20:5"},
+        readers={"angles_deg": parse_range, "tilts_deg": parse_range},
+        repeated=("defects", "ignore"),
+        flags=("angle_map",),
+        whole=True,
+    )
+)
 def suggest(
     file: File,
     /,
     *,
-    defect: Annotated[tuple[str, ...], Parameter(name=["--defect"], negative=())] = (),
-    poses: Annotated[int, Parameter(help="Number of poses.")] = 6,
-    angles: str = "0:345:15",
-    tilts: Annotated[str, Parameter(help="Allowed tilts: from:to:step, or a list; degrees.")] = "-20:20:5",
-    ignore: tuple[str, ...] = ("roughness along",),
-    u_pose: float = 0.003,
-    power: Annotated[float, Parameter(help="Required probability of finding each defect.")] = 0.9,
-    angle_map: Flag = False,
-    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
-    light_angle: LightAngleOption = None,
+    choice: Given[PoseChoice],
+    lamp: Lamp = USUAL_LAMP,
     json_: Json = False,
 ) -> int:
     """Choose poses that show defects best among good parts that differ ([scatter]).
@@ -156,35 +170,16 @@ def suggest(
     The defects are those of the recipe ([defects]), or of --defect. Printed: poses, exposures, frames and golden parts
     with which each is found, or that optics cannot.
 
-    Args:
-        angles: Allowed stage angles: from:to:step, or a list; degrees.
-        ignore: First words of a defect to ignore; repeat the option for several.
-        u_pose: Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
-        defect: Smallest defect to be found, NAME=SIZE, in place of [defects]: ridge-angle=0.5, roughness=20%,
-            height-loss=10% or wear=5um; repeat the option for several, others are then ignored.
-        angle_map: Begin with the three poses that show the angle of the facets best, across and along the ridges.
-        rig: Rig file, for its light angle.
-
     Examples:
         anisoscope recipe suggest recipe.toml --poses 6 --tilts=-20:20:5
         anisoscope recipe suggest recipe.toml --defect ridge-angle=0.5 --defect roughness=20%
     """
     from anisoscope.operations.teaching import suggest_poses
 
-    with light_angle_of(rig, light_angle) as angle, progress(file.name, quiet=json_) as advance:
+    asked = choice.made()
+    with lamp.angle() as angle, progress(file.name, quiet=json_) as advance:
         suggested = suggest_poses(
-            file,
-            defects=defect,
-            poses=poses,
-            angles_deg=parse_range(angles, "--angles"),
-            tilts_deg=parse_range(tilts, "--tilts"),
-            ignore=ignore,
-            u_pose=u_pose,
-            power=power,
-            angle_map=angle_map,
-            rig=rig,
-            light_angle_deg=angle,
-            on_progress=advance,
+            file, choice=asked, rig=lamp.rig, light_angle_deg=angle, on_progress=advance
         )
     if json_:
         return print_json(suggested)
@@ -207,13 +202,13 @@ def suggest(
         ]
         for one in found.shown
     ]
-    print_table(f"{file.name}: {poses} poses", columns, rows)
+    print_table(f"{file.name}: {asked.poses} poses", columns, rows)
     enough = (
-        f"every defect{' of --defect' if defect else ''} is found in {power:.0%} of parts with "
+        f"every defect{' of --defect' if asked.defects else ''} is found in {asked.power:.0%} of parts with "
         + ", or ".join(f"{n} golden parts and {frames} frames per pose" for n, frames in reached)
         if reached
-        else f"no exposure and no golden parts reach {power:.0%}: good parts differ as the defects do. Allow more "
-        "poses, seat the parts better ([scatter] seating_tilt_deg), or accept a larger size ([defects])"
+        else f"no exposure and no golden parts reach {asked.power:.0%}: good parts differ as the defects do. Allow "
+        "more poses, seat the parts better ([scatter] seating_tilt_deg), or accept a larger size ([defects])"
     )
     print_lines(enough, "in the recipe:", *suggested.in_recipe)
     return 0
@@ -312,12 +307,15 @@ def _by_golden(file: Path, rig: Path, share: float, source: Path | None) -> "Tau
 
 
 @app.command(name="yield")
-@everyday("parts", "scatter", "shift", "golden_parts", "rig", "light_angle", "jobs", "json_")
+@with_options(
+    size=Options(LotSize, groups=dict.fromkeys(("rigs", "u_pose", "seed"), MORE), whole=True),
+    workers=OF_WORKERS,
+)
 def yield_command(
     file: File,
     /,
     *,
-    parts: Annotated[int, Parameter(help="Parts of the lot.")] = 1000,
+    size: Given[LotSize],
     scatter: Annotated[
         str | None,
         Parameter(
@@ -329,53 +327,37 @@ def yield_command(
         str | None,
         Parameter(help=f"How far the lot's mean is off the nominal part, NAME=VALUE,…: {SCATTER_NAMES}."),
     ] = None,
-    golden_parts: int = 0,
-    rigs: int = 25,
-    u_pose: float = 0.003,
-    rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
-    light_angle: LightAngleOption = None,
-    seed: Annotated[int, Parameter(help="Seed of parts, rigs and errors.")] = 1,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
+    lamp: Lamp = USUAL_LAMP,
+    workers: Given[Workers],
     json_: Json = False,
 ) -> int:
     """Predict how many parts of a lot pass a recipe, and the risks of producer and consumer; nothing moves.
 
     Every part is predicted in a state of its own, measured without pictures, and judged by the recipe's rule.
 
-    Args:
-        golden_parts: Golden parts of every rig, good parts all; with 0 the prediction is the reference.
-        rigs: Rigs, each with a plastic of its own, among which the parts are divided.
-        u_pose: Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
-        rig: Rig file, for its light angle.
-
     Examples:
         anisoscope recipe yield recipe.toml --scatter ridge_angle=0.3,alpha=0.1
         anisoscope recipe yield recipe.toml --golden-parts 3 --shift ridge_angle=0.5
     """
-    from anisoscope.rig.rigfile import read_rig
-    from anisoscope.study.lot import Shift, Spread, lot_of
-    from anisoscope.study.part_yield import part_yield
-    from anisoscope.study.sweep import Workers
+    from anisoscope.operations.detecting import recipe_yield
+    from anisoscope.study.lot import Shift, Spread
 
-    spread = None if scatter is None else Spread(**named_numbers(scatter, "--scatter", "NAME=SD,…", Spread))
-    off = Shift() if shift is None else Shift(**named_numbers(shift, "--shift", "NAME=VALUE,…", Shift))
-    with light_angle_of(rig, light_angle) as usual, progress(file.name, quiet=json_) as advance:
-        angle = usual if rig is None else read_rig(rig).light.angle_deg
-        lot = lot_of(file, angle, spread, off, parts, rigs, golden_parts, u_pose)
-        found = part_yield(lot, Workers(jobs, scheduler), seed, advance)
-    if json_:
-        return print_json(
-            {
-                "parts": parts,
-                "rigs": rigs,
-                "golden_parts": golden_parts,
-                "scatter": lot.spread,
-                "shift": off,
-                "yield": found,
-            }
+    spread = None if scatter is None else named_numbers(scatter, "--scatter", "NAME=SD,…", Spread)
+    off = None if shift is None else named_numbers(shift, "--shift", "NAME=VALUE,…", Shift)
+    with lamp.angle() as angle, progress(file.name, quiet=json_) as advance:
+        found = recipe_yield(
+            file,
+            size=size.made(),
+            scatter=spread,
+            shift=off,
+            rig=lamp.rig,
+            light_angle_deg=angle,
+            workers=workers.made(),
+            on_progress=advance,
         )
-    _print_yield(file.name, lot, found)
+    if json_:
+        return print_json(found)
+    _print_yield(file.name, found.lot, found.found)
     return 0
 
 

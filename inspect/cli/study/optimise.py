@@ -1,79 +1,110 @@
 """``anisoscope optimise``: the ridge design with the most contrast, nominal or under tolerances."""
 
 import math
-from dataclasses import fields
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.options import (
+    DRAWN,
+    NO_BASE,
     OF_LIGHT,
     OF_PLASTIC,
     OF_RIDGES,
-    Json,
-    MaterialOption,
-    RecipeOption,
+    OF_WORKERS,
+    Base,
+    DrawnOutput,
+    Flag,
 )
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import hand_out
 from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.goal import Goal
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, parse_numbers, with_options
+from anisoscope.parameters.workers import Workers
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.study.objective import Noise, Tolerances
+    from anisoscope.study.objective import Noise, Scoring, Tolerances
 
 TOLERANCES = "ridge_angle=0.3,alpha=0.1,height_loss=0.03,seating=0.3,stage=0.2"
 
-JobsOption = Annotated[int | None, Parameter(help="Processes on this machine; left out, one for every core.")]
-SchedulerOption = Annotated[
-    str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786) that computes instead.")
-]
-HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
-PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a picture, *.png or *.svg.")]
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Sought:
+    """What is varied, and what is scored.
 
-@with_options(ridges=OF_RIDGES, plastic=OF_PLASTIC, rig=OF_LIGHT)
-@everyday(
-    *("vary", "contrast", "pair", "tilts", "robust", "scatter", "recipe", "ridges", "plastic", "file", "rig"),
-    *("json_", "html", "plot"),
-)
-def optimise(
-    *,
-    recipe: RecipeOption = None,
-    vary: str = "ridge_angle=3:20",
-    ridges: Given[RidgeDesign],
-    plastic: Given[Material],
-    file: MaterialOption = None,
-    contrast: Literal["difference", "michelson", "log_ratio"] = "difference",
-    pair: list[str] | None = None,
-    tilts: Annotated[str, Parameter(help="Tilts in degrees, comma-separated (--tilts=-10,0,10).")] = "0",
-    over: Literal["mean", "worst"] = "mean",
-    score: Literal["contrast", "snr"] = "contrast",
-    noise: str | None = None,
-    robust: Annotated[bool, Parameter(negative="", help="Maximise under tolerances.")] = False,
+    Attributes:
+        vary: NAME=FROM:TO,…; names: ridge_angle, pitch, alpha_along, alpha_across.
+        pair: Two stage angles, 0,90 where left out; may be given more than once.
+        robust: Maximise under tolerances.
+        noise: Noise of a measured radiance: floor=1/sr,share=of it (floor=1e-4,share=.005).
+    """
+
+    vary: str = "ridge_angle=3:20"
+    pair: list[str] | None = None
+    robust: Flag = False
     scatter: Annotated[
         str | None,
         Parameter(
             help="Standard deviations NAME=SD,…: ridge_angle [°], alpha [share], height_loss [share], edge_radius "
             f"[µm], seating [°], stage [°], light [°]. With --robust alone: {TOLERANCES}."
         ),
-    ] = None,
-    z: Annotated[float, Parameter(help="The robust score is mean − z · standard deviation.")] = 2.0,
-    quantile: float | None = None,
-    samples: Annotated[int, Parameter(help="Parts in the sample of tolerances, a power of two.")] = 64,
-    seed: Annotated[int, Parameter(help="Seed of the sample.")] = 1,
-    bounces: int | Literal["all"] = "all",
+    ] = None
+    noise: Annotated[str | None, Parameter(group=MORE)] = None
+
+    def scoring(self, goal: Goal, convention: Convention) -> "Scoring":
+        """The objective.
+
+        Raises:
+            UsageError: tolerances without --robust, or a text that is none of them.
+        """
+        from anisoscope.study.objective import Scoring
+
+        if not self.robust and (self.scatter is not None or goal.quantile is not None):
+            raise UsageError("--scatter and --quantile belong to --robust")
+        return Scoring(
+            **vars(goal),
+            pairs_deg=tuple(_pair(text) for text in self.pair or ["0,90"]),
+            convention=convention,
+            noise=_noise(self.noise),
+            tolerances=_tolerances(self.scatter or TOLERANCES) if self.robust else None,
+        )
+
+
+CONTRAST = Sought()
+OF_GOAL = Options(
+    Goal,
+    groups=dict.fromkeys(("over", "score", "z", "quantile", "samples", "seed", "bounces"), MORE),
+    whole=True,
+)
+
+
+@with_options(
+    goal=OF_GOAL,
+    ridges=OF_RIDGES,
+    plastic=OF_PLASTIC,
+    rig=OF_LIGHT,
+    workers=replace(
+        OF_WORKERS,
+        default=Workers(),
+        help={"jobs": "Processes on this machine; several help with many poses or samples."},
+    ),
+)
+def optimise(
+    *,
+    base: Base = NO_BASE,
+    sought: Sought = CONTRAST,
+    goal: Given[Goal],
+    ridges: Given[RidgeDesign],
+    plastic: Given[Material],
     rig: Given[Convention],
-    jobs: int = 1,
-    scheduler: SchedulerOption = None,
-    json_: Json = False,
-    html: HtmlOption = None,
-    plot: PlotOption = None,
+    workers: Given[Workers],
+    output: DrawnOutput = DRAWN,
 ) -> int:
     """Find the ridge design with the most contrast, nominal or under tolerances.
 
@@ -81,58 +112,27 @@ def optimise(
     reflect onto each other. The pitch matters only if something has an absolute size (--edge-radius, or a tolerance of
     it).
 
-    Args:
-        vary: NAME=FROM:TO,…; names: ridge_angle, pitch, alpha_along, alpha_across.
-        contrast: Contrast; its absolute value counts.
-        pair: Two stage angles, 0,90 where left out; may be given more than once.
-        over: Mean over pairs and tilts, or the worst of them.
-        score: The contrast, or its ratio to its standard deviation.
-        noise: Noise of a measured radiance: floor=1/sr,share=of it (floor=1e-4,share=.005).
-        quantile: The robust score is this quantile of the contrast instead, up to 0.5.
-        bounces: Most reflections; 1: direct light; 2 holds most of what 'all' adds, in half of its time.
-        jobs: Processes on this machine; several help with many poses or samples.
-
     Examples:
         anisoscope optimise --vary ridge_angle=3:20
         anisoscope optimise --vary ridge_angle=3:20 --robust --scatter ridge_angle=0.3,stage=0.2
         anisoscope optimise --vary ridge_angle=3:20,alpha_across=.05:.2 --plot landscape.png
     """
     from anisoscope.operations.optimising import optimise as search
-    from anisoscope.operations.stated import stated
-    from anisoscope.report.study_page import check_picture
-    from anisoscope.study.objective import Scoring
-    from anisoscope.study.sweep import Workers
 
-    check_picture(plot)
-    if not robust and (scatter is not None or quantile is not None):
-        raise UsageError("--scatter and --quantile belong to --robust")
-    base = stated(recipe, file)
-    design = ridges.over(base.design or RidgeDesign(base.pitch_um or 100.0, 10.0))
-    scoring = Scoring(
-        contrast,
-        tuple(_pair(text) for text in pair or ["0,90"]),
-        parse_numbers(tilts, "--tilts"),
-        over,
-        rig.over(base.convention),
-        score,
-        _noise(noise),
-        _tolerances(scatter or TOLERANCES) if robust else None,
-        z,
-        quantile,
-        samples,
-        seed,
-        bounces,
-    )
-    with progress("optimise", quiet=json_) as advance:
+    output.check()
+    known = base.stated()
+    design = ridges.over(known.design or RidgeDesign(known.pitch_um or 100.0, 10.0))
+    scoring = sought.scoring(goal.made(), rig.over(known.convention))
+    with progress("optimise", quiet=output.json_) as advance:
         found = search(
-            _bounds(vary),
+            _bounds(sought.vary),
             design=design,
-            material=plastic.over(base.material),
+            material=plastic.over(known.material),
             scoring=scoring,
-            workers=Workers(jobs, scheduler),
+            workers=workers.made(),
             on_progress=advance,
         )
-    hand_out(found, found.page(), json_=json_, html=html, plot=plot)
+    output.hand_out(found)
     return 0
 
 

@@ -7,12 +7,11 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json, MaterialOption, RecipeOption
+from anisoscope.cli.options import DRAWN, NO_BASE, OF_PLASTIC, OF_RIDGES, OF_WORKERS, Base, DrawnOutput
 from anisoscope.cli.progress import progress
-from anisoscope.cli.study.optimise import HtmlOption, JobsOption, PlotOption, SchedulerOption
-from anisoscope.cli.tables import hand_out
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.views.options import Given, with_options
 
 Quality = Annotated[
@@ -43,26 +42,22 @@ app.command("anisoscope.cli.study.papers:papers", name="papers")
         },
     ),
     plastic=OF_PLASTIC,
+    workers=OF_WORKERS,
 )
 @everyday(
-    *("defects", "ridges", "plastic", "file", "recipe", "severities", "quality", "seed", "jobs"),
-    *("json_", "html", "plot"),
+    *("defects", "ridges", "plastic", "base", "severities", "quality", "seed", "output"),
 )
 def convergence_command(
     *,
-    recipe: RecipeOption = None,
+    base: Base = NO_BASE,
     defects: str = "all",
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
-    file: MaterialOption = None,
     severities: int = 6,
     quality: Quality = "normal",
     seed: SeedOption = 1,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    json_: Json = False,
-    html: HtmlOption = None,
-    plot: PlotOption = None,
+    workers: Given[Workers],
+    output: DrawnOutput = DRAWN,
 ) -> int:
     """Show how contrasts approach the ideal prediction as defects vanish, and at which order.
 
@@ -73,53 +68,44 @@ def convergence_command(
     Examples:
         anisoscope research convergence --plot convergence.png
     """
-    from anisoscope.operations.stated import stated
-    from anisoscope.report.study_page import check_picture
     from anisoscope.study.convergence import PITCH_UM, convergence
-    from anisoscope.study.sweep import Workers
 
-    check_picture(plot)
-    base = stated(recipe, file)
-    material = plastic.over(base.material)
-    angle_deg = 10.0 if base.design is None else base.design.ridge_angle_deg
+    output.check()
+    known = base.stated()
+    material = plastic.over(known.material)
+    angle_deg = 10.0 if known.design is None else known.design.ridge_angle_deg
     design = ridges.over(RidgeDesign(PITCH_UM, angle_deg))
     if not 3 <= severities <= 10:
         raise UsageError(f"--severities takes 3 to 10, not {severities}")
     chosen = () if defects == "all" else tuple(dict.fromkeys(defects.split(",")))
-    with progress("convergence", quiet=json_) as advance:
+    with progress("convergence", quiet=output.json_) as advance:
         found = convergence(
             chosen,
             design,
             material,
             quality,
-            Workers(jobs, scheduler),
+            workers.made(),
             severities=severities,
             seed=seed,
             on_progress=advance,
         )
-    hand_out(found, found.page(), json_=json_, html=html, plot=plot)
+    output.hand_out(found)
     return 0
 
 
 @app.command(name="best-angle")
-@with_options(plastic=OF_PLASTIC)
-@everyday(
-    *("recipe", "imperfections", "plastic", "file", "step", "quality", "seed"), *("json_", "html", "plot")
-)
+@with_options(plastic=OF_PLASTIC, workers=OF_WORKERS)
+@everyday("base", "imperfections", "plastic", "step", "quality", "seed", "output")
 def best_angle_command(
     *,
-    recipe: RecipeOption = None,
+    base: Base = NO_BASE,
     imperfections: str = "all",
     plastic: Given[Material],
-    file: MaterialOption = None,
     step: Annotated[float, Parameter(help="Step of the ridge angles in degrees, 0.1 to 1.")] = 0.5,
     quality: Quality = "quick",
     seed: SeedOption = 1,
-    jobs: JobsOption = None,
-    scheduler: SchedulerOption = None,
-    json_: Json = False,
-    html: HtmlOption = None,
-    plot: PlotOption = None,
+    workers: Given[Workers],
+    output: DrawnOutput = DRAWN,
 ) -> int:
     """Test whether an imperfection moves the best ridge angle of the published experiment from 5° to 10°.
 
@@ -130,25 +116,22 @@ def best_angle_command(
     Examples:
         anisoscope research best-angle --step 1
     """
-    from anisoscope.operations.stated import stated
-    from anisoscope.report.study_page import check_picture
     from anisoscope.study.best_angle import best_angle
-    from anisoscope.study.sweep import Workers
 
-    check_picture(plot)
-    material = plastic.over(stated(recipe, file).material)
+    output.check()
+    material = plastic.over(base.stated().material)
     if not 0.1 <= step <= 1.0:
         raise UsageError(f"--step takes 0.1 to 1 degree, not {step:g}")
     names = () if imperfections == "all" else tuple(dict.fromkeys(imperfections.split(",")))
-    with progress("best angle", quiet=json_) as advance:
+    with progress("best angle", quiet=output.json_) as advance:
         found = best_angle(
             names,
             material,
             quality,
-            Workers(jobs, scheduler),
+            workers.made(),
             step_deg=step,
             seed=seed,
             on_progress=advance,
         )
-    hand_out(found, found.page(), json_=json_, html=html, plot=plot)
+    output.hand_out(found)
     return 0

@@ -34,10 +34,11 @@ from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.imaging.defect_regions import MarkForm
+from anisoscope.parameters.workers import Workers
 from anisoscope.prediction.expectation import Component
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.study.statistics import Rate, rate
-from anisoscope.study.sweep import Workers, sweep
+from anisoscope.study.sweep import sweep
 from detection_study.chunk import MEASURED_SOURCES, Bounces, ChunkTask, Columns, inspect_chunk
 from detection_study.judge import (
     LOTS,

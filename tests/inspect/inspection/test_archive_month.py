@@ -27,8 +27,8 @@ from anisoscope.inspection.archive import (
 )
 from anisoscope.inspection.archive_store import ArchiveError, S3Store, open_store
 from anisoscope.operations.past import write_whatif_page
+from anisoscope.parameters.workers import Workers
 from anisoscope.record.schema import read_record
-from anisoscope.study.sweep import Workers
 from anisoscope.study.whatif import what_if
 
 DAYS = 30

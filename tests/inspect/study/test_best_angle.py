@@ -8,9 +8,9 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.experiment.experiment import Setup, absolute_contrasts, findings
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.workers import Workers
 from anisoscope.study.best_angle import IMPERFECTIONS, best_angle, folded_mean
 from anisoscope.study.convergence import Sampling
-from anisoscope.study.sweep import Workers
 
 SMALL = Sampling(2, 40.0, 1.0, 2)
 

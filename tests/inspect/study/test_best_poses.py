@@ -49,7 +49,7 @@ def test_chosen_poses_show_all_defects_better_than_as_many_upright_ones():
     rules = recipe(reflections="direct")
     upright = ideal_distances(recipe({"angles_deg": [0, 90, 180, 270]}, "direct"), 10.0)
     found = best_poses(
-        rules, 10.0, 4, (0.0, 90.0, 180.0, 270.0), (-15.0, 0.0, 15.0), ignored=("roughness along",)
+        rules, 10.0, poses=4, angles_deg=(0.0, 90.0, 180.0, 270.0), tilts_deg=(-15.0, 0.0, 15.0)
     )
     wanted = [one for one in found.shown if not one.defect.startswith("roughness along")]
     assert min(one.distance for one in wanted) > min(upright[one.defect] for one in wanted)
@@ -77,9 +77,9 @@ def test_poses_for_the_angle_map_come_first():
     # the mirror direction, where no roughness counts, and the lean along from 90° or its mirror image
     assert (0.0, 0.0) in first
     assert first & {(90.0, -10.0), (270.0, 10.0)}
-    found = best_poses(rules, 10.0, 4, angles, tilts, ignored=("roughness along",), angle_map=True)
+    found = best_poses(rules, 10.0, poses=4, angles_deg=angles, tilts_deg=tilts, angle_map=True)
     assert first < set(found.poses)
-    few = best_poses(rules, 10.0, 3, angles, tilts, ignored=("roughness along",), angle_map=True)
+    few = best_poses(rules, 10.0, poses=3, angles_deg=angles, tilts_deg=tilts, angle_map=True)
     assert len(set(few.poses)) == 3
     assert len({tilt for _, tilt in few.poses}) < 3
 
@@ -88,30 +88,31 @@ def test_frames_and_brackets_follow_from_noise_and_light():
     only = recipe(reflections="direct").model_copy(
         update={"defects": DefectsPart(ridge_angle_deg=3.0, roughness_share=2.0, height_loss=0.2)}
     )
-    options = (4, (0.0, 90.0, 180.0, 270.0), (0.0, 10.0))
-    noisy = best_poses(only, 10.0, *options, camera_share=0.05)
-    quiet = best_poses(only, 10.0, *options, camera_share=0.002)
+    options = {"poses": 4, "angles_deg": (0.0, 90.0, 180.0, 270.0), "tilts_deg": (0.0, 10.0), "ignore": ()}
+    noisy = best_poses(only, 10.0, **options, u_pose=0.05)
+    quiet = best_poses(only, 10.0, **options, u_pose=0.002)
     assert quiet.frames[25] == only.acquisition.frames_per_pose
     assert noisy.frames[25] is None or noisy.frames[25] > quiet.frames[25]
     assert all(quiet.frames[n] is not None for n in (3, 10, 25))
     tiny = only.model_copy(update={"defects": DefectsPart(ridge_angle_deg=0.05)})
-    assert set(best_poses(tiny, 10.0, *options).frames.values()) == {None}
+    assert set(best_poses(tiny, 10.0, **options).frames.values()) == {None}
     assert quiet.brackets[:1] == (4.0,)  # 0.28 against 0.03 1/sr
     assert all(later == 4.0 * before for before, later in pairwise(quiet.brackets))
 
 
 def test_what_cannot_be_chosen_is_one_clear_line():
     rules = recipe(reflections="direct")
+    allowed = {"poses": 3, "angles_deg": (0.0, 90.0), "tilts_deg": (0.0, 10.0)}
     with pytest.raises(UsageError, match="poses of 4 that are allowed"):
-        best_poses(rules, 10.0, 5, (0.0, 90.0), (0.0, 10.0))
+        best_poses(rules, 10.0, **allowed | {"poses": 5})
     with pytest.raises(UsageError, match="no defect is left"):
-        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), ignored=("r", "h", "e"))
+        best_poses(rules, 10.0, **allowed, ignore=("r", "h", "e"))
     with pytest.raises(UsageError, match="no defect begins with"):
-        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), ignored=("zzz",))
+        best_poses(rules, 10.0, **allowed, ignore=("zzz",))
     with pytest.raises(UsageError, match="between 0 and 1"):
-        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), camera_share=-1.0)
+        best_poses(rules, 10.0, **allowed, u_pose=-1.0)
     with pytest.raises(UsageError, match="between 0 and 1"):
-        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), power=2.0)
+        best_poses(rules, 10.0, **allowed, power=2.0)
 
 
 def test_sizes_that_are_asked_for_replace_those_of_the_recipe():
@@ -124,9 +125,9 @@ def test_sizes_that_are_asked_for_replace_those_of_the_recipe():
     assert begins == ("ridge angle", "roughness", "height loss", "edges worn")
     assert sizes_in_toml(sized, rules)[:2] == ("ridge_angle_deg = 1", "roughness_share = 0.3")
     assert with_sizes(rules, ()) == (rules, ())
-    options = (3, (0.0, 90.0, 180.0, 270.0), (0.0, 10.0))
+    options = {"poses": 3, "angles_deg": (0.0, 90.0, 180.0, 270.0), "tilts_deg": (0.0, 10.0), "ignore": ()}
     only, names = with_sizes(rules, ("height-loss=10%",))
-    loss = best_poses(only, 10.0, *options, asked=names)
+    loss = best_poses(only, 10.0, **options, asked=names)
     assert loss.frames[1] is not None  # the ridge angle of the recipe needs more golden parts
 
 

@@ -7,6 +7,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.study.convergence import (
@@ -17,7 +18,6 @@ from anisoscope.study.convergence import (
     signed_contrasts,
     with_defect,
 )
-from anisoscope.study.sweep import Workers
 
 DESIGN = RidgeDesign(100.0, 10.0)
 SMALL = Sampling(2, 60.0, 1.0, 4)

@@ -17,6 +17,7 @@ from anisoscope.imaging.pose_radiance import Measured, measure
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.workers import Workers
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
@@ -28,7 +29,6 @@ from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.light.shine import shine_in
 from anisoscope.sim.pathtracer.tracer import PathTracer
 from anisoscope.study.statistics import rate
-from anisoscope.study.sweep import Workers
 from detection_study import sheets as detection_sheets
 from detection_study import surrogate as detection_surrogate
 from detection_study.chunk import (

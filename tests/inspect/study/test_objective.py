@@ -32,7 +32,7 @@ def test_nominal_score_is_the_predicted_contrast(kind):
     poses = pose_grid((0.0, 90.0, 180.0), (-10.0, 0.0))
     predicted = predict_design(RidgeDesign(100.0, 7.0), Material(0.06, 0.12), poses, Convention(), bounces=1)
     each = [abs(getattr(contrast, kind)) for contrast in predicted.contrasts]
-    asked = Scoring(kind, ((0.0, 90.0), (90.0, 180.0)), (-10.0, 0.0), bounces=1)
+    asked = Scoring(kind, (-10.0, 0.0), pairs_deg=((0.0, 90.0), (90.0, 180.0)), bounces=1)
     assert score(part, asked).score == pytest.approx(np.mean(each), rel=1e-3)
     assert score(part, replace(asked, over="worst")).score == pytest.approx(min(each), rel=1e-3)
 
@@ -138,7 +138,12 @@ def test_parts_of_a_sample_are_those_that_are_predicted_one_by_one(radius):
     """Ridge angle, roughness, height loss and directions of every part, by the corrected model of a single design."""
     tolerances = Tolerances(ridge_angle=0.4, alpha=0.1, height_loss=0.03, seating=0.5, stage=0.3, light=0.2)
     asked = Scoring(
-        "log_ratio", ((0.0, 90.0), (90.0, 180.0)), (-10.0, 10.0), tolerances=tolerances, samples=8, bounces=1
+        "log_ratio",
+        (-10.0, 10.0),
+        pairs_deg=((0.0, 90.0), (90.0, 180.0)),
+        tolerances=tolerances,
+        samples=8,
+        bounces=1,
     )
     part, errors = Part(ridge_angle=8.0, edge_radius=radius), errors_sample(tolerances, 6, 8, 1)
     contrasts = []

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
+from anisoscope.parameters.workers import Workers
 from anisoscope.study import box
 from anisoscope.study import optimum as search
 from anisoscope.study.box import Box, TabledScoring, tabled
 from anisoscope.study.objective import Part, Scored, Scoring, Tolerances, score
 from anisoscope.study.optimum import optimum
-from anisoscope.study.sweep import Workers
 
 
 def test_one_parameter_against_brute_force():

@@ -7,11 +7,11 @@ import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.parameters.workers import Workers
 from anisoscope.quality.detection_probability import hit_miss
 from anisoscope.study import part_yield as yields
 from anisoscope.study.lot import Judged, Lot, Shift, Spread
 from anisoscope.study.part_yield import detection_trials, part_yield
-from anisoscope.study.sweep import Workers
 
 LIGHT_DEG = 10.0
 TABLE = {

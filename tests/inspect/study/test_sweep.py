@@ -11,8 +11,9 @@ import time
 import pytest
 
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.parameters.workers import Workers
 from anisoscope.study import sweep as sweep_module
-from anisoscope.study.sweep import SweepError, Workers, sweep
+from anisoscope.study.sweep import SweepError, sweep
 
 
 def draw():
@@ -171,7 +172,8 @@ def test_interruption_ends_it_cleanly(place, request, tmp_path):
         import os
         import time
         from pathlib import Path
-        from anisoscope.study.sweep import Workers, sweep
+        from anisoscope.parameters.workers import Workers
+        from anisoscope.study.sweep import sweep
 
         def slow(task):
             Path({str(tmp_path)!r}, f"begun-{{os.getpid()}}").touch()

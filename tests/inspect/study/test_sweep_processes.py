@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from loky.backend.process import LokyProcess
 
+from anisoscope.parameters.workers import Workers
 from anisoscope.study import sweep as sweep_module
-from anisoscope.study.sweep import SweepError, Workers, again_after_a_kill, sweep
+from anisoscope.study.sweep import SweepError, again_after_a_kill, sweep
 
 TWO = Workers(2)
 
@@ -208,7 +209,8 @@ def test_ctrl_c_means_nothing_to_a_process_that_has_just_begun(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(
         textwrap.dedent("""
-        from anisoscope.study.sweep import Workers, sweep
+        from anisoscope.parameters.workers import Workers
+        from anisoscope.study.sweep import sweep
 
         def double(task):
             return 2 * task
@@ -264,7 +266,8 @@ def test_processes_end_with_their_parent(tmp_path):
         import os
         import time
         from pathlib import Path
-        from anisoscope.study.sweep import Workers, sweep
+        from anisoscope.parameters.workers import Workers
+        from anisoscope.study.sweep import sweep
 
         def stays(task):
             Path({str(tmp_path)!r}, f"begun-{{os.getpid()}}").touch()

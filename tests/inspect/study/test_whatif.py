@@ -19,9 +19,9 @@ from anisoscope.cli.history.whatif import selection
 from anisoscope.history.rows import Row, row_of
 from anisoscope.history.store import open_history
 from anisoscope.operations.past import write_whatif_page
+from anisoscope.parameters.workers import Workers
 from anisoscope.record.schema import read_record
 from anisoscope.study import whatif as module
-from anisoscope.study.sweep import Workers
 from anisoscope.study.whatif import Costs, what_if
 
 HERE = Workers(1)
