@@ -202,7 +202,7 @@ class Lamp:
     """Light angle, of a rig file or stated."""
 
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")] = None
-    light_angle: LightAngleOption = None
+    light_angle: Annotated[LightAngleOption, Parameter(group=MORE)] = None
 
     @contextmanager
     def angle(self) -> Iterator[float]:

@@ -87,8 +87,7 @@ class PoseChoice:
         angles_deg: allowed stage angles: from:to:step, or a list; degrees.
         tilts_deg: allowed tilts: from:to:step, or a list; degrees.
         ignore: first words of a defect to ignore; repeat the option for several.
-        u_pose: relative standard uncertainty of a pose by camera and lamp, with the recipe's frames; it falls with the
-            root of their number.
+        u_pose: relative standard uncertainty of a pose by camera and lamp, with the recipe's frames.
         power: required probability of finding each defect.
         angle_map: begin with the three poses that show the angle of the facets best, across and along the ridges.
 
