@@ -86,7 +86,6 @@ if TYPE_CHECKING:
         msa_stability,
         msa_type1,
     )
-    from anisoscope.operations.surfaces import make_surface
     from anisoscope.operations.teaching import (
         add_golden,
         certify_golden,
@@ -110,6 +109,7 @@ if TYPE_CHECKING:
     from anisoscope.profiles.editing.steps import edit_map
     from anisoscope.profiles.files.load import read_height_map, write_height_map
     from anisoscope.profiles.heightmap import HeightMap
+    from anisoscope.profiles.ideal import make_surface
     from anisoscope.profiles.lines import line_parameters
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
     from anisoscope.profiles.metrology.ridges import measure_ridges

@@ -155,7 +155,7 @@ class Output:
         print_lines(page.subtitle, *page.notes, *([page.answer] if page.answer else []))
 
     def written(self, page: "StudyPage") -> "StudyPage":
-        """The page, written where that is asked for."""
+        """Write the page, if a file is named."""
         if self.html is not None:
             page.write(self.html)
         return page
@@ -175,7 +175,7 @@ class DrawnOutput(Output):
         check_picture(self.plot)
 
     def written(self, page: "StudyPage") -> "StudyPage":
-        """The page, written and drawn where that is asked for."""
+        """Write the page and its picture, if files are named."""
         if self.plot is not None:
             page.write_picture(self.plot)
         return super().written(page)

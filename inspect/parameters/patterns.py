@@ -1,9 +1,11 @@
 """Ideal surfaces (`anisoscope.profiles.patterns`)."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from anisoscope.base.errors import UsageError
 
+Pattern = Literal["ridges", "v-grooves", "checkerboard", "flat", "staircase"]
 MAX_POINTS = 100_000_000
 
 

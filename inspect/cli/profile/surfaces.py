@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Group, Parameter
 
@@ -11,11 +11,9 @@ from anisoscope.base.quantity import unit_of
 from anisoscope.cli.options import OF_RIDGES, Json, check_map, check_new, number, parse_pixel
 from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
-from anisoscope.parameters.patterns import Grid, Lines, Rough, Stairs
+from anisoscope.parameters.patterns import Grid, Lines, Pattern, Rough, Stairs
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
-
-Pattern = Literal["ridges", "v-grooves", "checkerboard", "flat", "staircase"]
 
 
 def _size(text: str, option: str) -> tuple[float, float]:
@@ -66,7 +64,7 @@ def make(
         anisoscope profile make ridges --pitch 100 --ridge-angle 10 --out part.x3p
         anisoscope profile make ridges --size 300,600 --pitch 50 --alpha-along 0.04 --alpha-across 0.05 --out rough.x3p
     """
-    from anisoscope.operations.surfaces import USUAL, make_surface
+    from anisoscope.profiles.ideal import USUAL, make_surface
 
     check_map(out, "--out")
     check_new((out,), overwrite=overwrite)

@@ -226,7 +226,6 @@ SAME_QUANTITY = {
     "--html": "page",
     "--jobs": "processes",
     "--kind": "kind",
-    "--l-filter": "l-filter",
     "--lamp-half-angle": "half of the angle .*lamp",
     "--layer": "layer of the map",
     "--level": "height map is levelled",
@@ -248,8 +247,6 @@ SAME_QUANTITY = {
     "--reuse": "judging frames",
     "--rig": "rig file",
     "--role": "map of the part",
-    "--s-filter": "s-filter",
-    "--s-filter-type": "s-filter",
     "--scatter": "standard deviations",
     "--step": "step of the",  # angle, in degrees
     "--steps": "number of",
