@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, overload
 
@@ -330,3 +330,37 @@ def check_map(path: Path | None, option: str) -> None:
 
     if path is not None and path.suffix.lower() not in WRITERS:
         raise UsageError(f"{option} {path}: unknown extension; written are {', '.join(WRITERS)}")
+
+
+def pairs_of(text: str, option: str, form: str) -> dict[str, str]:
+    """Texts by name from ``NAME=VALUE,…``.
+
+    Raises:
+        UsageError: another form, or a name twice.
+    """
+    found: dict[str, str] = {}
+    for piece in text.split(","):
+        name, equals, value = piece.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals or not name or name in found:
+            raise UsageError(f"{option} takes {form}, every name once, not {text!r}")
+        found[name] = value.strip()
+    return found
+
+
+def one_number(text: str, option: str) -> float:
+    """Number of an option; NaN for several."""
+    return parse_numbers(text, option)[0] if "," not in text else math.nan
+
+
+def named_numbers(text: str, option: str, form: str, kind: type) -> dict[str, float]:
+    """Numbers by name from ``NAME=VALUE,…``; names are fields of a dataclass, every one once.
+
+    Raises:
+        UsageError: another form, an unknown name, or no number.
+    """
+    values, known = pairs_of(text, option, form), [one.name for one in fields(kind)]
+    unknown = [name for name in values if name not in known]
+    if unknown:
+        raise UsageError(f"{option} does not know {unknown[0]!r}; it knows {', '.join(known)}")
+    return {name: one_number(value, option) for name, value in values.items()}

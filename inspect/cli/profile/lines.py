@@ -7,8 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.cli.options import Json
 from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
-from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
-from anisoscope.cli.profile.texture import OF_FILTERING
+from anisoscope.cli.profile.profile import AS_STATED, OF_FILTERING, Scales, reader
 from anisoscope.cli.tables import print_table
 from anisoscope.parameters.texture import Filtering
 from anisoscope.views.options import Given, with_options

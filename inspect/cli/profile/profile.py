@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.cli.progress import progress
 from anisoscope.parameters.height_map_file import FileScales
+from anisoscope.parameters.texture import Filtering
 from anisoscope.views.options import Given, Options, options_class
 
 app = App(
@@ -95,6 +96,9 @@ if TYPE_CHECKING:
     Which = Given[FileScales]
 else:
     Which = options_class(OF_SCALES)
+OF_FILTERING = Options(
+    Filtering, names={"s_filter": "--s-filter-type", "l_filter": "--l-filter-type"}, whole=True
+)
 AS_STATED = Which()
 Scales = Annotated[Which, Parameter(name="*", group=FILE_FORMAT)]
 

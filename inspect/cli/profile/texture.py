@@ -19,7 +19,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     print_sheet,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
+from anisoscope.cli.profile.profile import AS_STATED, OF_FILTERING, Scales, reader
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 from anisoscope.parameters.texture import Extent, Filtering, MapUncertainty
@@ -28,11 +28,6 @@ from anisoscope.views.options import Given, Options, with_options
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.textures.texture import Spread, Texture
-
-
-OF_FILTERING = Options(
-    Filtering, names={"s_filter": "--s-filter-type", "l_filter": "--l-filter-type"}, whole=True
-)
 
 
 @with_options(

@@ -16,10 +16,10 @@ from anisoscope.cli.options import (
     Json,
     Lamp,
     LightAngleOption,
+    named_numbers,
     parse_range,
 )
 from anisoscope.cli.progress import progress
-from anisoscope.cli.study.optimise import named_numbers
 from anisoscope.cli.tables import print_lines, print_output, print_table
 from anisoscope.parameters.detection import LotSize, PoseChoice
 from anisoscope.parameters.workers import Workers

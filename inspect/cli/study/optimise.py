@@ -1,7 +1,6 @@
 """``anisoscope optimise``: the ridge design with the most contrast, nominal or under tolerances."""
 
-import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -18,6 +17,9 @@ from anisoscope.cli.options import (
     Base,
     DrawnOutput,
     Flag,
+    named_numbers,
+    one_number,
+    pairs_of,
 )
 from anisoscope.cli.progress import progress
 from anisoscope.parameters.geometry import Convention
@@ -136,28 +138,13 @@ def optimise(
     return 0
 
 
-def _pairs_of(text: str, option: str, form: str) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for piece in text.split(","):
-        name, equals, value = piece.partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals or not name or name in found:
-            raise UsageError(f"{option} takes {form}, every name once, not {text!r}")
-        found[name] = value.strip()
-    return found
-
-
-def _number(text: str, option: str) -> float:
-    return parse_numbers(text, option)[0] if "," not in text else math.nan
-
-
 def _bounds(text: str) -> dict[str, tuple[float, float]]:
     found = {}
-    for name, ends in _pairs_of(text, "--vary", "NAME=FROM:TO,…").items():
+    for name, ends in pairs_of(text, "--vary", "NAME=FROM:TO,…").items():
         low, colon, high = ends.partition(":")
         if not colon:
             raise UsageError(f"--vary takes NAME=FROM:TO, such as ridge_angle=3:20, not {name}={ends}")
-        found[name] = (_number(low, "--vary"), _number(high, "--vary"))
+        found[name] = (one_number(low, "--vary"), one_number(high, "--vary"))
     return found
 
 
@@ -166,19 +153,6 @@ def _pair(text: str) -> tuple[float, float]:
     if len(numbers) != 2 or numbers[0] == numbers[1]:
         raise UsageError(f"--pair takes two different stage angles, such as 0,90, not {text!r}")
     return numbers[0], numbers[1]
-
-
-def named_numbers(text: str, option: str, form: str, kind: type) -> dict[str, float]:
-    """Numbers by name from ``NAME=VALUE,…``; names are fields of a dataclass, every one once.
-
-    Raises:
-        UsageError: another form, an unknown name, or no number.
-    """
-    values, known = _pairs_of(text, option, form), [one.name for one in fields(kind)]
-    unknown = [name for name in values if name not in known]
-    if unknown:
-        raise UsageError(f"{option} does not know {unknown[0]!r}; it knows {', '.join(known)}")
-    return {name: _number(value, option) for name, value in values.items()}
 
 
 def _noise(text: str | None) -> "Noise":
