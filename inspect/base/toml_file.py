@@ -53,7 +53,7 @@ NameOrFile = Annotated[str, Field(min_length=1), AfterValidator(_file_relative_t
 class Part(BaseModel):
     """A table of one of our files: frozen, finite numbers, no unknown keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def read_toml_model(

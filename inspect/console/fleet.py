@@ -48,8 +48,8 @@ from anisoscope.quality.control import ControlStudy, Settings, control_study
 from anisoscope.quality.limits import individuals
 from anisoscope.quality.nelson import MEANING, flagged
 from anisoscope.quality.readings import Readings, readings_of
+from anisoscope.record.schema import REPORT_NAME
 from anisoscope.record.verdict import Verdict
-from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.study.statistics import Rate, rate
 
 if TYPE_CHECKING:

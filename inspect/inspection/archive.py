@@ -50,6 +50,7 @@ from anisoscope.inspection.objects import (
 from anisoscope.inspection.report_seal import REPORT_SIGNATURE, SEAL_NAME
 from anisoscope.record.schema import (
     RECORD_NAME,
+    REPORT_NAME,
     SIGNATURE_NAME,
     InputFile,
     read_record,
@@ -57,7 +58,6 @@ from anisoscope.record.schema import (
     recorded_files,
     sha256_of,
 )
-from anisoscope.report.inspection_page import REPORT_NAME
 
 FORMAT = 1
 INSPECTIONS, HOLDS, RELEASED, DELETED = "inspections", "holds", "released", "deleted"

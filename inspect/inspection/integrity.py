@@ -20,6 +20,7 @@ from anisoscope.inspection.report_seal import (
 )
 from anisoscope.record.schema import (
     RECORD_NAME,
+    REPORT_NAME,
     SIGNATURE_NAME,
     InputFile,
     record_signature,
@@ -27,7 +28,6 @@ from anisoscope.record.schema import (
     recorded_origin,
     sha256_of,
 )
-from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.frame import header_of

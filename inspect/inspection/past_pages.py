@@ -20,9 +20,8 @@ from anisoscope.inspection.report_seal import report_state
 from anisoscope.inspection.run import report_again
 from anisoscope.kinds.parts import reporting
 from anisoscope.kinds.registry import kind_named
-from anisoscope.record.schema import ConclusionRecord, FrameRecord, Record
+from anisoscope.record.schema import REPORT_NAME, ConclusionRecord, FrameRecord, Record
 from anisoscope.report.figures import photograph
-from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.past_pages import Past, PosePair, write_compared_page, write_history_page
 from anisoscope.rig.bayer import demosaicked
 from anisoscope.rig.frame import Frame, read_frame

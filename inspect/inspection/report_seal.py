@@ -19,8 +19,7 @@ from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import RecordError
 from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.signature import Signed, read_signed, signed, signer_in_use
-from anisoscope.record.schema import RECORD_NAME, InputFile, recorded_files, sha256_of
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import RECORD_NAME, REPORT_NAME, InputFile, recorded_files, sha256_of
 
 SEAL_NAME = "report.sha256"
 REPORT_SIGNATURE = "report.signature.json"

@@ -32,15 +32,9 @@ from anisoscope.kinds.parts import reporting
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.logo import logo_uri
 from anisoscope.record.display import record_html, record_line
-from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record, write_record
+from anisoscope.record.schema import RECORD_NAME, REPORT_NAME, Particulars, Record, read_record, write_record
 from anisoscope.record.verdict import Verdict
-from anisoscope.report.inspection_page import (
-    REPORT_NAME,
-    Pictures,
-    Sections,
-    report_page,
-    start_renderer,
-)
+from anisoscope.report.inspection_page import Pictures, Sections, report_page, start_renderer
 from anisoscope.report.peers import LotMate, LotMates, lot_of, no_lot_mates
 from anisoscope.report.surface_view import Picture3D, SurfaceView
 from anisoscope.rig.acquisition.journal import read_journal

@@ -24,7 +24,7 @@ from anisoscope.base.language import language, use
 from anisoscope.base.progress import Advance
 from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.inspection.folder import JOB, file_name_of, working_in
-from anisoscope.record.schema import RECORD_NAME, Particulars, read_record
+from anisoscope.record.schema import RECORD_NAME, REPORT_NAME, Particulars, read_record
 from anisoscope.rig.acquisition.opening import hold_devices, open_devices
 from anisoscope.rig.hold import ASKING, SharedCamera, is_held
 from anisoscope.rig.holdline import stop_held
@@ -238,7 +238,6 @@ def _finish(folder: Path, place: Workplace, emit: Emit) -> None:
     """Complete an inspection that has its record: its row in the history and its report."""
     from anisoscope.inspection.reports import Reports, gets_report  # noqa: PLC0415 - as for `_inspect`
     from anisoscope.inspection.run import Inspected, missing_report  # noqa: PLC0415
-    from anisoscope.report.inspection_page import REPORT_NAME  # noqa: PLC0415
 
     with Reports(lambda text: emit("note", {"text": text}), place.reports) as reports:
         emit("folder", {"folder": folder.name})

@@ -38,8 +38,7 @@ from anisoscope.operations.remembering import (
     unsigned,
     used_before,
 )
-from anisoscope.record.schema import RECORD_NAME, Particulars, Record, read_record
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import RECORD_NAME, REPORT_NAME, Particulars, Record, read_record
 
 JOURNAL = "jobs.jsonl"
 KNOWN = 20_000

@@ -1,13 +1,13 @@
 """Verdict and findings of a record in the operator's words, for terminals, pages and controllers."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.language import message, translated
-from anisoscope.inspection.run import Inspected
-from anisoscope.kinds.parts import reporting
-from anisoscope.kinds.registry import kind_named
 from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
-from anisoscope.report.wording import cause_text, weight_text
+
+if TYPE_CHECKING:  # a server hands these functions to the process that inspects, and does without the rest
+    from anisoscope.inspection.run import Inspected
+    from anisoscope.kinds.parts import CommandOutput
 
 
 def conclusion_lines(conclusion: ConclusionRecord) -> tuple[str, str]:
@@ -25,14 +25,23 @@ def explained(record: Record) -> list[str]:
         lines += (
             [message("what would distinguish them: {what}", what=diagnosis.tells)] if diagnosis.tells else []
         )
-    return [*lines, *map(translated, reporting(kind_named(record.kind)).summary(record).lines)]
+    return [*lines, *map(translated, _summary(record).lines)]
+
+
+def _summary(record: Record) -> "CommandOutput":
+    from anisoscope.kinds.parts import reporting
+    from anisoscope.kinds.registry import kind_named
+
+    return reporting(kind_named(record.kind)).summary(record)
 
 
 def _cause_line(cause: CauseRecord) -> str:
+    from anisoscope.report.wording import cause_text, weight_text
+
     return f"  {cause_text(cause)}, {message('weight')} {weight_text(cause.weight)}"
 
 
-def content_of(inspected: Inspected, notes: tuple[str, ...] = ()) -> dict[str, Any]:
+def content_of(inspected: "Inspected", notes: tuple[str, ...] = ()) -> dict[str, Any]:
     """A finished inspection as the keys of its JSON.
 
     Args:
@@ -58,5 +67,5 @@ def content_of(inspected: Inspected, notes: tuple[str, ...] = ()) -> dict[str, A
         "report": str(inspected.report),
         "notes": [*inspected.notes, *notes],
     }
-    own = reporting(kind_named(record.kind)).summary(record).content
+    own = _summary(record).content
     return common | own | common | last  # a kind adds keys, and overwrites none

@@ -39,8 +39,7 @@ from anisoscope.inspection.past_pages import thumbnail_of
 from anisoscope.parameters.workers import Workers
 from anisoscope.quality.capability import specification
 from anisoscope.quality.readings import history_readings, read_readings
-from anisoscope.record.schema import RECORD_NAME
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import RECORD_NAME, REPORT_NAME
 from anisoscope.report.past_pages import MOST_PICTURES, FlippedPart, RiskLine
 from anisoscope.report.past_pages import write_whatif_page as write_page
 from anisoscope.study.statistics import Rate

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from anisoscope.base.errors import AnisoscopeError, RecordError
 from anisoscope.base.signature import signer_in_use
@@ -15,10 +16,11 @@ from anisoscope.history.heads import sign_head
 from anisoscope.history.rows import NewRow, row_of, storable
 from anisoscope.history.spool import deliver, wait
 from anisoscope.history.store import History, open_history
-from anisoscope.inspection.replay import judge_anew
-from anisoscope.inspection.reports import Reports
-from anisoscope.inspection.run import Inspected, Methods, UsedBefore
-from anisoscope.report.peers import LotMate
+
+if TYPE_CHECKING:  # a server hands these functions to the process that inspects, and does without the rest
+    from anisoscope.inspection.reports import Reports
+    from anisoscope.inspection.run import Inspected, Methods, UsedBefore
+    from anisoscope.report.peers import LotMate
 
 RETRY_S = 60.0
 MOST_MATES = 500
@@ -40,7 +42,7 @@ def history_place(option: str | None, out: Path) -> str | Path | None:
     return place
 
 
-def remember(inspected: Inspected, place: str | Path | None) -> None:
+def remember(inspected: "Inspected", place: str | Path | None) -> None:
     """Enter a finished inspection into the history; on failure it waits in a file, and one line says so.
 
     Verdict and exit code are those of the part: what becomes of a database changes neither. What waits is delivered
@@ -64,7 +66,7 @@ def remember(inspected: Inspected, place: str | Path | None) -> None:
         _put_aside(new, inspected.folder, place, problem)
 
 
-def lot_mates(place: str | Path | None, lot: str | None) -> tuple[LotMate, ...]:
+def lot_mates(place: str | Path | None, lot: str | None) -> "tuple[LotMate, ...]":
     """The latest inspections of a lot, the oldest first; empty without a lot or a readable history.
 
     Args:
@@ -73,6 +75,8 @@ def lot_mates(place: str | Path | None, lot: str | None) -> tuple[LotMate, ...]:
     """
     if place is None or lot is None or is_away(place):
         return ()
+    from anisoscope.report.peers import LotMate
+
     try:
         with open_history(place, create=False) as history:
             rows = history.rows(Filters(lot=lot, limit=MOST_MATES))
@@ -82,12 +86,12 @@ def lot_mates(place: str | Path | None, lot: str | None) -> tuple[LotMate, ...]:
 
 
 def judge_lot(
-    inspected: Inspected,
+    inspected: "Inspected",
     place: str | Path | None,
     *,
-    methods: Methods | None = None,
-    reports: Reports | None = None,
-) -> tuple[Inspected, ...]:
+    methods: "Methods | None" = None,
+    reports: "Reports | None" = None,
+) -> "tuple[Inspected, ...]":
     """Judge the INCONCLUSIVE parts of a lot anew, when an inspection makes it one of 3, 5 or 9 parts.
 
     A changed verdict is an inspection of its own, which enters the history.
@@ -110,6 +114,8 @@ def judge_lot(
     last = {mate.serial: mate for mate in mates if mate.verdict != "INVALID"}
     if len(last) not in LOT_SIZES:
         return ()
+    from anisoscope.inspection.replay import judge_anew
+
     found = []
     if reports is not None:
         reports.wait()  # a report of an earlier part of the lot may be at work
@@ -129,7 +135,7 @@ def judge_lot(
     return tuple(found)
 
 
-def used_before(place: str | Path | None) -> UsedBefore:
+def used_before(place: str | Path | None) -> "UsedBefore":
     """Function that looks frames up in a history: the other part that they were judged as, in words, or None.
 
     Args:

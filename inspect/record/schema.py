@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 RECORD_NAME = "record.json"
+REPORT_NAME = "report.html"
 UNSEALED = "0" * 64
 SIGNATURE_NAME = "record.signature.json"
 SCHEMA = 2

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 Image = npt.NDArray[np.float32]
 
-REPORT_NAME = "report.html"
 TEMPLATE = "inspection.html"
 MOST_POSES = 6
 """Poses on page 1; further ones are folded."""

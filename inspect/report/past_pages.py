@@ -13,8 +13,7 @@ from anisoscope.base.language import message, translated
 from anisoscope.base.notation import number_name, number_text, true_minus
 from anisoscope.history.comparing import Compared, Comparison
 from anisoscope.history.rows import Row
-from anisoscope.record.schema import ConclusionRecord
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import REPORT_NAME, ConclusionRecord
 from anisoscope.report.page import template_text, write_page
 from anisoscope.report.provenance import when
 

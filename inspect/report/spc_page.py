@@ -24,8 +24,8 @@ from anisoscope.quality.distributions import FittedCapability
 from anisoscope.quality.drift import Drift
 from anisoscope.quality.nelson import MEANING
 from anisoscope.quality.readings import Readings
+from anisoscope.record.schema import REPORT_NAME
 from anisoscope.report.drift_sections import drift_picture, parameter_table
-from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.page import write_page
 from anisoscope.report.past_pages import report_link
 from anisoscope.report.statistics_sections import Grid, Mark, Picture, chance, number

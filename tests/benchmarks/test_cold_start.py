@@ -6,9 +6,11 @@ disk: without its camera's time. The first one with a recipe finds in the cache 
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+import urllib.request
 
 import pytest
 
@@ -70,6 +72,35 @@ def test_cold_start(bench, tmp_path, command):
     found = bench.compare(f"`anisoscope {' '.join(command)}`", works)
     if command == ("--help",):
         assert found.ratio("command", LIBRARIES) < 1.0  # no command and no library of numbers is loaded
+
+
+def test_rig_answers(bench, tmp_path):
+    rig = SCENE.lay_out(tmp_path / "demo", 1, silent) / "bench" / "good" / "rig.toml"
+    works = {
+        "command": process(tmp_path, "-m", "anisoscope", "rig", "status", "--rig", str(rig)),
+        LIBRARIES: process(tmp_path, *IMPORT),
+    }
+    bench.compare("`anisoscope rig status` of a virtual rig", works)
+
+
+def test_first_page_of_the_console(bench, tmp_path):
+    folder = SCENE.lay_out(tmp_path / "demo", 1, silent)
+    rig = folder / "bench" / "good" / "rig.toml"
+    command = ["serve", "--rig", str(rig), "--recipes", str(folder), "--out", str(tmp_path), "--port", "0"]
+
+    def first_page():
+        started = [sys.executable, "-m", "anisoscope", *command]
+        with subprocess.Popen(
+            started, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        ) as server:
+            assert server.stdout is not None
+            with urllib.request.urlopen(re.search(r"http\S+", server.stdout.readline())[0]) as page:
+                assert b'id="station"' in page.read()
+            server.kill()
+
+    works = {"command": first_page, LIBRARIES: process(tmp_path, *IMPORT)}
+    found = bench.compare("`anisoscope serve`, from its start to the first page of the station", works)
+    bench.note(f"on the clock {found.wall_ratio('command', LIBRARIES):.1f} x")
 
 
 def test_cold_inspection_of_frames(bench, tmp_path):

@@ -22,8 +22,8 @@ from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.operations.demo.folder import FIXTURE
-from anisoscope.record.schema import read_record, write_record
-from anisoscope.report.inspection_page import REPORT_NAME, Sections
+from anisoscope.record.schema import REPORT_NAME, read_record, write_record
+from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.bench import Bench, shared_bench
 from anisoscope.sim.bench.camera import SimulatedCamera

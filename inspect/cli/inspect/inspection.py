@@ -212,7 +212,7 @@ def report(folder: Folder, /, *, json_: Json = False) -> int:
         anisoscope report inspections/A-0001-20260115T101500Z
     """
     from anisoscope.inspection.run import write_report_again
-    from anisoscope.report.inspection_page import REPORT_NAME
+    from anisoscope.record.schema import REPORT_NAME
 
     with progress(folder.name, quiet=json_) as advance:
         done = write_report_again(folder, advance)

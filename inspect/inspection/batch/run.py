@@ -42,9 +42,8 @@ from anisoscope.inspection.run import (
     reported,
     resume_part,
 )
-from anisoscope.record.schema import Particulars
+from anisoscope.record.schema import REPORT_NAME, Particulars
 from anisoscope.report.batch_page import PAGE_NAME, SlotView, thumbnail, write_batch_page
-from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.frame import Frame, read_frame, write_frame
 

@@ -8,8 +8,7 @@ from anisoscope.base.errors import RecordError
 from anisoscope.inspection.folder import JOB, working_in
 from anisoscope.inspection.manifest import read_job_file
 from anisoscope.inspection.run import Inspected
-from anisoscope.record.schema import RECORD_NAME, read_record
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import RECORD_NAME, REPORT_NAME, read_record
 from anisoscope.rig.acquisition.journal import JOURNAL
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from anisoscope.diagnosis.cause_words import plastic_words
-from anisoscope.report.inspection_page import REPORT_NAME, Pictures, report_page, start_renderer
+from anisoscope.record.schema import REPORT_NAME
+from anisoscope.report.inspection_page import Pictures, report_page, start_renderer
 from anisoscope.report.peers import Lot, LotPart
 from anisoscope.report.surface_sections import surface_sections
 from anisoscope.report.wording import cause_range

@@ -17,8 +17,7 @@ from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrint, GoldenPrints, ViewingConditions
 from anisoscope.kinds.prints.sources import of_each
 from anisoscope.operations.demo import prints as demo_print
-from anisoscope.record.schema import read_record
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import REPORT_NAME, read_record
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
 EXPOSURE_S = 0.004

@@ -18,8 +18,7 @@ from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.prediction.cache import cached_expectation
-from anisoscope.record.schema import RECORD_NAME, UNSEALED
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import RECORD_NAME, REPORT_NAME, UNSEALED
 
 TILE_UM = 128.0
 WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 640.0}}
