@@ -1,13 +1,13 @@
 """What a camera is: linear raw counts, with the settings that were really used."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 from anisoscope.base.errors import CameraError
-from anisoscope.rig.bayer import FILTERS
+
+if TYPE_CHECKING:  # who only moves a stage does without
+    import numpy as np
+    import numpy.typing as npt
 
 Compression = Literal["none", "zlib", "jpeg-xl"]
 """How the counts of a frame are packed on disk; all are lossless, and ``jpeg-xl`` needs the package imagecodecs."""
@@ -51,6 +51,8 @@ class CameraInfo:
     repeats: bool = False
 
     def __post_init__(self) -> None:
+        from anisoscope.rig.bayer import FILTERS  # noqa: PLC0415 - loads numpy
+
         if self.filters not in FILTERS:
             raise CameraError(
                 f"{self.model}: no colour filters are named {self.filters!r}; known: {', '.join(FILTERS)}"
@@ -78,7 +80,7 @@ class Camera(Protocol):
         """Set exposure in seconds and gain as a factor; return what the camera really uses."""
         ...
 
-    def grab(self) -> npt.NDArray[np.uint16]:
+    def grab(self) -> "npt.NDArray[np.uint16]":
         """Return the next frame that was exposed wholly under the present settings.
 
         Linear raw counts, right-justified, (rows, cols).

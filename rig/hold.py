@@ -19,10 +19,7 @@ import socketserver
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Any, Self
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any, Self
 
 from anisoscope.base.errors import AnisoscopeError, CameraError, RigError
 from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
@@ -31,6 +28,10 @@ from anisoscope.rig.light import ChannelLight, Light
 from anisoscope.rig.portholder import Holder, claim, holder_of, release
 from anisoscope.rig.rigfile import BY_HAND, CameraPart, LightPart, MotorPart
 from anisoscope.rig.stage import MotionState, RotationStage, Unit, motion_state, unit_of
+
+if TYPE_CHECKING:  # who only moves a stage does without
+    import numpy as np
+    import numpy.typing as npt
 
 _log = logging.getLogger(__name__)
 
@@ -84,7 +85,7 @@ class SharedCamera:
         with self._lock:
             return self._set(exposure_s, gain)
 
-    def grab(self, exposure_s: float, gain: float) -> npt.NDArray[np.uint16]:
+    def grab(self, exposure_s: float, gain: float) -> "npt.NDArray[np.uint16]":
         """The next frame under these settings."""
         with self._lock:
             if self._asked != (exposure_s, gain):
@@ -277,9 +278,9 @@ class _Client(socketserver.StreamRequestHandler):
                 self._send(self._answer(line))
 
     def _send(self, answer: Mapping[str, Any]) -> None:
-        found = answer.get("ok")
-        data = b""
-        if isinstance(found, np.ndarray):  # its counts follow the line
+        found: Any = answer.get("ok")
+        data, axes = b"", getattr(found, "ndim", None)
+        if axes:  # a frame: its counts follow the line
             data = found.astype("<u2", copy=False).tobytes()
             answer = {"ok": list(found.shape), "bytes": len(data)}
         elif isinstance(found, CameraSettings):
@@ -450,7 +451,7 @@ class HeldCamera:
         self._asked = (exposure_s, gain)
         return settings
 
-    def grab(self) -> npt.NDArray[np.uint16]:
+    def grab(self) -> "npt.NDArray[np.uint16]":
         """The next frame under these settings, (rows, cols) counts.
 
         Raises:
@@ -463,6 +464,8 @@ class HeldCamera:
             raise CameraError(
                 f"{self.info.model} delivered a frame of {shape}; it said {[self.info.rows, self.info.cols]}"
             )
+        import numpy as np  # noqa: PLC0415 - as above
+
         return np.frombuffer(data, dtype="<u2").reshape(shape).astype(np.uint16, copy=False)
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
 
 if TYPE_CHECKING:  # a server hands these functions to the process that inspects, and does without the rest
     from anisoscope.inspection.run import Inspected
-    from anisoscope.kinds.parts import CommandOutput
+    from anisoscope.kinds.command_output import CommandOutput
 
 
 def conclusion_lines(conclusion: ConclusionRecord) -> tuple[str, str]:

@@ -8,14 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import AnisoscopeError, NotConnected, UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.language import message
 from anisoscope.rig.acquisition.opening import Devices, open_axis, open_devices, open_eye, open_lamp
-from anisoscope.rig.frame import Frame, write_frame
 from anisoscope.rig.rigfile import (
     BY_HAND,
     CameraPart,
@@ -31,6 +28,7 @@ from anisoscope.rig.transport import shared_ports
 
 if TYPE_CHECKING:  # these load OpenCV and the models of records, which a motion does without
     from anisoscope.live_view.autofocus import Focus, Sweep
+    from anisoscope.rig.frame import Frame
 
 Axis = Literal["stage", "tilt", "x", "y", "z"]
 LightState = Literal["on", "off", "as-is"]
@@ -397,6 +395,7 @@ def snap(
     """
     from anisoscope.live_view.picture import as_png, to_show
     from anisoscope.live_view.view import look_at
+    from anisoscope.rig.frame import write_frame
 
     target = Path(out)
     picture = target.with_suffix(".png") if preview else None
@@ -440,9 +439,12 @@ def snap(
 
 def _take(
     devices: Devices, file: RigFile, exposure_s: float, gain: float, frames: int, light: LightState
-) -> tuple[Frame, float]:
+) -> "tuple[Frame, float]":
     """The mean of some frames, and the largest saturated share among them."""
+    import numpy as np
+
     from anisoscope.live_view.view import saturated_share
+    from anisoscope.rig.frame import Frame
 
     camera = devices.camera
     assert camera is not None
