@@ -92,6 +92,9 @@ NAMED = re.compile(r"\W*" + r"\W+".join(map(_COLUMN.format, "xyz")), re.IGNORECA
 """A header of three columns, each with what stands behind its name, such as a unit in brackets."""
 CODE_REPEATS = 3
 COMMENT = ("#", "%", "//")
+UNIT_NAMED = re.compile(r"(?:\bin\s+|[\[(:=,]\s*)(um|µm|\u03bcm|nm|mm|cm|m)(?![\w/])")
+SMALL_RANGE, SMALL_SHARE = 0.1, 0.03
+"""Range of heights, and its ratio to a pixel in µm, below which the numbers may be mm; a polished map says its unit."""
 PIXEL_NOTE = re.compile(r"pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
 SIZE_NOTE = re.compile(r"(\d{1,9}) x (\d{1,9}) heights in um")
 
@@ -340,6 +343,28 @@ def _noted_pixel(table: Table) -> tuple[float, float] | None:
         return None
 
 
+def _check_unit(name: str, table: Table, heights: FloatArray, pixel: tuple[float, float]) -> None:
+    """Ask for the unit of a matrix that may be another than µm, by its comments or its range.
+
+    Raises:
+        HeightMapError: the comments name another unit, or all heights are much alike.
+    """
+    ask = "say the unit of the heights with --z-unit, such as --z-unit"
+    for comment in table.comments:
+        found = [unit for unit in UNIT_NAMED.findall(comment) if STATED_MICROMETRES_PER[unit] != 1.0]
+        if found:
+            refuse(name, "units", f"{comment[:40]!r} names {found[-1]}", f"{ask} {found[-1]}")
+    known = heights[np.isfinite(heights)]
+    span = float(np.ptp(known)) if known.size else 0.0
+    if 0.0 < span < min(SMALL_RANGE, SMALL_SHARE * min(pixel)):
+        refuse(
+            name,
+            "units",
+            f"heights differ by {span:.3g} only, at pixels of {min(pixel):g} µm",
+            f"{ask} mm or um",
+        )
+
+
 def _check_noted_size(name: str, table: Table) -> None:
     """Compare the size that our own writer noted: a text cut at the end of a line looks whole."""
     noted = SIZE_NOTE.search("\n".join(table.comments))
@@ -459,6 +484,8 @@ def read_text(path: Path | str, given: FileScales | None = None) -> HeightMap:
             origin["corrected"] = [*origin.get("corrected", []), *done]
     pixel = require_pixel(name, pixel_um or _noted_pixel(table))
     heights = _without_codes(name, heights, given.missing)
+    if given.z_unit is None and _noted_pixel(table) is None:
+        _check_unit(name, table, heights, pixel)
     return checked_map(name, scaled(heights, micrometres_per(z_unit)), pixel, origin)
 
 

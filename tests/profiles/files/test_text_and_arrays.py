@@ -49,6 +49,33 @@ def test_height_units(tmp_path, unit, factor):
     np.testing.assert_allclose(surface.height_um, factor * np.array([[1e-3, 2e-3], [3e-3, 4e-3]]))
 
 
+RIDGE = "0.0 0.004 0.0176 0\n0.001 0.005 0.0170 0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "asked"),
+    [
+        (RIDGE, "differ by 0.0176 only, at pixels of 1 µm"),
+        ("# heights in mm\n1 2 9 1\n3 4 5 1\n", "names mm"),
+        ("% z [nm]\n1 2 9 1\n3 4 5 1\n", "names nm"),
+        ("# unit: mm\n1 2 9 1\n3 4 5 1\n", "--z-unit mm"),
+    ],
+)
+def test_a_matrix_that_may_be_in_mm_asks_for_its_unit(tmp_path, text, asked):
+    path = write(tmp_path / "a.txt", text)
+    with pytest.raises(HeightMapError, match=asked):
+        read_height_map(path, pixel_um=(1.0, 1.0))
+    assert np.isfinite(read_height_map(path, pixel_um=(1.0, 1.0), z_unit="mm").height_um).all()
+
+
+@pytest.mark.parametrize(
+    "words", ["# heights in µm", "# 2 mm x 2 mm, 10x", "# z (um), after 3 m", "# made in Ulm", ""]
+)
+def test_a_matrix_in_um_is_not_asked(tmp_path, words):
+    path = write(tmp_path / "a.txt", f"{words}\n0 4 17.6 0\n1 5 17 0\n")
+    assert read_height_map(path, pixel_um=(1.0, 1.0)).height_um.max() == 17.6
+
+
 def test_unknown_unit_and_role(tmp_path):
     path = write(tmp_path / "a.txt", "1 2\n3 4\n")
     with pytest.raises(HeightMapError, match="use um, nm, mm or m"):
