@@ -101,7 +101,7 @@ docs: $(VENV)/.dev
 docs-check: $(VENV)/.dev
 	$(SPHINX) -b dummy docs site
 
-# The printed results of the pages, from the commands that print them; a test compares them with today's.
+# Printed results and pictures of the pages, from what makes them; a test compares them with today's.
 docs-outputs: $(VENV)/.warm
 	$(BIN)/python -I tools/docs_outputs.py
 

@@ -1,11 +1,16 @@
-"""Printed results of the pages, from the commands that print them: python tools/docs_outputs.py (make docs-outputs).
+"""Printed results and pictures of the pages, from what makes them: python tools/docs_outputs.py (make docs-outputs).
 
 A block of a page in the language ``console`` shows commands after ``$ `` and below each of them what it prints. All of
 them run in a folder with the finished demo (seed 1) in ``demo-output``; the first is that demo. A line ``…`` leaves
 out what follows up to the next line that the page shows. A test compares the pages with today's output
 (`tests/inspect/cli/test_docs_outputs.py`).
+
+Pictures whose command a page names (`anisoscope … docs/pictures/NAME`) and the photographs of the demo's reports are
+made anew, and replaced where they look different. ``docs/pictures/made.json`` has a hash of every picture and of the
+commands and scripts that name it: after a change of one of them without the other a test says which picture is old.
 """
 
+import hashlib
 import json
 import re
 import shlex
@@ -15,7 +20,15 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 ROOT = Path(__file__).resolve().parent.parent
+PICTURES = ROOT / "docs/pictures"
+MADE = PICTURES / "made.json"
+MAKES = re.compile(r"`(anisoscope [^`]*?docs/pictures/([\w.-]+)[^`]*)`")
+ALIKE = 0.5
+"""Mean difference, in grey levels of 255, up to which two pictures are the same: fonts and browsers differ a little."""
 BLOCK = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 LEFT_OUT = "…"
@@ -126,8 +139,55 @@ def plain(printed: str) -> list[str]:
     return [line.rstrip() for line in printed.rstrip().split("\n")]
 
 
+def commands() -> dict[str, str]:
+    """Commands in the pages that make a picture, by the picture's name."""
+    texts = [page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").rglob("*.md"))]
+    return {name: " ".join(command.split()) for text in texts for command, name in MAKES.findall(text)}
+
+
+def hashes() -> dict[str, str]:
+    """Of the pictures that a command in a page or a script of the docs makes: of these, and of the file.
+
+    Others have tests of their own, which compare what is drawn: plans of the code, findings, the first day.
+    """
+    by, found = commands(), {}
+    scripts = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.py"))]
+    for picture in sorted(path for path in PICTURES.iterdir() if path.suffix in {".png", ".gif"}):
+        names = f'"{picture.stem}"', picture.name
+        makers = [by.get(picture.name, ""), *(text for text in scripts if any(map(text.__contains__, names)))]
+        if any(makers):
+            made = "".join(makers).encode() + picture.read_bytes()
+            found[picture.name] = hashlib.sha256(made).hexdigest()
+    return found
+
+
+def look_alike(first: Path, second: Path) -> bool:
+    """Whether two pictures look the same."""
+    old, new = (np.asarray(Image.open(path).convert("RGB"), np.float64) for path in (first, second))
+    return old.shape == new.shape and float(np.abs(old - new).mean()) <= ALIKE
+
+
+def make_pictures(folder: Path) -> None:
+    """Make pictures anew in the folder of the demo; replace those that look different, and name them."""
+    new = folder / "docs/pictures"
+    new.mkdir(parents=True)
+    photographs = [str(ROOT / "docs/tutorial_pictures.py"), str(folder / "demo-output"), str(new)]
+    asked = [
+        shlex.split(command)[1:]
+        for name, command in commands().items()
+        if name.endswith(".png") and name != "render-code.png"  # that one takes a QR code of the reader's
+    ]
+    for words in [["-I", *photographs], *(["-Im", "anisoscope", "-q", *one] for one in asked)]:
+        subprocess.run([sys.executable, *words], cwd=folder, stdout=subprocess.DEVNULL, check=True)
+    for picture in sorted(new.iterdir()):
+        if not look_alike(PICTURES / picture.name, picture):
+            (PICTURES / picture.name).write_bytes(picture.read_bytes())
+            sys.stdout.write(f"docs/pictures/{picture.name} is new: look at it\n")
+    MADE.write_text(json.dumps(hashes(), indent=1) + "\n", encoding="utf-8")
+
+
 def main() -> None:
-    """Write today's outputs into the pages, and name what has changed."""
+    """Write today's outputs into the pages and make their pictures, and name what has changed."""
     with tempfile.TemporaryDirectory() as folder:
         run = run_in(Path(folder))
         run(DEMO)
@@ -137,6 +197,7 @@ def main() -> None:
             if new != text:
                 page.write_text(new, encoding="utf-8")
                 sys.stdout.write(f"{page.relative_to(ROOT)}: outputs are new\n")
+        make_pictures(Path(folder))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Printed results of the pages are those of today."""
 
 import importlib.util
+import json
 import shlex
 from pathlib import Path
 
@@ -50,3 +51,24 @@ def test_a_changed_word_or_number_is_found(outputs):
     page = "```console\n$ one\nold 1.00\n$ two\nsame 2.00\n```\n"
     today = {"one": ["new 1.00"], "two": ["same 2.01"]}
     assert outputs.rewritten(page, today.get) == "```console\n$ one\nnew 1.00\n$ two\nsame 2.00\n```\n"
+
+
+def test_no_picture_is_older_than_what_makes_it(outputs, monkeypatch, tmp_path):
+    """Where one is: make it anew and look at it, then make docs-outputs."""
+    known = json.loads(outputs.MADE.read_text())
+    assert outputs.hashes() == known
+    assert len(outputs.commands()) >= 8
+    monkeypatch.setattr(
+        outputs, "commands", lambda: {"render-frame.png": "anisoscope render frame --rough 0.1"}
+    )
+    assert {name for name, one in outputs.hashes().items() if one != known[name]} >= {"render-frame.png"}
+
+
+def test_a_changed_picture_is_found(outputs, tmp_path):
+    old, new = outputs.PICTURES / "render-frame.png", tmp_path / "new.png"
+    picture = outputs.Image.open(old).convert("RGB")
+    picture.save(new)
+    assert outputs.look_alike(old, new)
+    picture.paste((0, 0, 0), (0, 0, 60, 60))
+    picture.save(new)
+    assert not outputs.look_alike(old, new)
