@@ -412,7 +412,7 @@ def _advice(
         other = path.parent
     elif chain == ["compare"] and suffix in MAPS:
         advice = "; maps are compared by: anisoscope profile compare FIRST SECOND"
-    elif bare and suffix in PHOTOGRAPHS and "pixel size" in message:
+    elif bare and suffix in PHOTOGRAPHS and ("pixel size" in message or "a picture has none" in message):
         advice = "; photographs have no heights: anisoscope inspect --frames FOLDER --recipe recipe.toml judges them"
     elif bare and (option := _option_of(path, names)) is not None:
         advice = line(option, str(path))

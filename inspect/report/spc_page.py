@@ -309,11 +309,24 @@ def write_spc_page(
     content = {
         "title": title,
         "source": source,
+        "answer": _answer(studies, [drift for _, _, drift in detailed if drift is not None]),
         "overview": overview(studies),
         "studies": [study_content(*one) for one in detailed[:DETAILED]],
         "notes": [*notes, *more],
     }
     write_page(path, "spc.html", content)
+
+
+def _answer(studies: Sequence[ControlStudy], drifts: Sequence[Drift]) -> tuple[str, bool] | None:
+    """First sentence of a page on several series or on drift, and whether all is well; one series has its own."""
+    odd = [one.name for one in studies if not one.stable]
+    are = f"{len(odd)} of {len(studies)} series {'is' if len(odd) == 1 else 'are'} not stable: "
+    several = (
+        are + ", ".join(odd[:5]) + " …" * (len(odd) > 5) if odd else f"all {len(studies)} series are stable"
+    )
+    seen = [f"{one.name}: {one.verdict}" for one in drifts if one.seen]
+    words = [several] * (len(studies) > 1) + (seen or ["no drift"] * bool(drifts))
+    return ("; ".join(words), not odd and not seen) if words else None
 
 
 def overview(studies: Sequence[ControlStudy]) -> Grid:

@@ -203,7 +203,11 @@ class Scoring(Goal):
         if self.score == "snr":
             text += ", over its standard deviation"
         if self.tolerances is not None:
-            sizes = ", ".join(f"{name} {value:g}" for name, value in asdict(self.tolerances).items() if value)
+            sizes = ", ".join(
+                f"{name.replace('_', ' ')} {value:g}"
+                for name, value in asdict(self.tolerances).items()
+                if value
+            )
             rule = "" if self.score == "snr" else f", mean − {self.z:g} sd"
             if self.quantile is not None:
                 rule = f", quantile {self.quantile:g}"

@@ -47,7 +47,7 @@ def device(
 
     simulated(name)
     if pty == (tcp is not None):
-        raise UsageError(f"rig sim {name}: give exactly one of --pty and --tcp PORT")
+        raise UsageError(f"give one of --pty and --tcp; write: anisoscope rig sim {name} --tcp 4001")
     if not 0.0 <= time_scale < float("inf"):
         raise UsageError(f"rig sim {name}: --time-scale must be a number, 0 or more")
     mount = lone_mount(name, device_type, address, time_scale)

@@ -40,6 +40,7 @@ rig --rig rig.toml status | anisoscope rig status --rig rig.toml
 rig hum | Unknown command of rig: "hum"; for example: anisoscope rig
 rig sim eliptec | did you mean elliptec?
 rig sim | anisoscope rig sim elliptec --tcp 4001
+rig sim zaber | anisoscope rig sim zaber --tcp 4001
 calibrate --rig rig.toml | anisoscope calibrate flat --rig rig.toml
 calibrate flatfield --rig rig.toml --exposure 0.006 | anisoscope calibrate flat --rig rig.toml --exposure 0.006 --out flat.tif
 line opc-ua --rig rig.toml | anisoscope line opcua --rig rig.toml
@@ -75,11 +76,13 @@ predict recipe.toml | anisoscope predict --recipe recipe.toml
 predict rig.toml | for example: anisoscope predict --ridge-angle 10
 predict part.X3P | anisoscope predict part.x3p
 predict frame.tif | anisoscope inspect --frames FOLDER --recipe recipe.toml
+profile info frame.tif --pixel 4 | anisoscope inspect --frames FOLDER --recipe recipe.toml
 profile part.x3p | anisoscope profile info part.x3p
 profile info part | anisoscope profile info part.x3p
 profile info nothing.x3p | there are part.x3p
 profile info maps | anisoscope profile info maps/one.x3p
 profile info mm.csv | give it in µm with --pixel SIZE
+profile info mm.csv --pixel 1 | say the unit of the heights with --z-unit, such as --z-unit mm or um
 profile compare part.x3p | name the second one after it
 profile convert part.x3p part.xyzq | written are .x3p
 profile view part.x3p --out view.pdf | a page is named *.html

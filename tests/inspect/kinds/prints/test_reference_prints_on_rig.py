@@ -137,7 +137,7 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, good_print, 
     check_that_they_teach(recipe_path, rig_path, capsys)
 
 
-def test_inspections_make_the_ink_file(good_print, tmp_path, monkeypatch, capsys):
+def test_inspections_make_the_ink_file(good_print, tmp_path, monkeypatch, capsys, guard):
     """Of nine poses, which is few: they do if all count alike; 21 usual ones in another world are in the evidence."""
     out, folder = tmp_path / "mine.toml", good_print.folder
     with pytest.raises(UsageError, match=r"9 poses do not tell .* inspect the print at 21 or more"):
@@ -150,6 +150,7 @@ def test_inspections_make_the_ink_file(good_print, tmp_path, monkeypatch, capsys
     monkeypatch.setattr(rig_ink, "_DIM", 1e-4)
     assert calibrate.ink(folder, folder, out=out, json_=True) == 0
     told, made = json.loads(capsys.readouterr().out), read_ink(out)
+    assert guard.keys(told) == guard.known_keys()["calibrate ink"]
     assert (told["file"], told["poses"], made.source) == (str(out), 9, "9 poses of 2 good prints on a rig")
     assert made.alpha == pytest.approx(synthetic_ink("synthetic-green").alpha, rel=0.03)
     assert made.distribution == pytest.approx(1.0, abs=0.2)  # the file of the package has GGX
