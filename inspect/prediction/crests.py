@@ -105,12 +105,10 @@ def edges_of_design(
 
     if design.edge_radius_um == 0.0:
         reach = min(UNMEASURED_UM, MOST_OF_WALL * design.wall_length_um)
-        low, high, typical, u_um = (
-            0.0,
-            reach,
-            0.5 * reach,
-            reach / np.sqrt(3.0),
-        )  # about the sharp end of a rectangle
+        low, high, typical = 0.0, reach, 0.5 * reach
+        u_um = reach / np.sqrt(3.0)  # about the sharp end of a rectangle
+        if design.foot_radius_um + reach > design.arcs_um:  # a foot that leaves no wall: as above a sharp one
+            design = replace(design, foot_radius_um=0.0)
     else:
         typical = design.edge_radius_um
         step = u_share or 0.1

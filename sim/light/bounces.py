@@ -389,6 +389,7 @@ class _Ends(NamedTuple):
 
 NODES = 6  # of the Gauss-Legendre rule in each panel
 _STEPS, _LONG_STEPS = (1.7, 3.4), (0.8, 1.7, 3.4, 7.0, 15.0)
+_COINCIDENT = 1e-9  # share of the pitch
 BATCH = 64  # poses followed together, for the sake of memory
 
 
@@ -409,11 +410,13 @@ class _Valley:
 
     def __init__(self, design: RidgeDesign, chords: int) -> None:
         line = design.outline(foot_chords=chords)
-        self.x, self.z = line.x_um[0], line.z_um[0]
-        self.count = 2 + (chords if design.foot_radius_um > 0.0 else 0)
-        step = np.stack([np.diff(self.x), np.diff(self.z)], axis=-1)[: self.count]
+        step = np.stack([np.diff(line.x_um[0]), np.diff(line.z_um[0])], axis=-1)
+        there = np.hypot(*step.T) > _COINCIDENT * design.pitch_um  # a wide foot leaves no wall
+        self.x, self.z = (one[0, np.append(there, True)] for one in (line.x_um, line.z_um))
+        self.count = int(there[: 2 + (chords if design.foot_radius_um > 0.0 else 0)].sum())
+        step = step[there][: self.count]
         self.length = np.hypot(*step.T)
-        self.along = step / np.maximum(self.length, 1e-300)[:, None]
+        self.along = step / self.length[:, None]
 
     def opening(self, pair: tuple[int, int]) -> float:
         """Angle between two sides, the left one first, radians."""

@@ -139,6 +139,12 @@ def test_a_radius_with_room_for_no_more_is_predicted(anisoscope):
     assert done.code == 0, done.err
 
 
+@pytest.mark.parametrize("foot", [17, 20])
+def test_a_wide_foot_needs_no_room_for_a_crest_that_nobody_stated(anisoscope, foot):
+    done = anisoscope("predict", "--ridge-angle", 10, "--foot-radius", foot)
+    assert (done.code, done.err) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

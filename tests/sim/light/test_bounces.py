@@ -5,11 +5,14 @@ from anisoscope.base.errors import ModelError
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.profiles.ideal import ridges
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.bounces import Groove, interreflection
 from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import directions, pose_grid
 from anisoscope.sim.light.material import brdf_table, facet_brdf
+from anisoscope.sim.pathtracer.plastic import Plastic
+from anisoscope.sim.pathtracer.tracer import PathTracer
 
 ALONG = np.array([0.0, 1.0, 0.0])
 TABLE = directions(pose_grid((0, 90, 180), (-20, -10, 0, 10, 20)), Convention())
@@ -363,3 +366,17 @@ def test_corrected_model_passes_the_reflections_on():
         )
     with pytest.raises(ModelError, match="at least once"):
         corrected.radiance(*TABLE, design, material, bounces=0)
+
+
+@pytest.mark.parametrize("foot", [20.0, 60.0])
+def test_a_foot_that_leaves_no_wall_shines_as_its_height_map(foot):
+    """Its arc ends at the crest; the path tracer of the virtual rig sees heights alone."""
+    design, sides = (
+        RidgeDesign(100.0, 10.0, foot_radius_um=foot),
+        directions(pose_grid((180, 90)), Convention()),
+    )
+    surface = ridges(design, (3, 2001), (100.0, 0.05))
+    tracer = PathTracer(surface, Plastic(0.08, 0.08, 0.3), pitch_um=100.0, reflections=5, paths=2**14)
+    found = [tracer.radiance(*pose).mean(dtype=float) for pose in zip(*sides, strict=True)]
+    light = corrected.radiance(*sides, design, Material(0.08, 0.08, 0.3), bounces=None)
+    assert light == pytest.approx(found, rel=5e-3)
