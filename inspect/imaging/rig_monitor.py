@@ -46,6 +46,7 @@ class MarkerReading:
         noise: (M,) standard uncertainty of `white` from the noise of its pixels.
         greys: (G,) printed grey patches.
         edge_um: standard deviation of the edge spread, µm; None where it was not measured.
+        scene: mean radiance of the picture, in 1/sr, of which a lens spreads a share over all of it (veiling glare).
     """
 
     stage_deg: float
@@ -56,6 +57,7 @@ class MarkerReading:
     noise: FloatArray
     greys: FloatArray
     edge_um: float | None
+    scene: float = 0.0
 
     @property
     def black_share(self) -> float:
@@ -270,6 +272,7 @@ def read_markers(
         spread,
         greys,
         None if blur is None else blur * view.placement.pixel_um,
+        float(np.nanmean(view.image.value)),
     )
 
 
@@ -334,8 +337,30 @@ def watch(
     return _against(readings, reference, ids, limits)
 
 
+def _signal(one: MarkerReading, white: float) -> float:
+    """The brighter of the labels and the whole picture: a mirror's spike is a hundred times as bright as they are."""
+    return max(white, one.scene)
+
+
+def _without_veil(readings: Sequence[MarkerReading], most: float) -> list[MarkerReading]:
+    """Readings without the glare of pictures that are brighter than the labels; as clean as the cleanest one.
+
+    Args:
+        readings: of all poses.
+        most: share of a picture's mean radiance that is taken for glare of the lens.
+    """
+    usual, found = min(one.black_share for one in readings), []
+    for one in readings:
+        white = float(np.nanmedian(one.white))
+        veil = (float(np.nanmedian(one.black)) - usual * white) / (1.0 - usual)
+        veil = min(veil, most * one.scene) if one.scene > white else 0.0
+        found.append(replace(one, white=one.white - veil, black=one.black - veil))
+    return found
+
+
 def _compared(readings: Sequence[MarkerReading], limits: LimitsPart) -> RigMonitor:
     """Readings of the poses against each other, tilt by tilt."""
+    readings = _without_veil(readings, limits.stray_share)
     usual = {
         tilt: _mean_seen(np.stack([one.white for one in readings if one.tilt_deg == tilt]))
         for tilt in {one.tilt_deg for one in readings}
@@ -386,14 +411,15 @@ def _against(
     names = tuple(number for number, bad in zip(ids, dirty, strict=True) if bad)
     notes = [f"marker {number} is dirty or in shadow: its neighbours serve" for number in names]
     level = float(np.mean([pose.level for pose in poses]))
-    fault = _fault(poses, level, reference, limits)
+    scenes = [_signal(one, state.white) for one, state in zip(readings, poses, strict=True)]
+    fault = _fault(poses, scenes, level, reference, limits)
     fault = fault and (_blur_instead(poses, reference) or fault)
     if fault is None and abs(level - 1.0) > limits.level_note_share:
         notes.append(
             f"the markers are {abs(level - 1.0):.1%} {'brighter' if level > 1.0 else 'darker'} than at the reference "
             f"{reference.id}: has the lamp aged, or its level changed?"
         )
-    stray = max((pose.stray or 0.0) / pose.white for pose in poses)
+    stray = max((pose.stray or 0.0) / signal for pose, signal in zip(poses, scenes, strict=True))
     if fault is None and stray > 0.25 * limits.stray_share:
         notes.append(f"stray light of {stray:.1%} of white was measured at the markers and subtracted")
     return RigMonitor(reference.id, poses, names, tuple(notes), (), fault)
@@ -476,10 +502,12 @@ def _uneven(poses: Sequence[PoseState], limit: float, key: str) -> str | None:
     )
 
 
-def _stray_fault(poses: Sequence[PoseState], reference: FixtureReference, limits: LimitsPart) -> str | None:
+def _stray_fault(
+    poses: Sequence[PoseState], signals: Sequence[float], reference: FixtureReference, limits: LimitsPart
+) -> str | None:
     """Fault of more stray light than is corrected for, or None."""
-    worst = max(poses, key=lambda pose: abs(pose.stray or 0.0) / pose.white)
-    stray = (worst.stray or 0.0) / worst.white
+    each = [(pose.stray or 0.0) / signal for pose, signal in zip(poses, signals, strict=True)]
+    stray, worst = max(zip(each, poses, strict=True), key=lambda one: abs(one[0]))
     if abs(stray) <= limits.stray_share:
         return None
     limit = f"(limit {limits.stray_share:.1%}, limits.stray_share)"
@@ -509,10 +537,16 @@ def _blur_instead(poses: Sequence[PoseState], reference: FixtureReference) -> st
 
 
 def _fault(
-    poses: Sequence[PoseState], level: float, reference: FixtureReference, limits: LimitsPart
+    poses: Sequence[PoseState],
+    signals: Sequence[float],
+    level: float,
+    reference: FixtureReference,
+    limits: LimitsPart,
 ) -> str | None:
     """First fault of the rig against the reference, or None."""
-    found = _stray_fault(poses, reference, limits) or _uneven(poses, limits.white_share, "limits.white_share")
+    found = _stray_fault(poses, signals, reference, limits) or _uneven(
+        poses, limits.white_share, "limits.white_share"
+    )
     tilted = max(poses, key=lambda pose: pose.gradient or 0.0)
     bent = max(poses, key=lambda pose: abs(pose.nonlinear or 0.0))
     if found is not None:

@@ -274,6 +274,7 @@ class FaultsPart(Part):
 
     Light: ``lamp`` are factors on its brightness; ``lamp_slope`` is the share by which it rises from the middle to the
     right and the upper edge; ``glare_radiance`` in 1/sr is light that only lit frames have, ``glare_slope`` its slope;
+    ``veiling_glare`` is the share of a picture's mean light that the lens spreads over all of it;
     ``room_radiance`` is light of the room that also dark frames have, one value per frame, the last of which holds on.
 
     Camera: ``exposure`` and ``gain`` are factors on what it was told; with ``automatic_gain`` every pose gets the mean
@@ -296,6 +297,7 @@ class FaultsPart(Part):
     lamp_slope: tuple[float, float] = (0.0, 0.0)
     glare_radiance: NotNegative = 0.0
     glare_slope: tuple[float, float] = (0.0, 0.0)
+    veiling_glare: Share = 0.0
     room_radiance: tuple[NotNegative, ...] = ()
     exposure: tuple[Positive, ...] = ()
     gain: tuple[Positive, ...] = ()

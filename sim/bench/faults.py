@@ -69,6 +69,8 @@ class Faults:
             if part.glare_radiance:
                 slope = 1.0 + part.glare_slope[0] * across - part.glare_slope[1] * down[:, None]
                 found = found + electrons * part.glare_radiance * slope
+            if part.veiling_glare:
+                found = found + part.veiling_glare * found.mean()
         if part.room_radiance:
             found = found + electrons * _at(part.room_radiance, self._frames - 1)
         if lit and part.stale_pose:

@@ -50,7 +50,7 @@ def picture(stage_deg: float, fault: Fault = lambda image, _: image, seed: int =
     per_radiance = 9000.0 / (0.75 / np.pi)
     noisy = (rng.poisson(np.maximum(radiance, 0.0) * per_radiance) / per_radiance).astype(np.float32)
     image = RadianceImage(noisy, np.zeros_like(noisy), np.zeros(noisy.shape, dtype=bool), 0.3)
-    return View(stage_deg, 0.0, image, locate(noisy, FIXTURE))
+    return View(stage_deg, 0.0, image, locate(np.minimum(noisy, 0.5), FIXTURE))  # as of a long exposure
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +134,27 @@ def test_small_stray_light_is_measured_and_taken_off(share: float, reference: Fi
         clean = corrected(view, state).image.value
         plate = image_of_fixture(FIXTURE, OPTICS, SENSOR, view.stage_deg)[180:220, 180:220].mean() / np.pi
         assert clean[180:220, 180:220].mean() == pytest.approx(plate, abs=2.0 * state.u_stray + 2e-4 * white)
+
+
+@pytest.mark.parametrize("taught", [True, False])
+def test_glare_of_a_part_that_shines_is_measured_against_its_own_light(
+    taught: bool, reference: FixtureReference
+) -> None:
+    """A spike in the middle makes the picture ten times as bright as the labels; 0.5 % of its light lies everywhere."""
+
+    def shines(image: Image, angle: float) -> Image:
+        if angle == 90.0:
+            image = image.copy()
+            image[120:280, 120:280] += 0.75 / np.pi * 10.0 * image.size / 160.0**2
+            image += 0.005 * image.mean()
+        return image
+
+    found = watched(shines, reference if taught else None)
+    assert found.fault is None
+    if taught:
+        assert found.poses[1].stray == pytest.approx(0.005 * 10.0 * 0.75 / np.pi, rel=0.1)
+    even = watched(lambda image, angle: image + 0.12 * (angle == 90.0), reference if taught else None)
+    assert even.fault is not None
 
 
 def test_a_lamp_that_drifts_is_taken_out(reference: FixtureReference) -> None:

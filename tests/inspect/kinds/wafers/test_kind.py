@@ -93,6 +93,21 @@ def test_a_wafer_that_slips_on_its_fixture_is_invalid(wafers, plain):
     assert "between 0° and 90° the part turned by +5.0° on its fixture" in record.reasons[0]
 
 
+@pytest.mark.parametrize(("name", "verdict"), [("good", "PASS"), ("deep", "FAIL")])
+def test_veiling_glare_of_a_spike_is_no_fault_of_the_rig(wafers, undiagnosed, tmp_path, name, verdict):
+    """0.6 % of the light of a spike is twice as much as that of the black of the markers."""
+    place = wafers / "bench" / f"{name}-veiled"
+    shutil.copytree(wafers / "bench" / name, place)
+    bench = tomllib.loads((place / "bench.toml").read_text())
+    bench["faults"] = {"veiling_glare": 0.006}
+    (place / "bench.toml").write_text(tomli_w.dumps(bench))
+    how = {"methods": undiagnosed}
+    record = inspect_part(
+        wafers / "recipe.toml", place / "rig.toml", "W-veiled", tmp_path / "out", **how
+    ).record
+    assert record.verdict == verdict, record.reasons
+
+
 def test_the_record_and_the_report_say_which_optics_and_why(inspected):
     record, report = inspected("good").record, inspected("good").report.read_text()
     assert (record.model, record.optics.asked, record.optics.model) == ("wave", "auto", "wave")
