@@ -169,6 +169,8 @@ def without_grain(cells: FloatArray) -> FloatArray:
 
 LEAST_TILES = 5
 """Tiles from which on their median is that of good ones, though two of them are marked at the same place."""
+BY_CHANCE = 1e-5
+"""Probability of a cell with the stated least scatter to exceed the limit."""
 LIMIT_ERROR = 6.5
 """Standard error of the limit of the scores, in their spread over the root of their number."""
 _TREND_ROUNDS = 3
@@ -177,12 +179,17 @@ _TREND_ROUNDS = 3
 def die_to_die(measured: Measured, poses: tuple[Pose, ...]) -> CellMap | None:
     """How the cells differ from those at their place in the other tiles; None where the tiles are too few.
 
+    A cell deviates where it is far above all others, and by more than chance makes of the least scatter: pictures with
+    little noise have outliers that are no marks.
+
     No prediction takes part. What changes evenly across the region, as of lamp and flat, is no deviation.
 
     Args:
         measured: the wafer, whose cells are quarters of a tile.
         poses: of the recipe.
     """
+    from scipy.special import chdtri
+
     count, rows, cols = measured.cells.shape
     if rows * cols < LEAST_TILES * CELLS_PER_PITCH**2:
         return None
@@ -201,7 +208,8 @@ def die_to_die(measured: Measured, poses: tuple[Pose, ...]) -> CellMap | None:
     score = np.log1p(np.sum((left / scatter[..., None]) ** 2, axis=0))
     middle, low = np.quantile(score, [0.5, 0.16])
     spread = max(float(middle - low), LEAST_SPREAD)
-    limit, pairs = float(middle) + SCATTERS * spread, consecutive_pairs(poses)
+    least = float(np.log1p(chdtri(count, BY_CHANCE)))
+    limit, pairs = max(float(middle) + SCATTERS * spread, least), consecutive_pairs(poses)
     widths = np.sqrt(np.expm1(limit)) * scatter[:, 0]
     return CellMap(
         score,

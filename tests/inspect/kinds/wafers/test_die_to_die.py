@@ -66,15 +66,15 @@ def scratch(size, share, rng):
     return found
 
 
-def verdict(pictures, rng, mark=None):
-    """Of a wafer with lamp and flat uneven, 0.3 % for the pictures, and a mark that scatters what falls on it."""
+def verdict(pictures, rng, mark=None, noise=PICTURES):
+    """Of a wafer with lamp and flat uneven, noise of the pictures, and a mark that scatters what falls on it."""
     size = pictures.shape[1:]
     even = np.outer(*(1.0 + GRADIENT * rng.standard_normal() * np.linspace(-1.0, 1.0, side) for side in size))
     seen = pictures * even
     if mark is not None:
         seen = seen * (1.0 - mark) + mark * DIFFUSE / np.pi
     cells = np.array([cv2.resize(one, (CELLS, CELLS), interpolation=cv2.INTER_AREA) for one in seen])
-    cells *= np.exp(PICTURES * rng.standard_normal(cells.shape))
+    cells *= np.exp(noise * rng.standard_normal(cells.shape))
     grid = Grid((0.0, 0.0), demo.TILE_UM * TILES / 1000.0 / size[0], size, 0.0)
     measured = SimpleNamespace(
         cells=cells, cell_noise=np.full(len(cells), PICTURES), mirroring=None, grid=grid
@@ -82,10 +82,19 @@ def verdict(pictures, rng, mark=None):
     return local_decision(measured, POSES, 0.005, 1.645)[0].verdict
 
 
+def uneven(pictures, rng):
+    """Some cells at the border are darker by 0.8 % in one pose, as where the picture of the fixture ends."""
+    found, side = pictures.copy(), pictures.shape[1] // CELLS
+    for _ in range(4):
+        col, pose = rng.integers(CELLS), rng.integers(len(pictures))
+        found[pose, :side, col * side : (col + 1) * side] *= 0.992
+    return found
+
+
 @pytest.mark.statistics
 def test_particles_and_scratches_are_found_and_good_wafers_pass(photographed):
-    """Ten wafers, each ten times with other pictures and marks."""
-    counts = {"good": [], "particle": [], "scratch": []}
+    """Ten wafers, each ten times with other pictures and marks; of the quiet ones a few cells are off by 0.8 %."""
+    counts = {"good": [], "particle": [], "scratch": [], "quiet": []}
     for seed in range(10):
         pictures, rng = photographed(seed), np.random.default_rng([1, seed])
         size = pictures.shape[1:]
@@ -93,9 +102,11 @@ def test_particles_and_scratches_are_found_and_good_wafers_pass(photographed):
             counts["good"].append(verdict(pictures, rng))
             counts["particle"].append(verdict(pictures, rng, particle(size, 0.01, rng)))
             counts["scratch"].append(verdict(pictures, rng, scratch(size, 0.01, rng)))
+            counts["quiet"].append(verdict(uneven(pictures, rng), rng, noise=0.001))
     print({name: {str(one): found.count(one) for one in set(found)} for name, found in counts.items()})  # noqa: T201
-    assert counts["good"].count(Verdict.FAIL) == 0
-    assert counts["good"].count(Verdict.PASS) >= 98
+    for name in ("good", "quiet"):
+        assert counts[name].count(Verdict.FAIL) == 0
+        assert counts[name].count(Verdict.PASS) >= 98
     for name in ("particle", "scratch"):
         assert counts[name].count(Verdict.FAIL) >= 95
 
