@@ -96,10 +96,6 @@ class Etched:
         """Every etched feature wider by a length, narrower where it is negative."""
         return replace(self, wider_um=self.wider_um + wider_um)
 
-    def turned(self) -> Self:
-        """The pattern turned by 90°."""
-        return replace(self, labels=np.rot90(self.labels))
-
     def pass_deeper(self, number: int, deeper_um: float) -> Self:
         """One pass deeper by a length; passes are numbered from the shallowest.
 

@@ -2,7 +2,7 @@
 
 Signatures come from wave optics on the recipe's tile. Etching too deep leaves a mean phase, and so a spike in the
 mirror direction. Features too wide do so too, because the levels then have unequal areas; they also move the lobes.
-A pattern turned by 90° is a cause as well; of several passes each by itself is too deep or too shallow, and its mask
+A pattern that is turned is a cause as well; of several passes each by itself is too deep or too shallow, and its mask
 shifted against the first one. Causes of plastic parts (burrs, wear, …) are not considered.
 
 Further stage angles, further tilts, and the same poses under a second lamp are evaluated one by one. Etching a design
@@ -45,6 +45,7 @@ DEPTHS_NM = (2.0, 4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0)
 WIDTHS_NM = (50.0, 100.0, 150.0, 200.0, 275.0, 350.0, 500.0, 700.0, 900.0)
 SCATTERED = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 ANGLES_DEG = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+TURNS_DEG = (1.0, 2.0, 4.0, 7.0, 12.0, 20.0, 30.0, 45.0, 60.0, 75.0, 83.0, 90.0)
 SHIFTS_NM = (250.0, 500.0, 1000.0, 2000.0)
 """In whole pixels of the tile, at least one."""
 DEEP_PASS, SHALLOW_PASS = "pass {number} etched too deep, by", "pass {number} etched too shallow, by"
@@ -71,7 +72,10 @@ def wafer_causes(tile: Etched) -> tuple[Cause, ...]:
         _of("width-bias", "etched features too wide, by", "nm", wide, WIDTHS_NM, _DOUBT_OF_WIDTH),
         _of("width-loss", "etched features too narrow, by", "nm", wide, WIDTHS_NM, _DOUBT_OF_WIDTH),
         *_of_passes(tile),
-        _of("turned", "pattern turned, by", "°", "loading: the wafer lies turned", (90.0,), 0.0),
+        replace(
+            _of("turned", "pattern turned, by", "°", "loading: the wafer lies turned", (), 0.0),
+            extents=(*(-turn for turn in reversed(TURNS_DEG)), 0.0, *TURNS_DEG),
+        ),
         replace(
             _of(
                 "scatter",
@@ -127,6 +131,8 @@ def spoiled(
     """A wafer with a cause of this extent, and the state of scatter, lamp and seat; ``surface`` is its height map."""
     if cause.name == "scatter":
         return _scattering(wafer, state, extent)
+    if cause.name == "turned":
+        return wafer, replace(state, stage_deg=state.stage_deg + extent)
     if cause.group == "shape":
         name, _, number = cause.name.rpartition("-")
         made = _CHANGES[name if number.isdecimal() else cause.name]
@@ -143,7 +149,6 @@ _CHANGES: dict[str, Callable[[EtchedPredictor, float, int], EtchedPredictor]] = 
     "shallow-pass": lambda wafer, nm, number: replace(wafer, tile=wafer.tile.pass_deeper(number, -1e-3 * nm)),
     "mask-x": lambda wafer, nm, number: wafer.with_pattern(wafer.tile.mask_shifted(number, 1e-3 * nm, 0.0)),
     "mask-y": lambda wafer, nm, number: wafer.with_pattern(wafer.tile.mask_shifted(number, 0.0, 1e-3 * nm)),
-    "turned": lambda wafer, _degrees, _number: wafer.with_pattern(wafer.tile.turned()),
 }
 """By name, without the number of the pass: wafer, extent and number of the pass."""
 
