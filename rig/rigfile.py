@@ -257,6 +257,8 @@ class LightPart(Part):
             with it.
         bandwidth_nm: full width of its spectrum at half of its height.
         half_angle_deg: of the cone of light that falls on a point of the sample.
+        distance_mm: from the middle of the field to the lamp; far away where it is left out. Over a print the light of
+            a near lamp turns, as the lean of a curled one.
         options: further options of the driver.
         wheel: filter wheel in its beam.
         channels: light channels by their names.
@@ -270,6 +272,7 @@ class LightPart(Part):
     wavelength_nm: Positive | None = None
     bandwidth_nm: Annotated[float, Field(ge=0.0)] | None = None
     half_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
+    distance_mm: Positive | None = None
     options: dict[str, Option] = Field(default_factory=dict)
     wheel: WheelPart | None = None
     channels: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")], ChannelPart] = Field(

@@ -71,7 +71,10 @@ class Print:
 
     def channels(self, poses):
         """(P, 3) radiance per unit of normal irradiance [1/sr] of a perfect white, at (stage, tilt) in degrees."""
-        to_light, to_camera = rig(poses)
+        return self.seen(*rig(poses))
+
+    def seen(self, to_light, to_camera):
+        """The same at (P, 3) unit vectors in the frame of the print."""
         seen = CAMERA * LAMP
         return (to_light[:, 2:] * self.brdf(to_light, to_camera)) @ (seen / seen.sum(axis=1, keepdims=True)).T
 

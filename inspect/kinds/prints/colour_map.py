@@ -32,6 +32,8 @@ MAX_NOISE_SHARE = 0.25
 """Largest noise floor of the map, as a share of the limit of a cell."""
 FIELD_TILT_DEG = 0.03
 """Standard uncertainty of a tilt across the region: the light's direction changes a little over the field."""
+U_OF_LAMP = 0.2
+"""Relative standard uncertainty of what a near lamp turns: the lobe of real flakes is not that of the ink file."""
 _LOCAL = ("tilt_x_deg", "tilt_y_deg", "alpha", "red", "green", "blue")
 _FLOOR = 0.005
 U_EDGE_SHARE = 0.05
@@ -80,6 +82,7 @@ def map_of(
         MeasurementError: the cells are too noisy.
     """
     eye, usual = expected.eye, np.median(measured.cells, axis=(2, 3))
+    measured = _under_far_lamp(measured, expected)
     cells = np.maximum(np.moveaxis(measured.cells, 1, -1), 1e-7)
     apart = eye.difference(cells, np.broadcast_to(usual[:, None, None], cells.shape))
     local = apart.max(axis=0)
@@ -94,6 +97,11 @@ def map_of(
         )
     lean = _lean(measured, expected, fit, usual)
     curl, u_curl = _curl(lean)
+    if expected.lamp_distance_mm is not None:
+        turned = np.degrees(
+            0.5 * max(measured.grid.shape) * measured.grid.pixel_mm / expected.lamp_distance_mm
+        )
+        u_curl = float(np.hypot(u_curl, U_OF_LAMP * turned))
     deviating = local > rule.cell_delta_e
     labels = _labels(deviating)
     spots = _spots(labels, local, measured.grid)
@@ -124,6 +132,19 @@ def map_of(
         spots=tuple(sorted(spots, key=lambda spot: -spot.area_share)[:MOST_SPOTS]),
     )
     return PrintMap(local, total, lean, deviating, record)
+
+
+def _under_far_lamp(measured: MeasuredPrint, expected: PrintExpectation) -> MeasuredPrint:
+    """Cells as a lamp far away shows them: by a near one half vectors turn by half the place over its distance."""
+    if expected.lamp_distance_mm is None:
+        return measured
+    rows, cols = measured.grid.shape
+    col, row = np.meshgrid(np.arange(cols), np.arange(rows))
+    place = np.stack([col.ravel(), row.ravel(), np.ones(rows * cols)], axis=-1) @ measured.grid.to_mm().T
+    off_mm = place[:, :2] - place[:, :2].mean(axis=0)
+    turned = expected.scene.leaning(np.degrees(0.5 * off_mm / expected.lamp_distance_mm)) / expected.channels
+    by_cell = np.moveaxis(turned, 0, -1).reshape(measured.cells.shape)
+    return replace(measured, cells=measured.cells / by_cell)
 
 
 def _judged(share: float, u: float, limit: float, coverage: float) -> Verdict:

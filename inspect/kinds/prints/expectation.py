@@ -48,6 +48,7 @@ class PrintExpectation:
         misfit: what the ink file leaves of the light of its prints, which all prints share.
         fitted: those that are: roughness, level, colour, lobe, seating; by what they make uncertain.
         convention: how the angles are counted.
+        lamp_distance_mm: from the part to the lamp; None: far away.
     """
 
     scene: Scene
@@ -59,6 +60,7 @@ class PrintExpectation:
     misfit: tuple[Source, ...]
     fitted: tuple[Source, ...]
     convention: Convention
+    lamp_distance_mm: float | None = None
 
     @property
     def model(self) -> str:

@@ -1,6 +1,7 @@
 """Lamp spectrum and sensitivities of a rig, from which the colours of a print are computed, and their files."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,7 @@ def expectation_of_print(recipe: PrintRecipe, rig: RigFile) -> PrintExpectation:
     Raises:
         RecipeError: cells of the map with too few pixels of a colour, and as for `expect_print`.
         InkFileError, ModelError: as for `expect_print`.
+        RigFileError: the lamp stands nearer than the region is wide.
     """
     # every other row and column of a mosaic has a red pixel
     least_mm = 2.0 * np.sqrt(MIN_PIXELS) * 1e-3 * rig.camera.pixel_um
@@ -118,4 +120,13 @@ def expectation_of_print(recipe: PrintRecipe, rig: RigFile) -> PrintExpectation:
             f"area.cell_mm: a cell of {recipe.area.cell_mm:g} mm holds fewer than {MIN_PIXELS} red pixels, each "
             f"{rig.camera.pixel_um:g} µm wide: make cells {least_mm:.2g} mm or larger, better twice that"
         )
-    return expect_print(recipe, rig.light.angle_deg, *lamp_and_sensitivities(rig))
+    found, far = (
+        expect_print(recipe, rig.light.angle_deg, *lamp_and_sensitivities(rig)),
+        rig.light.distance_mm,
+    )
+    if far is not None and far <= max(recipe.region.size_mm):
+        raise RigFileError(
+            f"light.distance_mm: the lamp stands at {far:g} mm, nearer than the region is wide "
+            f"({max(recipe.region.size_mm):g} mm): give the distance from the part to the lamp"
+        )
+    return replace(found, lamp_distance_mm=far)

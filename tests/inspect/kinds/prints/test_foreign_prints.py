@@ -19,7 +19,7 @@ from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import expect_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.model import Scene
-from anisoscope.kinds.prints.recipe import PrintPoses
+from anisoscope.kinds.prints.recipe import PrintArea, PrintPoses
 from anisoscope.kinds.prints.rig_ink import NM, ink_of_channels
 from anisoscope.kinds.prints.sources import of_each
 from anisoscope.record.verdict import Verdict
@@ -105,6 +105,30 @@ def test_the_ink_file_says_what_it_does_not_describe(house):
         "misfit of the ink file",
         "misfit of the ink file in colour",
     }
+
+
+def test_a_near_lamp_whose_distance_is_known_is_no_curl(house):
+    """A flat print under a lamp at 80 mm: its light turns by 0.7° from one side of 2 mm to the other."""
+    recipe = house.recipe.model_copy(update={"area": PrintArea(cell_mm=0.25)})
+    grid, to_camera = cell_grid(recipe), world.rig(house.poses)[1]
+    rows, cols = grid.shape
+    cells = np.empty((len(house.poses), 3, rows, cols))
+    for row in range(rows):
+        for col in range(cols):
+            x, y = (grid.to_mm() @ [col, row, 1.0])[:2]
+            to_light = 80.0 * world.rig(house.poses)[0] - [x, y, 0.0]
+            to_light /= np.linalg.norm(to_light, axis=1, keepdims=True)
+            cells[:, :, row, col] = world.Print().seen(to_light, to_camera)
+    channels = cells.mean(axis=(2, 3))
+    noise = of_each("noise of camera and photons", "measurement", np.full(channels.size, 2e-4))
+    measured = MeasuredPrint(channels, cells, np.full(channels.shape, 1e-3), (noise,), grid, 0.001)
+    far, near = (
+        decide_print(replace(house.expected, lamp_distance_mm=known), measured, recipe).map.record
+        for known in (None, 80.0)
+    )
+    assert np.diag(far.curl_deg) == pytest.approx([0.67, 0.67], abs=0.08)
+    assert np.abs(near.curl_deg).max() < 1.645 * near.u_curl_deg < 0.3
+    assert near.share <= far.share
 
 
 def test_the_fit_decides_by_the_bright_part_of_a_foreign_lobe(house):

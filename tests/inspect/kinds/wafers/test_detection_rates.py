@@ -20,9 +20,11 @@ from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import Component, expectation
+from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.sim.bench.wafer import build_wafer
 from anisoscope.sim.bench.waferpart import WaferPart
+from anisoscope.sim.design.depths import design_depths
 from anisoscope.sim.light.geometry import directions, seating_rotation
 
 PICTURES = 0.003
@@ -65,9 +67,14 @@ CASES = (
 class World:
     """A recipe with its prediction, and parts as the bench makes them."""
 
-    def __init__(self, folder, seed):
+    def __init__(self, folder, seed, passes_nm=None):
         self.rng = np.random.default_rng(seed)
-        demo_wafer.write_tile(folder, self.rng)
+        design = demo_wafer.design()
+        if passes_nm is not None:
+            design = design.model_copy(update={"passes_nm": passes_nm})
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(demo_wafer, "design", lambda: design)
+            demo_wafer.write_tile(folder, self.rng)
         table = demo_wafer.recipe()
         table["uncertainty"]["step_edges_nm"] = 0.0  # known, as between wafers that have the same
         (folder / "recipe.toml").write_text(tomli_w.dumps(table))
@@ -75,10 +82,10 @@ class World:
         self.recipe = read_surface_recipe(folder / "recipe.toml", WaferRecipe)
         self.expected = expectation(self.recipe, 0.0, OPTICS)
 
-    def p_value(self, **wrong):
-        """Of one part."""
+    def p_value(self, file=None, **wrong):
+        """Of one part; ``file``: of another tile."""
         table = demo_wafer.sample("good", self.rng)
-        wafer = {**table["wafer"], "file": self.file}
+        wafer = {**table["wafer"], "file": file or self.file}
         for key, value in wrong.items():
             wafer[key] += value
         made = build_wafer(WaferPart.model_validate(wafer), table["size_mm"], self.rng)
@@ -124,6 +131,41 @@ def test_good_wafers_pass_and_wrong_ones_are_found(seed):
     for case, p in found.items():
         if case.certain:
             assert np.all(p < 0.001), case.title
+
+
+@pytest.mark.statistics
+def test_good_wafers_of_two_passes_pass_and_wrong_patterns_are_found(tmp_path, monkeypatch):
+    """A pass for each axis. Of 100 good ones 1 fails at 0.01, as is due; the patterns are changed here."""
+    monkeypatch.setattr(demo_wafer, "DOT_UM", 64.0)
+    monkeypatch.setattr(demo_wafer, "TILE_UM", 256.0)
+    passes_nm = design_depths(4, (450.0, 650.0)).passes_nm
+    (tmp_path / "good").mkdir()
+    (tmp_path / "other").mkdir()
+    world = World(tmp_path / "good", 7, passes_nm)
+    good = np.array([world.p_value() for _ in range(100)])
+    counts = [np.count_nonzero(good < level) for level in (0.001, 0.01, 0.05)]
+    print("good ones of two passes below 0.001, 0.01, 0.05:", counts)  # noqa: T201 - what the study found
+    assert np.count_nonzero(good < 0.01) <= 5
+    assert np.count_nonzero(good < 0.05) <= 12
+    tile = read_height_map(tmp_path / "good" / "tile.npz")
+    depth, (first, second) = -tile.height_um, 1e-3 * np.array(passes_nm)
+    masks = [np.abs(depth - one) < 1e-6 for one in (first, second, first + second)]
+    x, y = masks[0] | masks[2], masks[1] | masks[2]
+    monkeypatch.setattr(demo_wafer, "SIGMA", (0.03, 0.03))
+    World(tmp_path / "other", 8, passes_nm)
+    wrong = {
+        "mask 500 nm off along x": (x, np.roll(y, round(0.5 / tile.pixel_x_um), 1)),
+        "mask 500 nm off along y": (x, np.roll(y, round(0.5 / tile.pixel_x_um), 0)),
+        "turned by 90°": (np.rot90(x), np.rot90(y)),
+    }
+    files = {"other tile": tmp_path / "other" / "wafer.npz"}
+    for number, (title, (one, other)) in enumerate(wrong.items()):
+        files[title] = tmp_path / f"{number}.npz"
+        write_height_map(tile.with_height(-(first * one + second * other)), files[title])
+    for title, file in files.items():
+        found = np.array([world.p_value(file) for _ in range(20)])
+        print(title, np.count_nonzero(found < 0.001), "of 20 below 0.001")  # noqa: T201
+        assert np.count_nonzero(found < 0.001) >= 19, title
 
 
 def write(seed, found):
