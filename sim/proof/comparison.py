@@ -2,8 +2,9 @@
 
 A sphere under two lights is shown by each model and from the readings. Colour space: sRGB, encoded and clipped, all
 pictures with one exposure, at which 99.5 % of the sphere made from readings stay below full scale. Mask: the pixels of
-the sphere that a light reaches. RMSE is over the three channels there; SSIM (Wang et al. 2004) has its Gaussian window
-of 11 × 11 pixels, σ = 1.5 pixels, data range 1, and is averaged over channels and mask.
+the sphere that a light reaches at directions that were read (`measured_picture`). RMSE is over the three channels
+there; SSIM (Wang et al. 2004) has its Gaussian window of 11 × 11 pixels, σ = 1.5 pixels, data range 1, and is averaged
+over channels and mask.
 """
 
 import time
@@ -32,7 +33,8 @@ SIZE = 512
 STAYS_BELOW = 0.995
 CONVENTION = (
     "encoded and clipped sRGB, one exposure for all pictures (99.5 % of the measured sphere below full scale); "
-    "mask: lit pixels of the sphere; SSIM: Gaussian window 11 × 11, σ 1.5 px, data range 1, mean over channels and mask"
+    "mask: lit pixels of the sphere within a step of the readings; SSIM: Gaussian window 11 × 11, σ 1.5 px, data range "
+    "1, mean over channels and mask"
 )
 
 
@@ -64,6 +66,7 @@ class Comparison:
         rows: a row a model.
         reference: (rows, cols, 3) the picture from readings, encoded.
         mask: (rows, cols) what was compared.
+        measured_share: of the lit sphere that was compared; the rest lies beyond the readings.
         exposure: factor on linear light before encoding.
     """
 
@@ -73,6 +76,7 @@ class Comparison:
     )
     reference: FloatArray = field(metadata=LEFT_OUT)
     mask: BoolArray = field(metadata=LEFT_OUT)
+    measured_share: float
     exposure: float
 
 
@@ -111,9 +115,14 @@ def compare(
         raise ModelError(f"pictures to compare need 32 pixels a side, not {size}")
     lights = two_lights(illuminant or standard("d65"))
     where = surface(Scene("sphere"), size, size)
-    linear = measured_picture(where, measured, lights)
+    linear, known = measured_picture(where, measured, lights)
     facing = np.stack([where.normal @ np.array(light.to_light, dtype=np.float32) for light in lights])
-    mask = np.any(facing > 0.0, axis=0) & (where.normal[..., 2] > 0.0)
+    lit = np.any(facing > 0.0, axis=0) & (where.normal[..., 2] > 0.0)
+    mask = lit & known
+    if not mask.any():
+        raise ModelError(
+            "no pixel of the sphere lies within the readings: read at more angles of light and detector"
+        )
     brightest = float(np.quantile(linear[mask].max(axis=-1), STAYS_BELOW))
     if brightest <= 0.0:
         raise ModelError("the readings show no light: is their scale right?")
@@ -134,7 +143,7 @@ def compare(
                 rendered,
             )
         )
-    return Comparison(ink, tuple(rows), reference, mask, exposure)
+    return Comparison(ink, tuple(rows), reference, mask, float(mask.sum() / lit.sum()), exposure)
 
 
 def _timed(function: Any) -> float:  # noqa: ANN401 - anything that can be called

@@ -9,6 +9,7 @@ then cover all directions.
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
@@ -73,17 +74,20 @@ def deviation(normal: FloatArray, to_light: FloatArray, to_camera: FloatArray) -
     return np.stack([np.linalg.norm(flat[0], axis=-1), np.linalg.norm(flat[0] + flat[1], axis=-1)], axis=-1)
 
 
-def measured_picture(where: Surface, measured: Measured, lights: tuple[Light, ...]) -> FloatArray:
-    """(rows, cols, 3) linear sRGB of a surface whose BRDF is that of readings, eye along +z.
+def measured_picture(
+    where: Surface, measured: Measured, lights: tuple[Light, ...]
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """(rows, cols, 3) linear sRGB of a surface whose BRDF is that of readings, eye along +z; and where it is measured.
 
     Both coordinates count in steps of the readings, so that the four nearest ones lie on all sides; each weighs
-    1/(distance² + 0.05²). Beyond the readings the nearest ones go on.
+    1/(distance² + 0.05²). Beyond the readings the nearest ones go on: a pixel is measured where under each of the
+    lights that reach it a reading lies within one step.
     """
     from scipy.spatial import KDTree  # noqa: PLC0415 - loads in half a second
 
     spacing = measured.spacing
     tree = KDTree(measured.coordinates / spacing)
-    result = np.zeros(where.normal.shape)
+    result, known = np.zeros(where.normal.shape), np.ones(where.normal.shape[:2], dtype=bool)
     normal = where.normal.astype(np.float64)
     camera = np.array(UPWARD)
     for light in lights:
@@ -96,4 +100,5 @@ def measured_picture(where: Surface, measured: Measured, lights: tuple[Light, ..
         colours = linear_srgb(measured.value @ xyz_weights(light.illuminant, measured.wavelengths_nm))
         colour = np.sum(weight[..., None] * colours[index], axis=1)
         result[lit] += light.irradiance * cos_i[lit, None] * colour
-    return result
+        known[lit] &= np.asarray(distance)[:, 0] <= 1.0
+    return result, known

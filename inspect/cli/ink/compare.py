@@ -102,6 +102,8 @@ def _print(found: "Sequence[Comparison]", synthetic: bool, size: int) -> None:
         rows,
         caption="lower RMSE and higher SSIM are better; frame time on this machine's processor",
     )
+    shares = ", ".join(f"{one.ink.name} {one.measured_share:.0%}" for one in found)
+    print_lines(f"Compared where directions were read, of the lit sphere: {shares}.")
     if synthetic:
         print_lines(
             "The readings are synthetic: they show that the comparison works, and nothing about real inks."

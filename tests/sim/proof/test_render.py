@@ -106,7 +106,8 @@ def test_a_picture_from_dense_readings_is_that_of_the_model(inks):
     measured = Measured(light, seen, ink.nm, brdf(ink, to_light, to_eye))
     where = surface(Scene("cylinder", aspect=2.0), 3, 201)
     lights = (Light(direction(180, 70), np.pi, standard("d65")),)
-    got, expected = measured_picture(where, measured, lights), picture(where, [ink], lights)
+    (got, known), expected = measured_picture(where, measured, lights), picture(where, [ink], lights)
+    assert known.all()
     # mirror-symmetric about the deviation vector only up to the shift term: the paper's assumption
     assert np.abs(got - expected).max() < 0.04 * expected.max()
 
@@ -159,6 +160,28 @@ def test_the_ordering_turns_where_the_readings_come_from_the_standard_model(inks
                     models=("goniochromatic", "schlick"))  # fmt: skip
     assert found.rows[1].rmse < found.rows[0].rmse
     assert np.isnan(found.rows[0].frame_s)
+
+
+def test_what_lies_beyond_the_readings_takes_no_part(inks):
+    """Readings of a light at 40° to 50° are those of a ring of the sphere about each light's middle."""
+    made = synthetic_readings(inks[0], np.random.default_rng(0))
+    few = (made.theta_i_deg >= 40.0) & (made.theta_i_deg <= 50.0)
+    part = replace(
+        made, theta_i_deg=made.theta_i_deg[few], theta_o_deg=made.theta_o_deg[few], value=made.value[few]
+    )
+    all_of_it, ring = (
+        compare(one, inks[0], size=96, repeats=0, models=("goniochromatic",)) for one in (made, part)
+    )
+    assert ring.measured_share == pytest.approx(
+        ring.mask.sum() / all_of_it.mask.sum() * all_of_it.measured_share
+    )
+    assert ring.measured_share < 0.3
+    assert 0.6 < all_of_it.measured_share < 0.8
+    normal = surface(Scene("sphere"), 96, 96).normal
+    for light in two_lights(standard("d65")):
+        cosine = normal @ np.array(light.to_light)
+        slanted = np.degrees(np.arccos(cosine[ring.mask & (cosine > 0.0)]))
+        assert 25.0 < slanted.min() < slanted.max() < 65.0  # a step beyond the readings
 
 
 def test_small_pictures_and_dark_readings_are_refused(inks, d65):
