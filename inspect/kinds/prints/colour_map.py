@@ -102,13 +102,17 @@ def map_of(
             0.5 * max(measured.grid.shape) * measured.grid.pixel_mm / expected.lamp_distance_mm
         )
         u_curl = float(np.hypot(u_curl, U_OF_LAMP * turned))
-    deviating = local > rule.cell_delta_e
+    middle, low = np.quantile(local, [0.5, 0.16])
+    threshold = max(
+        rule.cell_delta_e, float(middle + rule.scatters * (middle - low)) if rule.scatters else 0.0
+    )
+    deviating = local > threshold
     labels = _labels(deviating)
     spots = _spots(labels, local, measured.grid)
-    share, low, high = (float(np.mean(local > rule.cell_delta_e + off)) for off in (0.0, -noise, noise))
+    share, low, high = (float(np.mean(local > threshold + off)) for off in (0.0, -noise, noise))
     of_edges = 0.5 / local.size
     if measured.pictures is not None:
-        areas = spot_shares(labels, apart, measured.pictures, measured.grid, eye, usual, rule.cell_delta_e)
+        areas = spot_shares(labels, apart, measured.pictures, measured.grid, eye, usual, threshold)
         spots = [
             spot.model_copy(update={"area_share": float(area)})
             for spot, area in zip(spots, areas, strict=True)
@@ -122,6 +126,7 @@ def map_of(
         rows=local.shape[0],
         cols=local.shape[1],
         cell_delta_e=rule.cell_delta_e,
+        cell_limit=threshold if threshold > rule.cell_delta_e else None,
         noise=noise,
         share=share,
         u=u,

@@ -31,7 +31,7 @@ from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.missing_ink import Bare, sheet_description, without_ink
 from anisoscope.kinds.prints.pose_colours import colours_of
 from anisoscope.kinds.prints.quantities import Judge, Quantity, sentence
-from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.record import ColourRecord, PrintDetails, PrintMapRecord, triple
 from anisoscope.kinds.prints.reference_comparison import (
     GoldenComparison,
@@ -368,7 +368,7 @@ def _combine(
     if unfit:
         findings.insert(0, (Verdict.INCONCLUSIVE, unfit))
     if found is not None and recipe.area is not None:
-        findings.append((found.record.verdict, _of_area(found.record, recipe.area, comparison)))
+        findings.append((found.record.verdict, _of_area(found.record, comparison)))
     stated = comparison is None or "deviation" in rule.model_fields_set
     fails = significant and described and (rule.deviation == "fail" or not stated)
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
@@ -390,16 +390,16 @@ def _unfit(lacks: Misfit | None, quantities: tuple[Quantity, ...]) -> str:
     return TOO_UNCERTAIN if any(one.guard >= one.limit for one in open_) else ""
 
 
-def _of_area(found: PrintMapRecord, rule: PrintArea, comparison: GoldenComparison | None) -> str:
+def _of_area(found: PrintMapRecord, comparison: GoldenComparison | None) -> str:
     """The deviating area with its limit, and where that comes from."""
-    cell = rule.cell_delta_e
+    cell = found.threshold
     if comparison is None or comparison.area is None:
         return (
-            f"{found.share:.1%} of the area is off by more than ΔE {cell:g} from the rest (limit "
+            f"{found.share:.1%} of the area is off by more than ΔE {cell:.3g} from the rest (limit "
             f"{found.max_share:.1%})"
         )
     return (
-        f"{found.share:.2%} of the area is off by more than ΔE {cell:g} from the rest (limit {found.max_share:.2%}, "
+        f"{found.share:.2%} of the area is off by more than ΔE {cell:.3g} from the rest (limit {found.max_share:.2%}, "
         f"learnt from {comparison.area.prints} golden prints)"
     )
 

@@ -107,7 +107,7 @@ class Prints(
         check_print_rig(rig, rig_path)
 
     def as_recorded(self, recipe: PrintRecipe, recorded: Mapping[str, Any]) -> PrintRecipe:
-        """A record that states no sizes of defects was judged without their limits.
+        """A record that states no sizes of defects was judged without their limits, and its cells by ΔE alone.
 
         Uncertainties of the ink are the recorded ones: recipes stated them before ink files did.
         """
@@ -115,6 +115,8 @@ class Prints(
         then = recorded.get("print", {})
         stated = {f"u_{name}": then[f"u_{name}"] for name in OF_INK if then.get(f"u_{name}") is not None}
         recipe = recipe.model_copy(update={"print": recipe.print.model_copy(update=stated)})
+        if recipe.area is not None and "scatters" not in (recorded.get("area") or {}):
+            recipe = recipe.model_copy(update={"area": recipe.area.model_copy(update={"scatters": 0.0})})
         if "defects" in recorded:
             return recipe
         return recipe.model_copy(update={"defects": PrintDefects(**dict.fromkeys(PrintDefects.model_fields))})

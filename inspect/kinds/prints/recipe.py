@@ -152,12 +152,14 @@ class PrintTolerances(Part):
 class PrintArea(Part):
     """The map of local colour differences: square cells, each against the whole region.
 
-    A cell deviates where its CIEDE2000 exceeds ``cell_delta_e`` in some pose; the print fails where more than
+    A cell deviates where its CIEDE2000 exceeds ``cell_delta_e`` in some pose, and the median of all cells by
+    ``scatters`` times (median − 16 % quantile): cells of a halftone hold few dots. The print fails where more than
     ``max_share`` of the area does. Left out, golden prints teach it.
     """
 
     cell_mm: Positive = 0.1
     cell_delta_e: Positive = 3.0
+    scatters: NotNegative = 5.0
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
 
 

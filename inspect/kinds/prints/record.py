@@ -85,7 +85,8 @@ class SpotRecord(_Part):
 class PrintMapRecord(_Part):
     """The map of local colour differences.
 
-    ``noise`` is the CIEDE2000 that noise alone makes. ``curl_deg`` holds the change of the tilt toward x and toward y
+    ``noise`` is the CIEDE2000 that noise alone makes; ``cell_limit`` took the place of ``cell_delta_e`` where the cells
+    of the print scatter much. ``curl_deg`` holds the change of the tilt toward x and toward y
     (rows) across the region along x and along y (columns). ``spots`` are the largest, `MOST_SPOTS` at most. ``learnt``
     if the limit is that of golden prints, ``p_value`` by them.
     """
@@ -104,6 +105,12 @@ class PrintMapRecord(_Part):
     spots: tuple[SpotRecord, ...] = ()
     learnt: bool = False
     p_value: float | None = None
+    cell_limit: float | None = None
+
+    @property
+    def threshold(self) -> float:
+        """CIEDE2000 beyond which a cell deviates."""
+        return self.cell_delta_e if self.cell_limit is None else self.cell_limit
 
 
 class LobeRecord(_Part):

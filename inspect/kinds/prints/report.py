@@ -187,7 +187,7 @@ def _golden_strip(golden: GoldenPrintsRecord) -> str:
 def _pale(found: PrintDetails) -> float:
     """CIEDE2000 up to which differences are drawn pale: the limit of a cell, or that of the region."""
     if found.map is not None:
-        return found.map.cell_delta_e
+        return found.map.threshold
     return next((one.limit for one in found.quantities if one.name == "delta_e"), USUAL_DELTA_E)
 
 

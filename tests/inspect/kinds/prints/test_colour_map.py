@@ -57,3 +57,20 @@ def test_what_all_cells_share_shows_against_the_prediction_only(sheet):
     assert decision.map.local.max() < 2.0
     assert decision.map.total.min() > 2.0
     assert decision.map.record.verdict is Verdict.PASS
+
+
+def test_cells_of_a_halftone_are_judged_by_how_all_of_them_scatter(sheet):
+    """Few dots in a cell make levels that differ by 10 % and more: no cell of a good print deviates, a spot does."""
+    rng = np.random.default_rng(6)
+    for place in np.ndindex(sheet.grid.shape):
+        sheet.states[place] = State(missing=0.3 + 0.1 * rng.standard_normal())
+    _, good = sheet.decided()
+    record = good.map.record
+    assert np.mean(good.map.local > record.cell_delta_e) > 0.3
+    assert (record.share < 0.01, record.verdict) == (True, Verdict.PASS)
+    assert record.cell_limit == record.threshold > record.cell_delta_e
+    for place in np.ndindex((3, 4)):
+        sheet.states[place] = State(missing=0.97)
+    _, spotted = sheet.decided()
+    assert spotted.map.record.verdict is Verdict.FAIL
+    assert spotted.map.record.spots[0].cells >= 10

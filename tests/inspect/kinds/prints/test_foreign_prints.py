@@ -33,7 +33,7 @@ from anisoscope.sim.materials.spectra import find_illuminant
 
 PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "prints.md"
 BEGIN, END = "<!-- another world: begin -->", "<!-- another world: end -->"
-TRIALS = 12
+TRIALS, GOOD = 40, 1000
 DEFECTS = {
     "good print": lambda one: one,
     "roughness +6 %": lambda one: replace(one, rough=1.06 * one.rough),
@@ -236,18 +236,20 @@ def test_three_golden_prints_find_what_the_ink_file_cannot(house, defect):
 
 @pytest.mark.statistics
 def test_rates_in_another_world(house):
+    """Of 1,000 good prints at the level 1 % fail 0.3 to 2 %, each with golden prints of its own."""
     lines = []
     for defect in DEFECTS:
         cells = [defect]
         for golden in (0, 3):
-            found = Counter(str(house.decided(seed, defect, golden).verdict) for seed in range(TRIALS))
+            trials = GOOD if golden and defect == "good print" else TRIALS
+            found = Counter(str(house.decided(seed, defect, golden).verdict) for seed in range(trials))
             cells.append(", ".join(f"{count} {verdict}" for verdict, count in sorted(found.items())))
+            print(defect, golden, cells[-1], flush=True)  # noqa: T201 - what the study found
             if defect == "good print":
-                assert found["FAIL"] <= 1  # 1 % nominal with golden prints
-                assert golden or not found["FAIL"]
+                assert found["FAIL"] <= 0.02 * trials if golden else not found["FAIL"]
         lines.append("| " + " | ".join(cells) + " |")
     if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
         before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        head = f"| print ({TRIALS} each) | by its ink file | by three golden prints |\n|---|---|---|"
-        table = "\n".join([head, *lines])
+        head = f"| print ({TRIALS}, and {GOOD} good ones with golden) | by its ink file | by three golden prints |"
+        table = "\n".join([head, "|---|---|---|", *lines])
         PAGE.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
