@@ -5,6 +5,7 @@ The choice is independent of the measurement, so that all parts of a recipe shar
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 from anisoscope.base.arrays import FloatArray
@@ -188,6 +189,7 @@ def read_surface(recipe: SurfaceRecipe) -> HeightMap:
     return read_height_map(table.height_map, pixel_um=table.pixel_um, role=table.role)
 
 
+@lru_cache(maxsize=256)
 def line_spectrum(wavelength_nm: float, bandwidth_nm: float) -> LightSpectrum:
     """Spectrum of a lamp; a single line for a width of 0."""
     if bandwidth_nm == 0.0:
