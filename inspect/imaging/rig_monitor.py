@@ -164,6 +164,7 @@ class PoseState:
         gradient: largest relative deviation of a marker from the level of all.
         nonlinear: largest deviation of a grey from a straight line through black and white, relative to white.
         edge_um: edge spread at the markers.
+        scene: mean radiance of the picture, 1/sr.
     """
 
     stage_deg: float
@@ -178,6 +179,12 @@ class PoseState:
     gradient: float | None = None
     nonlinear: float | None = None
     edge_um: float | None = None
+    scene: float = 0.0
+
+    @property
+    def stray_share(self) -> float:
+        """Stray light relative to the labels, or to the picture where a mirror's spike makes that brighter."""
+        return (self.stray or 0.0) / max(self.white, self.scene)
 
 
 @dataclass(frozen=True)
@@ -337,11 +344,6 @@ def watch(
     return _against(readings, reference, ids, limits)
 
 
-def _signal(one: MarkerReading, white: float) -> float:
-    """The brighter of the labels and the whole picture: a mirror's spike is a hundred times as bright as they are."""
-    return max(white, one.scene)
-
-
 def _without_veil(readings: Sequence[MarkerReading], most: float) -> list[MarkerReading]:
     """Readings without the glare of pictures that are brighter than the labels; as clean as the cleanest one.
 
@@ -376,6 +378,7 @@ def _compared(readings: Sequence[MarkerReading], limits: LimitsPart) -> RigMonit
             _noise_of(one),
             one.black_share,
             edge_um=one.edge_um,
+            scene=one.scene,
         )
         for one in readings
     )
@@ -411,15 +414,14 @@ def _against(
     names = tuple(number for number, bad in zip(ids, dirty, strict=True) if bad)
     notes = [f"marker {number} is dirty or in shadow: its neighbours serve" for number in names]
     level = float(np.mean([pose.level for pose in poses]))
-    scenes = [_signal(one, state.white) for one, state in zip(readings, poses, strict=True)]
-    fault = _fault(poses, scenes, level, reference, limits)
+    fault = _fault(poses, level, reference, limits)
     fault = fault and (_blur_instead(poses, reference) or fault)
     if fault is None and abs(level - 1.0) > limits.level_note_share:
         notes.append(
             f"the markers are {abs(level - 1.0):.1%} {'brighter' if level > 1.0 else 'darker'} than at the reference "
             f"{reference.id}: has the lamp aged, or its level changed?"
         )
-    stray = max((pose.stray or 0.0) / signal for pose, signal in zip(poses, scenes, strict=True))
+    stray = max(pose.stray_share for pose in poses)
     if fault is None and stray > 0.25 * limits.stray_share:
         notes.append(f"stray light of {stray:.1%} of white was measured at the markers and subtracted")
     return RigMonitor(reference.id, poses, names, tuple(notes), (), fault)
@@ -476,6 +478,7 @@ def _state(one: MarkerReading, reference: FixtureReference, dirty: FloatArray) -
         float(np.nanmax(np.abs(levels / level - 1.0))),
         float(greys[np.nanargmax(np.abs(greys))]) if np.isfinite(greys).any() else None,
         one.edge_um,
+        one.scene,
     )
 
 
@@ -502,12 +505,10 @@ def _uneven(poses: Sequence[PoseState], limit: float, key: str) -> str | None:
     )
 
 
-def _stray_fault(
-    poses: Sequence[PoseState], signals: Sequence[float], reference: FixtureReference, limits: LimitsPart
-) -> str | None:
+def _stray_fault(poses: Sequence[PoseState], reference: FixtureReference, limits: LimitsPart) -> str | None:
     """Fault of more stray light than is corrected for, or None."""
-    each = [(pose.stray or 0.0) / signal for pose, signal in zip(poses, signals, strict=True)]
-    stray, worst = max(zip(each, poses, strict=True), key=lambda one: abs(one[0]))
+    worst = max(poses, key=lambda pose: abs(pose.stray_share))
+    stray = worst.stray_share
     if abs(stray) <= limits.stray_share:
         return None
     limit = f"(limit {limits.stray_share:.1%}, limits.stray_share)"
@@ -537,16 +538,10 @@ def _blur_instead(poses: Sequence[PoseState], reference: FixtureReference) -> st
 
 
 def _fault(
-    poses: Sequence[PoseState],
-    signals: Sequence[float],
-    level: float,
-    reference: FixtureReference,
-    limits: LimitsPart,
+    poses: Sequence[PoseState], level: float, reference: FixtureReference, limits: LimitsPart
 ) -> str | None:
     """First fault of the rig against the reference, or None."""
-    found = _stray_fault(poses, signals, reference, limits) or _uneven(
-        poses, limits.white_share, "limits.white_share"
-    )
+    found = _stray_fault(poses, reference, limits) or _uneven(poses, limits.white_share, "limits.white_share")
     tilted = max(poses, key=lambda pose: pose.gradient or 0.0)
     bent = max(poses, key=lambda pose: abs(pose.nonlinear or 0.0))
     if found is not None:

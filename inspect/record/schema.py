@@ -101,7 +101,8 @@ class RigPoseRecord(_Part):
     """The rig in one picture, read from the white and black of the fixture's markers.
 
     ``white`` in 1/sr, ``level`` relative to the reference (to the mean of the poses of this tilt without one),
-    ``stray`` radiance in 1/sr beyond that at the reference, ``edge_um`` the standard deviation of the edge spread.
+    ``stray`` radiance in 1/sr beyond that at the reference, ``edge_um`` the standard deviation of the edge spread,
+    ``scene`` the mean radiance of the picture.
     """
 
     stage_deg: float
@@ -116,6 +117,12 @@ class RigPoseRecord(_Part):
     gradient: float | None
     nonlinear: float | None
     edge_um: float | None
+    scene: float = 0.0
+
+    @property
+    def stray_share(self) -> float:
+        """Stray light relative to the labels, or to the picture where that is brighter."""
+        return (self.stray or 0.0) / max(self.white, self.scene)
 
 
 class RigMonitorRecord(_Part):

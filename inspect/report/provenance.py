@@ -240,7 +240,7 @@ def rig_section(record: Record) -> RigSection | None:
                 "stray light [% of white]",
                 ".2f",
                 monitor,
-                lambda pose: 100.0 * (pose.stray or 0.0) / pose.white,
+                lambda pose: 100.0 * pose.stray_share,
                 limit,
             )
         )
@@ -254,7 +254,7 @@ def _says(monitor: RigMonitorRecord, usual: float) -> tuple[str, ...]:
     spread = max(abs(pose.level / usual - 1.0) for pose in monitor.poses)
     found = [f"Lamp and exposure were equal within {spread:.2%} over the poses"]
     if monitor.reference is not None:
-        stray = max(abs(pose.stray or 0.0) / pose.white for pose in monitor.poses)
+        stray = max(abs(pose.stray_share) for pose in monitor.poses)
         found[0] += (
             f", at {usual:.1%} of the reference {monitor.reference}; the pictures are corrected for it."
         )
