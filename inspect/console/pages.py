@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.language import NAMES, decimal, language, message, shown, translated
+from anisoscope.base.notation import true_minus
 from anisoscope.console.access import Permission
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def _environment() -> "jinja2.Environment":
         finalize=shown,
     )
     found.globals["_"] = message
-    found.filters |= {"translated": translated, "decimal": decimal}
+    found.filters |= {"translated": translated, "decimal": decimal, "typeset": true_minus}
     return found
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from anisoscope.base.errors import AnisoscopeError, RegistrationError
 from anisoscope.base.language import decimal, message, translated
+from anisoscope.base.notation import true_minus
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.imaging.linearisation import Stack, WhiteReference, linearise, stack
@@ -232,7 +233,8 @@ def _angle(place: Placement) -> Lamp:
 def in_words(lamp: Lamp) -> str:
     """Judgement, value and reason of a lamp, in the language of the page."""
     judged = {"green": message("good"), "yellow": message("look at it"), "red": message("not good")}
-    value = "" if lamp.value is None else decimal(f"{lamp.value:.1f} {lamp.unit}")
+    unit = lamp.unit if lamp.unit == "°" else f" {lamp.unit}"
+    value = "" if lamp.value is None else decimal(true_minus(f"{lamp.value:.1f}{unit}"))
     return ", ".join(filter(None, (judged.get(lamp.colour), value, translated(lamp.why))))
 
 

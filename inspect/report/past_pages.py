@@ -131,10 +131,14 @@ def write_compared_page(
     Raises:
         RecordError: the file cannot be written.
     """
+    both = (found.first, found.second)
+    same = both[0].serial == both[1].serial
+    names = [f"{one.serial} ({one.id})" if same else one.serial for one in both]
     content = {
-        "title": f"{found.second.serial} against {found.first.serial}",
+        "title": f"{names[1]} against {names[0]}",
         "found": found,
-        "answer": _answer(found),
+        "names": names,
+        "answer": _answer(found, names),
         "changes": [
             (one.what, first, second)
             for one in found.changes
@@ -148,12 +152,12 @@ def write_compared_page(
     write_page(path, "compared.html", content, {"typeset": true_minus})
 
 
-def _answer(found: Comparison) -> str:
+def _answer(found: Comparison, names: Sequence[str]) -> str:
     """What differs most of what was judged, in a sentence."""
     verdicts = message(
         "{second} is {after}, {first} is {before}.",
-        first=found.first.serial,
-        second=found.second.serial,
+        first=names[0],
+        second=names[1],
         before=message(found.first.verdict),
         after=message(found.second.verdict),
     )

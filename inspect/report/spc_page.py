@@ -322,7 +322,9 @@ def _answer(studies: Sequence[ControlStudy], drifts: Sequence[Drift]) -> tuple[s
     odd = [one.name for one in studies if not one.stable]
     are = f"{len(odd)} of {len(studies)} series {'is' if len(odd) == 1 else 'are'} not stable: "
     several = (
-        are + ", ".join(odd[:5]) + " …" * (len(odd) > 5) if odd else f"all {len(studies)} series are stable"
+        are + ", ".join(odd[:5]) + f" and {len(odd) - 5} more" * (len(odd) > 5)
+        if odd
+        else f"all {len(studies)} series are stable"
     )
     seen = [f"{one.name}: {one.verdict}" for one in drifts if one.seen]
     words = [several] * (len(studies) > 1) + (seen or ["no drift"] * bool(drifts))

@@ -5,7 +5,7 @@ import pytest
 
 from anisoscope.calibration.fixture import calibrate_fixture
 from anisoscope.calibration.record import read_calibration, write_calibration
-from anisoscope.live_view.lamps import RigLamps, in_words
+from anisoscope.live_view.lamps import Lamp, RigLamps, in_words
 from anisoscope.parameters.taking import Taking
 from anisoscope.rig.acquisition.opening import open_devices
 from anisoscope.rig.rigfile import read_rig
@@ -49,6 +49,11 @@ def test_a_sound_rig_is_green(virtual_rig, taught):
         read_calibration(taught, "fixture", None).number("edge"), rel=0.05
     )
     assert in_words(found["lamp level"]).startswith("good, ")
+
+
+def test_words_of_a_lamp_have_a_minus_and_a_degree_as_print_has_them():
+    assert in_words(Lamp("angle", "green", -10.0, "°")) == "good, −10.0°"
+    assert in_words(Lamp("lamp level", "red", 81.24, "%")) == "not good, 81.2 %"
 
 
 @pytest.mark.parametrize(

@@ -59,6 +59,12 @@ def test_two_inspections_stand_side_by_side(archive, tmp_path, parsed, capsys):
     assert "ln ratio 0° / 90°, tilt 10°" in page.text
     assert "tile.npz" in page.text
     assert "/tile.npz" not in page.text  # no folders of the computer on a page that is passed on
+    assert " (1)" not in page.text
+    twice = [str(folder / "ridges")] * 2
+    assert cli.run(["compare", *twice, "--history", history, "--html", str(html)]) == 0
+    assert (
+        f"{read_record(folder / 'ridges').serial} (1)" in parsed(html).text
+    )  # one serial number: told apart by id
 
 
 def test_a_missing_report_is_made_again(archive, tmp_path, monkeypatch, capsys):
