@@ -413,7 +413,7 @@ def test_a_drift_is_seen_and_named_from_a_file(done, moulded, tmp_path):
     text = page.read_text(encoding="utf-8")
     assert "ln 0-90 against parameters of the machine" in text
     assert text.index("most likely mould temperature") < text.index(
-        "readings"
+        "<h2>"
     )  # the first sentence is the answer
     wrong = done("spc", "--csv", moulded / "parts.csv", "-n", "ln 0-90", "--drift", "--against", "barrel")
     assert wrong[0] == 64
