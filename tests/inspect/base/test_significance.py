@@ -84,6 +84,9 @@ def test_good_parts_with_long_tails_are_drawn_as_they_are():
         assert found == pytest.approx(t2[part])
         assert p_value == pytest.approx(level, rel=0.3)
         assert normal[1] < 0.7 * p_value
+    for count in (3, 4, 25, 200):  # of a rig 128 good parts are simulated
+        some = pool.reshape(-1, 2)[:count]
+        assert 0.0 < like_sample(pool[-1, -1], some, form, pool)[1] <= 1.0
 
 
 def test_many_golden_parts_tell_the_form_themselves():
