@@ -5,7 +5,7 @@ Directions cost little once the orders of the tile are known, so that the neares
 the radiances themselves.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +15,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.kinds.wafers.etched import EtchedPredictor, NearWidths
 from anisoscope.kinds.wafers.lighting import light_steps, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe
-from anisoscope.parameters.geometry import Convention
+from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.profile_likelihood import FARTHEST
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.recipe.named_defect import NamedDefect
@@ -61,19 +61,6 @@ def edges_u_nm(recipe: WaferRecipe, wafer: EtchedPredictor, light_angle_deg: flo
     return 500.0 * edge_widening_um(float(levels), 1e-3 * wafer.light.wavelength_nm, slant)
 
 
-@dataclass(frozen=True)
-class _Inputs:
-    """Inputs of one state, in the units of the recipe; `wider_nm` and `edges_nm` are those of its wafer."""
-
-    state: State
-    wafer: EtchedPredictor
-    wider_nm: float = 0.0
-    edges_nm: complex = 0.0
-
-
-_Mover = Callable[[_Inputs, float], _Inputs]
-
-
 @dataclass(frozen=True, eq=False)
 class WaferStates:
     """Change of ln L of the poses with everything that is uncertain; `profile_likelihood.States`.
@@ -97,7 +84,7 @@ class WaferStates:
     @property
     def sources(self) -> tuple[str, ...]:
         """K names of the inputs, as the budget has them."""
-        return tuple(self._movers)
+        return tuple(self._u)
 
     @property
     def farthest(self) -> FloatArray:
@@ -106,7 +93,7 @@ class WaferStates:
 
     def holds(self, source: str) -> bool:
         """Is what the budget calls so part of these states?"""
-        return source.removesuffix(BEYOND) in self._movers
+        return source.removesuffix(BEYOND) in self._u
 
     def change(self, z: FloatArray) -> FloatArray:
         """(…, P) change at inputs (…, K), in units of their standard uncertainties.
@@ -115,13 +102,13 @@ class WaferStates:
             HeightMapError: the recipe's height map cannot be read, or is no surface of level steps.
             ModelError: a state in which light or camera stand below the horizon.
         """
-        flat = np.reshape(z, (-1, len(self._movers)))
+        flat = np.reshape(z, (-1, len(self._u)))
         ln = np.array([self._ln_radiance(one) for one in flat]) - self._nominal
         return np.asarray(ln.reshape(*np.shape(z)[:-1], -1))
 
     def tangent(self, z: FloatArray) -> FloatArray:
         """(…, P, K) derivative at inputs (…, K), by differences; errors as of `change`."""
-        near = np.asarray(z)[..., None, :] + _STEP * np.eye(len(self._movers))
+        near = np.asarray(z)[..., None, :] + _STEP * np.eye(len(self._u))
         return np.swapaxes((self.change(near) - self.change(z)[..., None, :]) / _STEP, -1, -2)
 
     @property
@@ -155,87 +142,62 @@ class WaferStates:
     def _nominal(self) -> FloatArray:
         if self.designed is not None:
             return self.designed
-        return self._ln_radiance(np.zeros(len(self._movers)))
+        return self._ln_radiance(np.zeros(len(self._u)))
 
     def _ln_radiance(self, z: FloatArray) -> FloatArray:
-        recipe = self.recipe
-        at = _Inputs(State(recipe.material.material(), self.light_angle_deg), self._wafer)
-        for mover, share in zip(self._movers.values(), z, strict=True):
-            at = mover(at, float(share))
+        recipe, light = self.recipe, self._wafer.light
+        off = {source: share * u for (source, u), share in zip(self._u.items(), z.tolist(), strict=True)}
+
+        def moved(source: str) -> float:
+            return float(off.get(source, 0.0).real)
+
+        wafer = self._wafer
+        if not off.keys().isdisjoint((WIDTH, *EDGES)):
+            wafer = self._at_width(moved(WIDTH), sum(off.get(name, 0.0) for name in EDGES))
+        if DEPTH in off:
+            wafer = wafer.with_depths(moved(DEPTH))
+        lamp = {
+            field: max(getattr(light, field) + moved(name), _LEAST * getattr(light, field))
+            for name, field in self._of_lamp
+        }
+        material = recipe.material.material()
+        state = State(
+            replace(material, albedo=min(max(material.albedo + moved(SCATTER), 0.0), 1.0)),
+            self.light_angle_deg + moved("light angle"),
+            seating_deg=(moved("seating tilt about x"), moved("seating tilt about y")),
+            tilt_deg=moved("zero of the tilt"),
+        )
         convention = Convention(self.light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-        return np.asarray(np.log(evaluate(fixed(at.wafer), [at.state], recipe.poses.poses(), convention)[0]))
+        changed = wafer.under(replace(light, **lamp)) if lamp else wafer
+        return np.asarray(np.log(evaluate(fixed(changed), [state], self._poses, convention)[0]))
 
     @cached_property
-    def _movers(self) -> dict[str, _Mover]:
-        """By source, what a number of standard uncertainties makes of the inputs; those that are certain are left out.
+    def _poses(self) -> tuple[Pose, ...]:
+        return self.recipe.poses.poses()
 
-        Width and edges come first: they take the wafer that was drawn at another width.
-        """
-        stated, material = self.recipe.uncertainty, self.recipe.material
-        found: dict[str, _Mover] = {}
-        if stated.etch_width_nm > 0.0 and self.pinned != WIDTH:
-            found[WIDTH] = self._widened
-        if (u_nm := edges_u_nm(self.recipe, self._wafer, self.light_angle_deg)) > 0.0:
-            found |= {name: self._edged(u_nm * phase) for name, phase in zip(EDGES, (1.0, 1.0j), strict=True)}
-        if stated.etch_depth_nm > 0.0 and self.pinned != DEPTH:
-            found[DEPTH] = self._deepened
-        if material.u_albedo > 0.0:
-            found[SCATTER] = self._scattering
-        if stated.light_angle_deg > 0.0:
-            found["light angle"] = self._lit
-        if stated.seating_tilt_deg > 0.0:
-            found["seating tilt about x"] = self._seated_x
-            found["seating tilt about y"] = self._seated_y
-        if stated.tilt_deg > 0.0:
-            found["zero of the tilt"] = self._tilted
+    @cached_property
+    def _of_lamp(self) -> tuple[tuple[str, str], ...]:
         assert self.recipe.light is not None
-        for name, field, u in light_steps(self.recipe.light):
-            found[name] = _lamp(field, u)
-        return found
+        return tuple((name, field) for name, field, _ in light_steps(self.recipe.light))
 
-    def _widened(self, at: _Inputs, share: float) -> _Inputs:
-        wider_nm = at.wider_nm + share * self.recipe.uncertainty.etch_width_nm
-        return replace(at, wider_nm=wider_nm, wafer=self._at_width(wider_nm, at.edges_nm))
+    @cached_property
+    def _u(self) -> dict[str, complex]:
+        """By source, its standard uncertainty in the unit of the recipe; those that are certain are left out.
 
-    def _edged(self, u_nm: complex) -> _Mover:
-        def edged(at: _Inputs, share: float) -> _Inputs:
-            edges_nm = at.edges_nm + share * u_nm
-            return replace(at, edges_nm=edges_nm, wafer=self._at_width(at.wider_nm, edges_nm))
-
-        return edged
-
-    def _deepened(self, at: _Inputs, share: float) -> _Inputs:
-        return replace(at, wafer=at.wafer.with_depths(share * self.recipe.uncertainty.etch_depth_nm))
-
-    def _scattering(self, at: _Inputs, share: float) -> _Inputs:
-        part, material = self.recipe.material, at.state.material
-        albedo = min(max(part.albedo + share * part.u_albedo, 0.0), 1.0)
-        return replace(at, state=replace(at.state, material=replace(material, albedo=albedo)))
-
-    def _lit(self, at: _Inputs, share: float) -> _Inputs:
-        off = share * self.recipe.uncertainty.light_angle_deg
-        return replace(at, state=replace(at.state, light_angle_deg=self.light_angle_deg + off))
-
-    def _seated_x(self, at: _Inputs, share: float) -> _Inputs:
-        seat = share * self.recipe.uncertainty.seating_tilt_deg, at.state.seating_deg[1]
-        return replace(at, state=replace(at.state, seating_deg=seat))
-
-    def _seated_y(self, at: _Inputs, share: float) -> _Inputs:
-        seat = at.state.seating_deg[0], share * self.recipe.uncertainty.seating_tilt_deg
-        return replace(at, state=replace(at.state, seating_deg=seat))
-
-    def _tilted(self, at: _Inputs, share: float) -> _Inputs:
-        return replace(at, state=replace(at.state, tilt_deg=share * self.recipe.uncertainty.tilt_deg))
-
-
-def _lamp(field: str, u: float) -> _Mover:
-    """Moves lamp or lens."""
-
-    def moved(at: _Inputs, share: float) -> _Inputs:
-        value = getattr(at.wafer.light, field)
-        return replace(
-            at,
-            wafer=at.wafer.under(replace(at.wafer.light, **{field: max(value + share * u, _LEAST * value)})),
-        )
-
-    return moved
+        Of the waves of edges it is complex.
+        """
+        stated = self.recipe.uncertainty
+        edges = edges_u_nm(self.recipe, self._wafer, self.light_angle_deg)
+        assert self.recipe.light is not None
+        found: dict[str, complex] = {
+            WIDTH: stated.etch_width_nm,
+            **{name: edges * phase for name, phase in zip(EDGES, (1.0, 1.0j), strict=True)},
+            DEPTH: stated.etch_depth_nm,
+            SCATTER: self.recipe.material.u_albedo,
+            "light angle": stated.light_angle_deg,
+            "seating tilt about x": stated.seating_tilt_deg,
+            "seating tilt about y": stated.seating_tilt_deg,
+            "zero of the tilt": stated.tilt_deg,
+            **{name: u for name, _, u in light_steps(self.recipe.light)},
+        }
+        return {source: u for source, u in found.items() if u != 0.0 and source != self.pinned}
