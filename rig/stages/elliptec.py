@@ -387,28 +387,6 @@ class Elliptec(PortStage):
         with self._bus:
             return int(self._line.query("gv", "GV").data, 16)
 
-    def set_velocity_percent(self, percent: int) -> None:
-        """Set the velocity in percent of full speed; the device keeps it until it is switched off.
-
-        Raises:
-            RigError: a number outside 1…100, or the device refuses it.
-        """
-        if not 1 <= percent <= 100:
-            raise RigError(f"{self.name}: a velocity of {percent} % is outside 1…100 %")
-        self._line.set(f"sv{percent:02X}", "setting the velocity")
-
-    def home_offset_deg(self) -> float:
-        """Read the angle in degrees between the reference mark and zero."""
-        with self._bus:
-            return self._line.query("go", "HO").counts / self.info.counts_per_deg
-
-    def set_home_offset(self, offset_deg: float) -> None:
-        """Set the angle in degrees between the reference mark and zero; takes effect when homed next."""
-        self._line.set(
-            f"so{counts_to_hex(round(offset_deg * self.info.counts_per_deg))}", "setting the home offset"
-        )
-        self._homed = False
-
     def _identify(self) -> DeviceInfo:
         info = DeviceInfo.parse(self._line.query("in", "IN").data)
         self._line.check_alone()
