@@ -183,11 +183,22 @@ def make_pictures(folder: Path) -> None:
         if not look_alike(PICTURES / picture.name, picture):
             (PICTURES / picture.name).write_bytes(picture.read_bytes())
             sys.stdout.write(f"docs/pictures/{picture.name} is new: look at it\n")
+    note_hashes()
+
+
+def note_hashes() -> None:
+    """Write the hashes of the pictures as they are."""
     MADE.write_text(json.dumps(hashes(), indent=1) + "\n", encoding="utf-8")
 
 
 def main() -> None:
-    """Write today's outputs into the pages and make their pictures, and name what has changed."""
+    """Write today's outputs into the pages and make their pictures, and name what has changed.
+
+    With the word ``hashes`` nothing is made: for a picture that was made by hand.
+    """
+    if sys.argv[1:] == ["hashes"]:
+        note_hashes()
+        return
     with tempfile.TemporaryDirectory() as folder:
         run = run_in(Path(folder))
         run(DEMO)

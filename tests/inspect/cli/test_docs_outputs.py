@@ -54,7 +54,7 @@ def test_a_changed_word_or_number_is_found(outputs):
 
 
 def test_no_picture_is_older_than_what_makes_it(outputs, monkeypatch, tmp_path):
-    """Where one is: make it anew and look at it, then make docs-outputs."""
+    """Where one is: make it anew and look at it, then python tools/docs_outputs.py hashes."""
     known = json.loads(outputs.MADE.read_text())
     assert outputs.hashes() == known
     assert len(outputs.commands()) >= 8
