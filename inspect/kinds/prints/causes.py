@@ -32,6 +32,7 @@ from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.sources import Source, total
 from anisoscope.prediction.sensitivity import State as RidgeState
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.record.schema import CauseRecord
 
 Extents = tuple[float, ...]
 
@@ -46,6 +47,8 @@ _SHIFTS_NM = (2.0, 4.0, 6.0, 10.0, 15.0, 20.0, 30.0)
 _LEVEL_DOUBT = 0.005
 """Level and coverage act alike in all poses, whatever the ink; both are doubted alike, so that they tie."""
 _SHIFT_DOUBT = 0.1
+_OF_MISFIT, _MOST_DOUBT = 3.0, 0.6
+"""Relative doubt of a change over what the ink file misses of the light: slopes of a lobe are known less than it is."""
 """The spectra are known at steps of 10 nm, linear between them."""
 _OF_INK = "ink: binder mixed in, other flakes or another batch; press: flakes do not lie flat"
 StateCause = tuple[Cause, Extents, Callable[[float], State]]
@@ -190,17 +193,19 @@ def explain_print(
     found = None if decision.map is None else decision.map.record
     if found is None:
         known, evidence = known_causes(recipe, expected, decision.fit, 0), Evidence(logs, covariance)
-        return _alone(diagnose(known, evidence, together=False), known, evidence, sources)
+        return _alone(diagnose(known, evidence, together=False), known, evidence, sources, doubt_of(expected))
     size = len(logs) + 1
     whole = np.zeros((size, size))
     whole[:-1, :-1], whole[-1, -1] = covariance, found.u_curl_deg**2
     curl = float(np.linalg.norm(found.curl_deg, 2))
     known = known_causes(recipe, expected, decision.fit, 1, np.array(found.curl_deg))
     evidence = Evidence(np.append(logs, curl), whole, found.share, found.u, _BACKGROUND, U_BACKGROUND)
-    return _alone(diagnose(known, evidence, together=False), known, evidence, sources)
+    return _alone(diagnose(known, evidence, together=False), known, evidence, sources, doubt_of(expected))
 
 
-def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tuple[Source, ...]) -> Diagnosis:
+def _alone(
+    found: Diagnosis, known: Signatures, evidence: Evidence, sources: tuple[Source, ...], doubt: float
+) -> Diagnosis:
     """The severities of the causes that count, each without the uncertainty of the input that it is itself."""
     by_name = {signature.cause.name: signature for signature in known.found}
     causes = []
@@ -218,11 +223,12 @@ def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tup
                 "interval": interval(signature, without, fit),
             }
             one = one.model_copy(update=found_alone)  # noqa: PLW2901
-        causes.append(one)
+        causes.append(one if one.cause in _OF_SHEET else _scaled(one, doubt))
     return replace(found, causes=tuple(causes))
 
 
 _COUNTS = 0.01
+_OF_SHEET = ("curl", "spots")
 _OWN = {
     "roughness": ("roughness of the ink",),
     MISSING_INK: ("level of the ink",),
@@ -232,6 +238,28 @@ _OWN = {
     "film-thickness": ("colour of the ink",),
 }
 """Inputs of the prediction that are the same thing as a cause."""
+
+
+def doubt_of(expected: PrintExpectation) -> float:
+    """Relative doubt of what causes change, of an ink whose file misses some of the light of its prints."""
+    if not expected.misfit:
+        return 0.0
+    missed = np.sqrt(np.median(np.diag(total(expected.misfit, expected.channels.size))))
+    return min(_OF_MISFIT * float(missed), _MOST_DOUBT)
+
+
+def _scaled(one: CauseRecord, doubt: float) -> CauseRecord:
+    """A cause whose change is known to a factor of 1 ± the doubt."""
+    if doubt == 0.0 or one.interval is None or one.cause == "nothing":
+        return one
+    near, far = 1.0 / (1.0 + doubt), 1.0 / (1.0 - doubt)
+    low, high = one.interval
+    ends = (
+        None if low is None else low * (far if low < 0.0 else near),
+        None if high is None else high * (near if high < 0.0 else far),
+    )
+    u = None if one.u is None else float(np.hypot(one.u, doubt * one.severity))
+    return one.model_copy(update={"u": u, "interval": ends})
 
 
 def known_causes(
@@ -264,6 +292,10 @@ def known_causes(
             extra,
         )
         for ink in recipe.print.read_wrong_inks()
+    ]
+    signatures = [
+        replace(one, cause=replace(one.cause, doubt=float(np.hypot(one.cause.doubt, doubt_of(expected)))))
+        for one in signatures
     ]
     if extra:
         signatures += [_curl(recipe, expected, curl_deg), _spots(expected.scene)]

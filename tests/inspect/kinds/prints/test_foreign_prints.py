@@ -15,6 +15,7 @@ import pytest
 import flake_prints as world
 from anisoscope.ink.fitting import fit
 from anisoscope.ink.goniometer import Readings
+from anisoscope.kinds.prints.causes import explain_print
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import expect_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
@@ -50,9 +51,9 @@ DEFECTS = {
 }
 
 
-def fitted():
+def fitted(**changes):
     """The ink of that world by goniometer and fit."""
-    light, detector, nm, value = world.goniometer(world.Print(), np.random.default_rng(1))
+    light, detector, nm, value = world.goniometer(world.Print(**changes), np.random.default_rng(1))
     angles = (np.repeat(one, len(nm)) for one in (light, detector))
     return fit(
         Readings(*angles, np.tile(nm, len(light)), value.ravel(), tuple(range(value.size))), noise=0.014
@@ -77,6 +78,10 @@ class House:
 
     def decided(self, seed, defect="good print", golden=0):
         """A print, after as many golden ones."""
+        return self.measured(seed, defect, golden)[1]
+
+    def measured(self, seed, defect, golden):
+        """The same with its measurement."""
         rng = np.random.default_rng([seed, list(DEFECTS).index(defect)])
         logs = world.photographed(DEFECTS[defect](world.good(rng)), self.poses, rng)
         channels = np.exp(logs).reshape(-1, 3)
@@ -85,7 +90,7 @@ class House:
         measured = MeasuredPrint(channels, cells, 0.0 * channels, (noise,), cell_grid(self.recipe), 0.001)
         rows = [world.photographed(world.good(rng), self.poses, rng) for _ in range(golden)]
         reference = self.golden_of(self.recipe, self.expected, rows) if golden else None
-        return decide_print(self.expected, measured, self.recipe, reference)
+        return measured, decide_print(self.expected, measured, self.recipe, reference)
 
 
 @pytest.fixture(scope="module")
@@ -232,6 +237,42 @@ def test_three_golden_prints_find_what_the_ink_file_cannot(house, defect):
     """How badly the ink file knows its prints says nothing of how they vary: else missing ink was found in 5 of 12."""
     assert house.decided(2, golden=3).verdict is not Verdict.FAIL
     assert house.decided(2, defect, golden=3).verdict is Verdict.FAIL
+
+
+CAUSES = {
+    "film +2 %": ("film-thickness", None),
+    "film −2 %": ("film-thickness", None),
+    "8 % of another ink": ("wrong-ink-other", 0.08),
+    "10 % of the ink missing": ("missing-ink", None),
+    "roughness +20 %": ("roughness", None),
+    "flakes shingled by 1°": ("lean", 1.0),
+    "brushing, ratio 1.15": ("brushing", None),
+}
+
+
+@pytest.fixture(scope="module")
+def informed(tmp_path_factory, make_recipe, golden_of):
+    """With the file of the other ink, fitted to readings of its own."""
+    folder = tmp_path_factory.mktemp("informed")
+    found = House(folder, make_recipe, golden_of, known=True)
+    write_ink(fitted(film_nm=150.0).ink("other"), folder / "other.toml")
+    part = found.recipe.print.model_copy(update={"wrong_inks": (str(folder / "other.toml"),)})
+    found.recipe = found.recipe.model_copy(update={"print": part})
+    return found
+
+
+@pytest.mark.parametrize("defect", CAUSES)
+def test_the_right_cause_is_first_though_the_ink_file_misses_a_sixth_of_the_light(informed, defect):
+    """A film and another ink are told apart; changes of such an ink are known by half, and so are severities."""
+    measured, decided = informed.measured(40, defect, golden=3)
+    found = explain_print(informed.recipe, informed.expected, measured, decided)
+    name, true = CAUSES[defect]
+    assert found.causes[0].cause == name
+    if name != "brushing":  # of ten prints brushed by 1.15 seven have more weight than "something else"
+        assert found.causes[0].weight > 0.5
+        assert found.unexplained_p > 0.001
+    if true is not None:
+        assert found.causes[0].interval[0] < true < found.causes[0].interval[1]
 
 
 @pytest.mark.statistics
