@@ -43,6 +43,9 @@ from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import directions
 
 NONE_NAMED = "no defect is excluded: [defects] names none"
+OF_ALL_FIELDS = (
+    "what all fields share, as worn crests, fails only if significant: no tolerance, no golden plates"
+)
 MOST_RECORDED = 4096
 """Fields of which the offsets are recorded."""
 
@@ -160,6 +163,8 @@ def decide_plate(
         verdict, reasons = with_exclusions(
             verdict, reasons, found, recipe.decision.unexcluded, MORE_TILTS, NONE_NAMED
         )
+        if tolerance is None and golden is None:
+            reasons = (*reasons, OF_ALL_FIELDS)
     budget = tuple(
         BudgetRecord(source=one.source, kind=one.kind, contributions=tuple(_share(one, gradient).tolist()))
         for one in sorted(components, key=lambda one: -float(_share(one, gradient).max()))

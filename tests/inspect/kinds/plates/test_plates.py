@@ -15,7 +15,7 @@ from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Grid, Placement, View
 from anisoscope.kinds.plates.causes import explain_plate, plate_signatures
 from anisoscope.kinds.plates.code_symbol import read_picture
-from anisoscope.kinds.plates.decision import decide_plate, planned_contrasts
+from anisoscope.kinds.plates.decision import OF_ALL_FIELDS, decide_plate, planned_contrasts
 from anisoscope.kinds.plates.expectation import expected_plate
 from anisoscope.kinds.plates.field_judgement import looks_like, predicted_fields
 from anisoscope.kinds.plates.field_places import field_places
@@ -33,9 +33,13 @@ from anisoscope.kinds.registry import kind_of
 from anisoscope.operations.demo import plates as demo
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.plates import Plan, plate_map
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.design.plates import modules_of_code
+from anisoscope.sim.light.geometry import directions
+from anisoscope.sim.pathtracer.plastic import Plastic
+from anisoscope.sim.pathtracer.tracer import PathTracer
 
 LIGHT_DEG = 10.0
 
@@ -279,18 +283,28 @@ def test_places_of_fields_give_shift_turn_and_non_uniformity(expected):
 
 def seen_at(expected, shift_mm, points=20):
     """Views of a plate as predicted that lies off its place by (x, y up)."""
-    classes, pixel_um = expected.plan.classes(), 10.0
+    classes = expected.plan.classes()
+    fields = (np.pad(each[classes], 2, constant_values=0.1) for each in expected.radiance.T)
+    return views(expected, [np.kron(one, np.ones((points, points))) for one in fields], shift_mm, 10.0)
+
+
+def views(expected, pictures, shift_mm, pixel_um):
+    """Views of pictures, one a pose, of a plate that lies off its place by (x, y up)."""
     found = []
-    for number, pose in enumerate(expected.poses):
-        fields = np.pad(expected.radiance[:, number][classes], 2, constant_values=0.1)
-        picture = np.kron(fields, np.ones((points, points))).astype(np.float32)
-        noise = np.full_like(picture, 1e-4)
-        light = RadianceImage(picture, noise, np.zeros(picture.shape, dtype=bool), 0.5, frames=4)
-        middle = 0.5 * (np.array(picture.shape[::-1]) - 1.0)
-        matrix = np.array([[100.0, 0.0, middle[0]], [0.0, -100.0, middle[1]]])
-        matrix[:, 2] += matrix[:, :2] @ [-shift_mm[0], -shift_mm[1]]
+    for pose, picture in zip(expected.poses, pictures, strict=True):
+        noise = np.full(picture.shape, 1e-4, dtype=np.float32)
+        light = RadianceImage(
+            picture.astype(np.float32), noise, np.zeros_like(noise, dtype=bool), 0.5, frames=4
+        )
+        scale = 1000.0 / pixel_um * np.array([1.0, -1.0])
+        middle = 0.5 * (np.array(picture.shape[::-1]) - 1.0) - scale * shift_mm
         place = Placement(
-            matrix, pose.stage_deg, pixel_um, (float(matrix[0, 2]), float(matrix[1, 2])), 0.02, 4
+            np.column_stack([np.diag(scale), middle]),
+            pose.stage_deg,
+            pixel_um,
+            tuple(middle.tolist()),
+            0.02,
+            4,
         )
         found.append(View(pose.stage_deg, pose.tilt_deg, light, place))
     return found
@@ -306,6 +320,31 @@ def test_a_plate_off_its_place_is_measured_where_it_lies_up_to_a_quarter_of_a_fi
     for shift, said in (((0.08, 0.0), r"\+0\.080 mm, [+-]0\.000"), ((0.06, 0.09), r"\+0\.060 mm, \+0\.090")):
         with pytest.raises(MeasurementError, match=rf"{said} mm \(x, y\) off their places"):
             measure_plate(seen_at(expected, shift), None, recipe, expected, 10.0)
+
+
+@pytest.mark.parametrize("crest_um", [0.0, 10.0])
+def test_good_and_worn_plates_of_two_ridges_a_field_are_placed_in_the_light_of_the_path_tracer(crest_um):
+    """Flat bright plastic around. A plate that is worn all over may pass where the lobe is unmeasured, and says so."""
+    table = two_poses() | {"decision": {}, "surface": {"pitch_um": 50.0, "design": {"ridge_angle_deg": 12.0}}}
+    table |= {"material": {"alpha_along": 0.08, "alpha_across": 0.08, "albedo": 0.2}}
+    rows = tuple("".join(row) for row in demo.plan_rows())
+    table["plan"] = {"rows": rows, "module_mm": 0.1, "facet_azimuths_deg": demo.AZIMUTHS_DEG}
+    recipe = PLATES.recipe.model_validate(table)
+    expected = expected_plate(recipe, recipe.plan.plan(), LIGHT_DEG, cached=True)
+    made = plate_map(expected.plan, RidgeDesign(50.0, 12.0, edge_radius_um=crest_um), 2.0).height_um
+    height = np.pad(made, (50, 51), constant_values=0.5 * made.max())
+    tracer = PathTracer(HeightMap(height, 2.0, 2.0, {}), Plastic(0.08, 0.08, 0.2, 1.5))
+    light = [
+        tracer.direct(*way)[::-1]
+        for way in zip(*directions(expected.poses, expected.convention), strict=True)
+    ]
+    assert light[0][10, 10] > 2.0 * light[0][50:650, 50:650].mean()
+    pictures = [cv2.resize(one, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for one in light]
+    seen = measure_plate(views(expected, pictures, (0.016, -0.012), 4.0), None, recipe, expected, 4.0)
+    np.testing.assert_allclose(0.1 * np.array(seen.places[0].shift), (0.016, -0.012), atol=0.004)
+    found = decide_plate(expected, seen, recipe)
+    assert (found.verdict, seen.texts) == ("PASS", (demo.TEXT,) * 2)
+    assert found.reasons[-1] == OF_ALL_FIELDS
 
 
 def replace_shift(places, x, y):
