@@ -7,9 +7,10 @@ from anisoscope.ink.fitting import fit, grid_of, solve_jointly
 from anisoscope.ink.goniometer import Readings
 from anisoscope.sim.light.ink import shading
 from anisoscope.sim.light.ink.model import brdf_at_angles
-from anisoscope.sim.light.ink.shading import Light, picture, spectral_picture
+from anisoscope.sim.light.ink.shading import Light, picture
 from anisoscope.sim.light.ink.shapes import sphere
 from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
+from spectral_picture import spectral_picture
 
 pytestmark = pytest.mark.benchmark
 LIGHTS = [Light((0.3, 0.4, 1.0)), Light((-1.0, 0.2, 0.5), 2.0)]

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from anisoscope.sim.light.colour.illuminant import standard
-from anisoscope.sim.light.ink.shading import picture, spectral_picture
+from anisoscope.sim.light.ink.shading import picture
 from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
 from anisoscope.sim.proof.comparison import two_lights
 from anisoscope.sim.proof.halftone import halftone
 from anisoscope.sim.proof.scene import Scene, surface
 from anisoscope.sim.proof.separation import separation
+from spectral_picture import spectral_picture
 
 pytestmark = pytest.mark.benchmark
 

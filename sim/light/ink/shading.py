@@ -1,4 +1,4 @@
-"""Pictures of printed shapes in directional light, by table; and by the plain sum over wavelengths, to check them.
+"""Pictures of printed shapes in directional light, by table.
 
 Colours are linear sRGB, unclipped. With the default irradiance π, a perfect white tile that faces the light is
 (1, 1, 1) under D65.
@@ -14,12 +14,10 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.colour.illuminant import Illuminant, standard
-from anisoscope.sim.light.colour.observer import xyz_weights
-from anisoscope.sim.light.colour.spaces import linear_srgb
 from anisoscope.sim.light.ink import tio2
-from anisoscope.sim.light.ink.distributions import density, masking, tail_of
+from anisoscope.sim.light.ink.distributions import tail_of
 from anisoscope.sim.light.ink.ink import Ink
-from anisoscope.sim.light.ink.model import Model, spectral_term, table_argument
+from anisoscope.sim.light.ink.model import Model
 from anisoscope.sim.light.ink.shapes import Surface
 from anisoscope.sim.light.ink.table import InkTable, ink_table
 
@@ -201,51 +199,3 @@ def lobes(inks: Sequence[Ink]) -> Float32:
         ],
         dtype=np.float32,
     )
-
-
-def spectral_picture(
-    surface: Surface,
-    inks: Sequence[Ink],
-    lights: Sequence[Light],
-    *,
-    coverage: npt.ArrayLike | None = None,
-    to_camera: Direction = UPWARD,
-    model: Model = "goniochromatic",
-    tio2_source: str = tio2.DEFAULT,
-) -> FloatArray:
-    """The picture of :func:`picture` in float64, straightforwardly: every wavelength at every pixel, in numpy."""
-    covered = _checked_coverage(surface, inks, lights, coverage)
-    camera = _unit(to_camera)
-    result = np.zeros(surface.normal.shape)
-    for light in lights:
-        toward = _unit(light.to_light)
-        for number, ink in enumerate(inks):
-            weights = linear_srgb(xyz_weights(light.illuminant, ink.nm))
-            shown = _spectral_reflection(surface, ink, toward, camera, model, tio2_source) @ weights
-            result += light.irradiance * covered[..., number, None] * shown
-    return result
-
-
-def _spectral_reflection(
-    surface: Surface, ink: Ink, toward: FloatArray, camera: FloatArray, model: Model, tio2_source: str
-) -> FloatArray:
-    """(rows, cols, W) f·cosθi [1/sr]."""
-    light, seen = _in_frame(surface, ink, toward), _in_frame(surface, ink, camera)
-    half = _in_frame(surface, ink, (toward + camera) / np.linalg.norm(toward + camera))
-    cos_i, cos_o = light[..., 2], seen[..., 2]
-    lobe = density(half, ink.alpha, ink.across, ink.distribution) / 4.0
-    if model == "goniochromatic":
-        lobe = lobe * cos_i
-    else:
-        lobe = lobe * masking(light, seen, ink.alpha, ink.across, ink.distribution) / np.maximum(cos_o, 1e-12)
-    argument = table_argument(model, cos_i, cos_o, np.sum(light * half, axis=-1))
-    lobe = np.where((cos_i > 0.0) & (cos_o > 0.0), lobe, 0.0)
-    return np.asarray(lobe[..., None] * spectral_term(ink, argument, model, tio2_source=tio2_source))
-
-
-def _in_frame(surface: Surface, ink: Ink, direction: FloatArray) -> FloatArray:
-    """(rows, cols, 3) components of a direction along tangent, bitangent and normal, turned into the brushing."""
-    normal, tangent = surface.normal.astype(np.float64), surface.tangent.astype(np.float64)
-    across = np.cross(normal, tangent)
-    local = np.stack([tangent @ direction, across @ direction, normal @ direction], axis=-1)
-    return ink.in_brush_frame(local)

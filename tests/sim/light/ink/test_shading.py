@@ -10,9 +10,10 @@ from anisoscope.sim.light.colour.observer import white_point
 from anisoscope.sim.light.colour.spaces import SRGB_TO_XYZ, ciede2000, lab
 from anisoscope.sim.light.ink import shading
 from anisoscope.sim.light.ink.model import MODELS
-from anisoscope.sim.light.ink.shading import Light, picture, spectral_picture
+from anisoscope.sim.light.ink.shading import Light, picture
 from anisoscope.sim.light.ink.shapes import Surface, cylinder, plane, sphere
 from anisoscope.sim.light.ink.table import ink_table
+from spectral_picture import spectral_picture
 
 LIGHTS = [Light((0.3, 0.4, 1.0)), Light((-1.0, 0.2, 0.5), 2.0, standard("a"))]
 
