@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
     from anisoscope.inspection.run import resume_part as resume
     from anisoscope.kinds.registry import read_any_recipe as read_recipe
-    from anisoscope.live_view.autofocus import Autofocus, Sweep
+    from anisoscope.live_view.autofocus import Autofocus
     from anisoscope.operations.archiving import archived_inspections, pull, push, retain
     from anisoscope.operations.archiving import hold as hold_archived
     from anisoscope.operations.design.etched import (
@@ -102,7 +102,7 @@ if TYPE_CHECKING:
     from anisoscope.parameters.microscope import Microscope
     from anisoscope.parameters.optics import Optics
     from anisoscope.parameters.ridges import RidgeDesign
-    from anisoscope.parameters.taking import Taking
+    from anisoscope.parameters.taking import Sweep, Taking
     from anisoscope.parameters.workers import Workers
     from anisoscope.prediction.predicted import Predicted
     from anisoscope.profiles.comparison import Comparison, compare_maps
@@ -153,6 +153,7 @@ if TYPE_CHECKING:
     from anisoscope.ink.fitting import InkFit
     from anisoscope.operations.detecting import detection_of_masters, detection_of_parts, recipe_yield
     from anisoscope.operations.inks import calibrate_ink, compare_inks, fit_ink
+    from anisoscope.operations.inspecting import inspect
     from anisoscope.operations.map_series import map_values, measure_maps, write_map_table
     from anisoscope.operations.proofing import halftone, soft_proof
     from anisoscope.parameters.proof import ProofView
@@ -418,61 +419,6 @@ def spoil(
 
     return inject_defect(
         surface, defect, np.random.default_rng(seed), severity=severity, values=values or None
-    )
-
-
-def inspect(
-    recipe: Path | str,
-    rig: Path | str | None = None,
-    *,
-    serial: str,
-    frames: Path | str | None = None,
-    reflectance: float = 0.99,
-    out: Path | str = "inspections",
-    operator: str | None = None,
-    lot: str | None = None,
-    cavity: str | None = None,
-    station: str | None = None,
-    at_mm: tuple[float, float] | None = None,
-    on_progress: "Advance | None" = None,
-) -> "Inspected":
-    """Photograph a part on a rig, or take a folder of frames, and decide: ``anisoscope inspect`` from Python.
-
-    Args:
-        recipe: recipe file.
-        rig: rig file; with ``frames`` the rig.toml in their folder where it is not given.
-        serial: serial number of the part.
-        frames: folder of frames (frames.csv) that another program took.
-        reflectance: of the white tile in the flat frames of that folder.
-        out: folder that receives the inspection folder.
-        operator: who inspects.
-        lot: of the part.
-        cavity: of the mould.
-        station: where the rig stands.
-        at_mm: (x, y) of the part on the plate from the axis of the stage, at sample angle 0, for the axes x and y.
-        on_progress: called with what is being done, steps done and steps in all.
-
-    Returns:
-        The record with its verdict (INVALID included), and where folder and report lie. Nothing enters a history:
-        see `add_to_history`.
-
-    Raises:
-        UsageError: neither a rig nor frames.
-        AnisoscopeError: recipe, rig file, calibration or hardware, as on the command line.
-    """
-    from anisoscope.base.progress import silent
-    from anisoscope.operations.inspecting import inspect as inspect_one
-    from anisoscope.record.schema import Particulars
-
-    return inspect_one(
-        recipe,
-        rig,
-        serial=serial,
-        frames=frames,
-        reflectance=reflectance,
-        out=out,
-        particulars=Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at_mm),
-        on_progress=silent if on_progress is None else on_progress,
     )
 
 

@@ -213,7 +213,16 @@ class Lamp:
             report(f"no rig file: light at {usual:g}° is assumed; name --rig, or --light-angle")
 
 
-PRINTED, DRAWN, NO_BASE, USUAL_LAMP = Output(), DrawnOutput(), Base(), Lamp()
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Into:
+    """Folder and history that receive inspections."""
+
+    out: Annotated[Path, Parameter(help="Folder that receives the inspections.")] = Path("inspections")
+    history: HistoryOption = None
+
+
+PRINTED, DRAWN, NO_BASE, USUAL_LAMP, INTO = Output(), DrawnOutput(), Base(), Lamp(), Into()
 OF_WORKERS = Options(
     Workers,
     MORE,

@@ -19,7 +19,7 @@ from anisoscope.rig.light import ChannelLight, Light
 
 if TYPE_CHECKING:
     from anisoscope.live_view.lamps import RigLamps
-    from anisoscope.live_view.view import FocusMeasure
+    from anisoscope.parameters.taking import FocusMeasure
 
 MOST_EVENTS = 5000
 ALIVE_S = 10.0

@@ -41,9 +41,11 @@ from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.inspection.replay import WHITE_NAME, measured_by, read_given
 from anisoscope.kinds.registry import kind_of
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.ridges import RidgeDesign
+from anisoscope.parameters.taking import MaterialEntry
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.recipe_models import read_surface
@@ -79,8 +81,7 @@ JUDGED_DESIGN = RidgeDesign(100.0, 10.0)
 """Part and poses for which a plan says the uncertainty of ln ratios where the recipe has no ridges."""
 
 SpecimenName = Literal["coupon", "part"]
-Lobe = Literal["auto", "tail", "second-lobe"]
-_FAMILIES: dict[Lobe, tuple[Family, ...]] = {
+_FAMILIES: dict[str, tuple[Family, ...]] = {
     "auto": ("tail", "second lobe"),
     "tail": ("tail",),
     "second-lobe": ("second lobe",),
@@ -383,16 +384,14 @@ def _expected(setup: Setup) -> Expectation:
     )
 
 
+@by_keywords(entry=MaterialEntry)
 def calibrate_material(
     setup: Setup,
     scan: Scan,
     out: Path,
     *,
-    name: str,
-    lobe: Lobe = "auto",
+    entry: MaterialEntry,
     camera: str = "",
-    valid_days: float | None = None,
-    operator: str | None = None,
     on_progress: Advance = silent,
 ) -> tuple[MaterialFile, LobeFit]:
     """Fit the material of a scan and write its file.
@@ -401,11 +400,9 @@ def calibrate_material(
         setup: what was scanned.
         scan: its radiances.
         out: file to write (TOML).
-        name: of the material.
-        lobe: family of lobes; "auto" takes the one with the smaller information criterion.
+        entry: name, validity, operator and family of lobes, or these as keywords; lobe "auto" takes the one with the
+            smaller information criterion.
         camera: serial number of the camera.
-        valid_days: how long it holds.
-        operator: who takes it.
         on_progress: called with what is being done, steps done and steps in all.
 
     Raises:
@@ -413,17 +410,17 @@ def calibrate_material(
         CalibrationError: a coupon that is not flat.
         RecordError: the file cannot be written.
     """
-    days = VALID_DAYS if valid_days is None else valid_days
+    days = VALID_DAYS if entry.valid_days is None else entry.valid_days
     if not 0.0 < days <= MAX_DAYS:
         raise UsageError(
             f"a material holds for more than 0 and at most {MAX_DAYS:g} days, not {days:g}: correct --valid-days"
         )
-    found = fit_lobe(scan, setup.specimen, setup.material, _FAMILIES[lobe], on_progress)
+    found = fit_lobe(scan, setup.specimen, setup.material, _FAMILIES[entry.lobe], on_progress)
     now = datetime.now(UTC).replace(microsecond=0)
     light = setup.rig.light
     content = MaterialFile(
         id="material",
-        name=name,
+        name=entry.name or out.stem,
         taken_at=now,
         software=f"anisoscope {version('anisoscope')}",
         material=LobePart(**vars(found.material)),
@@ -442,7 +439,7 @@ def calibrate_material(
             specimen=setup.specimen.name,
             rig=setup.rig.name,
             camera=camera,
-            operator=operator,
+            operator=entry.operator,
             light_angle_deg=setup.convention.light_angle_deg,
             poses=tuple((pose.stage_deg, pose.tilt_deg) for pose in scan.poses),
         ),

@@ -41,7 +41,9 @@ from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import Manifest, begin, reopen
 from anisoscope.inspection.material_calibration import Setup, measure_scan, photograph, setup_of
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.taking import ScanExtent
 from anisoscope.record.schema import Particulars
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 from anisoscope.rig.rigfile import check_arm
@@ -228,16 +230,14 @@ def _dense(fine: FloatArray, weight: FloatArray, count: int, *, closed: bool) ->
     return tuple(fine[np.unique(at)].tolist())
 
 
+@by_keywords(extent=ScanExtent)
 def begin_scan(
     rig_path: Path,
     recipe_path: Path,
     specimen: Literal["coupon", "part"],
     folder: Path,
     *,
-    tilt_deg: float = 20.0,
-    stages: int = 24,
-    tilts: int = 13,
-    exposure_s: float | None = None,
+    extent: ScanExtent,
     channel: str | None = None,
     on_progress: Advance = silent,
 ) -> ScanResult:
@@ -248,10 +248,7 @@ def begin_scan(
         recipe_path: recipe with region and exposure, of a part with its surface.
         specimen: what lies on the stage.
         folder: it must not exist, or be empty.
-        tilt_deg: largest tilt.
-        stages: number of stage angles.
-        tilts: number of tilts.
-        exposure_s: shortest exposure; that of the recipe by default.
+        extent: `ScanExtent`, or its fields as keywords.
         channel: light channel; that of the recipe or the rig file by default.
         on_progress: called with what is being done, steps done and steps in all.
 
@@ -261,10 +258,7 @@ def begin_scan(
         RigError: the rig, or a pose beyond its travel.
         MeasurementError: the pictures cannot be used.
     """
-    job, settings = planned_scan(
-        rig_path, recipe_path, specimen,
-        tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s, channel=channel,
-    )  # fmt: skip
+    job, settings = planned_scan(rig_path, recipe_path, specimen, extent=extent, channel=channel)
     _new_folder(folder)
     job, setup = _scanning(job, settings)
     with working_in(folder), _resumable(folder):
@@ -276,15 +270,13 @@ def begin_scan(
         return _measured(folder, job, setup, manifest, on_progress)
 
 
+@by_keywords(extent=ScanExtent)
 def planned_scan(
     rig_path: Path,
     recipe_path: Path,
     specimen: Literal["coupon", "part"],
     *,
-    tilt_deg: float = 20.0,
-    stages: int = 24,
-    tilts: int = 13,
-    exposure_s: float | None = None,
+    extent: ScanExtent,
     channel: str | None = None,
 ) -> tuple[Job, ScanSettings]:
     """The job and the poses of a scan; nothing moves. Arguments and errors as for `begin_scan`."""
@@ -298,14 +290,16 @@ def planned_scan(
     convention = Convention(job.rig.light.angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     material = recipe.material.material()
     alpha = float(np.sqrt(material.alpha_along * material.alpha_across))
-    angles, all_tilts = planned_poses(convention, angle, alpha, tilt_deg=tilt_deg, stages=stages, tilts=tilts)
+    angles, all_tilts = planned_poses(
+        convention, angle, alpha, tilt_deg=extent.tilt_deg, stages=extent.stages, tilts=extent.tilts
+    )
     check_arm(job.rig, all_tilts)
     acquisition = recipe.acquisition
     return job, ScanSettings(
         specimen=specimen,
         angles_deg=angles,
         tilts_deg=all_tilts,
-        exposure_s=acquisition.exposure_s if exposure_s is None else exposure_s,
+        exposure_s=acquisition.exposure_s if extent.exposure_s is None else extent.exposure_s,
         brackets=acquisition.brackets or BRACKETS,
         light_channel=channel,
     )
@@ -334,15 +328,13 @@ def resume_scan(folder: Path, on_progress: Advance = silent) -> ScanResult:
         return _measured(folder, job, setup, manifest, on_progress)
 
 
+@by_keywords(extent=ScanExtent)
 def planned_lamps(
     rig_paths: Sequence[Path],
     recipe_path: Path,
     specimen: Literal["coupon", "part"],
     *,
-    tilt_deg: float = 20.0,
-    stages: int = 24,
-    tilts: int = 13,
-    exposure_s: float | None = None,
+    extent: ScanExtent,
     channels: Sequence[str] = (),
 ) -> Lamps:
     """A scan of one specimen with several lamps; nothing moves.
@@ -351,10 +343,7 @@ def planned_lamps(
         rig_paths: a rig file for each lamp, with its wavelength and the flat taken under it; or one with channels.
         recipe_path: as for `begin_scan`, as is the rest.
         specimen: what lies on the stage.
-        tilt_deg: largest tilt.
-        stages: number of stage angles.
-        tilts: number of tilts.
-        exposure_s: shortest exposure.
+        extent: `ScanExtent`, or its fields as keywords.
         channels: light channels of the one rig file, each a lamp.
 
     Raises:
@@ -365,10 +354,7 @@ def planned_lamps(
     each = [(rig_paths[0], one) for one in channels] if channels else [(path, None) for path in rig_paths]
     folders: list[str] = []
     for path, channel in each:
-        job, _ = planned_scan(
-            path, recipe_path, specimen,
-            tilt_deg=tilt_deg, stages=stages, tilts=tilts, exposure_s=exposure_s, channel=channel,
-        )  # fmt: skip
+        job, _ = planned_scan(path, recipe_path, specimen, extent=extent, channel=channel)
         nm, lamp = (
             job.rig.light.wavelength_nm,
             f"{path}" if channel is None else f"{path}, channel {channel},",
@@ -381,8 +367,7 @@ def planned_lamps(
         folders.append(f"{nm:g}nm")
     return Lamps(
         rigs=tuple(path.resolve() for path, _ in each), channels=tuple(one for _, one in each),
-        recipe=recipe_path.resolve(), specimen=specimen, tilt_deg=tilt_deg, stages=stages, tilts=tilts,
-        exposure_s=exposure_s, folders=tuple(folders),
+        recipe=recipe_path.resolve(), specimen=specimen, **vars(extent), folders=tuple(folders),
     )  # fmt: skip
 
 
@@ -424,10 +409,7 @@ def resume_lamps(folder: Path, on_progress: Advance = silent) -> tuple[ScanResul
                     lamps.recipe,
                     lamps.specimen,
                     here,
-                    tilt_deg=lamps.tilt_deg,
-                    stages=lamps.stages,
-                    tilts=lamps.tilts,
-                    exposure_s=lamps.exposure_s,
+                    extent=ScanExtent(lamps.tilt_deg, lamps.stages, lamps.tilts, lamps.exposure_s),
                     channel=channel,
                     on_progress=on_progress,
                 )

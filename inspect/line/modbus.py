@@ -16,6 +16,7 @@ from pymodbus.pdu import ModbusPDU
 
 from anisoscope.base.errors import AnisoscopeError, NotConnected
 from anisoscope.line.jobs import Jobs, Order
+from anisoscope.parameters.handshake import Addresses
 
 POLL_S = 0.02
 
@@ -49,23 +50,6 @@ class Io(Protocol):
     def write(self, lines: Lines) -> None:
         """Set the outputs; errors as for `read`."""
         ...
-
-
-@dataclass(frozen=True)
-class Addresses:
-    """Addresses of inputs and outputs, counted from 0.
-
-    Attributes:
-        trigger: discrete input.
-        number: first of two holding registers, the high word first.
-        outputs: first of five coils.
-        device: unit identifier.
-    """
-
-    trigger: int = 0
-    number: int = 0
-    outputs: int = 0
-    device: int = 1
 
 
 class ModbusIo:

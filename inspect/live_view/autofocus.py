@@ -24,8 +24,8 @@ from anisoscope.calibration.record import (
     record_path,
     write_calibration,
 )
-from anisoscope.live_view.view import FocusMeasure, focus_of, signal_of
-from anisoscope.parameters.taking import Taking
+from anisoscope.live_view.view import focus_of, signal_of
+from anisoscope.parameters.taking import FocusMeasure, Sweep, Taking
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import check_plan, ways_to
@@ -327,18 +327,6 @@ def fit_plane(places_mm: FloatArray, readings: FloatArray, repeatability: float)
     return Plane(
         z, (right, up), bow, (shares[0], shares[1], shares[2], shares[3]), tuple(float(one) for one in rest)
     )
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Search for the focus at every seat: from and to a reading of z in mm, steps, repeats, measure and frames."""
-
-    low: float
-    high: float
-    steps: int = 15
-    repeats: int = 3
-    measure: FocusMeasure = "tenengrad"
-    average: int = 1
 
 
 def map_focus(

@@ -6,13 +6,14 @@ Pure functions of a frame's counts, (rows, cols). What cannot be told from a fra
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.json_fields import json_field
+from anisoscope.parameters.taking import FocusMeasure
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.frame import SATURATION
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 Counts = npt.NDArray[np.uint16]
 Plane = npt.NDArray[np.float32]
-FocusMeasure = Literal["tenengrad", "laplacian"]
 
 DARK_SHARE = 0.005
 MIN_MIDDLE_PX, MAX_MIDDLE_PX = 32, 512

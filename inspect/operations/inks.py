@@ -10,10 +10,12 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import CalibrationError, ModelError, UsageError
 from anisoscope.base.json_fields import in_json
 from anisoscope.base.progress import Advance, silent
-from anisoscope.ink.fitting import InkFit, Method, RigInk, fit
-from anisoscope.ink.goniometer import Readings, Values, White, read_correction, read_goniometer, to_brdf
+from anisoscope.ink.fitting import InkFit, RigInk, fit
+from anisoscope.ink.goniometer import Readings, White, read_correction, read_goniometer, to_brdf
 from anisoscope.inspection.manifest import reopen
 from anisoscope.kinds.parts import Inked
+from anisoscope.parameters.ink import InkFitting, InkReadings, InkSpheres
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.record.schema import read_record
 from anisoscope.sim.light.ink.ink import SPECTRALON
 from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
@@ -24,64 +26,40 @@ from anisoscope.sim.proof.measured import Measured
 
 
 def read_brdf(
-    data: Path | str,
-    values: Values = "factor",
-    *,
-    reflectance: float | None = None,
-    white_table: Path | str | None = None,
-    white_readings: Path | str | None = None,
+    data: Path | str, how: InkReadings, table: Path | None = None, readings: Path | None = None
 ) -> Readings:
     """Goniometer readings of an ink as a BRDF in 1/sr.
 
     Args:
         data: CSV file theta_i_deg,theta_o_deg,wavelength_nm,value; θo counts away from the light.
-        values: "factor": ratios to the white reference; "brdf": BRDF in 1/sr.
-        reflectance: of the white reference; 0.99 where it is not given.
-        white_table: CSV file theta_i_deg[,theta_o_deg],correction: BRDF of the reference over a Lambertian one.
-        white_readings: CSV file as ``data``: readings of the reference, where values are not divided yet.
+        how: meaning of the values.
+        table: CSV file theta_i_deg[,theta_o_deg],correction: BRDF of the reference over a Lambertian one.
+        readings: CSV file as ``data``: readings of the reference, where values are not divided yet.
 
     Raises:
         UsageError: a file that cannot be used, or a reference beside values that are the BRDF.
     """
     white = White(
-        SPECTRALON if reflectance is None else reflectance,
-        None if white_table is None else read_correction(Path(white_table)),
-        None if white_readings is None else read_goniometer(Path(white_readings)),
+        SPECTRALON if how.reflectance is None else how.reflectance,
+        None if table is None else read_correction(table),
+        None if readings is None else read_goniometer(readings),
     )
-    return to_brdf(read_goniometer(Path(data)), values, white)
+    return to_brdf(read_goniometer(Path(data)), how.values, white)
 
 
-def fit_ink(
-    data: Path | str,
-    method: Method = "joint",
-    values: Values = "factor",
-    *,
-    reflectance: float | None = None,
-    white_table: Path | str | None = None,
-    white_readings: Path | str | None = None,
-    u_reading: float | None = None,
-    floor: float | None = None,
-) -> InkFit:
+@by_keywords(fitting=InkFitting)
+def fit_ink(data: Path | str, *, fitting: InkFitting) -> InkFit:
     """Roughness, reflectance and goniochromatism of an ink from goniometer readings.
 
     Args:
-        data: as for ``read_brdf``, and so are ``values``, ``reflectance``, ``white_table`` and ``white_readings``.
-        method: all parameters at once, or the published two steps.
-        values: what the values of the file are.
-        reflectance: of the white reference.
-        white_table: its correction.
-        white_readings: its readings.
-        u_reading: relative standard uncertainty of a reading, by which the model is tested; 3 % for the weights where
-            it is not given.
-        floor: noise floor in 1/sr; readings up to 3 times as large are dropped.
+        data: as for ``read_brdf``.
+        fitting: meaning of the readings and method of the fit, or the fields as keywords.
 
     Raises:
         UsageError: as ``read_brdf``, or readings that do not determine the parameters.
     """
-    readings = read_brdf(
-        data, values, reflectance=reflectance, white_table=white_table, white_readings=white_readings
-    )
-    return fit(readings, method, noise=u_reading, floor=floor)
+    readings = read_brdf(data, fitting, fitting.white_table, fitting.white_readings)
+    return fit(readings, fitting.method, noise=fitting.u_reading, floor=fitting.floor)
 
 
 def calibrate_ink(folders: Sequence[Path | str], name: str) -> RigInk:
@@ -139,15 +117,12 @@ class InkComparison:
         write_bytes(Path(path), picture_png(np.rint(255.0 * np.concatenate(rows)).astype(np.uint8)))
 
 
+@by_keywords(how=InkReadings, spheres=InkSpheres)
 def compare_inks(
     data: Sequence[Path | str] = (),
-    values: Values = "factor",
     *,
-    reflectance: float | None = None,
-    alpha: float | None = None,
-    illuminant: str = "d65",
-    size: int = 512,
-    seed: int = 1,
+    how: InkReadings,
+    spheres: InkSpheres,
     on_progress: Advance = silent,
 ) -> InkComparison:
     """Compare spheres shown by the models with ones made from readings: RMSE, SSIM and time of a frame.
@@ -155,20 +130,16 @@ def compare_inks(
     Args:
         data: files as for ``read_brdf``, one an ink, each of which is fitted first; without any, made-up readings of
             the synthetic inks.
-        values: what the values of the files are.
-        reflectance: of the white reference.
-        alpha: roughness to show the models with, in place of the fitted one.
-        illuminant: name or CSV file of the light.
-        size: side of the pictures in pixels, 32 or more.
-        seed: of the noise of made-up readings.
+        how: meaning of the readings, or its fields as keywords.
+        spheres: roughness, light and pictures, or its fields as keywords.
         on_progress: called with the ink, inks done and inks in all.
 
     Raises:
         UsageError: a file that cannot be used, or readings that do not determine the parameters.
         ModelError: a size below 32.
     """
-    lamp, found, warnings = find_illuminant(illuminant), [], []
-    sets = [(Path(one).stem, *_read(Path(one), values, reflectance)) for one in data] or _synthetic(seed)
+    lamp, found, warnings = find_illuminant(spheres.illuminant), [], []
+    sets = [(Path(one).stem, *_read(Path(one), how)) for one in data] or _synthetic(spheres.seed)
     for done, (name, read, measured) in enumerate(sets):
         on_progress(name, done, len(sets))
         fitted = fit(read)
@@ -176,13 +147,13 @@ def compare_inks(
             warnings += [f"{name}: {warning}" for warning in fitted.warnings]
         ink = fitted.ink(name, "fitted to the readings")
         # A given roughness replaces the fitted one only in the models, not in the readings they are compared with.
-        ink = ink if alpha is None else replace(ink, alpha=alpha)
-        found.append(compare(measured, ink, illuminant=lamp, size=size))
+        ink = ink if spheres.alpha is None else replace(ink, alpha=spheres.alpha)
+        found.append(compare(measured, ink, illuminant=lamp, size=spheres.size))
     return InkComparison(not data, tuple(found), tuple(warnings))
 
 
-def _read(path: Path, values: Values, reflectance: float | None) -> tuple[Readings, Measured]:
-    read = read_brdf(path, values, reflectance=reflectance)
+def _read(path: Path, how: InkReadings) -> tuple[Readings, Measured]:
+    read = read_brdf(path, how)
     try:
         return read, _by_place(read, path)
     except ModelError as problem:

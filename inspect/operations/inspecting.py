@@ -1,6 +1,7 @@
 """One part is inspected, on a rig or from frames; finished inspections are judged again."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.base.errors import UsageError
@@ -9,41 +10,52 @@ from anisoscope.inspection.recompute import Recomputed, recompute_or_reason
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.reports import Reports
 from anisoscope.inspection.run import Inspected, UsedBefore, inspect_part, never_used
+from anisoscope.parameters.inspecting import ForeignFrames, PartLabels
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.workers import Workers
 from anisoscope.record.schema import Particulars
 from anisoscope.report.peers import LotMate
 from anisoscope.study.sweep import again_after_a_kill
 
 
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What is known besides a part when it is inspected.
+
+    Attributes:
+        lot_mates: inspections of the same lot, for the report (`operations.remembering.lot_mates`).
+        used_before: whose frames were in earlier inspections (`operations.remembering.used_before`).
+        reports: writes reports beside further work; without it the report is written before the inspection ends.
+    """
+
+    lot_mates: Sequence[LotMate] = ()
+    used_before: UsedBefore = never_used
+    reports: Reports | None = None
+
+
+ALONE = Surroundings()
+
+
+@by_keywords(labels=PartLabels, foreign=ForeignFrames)
 def inspect(
     recipe: Path | str,
     rig: Path | str | None = None,
     *,
-    serial: str,
-    frames: Path | str | None = None,
-    reflectance: float = 0.99,
+    labels: PartLabels,
+    foreign: ForeignFrames,
     out: Path | str = "inspections",
-    particulars: Particulars | None = None,
-    lot_mates: Sequence[LotMate] = (),
-    reports: Reports | None = None,
-    used_before: UsedBefore = never_used,
-    reuse: str = "",
+    known: Surroundings = ALONE,
     on_progress: Advance = silent,
 ) -> Inspected:
-    """Photograph a part on a rig, or take a folder of frames, and decide.
+    """Photograph a part on a rig, or take a folder of frames, and decide: ``anisoscope inspect`` from Python.
 
     Args:
         recipe: recipe file.
         rig: rig file; with ``frames`` the rig.toml in their folder where it is not given.
-        serial: serial number of the part.
-        frames: folder of frames (frames.csv) that another program took.
-        reflectance: of the white tile in the flat frames of that folder.
+        labels: serial number, operator, lot, cavity, station and place, or these as keywords.
+        foreign: frames that another program took, or the fields as keywords.
         out: folder that receives the inspection folder.
-        particulars: operator, lot, cavity, station and place, for the record.
-        lot_mates: inspections of the same lot, for the report (`operations.remembering.lot_mates`).
-        reports: writes reports beside further work; without it the report is written before this returns.
-        used_before: whose frames were in earlier inspections (`operations.remembering.used_before`).
-        reuse: reason for judging frames of another part all the same; it is kept in the record.
+        known: inspections of the lot, users of the frames, and the writer of reports.
         on_progress: called with the work being done, steps done and steps in all.
 
     Returns:
@@ -51,40 +63,38 @@ def inspect(
         see `operations.remembering.remember`.
 
     Raises:
-        UsageError: neither a rig nor frames, or frames of another part.
+        UsageError: no serial number, neither a rig nor frames, or frames of another part.
         AnisoscopeError: recipe, rig file, calibration or hardware.
     """
-    who = Particulars() if particulars is None else particulars
-    rig_path = None if rig is None else Path(rig)
-    if frames is not None:
+    if labels.serial is None:
+        raise UsageError("name the part: its serial number is missing")
+    who = Particulars(
+        operator=labels.operator,
+        lot=labels.lot,
+        cavity=labels.cavity,
+        station=labels.station,
+        place_mm=labels.at_mm,
+    )
+    here, rig_path = vars(known), None if rig is None else Path(rig)
+    if foreign.frames is not None:
         return inspect_frames(
-            Path(frames),
+            Path(foreign.frames),
             Path(recipe),
-            serial,
+            labels.serial,
             Path(out),
             on_progress,
             rig_path=rig_path,
-            reflectance=reflectance,
+            reflectance=foreign.reflectance,
             particulars=who,
-            lot_mates=lot_mates,
-            reports=reports,
-            used_before=used_before,
-            reuse=reuse,
+            reuse=foreign.reuse,
+            **here,
         )
     if rig_path is None:
         raise UsageError("name a rig file, or a folder of frames")
-    if reuse:
+    if foreign.reuse:
         raise UsageError("--reuse says why frames of another part are judged: it needs a folder of --frames")
     return inspect_part(
-        Path(recipe),
-        rig_path,
-        serial,
-        Path(out),
-        on_progress,
-        particulars=who,
-        lot_mates=lot_mates,
-        used_before=used_before,
-        reports=reports,
+        Path(recipe), rig_path, labels.serial, Path(out), on_progress, particulars=who, **here
     )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,9 @@ from anisoscope.bsdf.rgl import Resolution
 from anisoscope.bsdf.textures import write_height_textures
 from anisoscope.kinds.plates.recipe import PlateRecipe
 from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.reflecting import Reflecting
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.height_map_uncertainty import best_band
 from anisoscope.prediction.relief_preparation import prepare_relief
@@ -44,16 +46,12 @@ MOST_CLASSES = 64
 SCENE = "scene.xml"
 
 
+@by_keywords(how=Reflecting)
 def reflectance_of(
     surface: Surface,
     *,
     material: Material | None = None,
-    bounces: int | Literal["all"] = 1,
-    optics: Literal["rays", "waves"] = "rays",
-    lamp_half_angle_deg: float = 0.9,
-    steps: int | None = None,
-    pitch_um: float | None = None,
-    name: str = "height map",
+    how: Reflecting,
     on_progress: Advance = silent,
 ) -> Reflectance:
     """Reflectance of a surface as a function of two directions.
@@ -61,20 +59,15 @@ def reflectance_of(
     Args:
         surface: ridges (0° is a flat surface), an ink, etched steps, a height map, or a reflectance.
         material: plastic of ridges and height maps; the default one where it is not given.
-        bounces: of ridges: most reflections. A pair of directions takes a tenth of a millisecond with 1, 10 ms with
-            "all".
-        optics: of a height map: rays on plastic, or waves on a mirror, for steps and depths below a µm.
-        lamp_half_angle_deg: of a height map by waves: half of the angle that the lamp subtends.
-        steps: of a height map by waves: number of its plateaus; they are found where it is not given.
-        pitch_um: of a height map, where it is not to be found in it.
-        name: of a height map.
+        how: the computation, or its fields as keywords. A pair of directions takes a tenth of a millisecond with one
+            reflection of ridges, 10 ms with "all".
         on_progress: called along the way.
 
     Raises:
         UsageError: fewer than one reflection.
         HeightMapError, ModelError: the map or the design cannot be used.
     """
-    plastic = material or Material()
+    plastic, bounces = material or Material(), how.bounces
     if isinstance(surface, Reflectance):
         return surface
     if isinstance(surface, RidgeDesign):
@@ -88,16 +81,16 @@ def reflectance_of(
         return of_ink(surface)
     if isinstance(surface, DesignFile):
         return design_reflectance(surface)
-    if optics == "waves":
+    if how.optics == "waves":
         heights = WaveSurface.of(surface)
         return of_heights_by_waves(
-            on_plateaus(heights, 1e-3 * min(WAVE_NM), steps),
-            lamp_half_angle_deg,
-            name,
+            on_plateaus(heights, 1e-3 * min(WAVE_NM), how.steps),
+            how.lamp_half_angle_deg,
+            how.name,
             on_progress=on_progress,
         )
-    relief, _ = prepare_relief(surface, pitch_um)
-    return of_heights(best_band(relief), plastic, name)
+    relief, _ = prepare_relief(surface, how.pitch_um)
+    return of_heights(best_band(relief), plastic, how.name)
 
 
 def reflectance_file(path: Path) -> Reflectance:

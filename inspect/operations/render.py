@@ -1,7 +1,6 @@
 """Pictures of ridged plates and of height maps under the rig's light, as radiances."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,11 +13,13 @@ from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Lens, Microscope
+from anisoscope.parameters.rendering import MapSample, MapView, PlateView
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.reflections import reflections_of_map
-from anisoscope.prediction.relief_preparation import Levelling, prepare_relief
+from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.profiles.defects import burrs as with_burrs
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
@@ -200,20 +201,16 @@ class Frames:
         return np.stack([one.radiance.astype(np.float64) for one in self.pictures])
 
 
+@by_keywords(view=MapView, sample=MapSample)
 def render_frame(
     surface: HeightMap | RidgeDesign,
     *,
-    angles_deg: Sequence[float] = (0.0, 90.0, 180.0),
-    tilt_deg: float = 0.0,
+    view: MapView,
+    sample: MapSample,
     material: Material | None = None,
     convention: Convention | None = None,
     microscope: Microscope | None = None,
-    bounces: Bounces = "all",
-    pitch_um: float | None = None,
-    levelling: Levelling = "auto",
-    region_um: tuple[float, float, float, float] | None = None,
     panel: int = 420,
-    name: str = "",
     on_progress: Advance = silent,
 ) -> Frames:
     """What a microscope camera sees of a surface at every stage angle: ``anisoscope render frame``.
@@ -223,17 +220,12 @@ def render_frame(
 
     Args:
         surface: a height map, or ideal ridges, of which four are made (`ridge_sample`).
-        angles_deg: P stage angles.
-        tilt_deg: tilt of camera and light.
+        view: stage angles, tilt and reflections, or the fields as keywords.
+        sample: what is taken of a map, or the fields as keywords.
         material: the plastic below what the map resolves; the default one where it is not given.
         convention: how angles are counted, and the light angle.
         microscope: lens, magnification and sensor.
-        bounces: most reflections; 1 is direct light.
-        pitch_um: of a map, where it is not to be found in it.
-        levelling: of a map, as in `prepare_relief`.
-        region_um: (x0, y0, x1, y1) from the map's first point; all, or the middle of a large map, where it is left out.
         panel: longest side of a picture in pixels.
-        name: what the surface is called.
         on_progress: called before every picture.
 
     Raises:
@@ -241,25 +233,25 @@ def render_frame(
         HeightMapError: a map that cannot be used.
         ModelError: a pose below the horizon, or a picture of too many points.
     """
-    depth = reflections(bounces)
+    depth = reflections(view.bounces)
     plastic, counted = material or Material(), convention or Convention()
     seen = microscope or Microscope()
     if isinstance(surface, RidgeDesign):
-        pitch_um, levelling = surface.pitch_um, "none"
+        sample = replace(sample, pitch_um=surface.pitch_um, levelling="none")
         surface = ridge_sample(surface)
-    poses = tuple(Pose(angle, tilt_deg) for angle in angles_deg)
+    poses = tuple(Pose(angle, view.tilt_deg) for angle in view.angles_deg)
     sides = directions(poses, counted)
-    sample = _sample(surface, pitch_um, levelling, region_um, name)
-    views = _frame_views(sample, poses, counted, seen, panel)
-    source = reflections_of_map(sample.relief, depth)
+    taken_of = _sample(surface, sample)
+    views = _frame_views(taken_of, poses, counted, seen, panel)
+    source = reflections_of_map(taken_of.relief, depth)
     again = np.zeros(len(poses)) if source is None else source.light(*sides, plastic)
     pictures, panels = [], []
-    maps = radiance_maps(sample.relief, *sides, plastic)
-    for number, (direct, view) in enumerate(zip(maps, views, strict=True)):
+    maps = radiance_maps(taken_of.relief, *sides, plastic)
+    for number, (direct, seen_from) in enumerate(zip(maps, views, strict=True)):
         pose = poses[number]
         on_progress(f"stage {pose.stage_deg:g}°", number, len(poses))
         facets = direct + direct.dtype.type(again[number])
-        taken = micrograph(facets, sample.facet_um, view, seen.lens)
+        taken = micrograph(facets, taken_of.facet_um, seen_from, seen.lens)
         known = taken.radiance[np.isfinite(taken.radiance)]
         mean = float(known.mean(dtype=np.float64)) if known.size else None
         of_surface = float(np.nanmean(facets, dtype=np.float64))
@@ -268,7 +260,7 @@ def render_frame(
         pictures.append(taken)
     ratios = contrasts(poses, np.array([one.mean_of_surface for one in panels]))
     shown = poses, views, tuple(pictures), tuple(panels), ratios
-    return Frames(bounces, sample, counted, plastic, seen, *shown)
+    return Frames(view.bounces, taken_of, counted, plastic, seen, *shown)
 
 
 def _frame_views(
@@ -288,21 +280,15 @@ def _reach_um(size_um: tuple[float, float], poses: tuple[Pose, ...], convention:
     return np.asarray(np.max(turned, axis=0), dtype=np.float64)
 
 
-def _sample(
-    surface: HeightMap,
-    pitch_um: float | None,
-    levelling: Levelling,
-    region_um: tuple[float, float, float, float] | None,
-    name: str,
-) -> Sample:
+def _sample(surface: HeightMap, how: MapSample) -> Sample:
     """The surface levelled, and cut to what is rendered."""
-    relief, _ = prepare_relief(surface, pitch_um, levelling, placed=False)
-    cut, note = _cut(relief.surface, region_um)
+    relief, _ = prepare_relief(surface, how.pitch_um, how.levelling, placed=False)
+    cut, note = _cut(relief.surface, how.region_um)
     if note is not None:
         width = (cut.shape[1] - 1) * cut.pixel_x_um
         pitch = relief.pitch_um if relief.pitch_um is not None and relief.pitch_um <= width else None
         relief = Relief(cut, pitch, 1.0, direction_deg=relief.direction_deg)
-    return Sample(relief, name, note)
+    return Sample(relief, how.name, note)
 
 
 def _cut(
@@ -438,18 +424,15 @@ class PlatePictures:
         return np.stack([one.radiance for one in self.pictures])
 
 
+@by_keywords(view=PlateView)
 def render_plate(
     design: RidgeDesign,
     second: npt.NDArray[np.bool_] | int = 7,
     *,
     cell_mm: float = 5.0,
-    angles_deg: Sequence[float] = (0.0, 90.0),
-    tilt_deg: float = 0.0,
-    ridge_directions_deg: tuple[float, float] = (0.0, -90.0),
+    view: PlateView,
     material: Material | None = None,
     convention: Convention | None = None,
-    near_light_mm: float | None = None,
-    bounces: Bounces | None = None,
     panel: int = 420,
     on_progress: Advance = silent,
 ) -> PlatePictures:
@@ -461,13 +444,9 @@ def render_plate(
         design: the ridges.
         second: (rows, cols) cells with the second direction, or the count of a checkerboard's fields along a side.
         cell_mm: side of a cell.
-        angles_deg: P stage angles.
-        tilt_deg: tilt of camera and light.
-        ridge_directions_deg: of the ridges in both kinds of cells, counter-clockwise from +y.
+        view: stage angles, directions of the ridges, tilt, light and reflections, or the fields as keywords.
         material: the plastic; the default one where it is not given.
         convention: how angles are counted, and the light angle.
-        near_light_mm: distance of a point of light from the axis; parallel light where it is left out.
-        bounces: most reflections, 1 is direct light; all where it is left out, and 1 under a near light.
         panel: longest side of a picture in pixels.
         on_progress: called before every picture.
 
@@ -475,23 +454,28 @@ def render_plate(
         UsageError: a distance or a number of reflections that is none, or cells of one direction only.
         ModelError: a pose below the horizon, or a near light with interreflection or too close.
     """
+    bounces, near_light_mm = view.bounces, view.near_light_mm
     if near_light_mm is not None and not 0.0 < near_light_mm < float("inf"):
         raise UsageError(f"--near-light takes a positive distance in mm, not {near_light_mm:g}")
     if bounces is None:
         bounces = "all" if near_light_mm is None else 1
+    if len(view.ridge_directions_deg) != 2:
+        shown = ",".join(f"{one:g}" for one in view.ridge_directions_deg)
+        raise UsageError(f"--ridge-directions takes two angles in degrees, such as 0,-90, not {shown!r}")
+    first, other = view.ridge_directions_deg
     depth, counted = reflections(bounces), convention or Convention()
     cells = checkerboard(second) if isinstance(second, int) else second
-    plate = Plate(cells, 1000.0 * cell_mm, design, material or Material(), ridge_directions_deg)
-    poses = tuple(Pose(angle, tilt_deg) for angle in angles_deg)
+    plate = Plate(cells, 1000.0 * cell_mm, design, material or Material(), (first, other))
+    poses = tuple(Pose(angle, view.tilt_deg) for angle in view.angles_deg)
     reach = _reach_um(plate.size_um, poses, counted)
     pixel_um = float(reach.max()) / panel
     rows, cols = (max(1, int(np.ceil(side / pixel_um - 1e-6))) for side in reach)
     views = [view_of(pose, counted, (rows, cols), pixel_um) for pose in poses]
     distance = None if near_light_mm is None else 1000.0 * near_light_mm
     pictures, panels = [], []
-    for number, (pose, view) in enumerate(zip(poses, views, strict=True)):
+    for number, (pose, seen_from) in enumerate(zip(poses, views, strict=True)):
         on_progress(f"stage {pose.stage_deg:g}°", number, len(poses))
-        taken = plate_picture(plate, pose, counted, view, distance, depth)
+        taken = plate_picture(plate, pose, counted, seen_from, distance, depth)
         pictures.append(taken)
         panels.append(_plate_panel(pose, taken))
     return PlatePictures(bounces, counted, near_light_mm, plate, views[0], tuple(pictures), tuple(panels))

@@ -12,6 +12,8 @@ from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import AnisoscopeError, NotConnected, UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.language import message
+from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.taking import Shot, Sweep
 from anisoscope.rig.acquisition.opening import Devices, open_axis, open_devices, open_eye, open_lamp
 from anisoscope.rig.rigfile import (
     BY_HAND,
@@ -27,11 +29,10 @@ from anisoscope.rig.stage import RotationStage, Unit, check_limits, motion_state
 from anisoscope.rig.transport import shared_ports
 
 if TYPE_CHECKING:  # these load OpenCV and the models of records, which a motion does without
-    from anisoscope.live_view.autofocus import Focus, Sweep
+    from anisoscope.live_view.autofocus import Focus
     from anisoscope.rig.frame import Frame
 
 Axis = Literal["stage", "tilt", "x", "y", "z"]
-LightState = Literal["on", "off", "as-is"]
 Confirm = Callable[[str], None]
 """Announces a motion; raises `UsageError` where it is not allowed."""
 Axes = tuple[RigAxes | None, Mapping[str, MotorPart]]
@@ -362,15 +363,13 @@ class Snapped:
     not_homed: tuple[str, ...] = field(metadata=LEFT_OUT)
 
 
+@by_keywords(shot=Shot)
 def snap(
     rig: Path | str,
     out: Path | str,
-    exposure_s: float,
-    gain: float = 1.0,
     *,
+    shot: Shot,
     frames: int = 1,
-    light: LightState = "on",
-    channel: str | None = None,
     preview: bool = False,
     read_angles: bool = True,
     overwrite: bool = False,
@@ -380,11 +379,8 @@ def snap(
     Args:
         rig: rig file.
         out: file to write (.tif); of a colour camera the unchanged mosaic.
-        exposure_s: exposure in seconds.
-        gain: as a factor.
+        shot: exposure and light, or its fields as keywords.
         frames: to average, rounded to counts.
-        light: while the picture is taken.
-        channel: of the light; that of the rig file by default.
         preview: write a PNG next to it, in colour.
         read_angles: read the axes, and write their angles into the file.
         overwrite: replace files that exist.
@@ -406,11 +402,11 @@ def snap(
             raise UsageError(f"{path} exists; name another file, or say --overwrite")
     if not 1 <= frames <= 10_000:
         raise UsageError(f"--count must lie between 1 and 10000, not {frames}")
-    file = read_rig(Path(rig), channel=channel)
+    file = read_rig(Path(rig), channel=shot.channel)
     axes = {"stage": file.stage} | ({} if file.tilt is None else {"tilt": file.tilt})
-    lamp = None if light == "as-is" else file.light
+    lamp = None if shot.light == "as-is" else file.light
     with open_devices(axes if read_angles else {}, file.camera, lamp) as devices:
-        frame, saturated = _take(devices, file, exposure_s, gain, frames, light)
+        frame, saturated = _take(devices, file, shot, frames)
         assert devices.camera is not None
         info = devices.camera.info
         unsure = tuple(axis.name for axis in devices.axes.values() if not axis.is_homed)
@@ -437,9 +433,7 @@ def snap(
     )
 
 
-def _take(
-    devices: Devices, file: RigFile, exposure_s: float, gain: float, frames: int, light: LightState
-) -> "tuple[Frame, float]":
+def _take(devices: Devices, file: RigFile, shot: Shot, frames: int) -> "tuple[Frame, float]":
     """The mean of some frames, and the largest saturated share among them."""
     import numpy as np
 
@@ -448,16 +442,16 @@ def _take(
 
     camera = devices.camera
     assert camera is not None
-    settings = camera.configure(exposure_s, gain)
+    settings = camera.configure(shot.exposure_s, shot.gain)
     if devices.light is not None:
-        (devices.light.on if light == "on" else devices.light.off)()
+        (devices.light.on if shot.light == "on" else devices.light.off)()
     info = camera.info
     captured = [camera.grab().copy() for _ in range(frames)]
     mean = np.rint(np.mean(captured, axis=0)).astype(np.uint16) if frames > 1 else captured[0]
     stage_deg, tilt_deg = _angles(devices, file)
     frame = Frame(
         counts=mean,
-        kind="dark" if light == "off" else "sample",
+        kind="dark" if shot.light == "off" else "sample",
         bit_depth=info.bit_depth,
         black_level=info.black_level,
         exposure_s=settings.exposure_s,
@@ -514,25 +508,20 @@ class Focused:
         return None if math.isnan(self.found.repeatability) else self.found.repeatability
 
 
+@by_keywords(shot=Shot)
 def focus(
     rig: Path | str,
-    exposure_s: float,
-    sweep: "Sweep",
-    gain: float = 1.0,
+    sweep: Sweep,
     *,
-    light: LightState = "on",
-    channel: str | None = None,
+    shot: Shot,
     confirm: Confirm = unasked,
 ) -> Focused:
     """Bring the part into focus: sweep z, fit a curve to the sharpness, and go to its peak.
 
     Args:
         rig: rig file with a table [z].
-        exposure_s: exposure in seconds.
         sweep: readings of z, number of sweeps, focus measure, frames averaged.
-        gain: as a factor.
-        light: while the pictures are taken.
-        channel: of the light; that of the rig file by default.
+        shot: exposure and light, or its fields as keywords.
         confirm: announces homing, and raises where it is not allowed.
 
     Raises:
@@ -542,17 +531,17 @@ def focus(
     """
     from anisoscope.live_view.autofocus import Autofocus, depth_of_field_mm
 
-    file = read_rig(Path(rig), channel=channel)
+    file = read_rig(Path(rig), channel=shot.channel)
     if file.z is None:
         raise UsageError("nothing moves the focus there: the rig file has no table [z]")
-    lamp, axes = None if light == "as-is" else file.light, file.moved_with("z")
+    lamp, axes = None if shot.light == "as-is" else file.light, file.moved_with("z")
     with open_devices(axes, file.camera, lamp, rows_of=file) as devices:
         axis, camera = devices.axes["z"], devices.camera
         assert camera is not None
         home_axes(devices.axes, axes, file, confirm)
-        camera.configure(exposure_s, gain)
+        camera.configure(shot.exposure_s, shot.gain)
         if devices.light is not None:
-            (devices.light.on if light == "on" else devices.light.off)()
+            (devices.light.on if shot.light == "on" else devices.light.off)()
         search = Autofocus(axis, camera, file.z.approach_mm, sweep.measure, sweep.average).search
         found = search(sweep.low, sweep.high, steps=sweep.steps, repeats=sweep.repeats)
     return Focused(found, file.z.place(found.best), depth_of_field_mm(file))

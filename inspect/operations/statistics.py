@@ -13,6 +13,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.history.filters import parse_moment
 from anisoscope.parameters.charting import Charting
 from anisoscope.parameters.keywords import by_keywords
+from anisoscope.parameters.measurement_process import ProcessInputs
 from anisoscope.quality.bias import ALPHA, Bias, bias_study
 from anisoscope.quality.capability import Specification, charted, specification
 from anisoscope.quality.chart_limits import read_chart_limits
@@ -22,8 +23,6 @@ from anisoscope.quality.gauge import GaugeStudy, gauge_data, gauge_study
 from anisoscope.quality.limits import Limits, Period
 from anisoscope.quality.linearity import GaugeLinearity, gauge_linearity
 from anisoscope.quality.measurement_process import (
-    PROCESS_LIMIT,
-    SYSTEM_LIMIT,
     MeasurementProcess,
     TypeOne,
     measurement_process,
@@ -142,17 +141,9 @@ def msa_type1(
     return type_one(values_of(readings, number)[1], _known(readings, reference), tolerance, resolution)
 
 
+@by_keywords(inputs=ProcessInputs)
 def msa_process(
-    standards: Readings,
-    gauge: Readings | None = None,
-    number: str | None = None,
-    *,
-    tolerance: float,
-    corrected: bool = False,
-    stated: Mapping[str, float] | None = None,
-    resolution: float | None = None,
-    largest_error: float | None = None,
-    limits: tuple[float, float] = (SYSTEM_LIMIT, PROCESS_LIMIT),
+    standards: Readings, gauge: Readings | None = None, number: str | None = None, *, inputs: ProcessInputs
 ) -> MeasurementProcess:
     """Capability of a measuring system and of its process (ISO 22514-7, VDA 5).
 
@@ -160,28 +151,23 @@ def msa_process(
         standards: repeated measurements of standards, with the column ``reference``.
         gauge: of a crossed study; None for the measuring system alone.
         number: name of the measured number; the first one by default.
-        tolerance: width between the limits of good parts.
-        corrected: measured values are corrected by the line of the standards.
-        stated: further standard uncertainties by name: CAL, LIN, OBJ, T, STAB, GV, rest.
-        resolution: of the gauge.
-        largest_error: maximum permissible error, in place of calibration, bias and linearity.
-        limits: largest Q of system and process.
+        inputs: tolerance, further uncertainties and limits, or the fields as keywords.
 
     Raises:
         UsageError: a missing column, or a number that makes no sense.
     """
     values = values_of(standards, number)[1]
     known = _column(standards, "measurements of standards need")
-    own = standards_study(known, values, corrected=corrected)
-    crossed = None if gauge is None else msa_gauge(gauge, number, tolerance=tolerance)
+    own = standards_study(known, values, corrected=inputs.corrected)
+    crossed = None if gauge is None else msa_gauge(gauge, number, tolerance=inputs.tolerance)
     return measurement_process(
-        tolerance,
+        inputs.tolerance,
         own,
         crossed,
-        stated,
-        resolution=resolution,
-        largest_error=largest_error,
-        limits=limits,
+        inputs.stated,
+        resolution=inputs.resolution,
+        largest_error=inputs.largest_error,
+        limits=(inputs.system_limit, inputs.process_limit),
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import in_json, json_field
+from anisoscope.parameters.measurement_process import ProcessInputs
 from anisoscope.quality.bias import Bias, bias_study
 from anisoscope.quality.capability import Index, nearer_index, spread_index
 from anisoscope.quality.gauge import GaugeStudy
@@ -23,7 +24,7 @@ SHARE, CAPABLE = 0.20, 1.33
 """Share of the tolerance that 6 sigma of a type-1 study may fill, and the least Cg and Cgk."""
 RESOLUTION_SHARE = 0.05
 COVERAGE = 2.0
-SYSTEM_LIMIT, PROCESS_LIMIT = 0.15, 0.30
+SYSTEM_LIMIT, PROCESS_LIMIT = ProcessInputs.system_limit, ProcessInputs.process_limit
 """Largest Q of the measuring system and of the measurement process that VDA 5 recommends."""
 MIN_STANDARD = 25
 ALPHA = 0.05

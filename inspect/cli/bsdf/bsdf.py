@@ -13,6 +13,7 @@ from anisoscope.cli.options import OF_PLASTIC, Flag, Json, check_new, check_suff
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.reflecting import Reflecting
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
@@ -48,24 +49,16 @@ class SourceOptions:
 
     Attributes:
         from_file: File of another format (RGL, MERL, Klems, tensor tree, Zemax), or a table *.csv of bsdf import.
-        bounces: Ridges: most reflections, or 'all'; direct light by default: a file of 16 s takes over 8 min with 2.
-        optics: Height map: rays on plastic, or waves on a mirror, for steps and depths below a µm.
-        steps: Number of plateaus of a stepped height map, for waves; found if not given.
         pixel: Height map: pixel size in µm where it states none, SIZE or Y,X.
-        lamp_half_angle: Height map by waves: half of the angle that the lamp subtends, degrees.
     """
 
     ink: Annotated[str | None, Parameter(help="Structural-colour ink: file *.toml, or a name.")] = None
     design: Annotated[Path | None, Parameter(help="Etched steps: file *.toml of anisoscope design.")] = None
     height_map: Annotated[Path | None, Parameter(help="Height map, x as the reflectance's.")] = None
     from_file: Path | None = None
-    bounces: int | Literal["all"] = 1
-    optics: Literal["rays", "waves"] = "rays"
-    steps: int | None = None
     pixel: str | None = None
-    lamp_half_angle: float = 0.9
 
-    def surface(self, ridges: Given[RidgeDesign]) -> "tuple[Surface, dict[str, Any]]":
+    def surface(self, ridges: Given[RidgeDesign], how: Reflecting) -> "tuple[Surface, Reflecting]":
         """The surface that is named, and how its reflectance is computed.
 
         Raises:
@@ -84,29 +77,24 @@ class SourceOptions:
         if self.ink is not None:
             from anisoscope.sim.materials.inks import find_ink
 
-            return find_ink(self.ink), {}
+            return find_ink(self.ink), how
         if self.design is not None:
             from anisoscope.sim.design.designfile import read_design
 
-            return read_design(self.design), {}
+            return read_design(self.design), how
         if self.from_file is not None:
             from anisoscope.operations.reflectance import reflectance_file
 
-            return reflectance_file(self.from_file), {}
+            return reflectance_file(self.from_file), how
         if self.height_map is None:
-            return ridges.over(RidgeDesign(100.0, 0.0)), {"bounces": self.bounces}
+            return ridges.over(RidgeDesign(100.0, 0.0)), how
         from anisoscope.cli.options import parse_pixel
         from anisoscope.profiles.files.load import read_height_map
 
         ridges.refuse(
             ["wall", "height_loss", "edge_radius_um", "foot_radius_um"], "belongs to ridges (--ridge-angle)"
         )
-        how: dict[str, Any] = {
-            "optics": self.optics,
-            "lamp_half_angle_deg": self.lamp_half_angle,
-            "steps": self.steps,
-        }
-        how |= {"pitch_um": ridges.values.get("pitch_um"), "name": self.height_map.stem}
+        how = replace(how, pitch_um=ridges.values.get("pitch_um"), name=self.height_map.stem)
         return read_height_map(self.height_map, pixel_um=parse_pixel(self.pixel)), how
 
 
@@ -139,8 +127,43 @@ def _resolution(nodes: str | None) -> "Resolution | None":
 app = App(name="bsdf", help="Exchange reflectance with renderers and instruments: export, import, show.")
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class FileOptions:
+    """File for a renderer.
+
+    Attributes:
+        coarse: Write ridges as Klems or tensor tree, which blur them.
+    """
+
+    format_: Annotated[
+        Literal["rgl", "merl", "zemax", "klems", "tensor-tree"] | None,
+        Parameter(
+            name="--file-format", help="Format; by the extension .bsdf (RGL), .binary (MERL), .xml (Klems)."
+        ),
+    ] = None
+    wavelength: Annotated[float | None, Parameter(help="Keep one wavelength in nm.")] = None
+    nodes: NodesOption = None
+    scene: Annotated[Path | None, Parameter(help="RGL: also write a scene *.xml for Mitsuba.")] = None
+    scene_shape: Annotated[Literal["sphere", "plate"], Parameter(help="Shape in the scene.")] = "sphere"
+    coarse: Flag = False
+    overwrite: OverwriteOption = False
+
+
+USUAL_FILE = FileOptions()
+
+
 @app.command
-@with_options(ridges=OF_RIDGES, plastic=OF_SURFACE)
+@with_options(
+    ridges=OF_RIDGES,
+    plastic=OF_SURFACE,
+    how=Options(
+        Reflecting,
+        SOURCE,
+        without={"pitch_um": "that of the ridges", "name": "that of the file"},
+        whole=True,
+    ),
+)
 def export(
     target: Path,
     /,
@@ -149,18 +172,8 @@ def export(
     ridges: Given[RidgeDesign],
     material: Annotated[MaterialFile, Parameter(group=SOURCE)] = None,
     plastic: Given[Material],
-    format_: Annotated[
-        Literal["rgl", "merl", "zemax", "klems", "tensor-tree"] | None,
-        Parameter(
-            name="--file-format", help="Format; by the extension .bsdf (RGL), .binary (MERL), .xml (Klems)."
-        ),
-    ] = None,
-    wavelength: Annotated[float | None, Parameter(help="Keep one wavelength in nm.")] = None,
-    nodes: NodesOption = None,
-    scene: Annotated[Path | None, Parameter(help="RGL: also write a scene *.xml for Mitsuba.")] = None,
-    scene_shape: Annotated[Literal["sphere", "plate"], Parameter(help="Shape in the scene.")] = "sphere",
-    coarse: Flag = False,
-    overwrite: OverwriteOption = False,
+    how: Given[Reflecting],
+    file: FileOptions = USUAL_FILE,
     json_: Json = False,
 ) -> int:
     """Write the reflectance of ridges, an ink, etched steps, a height map or a file for renderers.
@@ -170,7 +183,6 @@ def export(
 
     Args:
         target: file to write.
-        coarse: Write ridges as Klems or tensor tree, which blur them.
 
     Examples:
         anisoscope bsdf export ridges.bsdf --ridge-angle 10 --scene ridges.xml
@@ -180,22 +192,22 @@ def export(
     from anisoscope.bsdf.formats import format_of
     from anisoscope.operations.reflectance import export_bsdf, reflectance_of
 
-    name = format_ or format_of(target)
+    name, scene, nodes = file.format_ or format_of(target), file.scene, file.nodes
     if name != "rgl" and (nodes is not None or scene is not None):
         raise UsageError(f"--{'nodes' if nodes is not None else 'scene'} belongs to RGL .bsdf files")
     check_suffix(scene, "--scene", ".xml")
-    check_new((target, scene), overwrite=overwrite)
+    check_new((target, scene), overwrite=file.overwrite)
     resolution, plastics = _resolution(nodes), _plastic(material, plastic)
     with progress(target.name, quiet=json_) as advance:
-        surface, how = (source or SourceOptions()).surface(ridges)
+        surface, asked = (source or SourceOptions()).surface(ridges, how.made())
         found = export_bsdf(
-            reflectance_of(surface, material=plastics, on_progress=advance, **how),
+            reflectance_of(surface, material=plastics, how=asked, on_progress=advance),
             target,
             file_format=name,
-            wavelength_nm=wavelength,
+            wavelength_nm=file.wavelength,
             resolution=resolution,
-            scene=None if scene is None else (scene, scene_shape),
-            coarse=coarse,
+            scene=None if scene is None else (scene, file.scene_shape),
+            coarse=file.coarse,
             on_progress=advance,
         )
     if json_:
@@ -316,6 +328,26 @@ def import_(
     return 0
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class TextureOptions:
+    """Textures and their scene.
+
+    Attributes:
+        pixel: Pixel size in µm: of a plate's heights (2), of a map that states none.
+        wavelength: Dots: keep one wavelength in nm; spectral files are large.
+    """
+
+    pixel: str | None = None
+    inks: InksOption = None
+    wavelength: float | None = None
+    nodes: NodesOption = None
+    light_angle: Annotated[float, Parameter(help="Scene: angle between light and camera in degrees.")] = 10.0
+
+
+TEXTURES = TextureOptions()
+
+
 @app.command
 @with_options(plastic=OF_PLASTIC)
 def textures(
@@ -323,11 +355,7 @@ def textures(
     /,
     *,
     out: Annotated[Path, Parameter(help="New folder for textures, reflectances and scene.")],
-    pixel: str | None = None,
-    inks: InksOption = None,
-    wavelength: float | None = None,
-    nodes: NodesOption = None,
-    light_angle: Annotated[float, Parameter(help="Scene: angle between light and camera in degrees.")] = 10.0,
+    how: TextureOptions = TEXTURES,
     material: MaterialFile = None,
     plastic: Given[Material],
     json_: Json = False,
@@ -339,8 +367,6 @@ def textures(
 
     Args:
         source: Recipe of a plate, layout of dots, PNG of a halftone, or height map.
-        pixel: Pixel size in µm: of a plate's heights (2), of a map that states none.
-        wavelength: Dots: keep one wavelength in nm; spectral files are large.
 
     Examples:
         anisoscope bsdf textures plate/recipe.toml --out textures
@@ -350,16 +376,16 @@ def textures(
     from anisoscope.cli.options import parse_pixel
     from anisoscope.operations.reflectance import SCENE, bsdf_textures
 
-    resolution, plastics = _resolution(nodes), _plastic(material, plastic)
+    resolution, plastics = _resolution(how.nodes), _plastic(material, plastic)
     with progress(str(source), quiet=json_) as advance:
         done = bsdf_textures(
             source,
             out,
-            pixel_um=parse_pixel(pixel),
-            inks=None if inks is None else printed_inks(inks),
-            wavelength_nm=wavelength,
+            pixel_um=parse_pixel(how.pixel),
+            inks=None if how.inks is None else printed_inks(how.inks),
+            wavelength_nm=how.wavelength,
             resolution=resolution,
-            light_angle_deg=light_angle,
+            light_angle_deg=how.light_angle,
             material=plastics,
             on_progress=advance,
         )

@@ -2,9 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption
@@ -12,23 +10,24 @@ from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Flag, Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
+from anisoscope.parameters.ink import InkReadings, InkSpheres
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.sim.proof.comparison import Comparison
 
-MOST_SIZE = 2048
 NAMES = {"goniochromatic": "ours", "schlick": "standard, Schlick", "tio2": "standard, TiO2 × ρ"}
 
 
+@with_options(
+    how=Options(InkReadings, whole=True),
+    spheres=Options(InkSpheres, names={"size": "--picture-size"}, whole=True),
+)
 def compare(
     *readings: Path,
     synthetic: Flag = False,
-    seed: Annotated[int, Parameter(help="Seed of the noise of made-up readings.")] = 1,
-    values: Literal["factor", "brdf"] = "factor",
-    reflectance: float | None = None,
-    alpha: float | None = None,
-    illuminant: str = "d65",
-    picture_size: Annotated[int, Parameter(help="Side of the pictures in pixels.")] = 512,
+    how: Given[InkReadings],
+    spheres: Given[InkSpheres],
     png: Path | None = None,
     overwrite: OverwriteOption = False,
     json_: Json = False,
@@ -37,10 +36,6 @@ def compare(
 
     Args:
         readings: CSV files theta_i_deg,theta_o_deg,wavelength_nm,value, one an ink; each is fitted first.
-        values: Values are ratios to the white reference, or BRDF in 1/sr.
-        reflectance: Reflectance of the white reference; else 0.99.
-        alpha: Roughness to show the models with, in place of the fitted one.
-        illuminant: Illuminant: d65, a, led-b3 …, or CSV wavelength_nm,power.
         png: Write the spheres to this *.png: a row an ink; readings, then the models.
         synthetic: Compare on made-up readings of the three synthetic inks.
 
@@ -52,28 +47,16 @@ def compare(
 
     check_suffix(png, "--png", ".png")
     check_new((png,), overwrite=overwrite)
-    if not picture_size <= MOST_SIZE or seed < 0:
-        raise UsageError(f"--picture-size takes pixels up to {MOST_SIZE}, --seed 0 or more")
+    read, shown = how.made(), spheres.made()
     if bool(readings) == synthetic:
         raise UsageError("ink compare needs readings (CSV files), or --synthetic in their place")
-    if values == "brdf" and reflectance is not None:
-        raise UsageError("--reflectance needs --values factor: a BRDF has no white reference")
     with progress("compare", quiet=json_) as advance:
-        found = compare_inks(
-            readings,
-            values,
-            reflectance=reflectance,
-            alpha=alpha,
-            illuminant=illuminant,
-            size=picture_size,
-            seed=seed,
-            on_progress=advance,
-        )
+        found = compare_inks(readings, how=read, spheres=shown, on_progress=advance)
     if png is not None:
         found.write_picture(png)
     if json_:
         return print_json(found)
-    _print(found.inks, synthetic, picture_size)
+    _print(found.inks, synthetic, shown.size)
     print_lines(
         *(f"warning: {warning}" for warning in found.warnings),
         f"Convention: {found.convention}.",

@@ -1,16 +1,17 @@
 """``anisoscope ink``: structural-colour inks, fitted to goniometer readings and shown as colours."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Flag, Html, Json, check_new, check_suffix
+from anisoscope.cli.options import Html, Json, check_new, check_suffix
 from anisoscope.cli.tables import console, print_lines, print_table
-from anisoscope.views.options import parse_numbers
+from anisoscope.parameters.ink import InkFitting, InkTable, InkView
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.ink.appearance import Show
@@ -27,17 +28,12 @@ app.command("anisoscope.cli.ink.compare:compare")
 
 
 @app.command
+@with_options(fitting=Options(InkFitting, names={"method": "--fit-method"}, whole=True))
 def fit(
     data: Path,
     /,
     *,
-    fit_method: Literal["joint", "paper"] = "joint",
-    values: Literal["factor", "brdf"] = "factor",
-    reflectance: float | None = None,
-    white_table: Path | None = None,
-    white_readings: Path | None = None,
-    u_reading: float | None = None,
-    floor: float | None = None,
+    fitting: Given[InkFitting],
     name: Annotated[str | None, Parameter(help="Name of the ink.")] = None,
     out: Annotated[Path | None, Parameter(help="Write the ink file *.toml.")] = None,
     html: Html = None,
@@ -48,14 +44,6 @@ def fit(
 
     Args:
         data: CSV: theta_i_deg,theta_o_deg,wavelength_nm,value; θo counts away from the light, θo = θi is the mirror.
-        fit_method: All parameters at once, or the published two steps.
-        values: Values are ratios to the white reference, or BRDF in 1/sr.
-        reflectance: Reflectance of the white reference; 0.99 where it is not given.
-        white_table: CSV: theta_i_deg[,theta_o_deg],correction: BRDF of the reference over a Lambertian one.
-        white_readings: CSV as DATA: readings of the reference, where values are not divided yet.
-        floor: Noise floor in 1/sr; readings up to 3 times as large are dropped.
-        u_reading: Relative standard uncertainty of a reading, by which the model is tested; for the weights 0.03 where
-            it is not given.
 
     Examples:
         anisoscope ink fit red.csv --out red.toml --html red-fit.html
@@ -64,21 +52,11 @@ def fit(
     from anisoscope.operations.inks import fit_ink
     from anisoscope.sim.materials.inks import write_ink
 
-    if values == "brdf" and reflectance is not None:
-        raise UsageError("--reflectance needs --values factor: a BRDF has no white reference")
+    asked = fitting.made()
     check_suffix(out, "--out", ".toml")
     check_suffix(html, "--html", ".html", ".htm")
     check_new((out, html), overwrite=overwrite)
-    found = fit_ink(
-        data,
-        fit_method,
-        values,
-        reflectance=reflectance,
-        white_table=white_table,
-        white_readings=white_readings,
-        u_reading=u_reading,
-        floor=floor,
-    )
+    found = fit_ink(data, fitting=asked)
     ink = found.ink(name or data.stem, f"fitted to {data.name} ({summary(found)})")
     if out is not None:
         write_ink(ink, out)
@@ -97,16 +75,13 @@ def fit(
 
 
 @app.command(name="import")
+@with_options(read=Options(InkTable, whole=True))
 def import_(
     table: Path,
     /,
     *,
-    alpha: Annotated[float, Parameter(help="Roughness α of the print, which a table does not hold.")],
     out: Annotated[Path, Parameter(help="Ink file *.toml to write.")],
-    scale: Literal["brdf", "factor"] = "brdf",
-    reflectance: float | None = None,
-    name: Annotated[str | None, Parameter(help="Name of the ink; else that of the file.")] = None,
-    source: Annotated[str, Parameter(help="Where the table is from.")] = "",
+    read: Given[InkTable],
     overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
@@ -114,8 +89,6 @@ def import_(
 
     Args:
         table: CSV wavelength_nm,rho,c: a row a wavelength, from 400 nm or less to 700 nm or more.
-        scale: Scale of ρ: Eq. 5 gives 1/sr (brdf), or the ratio to a white reference (factor).
-        reflectance: Reflectance of the white reference of a factor; 0.99 if not given.
 
     Examples:
         anisoscope ink import red.csv --alpha 0.19 --out red.toml
@@ -124,12 +97,13 @@ def import_(
     from anisoscope.sim.light.ink.model import albedo_warning
     from anisoscope.sim.materials.inks import read_ink_table, write_ink
 
-    if scale == "brdf" and reflectance is not None:
-        raise UsageError("--reflectance needs --scale factor: a BRDF has no white reference")
+    how = read.made()
     check_suffix(out, "--out", ".toml")
     check_new((out,), overwrite=overwrite)
-    white = SPECTRALON if reflectance is None else reflectance
-    ink = read_ink_table(table, alpha, convention=scale, white=white, name=name or table.stem, source=source)
+    white = SPECTRALON if how.reflectance is None else how.reflectance
+    ink = read_ink_table(
+        table, how.alpha, convention=how.scale, white=white, name=how.name or table.stem, source=how.source
+    )
     low, high = float(ink.nm.min()), float(ink.nm.max())
     if low > NEEDED_NM[0] or high < NEEDED_NM[1]:
         raise UsageError(
@@ -140,11 +114,11 @@ def import_(
     if json_:
         return print_json(
             {
-                "ink": ink.name, "alpha": alpha, "wavelengths": int(ink.nm.size), "from_nm": low, "to_nm": high,
-                "scale": scale, "written": out, "warnings": [] if warning is None else [warning],
+                "ink": ink.name, "alpha": how.alpha, "wavelengths": int(ink.nm.size), "from_nm": low, "to_nm": high,
+                "scale": how.scale, "written": out, "warnings": [] if warning is None else [warning],
             }
         )  # fmt: skip
-    print_lines(f"{ink.name}: {ink.nm.size} wavelengths from {low:g} to {high:g} nm, alpha {alpha:g}")
+    print_lines(f"{ink.name}: {ink.nm.size} wavelengths from {low:g} to {high:g} nm, alpha {how.alpha:g}")
     if warning is not None:
         print_lines(f"warning: {warning}")
     print_lines(f"{out}: written")
@@ -152,14 +126,17 @@ def import_(
 
 
 @app.command
+@with_options(
+    view=Options(
+        InkView,
+        names={"exposure": "--brightness"},
+        flags=("adapt",),
+        whole=True,
+    )
+)
 def show(
     *inks: str,
-    illuminant: str = "d65",
-    light_angles: str | None = None,
-    off_mirror: Annotated[float, Parameter(help="Angle between eye and mirror direction, in degrees.")] = 0.0,
-    ink_model: Literal["goniochromatic", "schlick", "tio2"] = "goniochromatic",
-    exposure: Annotated[float | None, Parameter(name="--brightness")] = None,
-    adapt: Flag = False,
+    view: Given[InkView],
     html: Html = None,
     png: Path | None = None,
     overwrite: OverwriteOption = False,
@@ -169,12 +146,7 @@ def show(
 
     Args:
         inks: Ink files *.toml, or synthetic-red, synthetic-green, synthetic-blue.
-        light_angles: Angles of the light to the normal in degrees, comma-separated.
-        ink_model: The ink model, or a standard one.
         png: Write a picture of the colours and spectra: *.png or *.svg.
-        illuminant: Illuminant: d65, a, led-b1 … led-b5, led-bh1, led-rgb1, led-v1, led-v2, or CSV wavelength_nm,power.
-        adapt: Adapt the light's white to that of sRGB (Bradford).
-        exposure: Factor on XYZ before it is shown; else the brightest channel becomes 1.
 
     Examples:
         anisoscope ink show synthetic-red synthetic-green synthetic-blue --png inks.png
@@ -189,18 +161,18 @@ def show(
     check_suffix(html, "--html", ".html", ".htm")
     check_suffix(png, "--png", ".png", ".svg")
     check_new((html, png), overwrite=overwrite)
-    usual = tuple(angle for angle in ANGLES_DEG if abs(angle + off_mirror) < HORIZON_DEG)
+    seen = view.made()
+    usual = tuple(angle for angle in ANGLES_DEG if abs(angle + seen.off_mirror_deg) < HORIZON_DEG)
     if not usual:
-        raise UsageError(f"--off-mirror takes degrees between -90 and 90, not {off_mirror:g}")
-    theta = usual if light_angles is None else parse_numbers(light_angles, "--light-angles")
+        raise UsageError(f"--off-mirror takes degrees between -90 and 90, not {seen.off_mirror_deg:g}")
     shown = show_inks(
         [find_ink(text) for text in inks],
-        find_illuminant(illuminant),
-        theta_deg=theta,
-        off_mirror_deg=off_mirror,
-        model=ink_model,
-        exposure=exposure,
-        adapt=adapt,
+        find_illuminant(seen.illuminant),
+        theta_deg=seen.light_angles_deg or usual,
+        off_mirror_deg=seen.off_mirror_deg,
+        model=seen.ink_model,
+        exposure=seen.exposure,
+        adapt=seen.adapt,
     )
     if html is not None or png is not None:
         from anisoscope.report.ink_page import write_ink_picture, write_ink_show_page

@@ -1,5 +1,6 @@
 """``anisoscope inspect``, ``resume``, ``recompute``, ``verify``: inspect a part, and work with its folder."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,12 +8,14 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Flag, HistoryOption, Json, TrustFile
+from anisoscope.cli.options import INTO, Flag, HistoryOption, Into, Json, TrustFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import answer, console, print_lines, print_table
+from anisoscope.parameters.inspecting import ForeignFrames, PartLabels
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.inspection.recompute import Recomputed
@@ -20,38 +23,25 @@ if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
 
 
-@everyday(
-    *(
-        "recipe",
-        "rig",
-        "serial",
-        "frames",
-        "out",
-        "operator",
-        "lot",
-        "cavity",
-        "station",
-        "at",
-        "history",
-        "json_",
-    )
+@with_options(
+    part=Options(
+        PartLabels,
+        names={"serial": ("--serial", "-s")},
+        without={"at_mm": "two words: an option of its own"},
+        whole=True,
+    ),
+    foreign=Options(ForeignFrames, groups=dict.fromkeys(("reflectance", "reuse"), MORE), whole=True),
 )
+@everyday("recipe", "rig", "part", "at", "into", "json_")
 def inspect(
     *,
     recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")] = None,
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
-    serial: Annotated[str | None, Parameter(name=["--serial", "-s"])] = None,
-    frames: Path | None = None,
+    part: Given[PartLabels],
+    foreign: Given[ForeignFrames],
     init: Flag = False,
-    reflectance: float = 0.99,
-    reuse: str = "",
-    out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
-    operator: Annotated[str | None, Parameter(help="Operator, for the record.")] = None,
-    lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
-    cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
-    station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
     at: Annotated[tuple[float, float] | None, Parameter(negative="")] = None,
-    history: HistoryOption = None,
+    into: Into = INTO,
     json_: Json = False,
 ) -> int:
     """Photograph a part, compare its contrasts (of a print: its colours) with the prediction, and decide.
@@ -59,12 +49,8 @@ def inspect(
     Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
 
     Args:
-        frames: Judge the frames of this folder (frames.csv) instead of taking any.
-        reflectance: With --frames: reflectance of the white tile in its flat frames.
-        reuse: With --frames: reason for judging frames that are known as those of another part.
         init: With --frames: write a first frames.csv for the pictures there, and end.
         rig: Rig file (TOML); with --frames rig.toml beside them by default.
-        serial: Serial number of the part; without it you type or scan it.
         at: Place of the part on the plate for the axes x and y: mm right and up of the stage's axis, at sample angle 0.
 
     Examples:
@@ -73,38 +59,34 @@ def inspect(
         anisoscope inspect --recipe recipe.toml --frames photographed --serial A-0002 --lot L42 --json
     """
     from anisoscope.inspection.reports import Reports
+    from anisoscope.operations.inspecting import Surroundings
     from anisoscope.operations.inspecting import inspect as inspect_one
     from anisoscope.operations.remembering import history_place, lot_mates, used_before
-    from anisoscope.record.schema import Particulars
 
+    labels, taken = part.made(), foreign.made()
     if init:
-        return _draft(frames, json_=json_)
+        return _draft(taken.frames, json_=json_)
     if recipe is None:
         raise UsageError("--recipe is missing")
-    if rig is None and frames is None:
+    if rig is None and taken.frames is None:
         raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
-    if serial is None:
-        serial, lot = ask_serial(lot)
-    if at is not None and frames is not None:
+    if labels.serial is None:
+        serial, lot = ask_serial(labels.lot)
+        labels = replace(labels, serial=serial, lot=lot)
+    if at is not None and taken.frames is not None:
         raise UsageError(
             "--at says where axes bring a part from; with --frames nothing moves: leave one of them out"
         )
-    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station, place_mm=at)
-    place = history_place(history, out)
+    place = history_place(into.history, into.out)
     with Reports() as reports:
-        with progress(serial, quiet=json_) as advance:
+        with progress(str(labels.serial), quiet=json_) as advance:
             inspected = inspect_one(
                 recipe,
                 rig,
-                serial=serial,
-                frames=frames,
-                reflectance=reflectance,
-                out=out,
-                particulars=who,
-                lot_mates=lot_mates(place, lot),
-                reports=reports,
-                used_before=used_before(place),
-                reuse=reuse,
+                labels=replace(labels, at_mm=at),
+                foreign=taken,
+                out=into.out,
+                known=Surroundings(lot_mates(place, labels.lot), used_before(place), reports),
                 on_progress=advance,
             )
         return _concluded(inspected, reports, place, json_=json_)

@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from anisoscope.base.progress import Advance
 from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json_line
-from anisoscope.cli.options import Flag, HistoryOption
+from anisoscope.cli.options import INTO, Flag, Into
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
@@ -31,7 +31,7 @@ def watch(
     *,
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
-    out: Annotated[Path, Parameter(help="Folder that receives the inspections.")] = Path("inspections"),
+    into: Into = INTO,
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
     stable_for: float = 2.0,
     poll: Annotated[float, Parameter(help="Seconds between checks of the folder.")] = 1.0,
@@ -39,7 +39,6 @@ def watch(
     code_kind: CodeKind = "any",
     reuse: str = "",
     once: Flag = False,
-    history: HistoryOption = None,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
 ) -> int:
     """Inspect every folder of frames that another program writes; Ctrl-C stops after the current one.
@@ -73,13 +72,13 @@ def watch(
             listener=teller,
             stop=stop,
             once=once,
-            out=out,
+            out=into.out,
             reflectance=reflectance,
             stable_s=stable_for,
             poll_s=poll,
             code=code_kind if read_code else None,
             reuse=reuse,
-            history=history,
+            history=into.history,
             note=teller.note,
             begun=lambda root: teller.say(
                 {"event": "watching", "folder": str(root)}, f"watching {root}; Ctrl-C ends"

@@ -6,7 +6,8 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,9 +16,11 @@ from cyclopts import App, Parameter
 from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
-from anisoscope.cli.help_page import everyday
-from anisoscope.cli.options import HistoryOption, OwnCertificate, OwnKey, PeersFolder, extra_packages
+from anisoscope.cli.help_page import MORE
+from anisoscope.cli.options import Into, OwnCertificate, OwnKey, PeersFolder, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
+from anisoscope.parameters.handshake import Addresses
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.line.jobs import Jobs
@@ -25,47 +28,64 @@ if TYPE_CHECKING:
 
 app = App(name="line", help="Serve a rig to the controller of a line: jobs by OPC UA, MQTT or Modbus/TCP.")
 Recipes = Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")]
-Out = Annotated[Path, Parameter(help="Folder that receives the inspection folders.")]
-Station = Annotated[
-    str | None, Parameter(help="Station where the rig stands; the fleet page shows what it does.")
-]
 Wanted = Literal["all", "not-pass", "none"]
-Reports = Annotated[
-    Wanted,
-    Parameter(
-        help="Parts whose report.html is written: all, those that are not PASS, or none. `anisoscope report FOLDER` "
-        "writes any other one later."
-    ),
-]
-INSPECTIONS = Path("inspections")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Kept(Into):
+    """Folder, history and reports of ordered inspections."""
+
+    station: Annotated[
+        str | None, Parameter(help="Station where the rig stands; the fleet page shows what it does.")
+    ] = None
+    reports: Annotated[
+        Wanted,
+        Parameter(
+            group=MORE,
+            help="Parts whose report.html is written: all, those that are not PASS, or none. `anisoscope report "
+            "FOLDER` writes any other one later.",
+        ),
+    ] = "all"
+
+    def jobs(self, rig: Path, recipes: Path) -> "AbstractContextManager[Jobs]":
+        """The jobs of a rig; errors as for `jobs_at`."""
+        from anisoscope.line.jobs import jobs_at
+
+        return jobs_at(rig, recipes, self.out, self.history, self.station, self.reports)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Secured:
+    """Encryption and log in of a server.
+
+    Attributes:
+        open_: Let every computer that reaches the address order jobs: there is no encryption and no password.
+        users: With --certificate: file of users, who log in by name and password.
+    """
+
+    open_: Annotated[bool, Parameter(name="--open", negative="")] = False
+    certificate: OwnCertificate = None
+    key: OwnKey = None
+    peers: PeersFolder = None
+    users: Path | None = None
+
+
+KEPT, PLAIN = Kept(), Secured()
 
 
 @app.command
-@everyday(
-    *("rig", "recipes", "out", "history", "station", "host", "port", "open_"),
-    *("certificate", "key", "peers", "users"),
-)
 def opcua(
     *,
     rig: RigPath,
     recipes: Recipes,
-    out: Out = INSPECTIONS,
-    history: HistoryOption = None,
-    station: Station = None,
-    reports: Reports = "all",
+    kept: Kept = KEPT,
     host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="TCP port.")] = 4840,
-    open_: Annotated[bool, Parameter(name="--open", negative="")] = False,
-    certificate: OwnCertificate = None,
-    key: OwnKey = None,
-    peers: PeersFolder = None,
-    users: Path | None = None,
+    secured: Secured = PLAIN,
 ) -> int:
     """Serve the rig by OPC UA for Machine Vision (OPC 40100-1), until Ctrl-C.
-
-    Args:
-        open_: Let every computer that reaches the address order jobs: there is no encryption and no password.
-        users: With --certificate: file of users, who log in by name and password.
 
     Examples:
         anisoscope line opcua --rig rig.toml --recipes recipes
@@ -74,9 +94,9 @@ def opcua(
     with extra_packages("OPC UA", "line"):
         from anisoscope.line.opcua import VisionServer, long_lived
         from anisoscope.line.opcua_security import read_security
-    from anisoscope.line.jobs import jobs_at
 
-    security = read_security(certificate, key, peers, write_line)
+    users, open_ = secured.users, secured.open_
+    security = read_security(secured.certificate, secured.key, secured.peers, write_line)
     if users is not None:
         if security is None:
             raise UsageError("--users goes with --certificate: a password is never sent without encryption")
@@ -86,7 +106,7 @@ def opcua(
     if security is not None and open_:
         raise UsageError("--open is for a server without --certificate: with it, only --peers may order jobs")
     check_open(host, open_=open_ or security is not None)
-    with jobs_at(rig, recipes, out, history, station, reports) as jobs:
+    with kept.jobs(rig, recipes) as jobs:
 
         async def serve() -> None:
             async with contextlib.AsyncExitStack() as stack:
@@ -100,33 +120,43 @@ def opcua(
     return 0
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Topics:
+    """Names in the topics of a broker.
+
+    Attributes:
+        node: Sparkplug edge node; another one for every rig at the broker.
+    """
+
+    group: Annotated[str, Parameter(help="Sparkplug group.")] = "anisoscope"
+    node: str = "rig"
+    device: Annotated[str, Parameter(help="Sparkplug device.")] = "inspection"
+
+
+TOPICS = Topics()
+
+
 @app.command
 def mqtt(
     *,
     broker: Annotated[str, Parameter(help="Address: mqtt://[user:password@]host[:1883] or mqtts://…")],
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     recipes: Annotated[Path | None, Parameter(help="Folder of the recipes that may be ordered.")] = None,
-    out: Out = INSPECTIONS,
-    history: HistoryOption = None,
-    station: Station = None,
-    reports: Reports = "all",
-    group: Annotated[str, Parameter(help="Sparkplug group.")] = "anisoscope",
-    node: str = "rig",
-    device: Annotated[str, Parameter(help="Sparkplug device.")] = "inspection",
+    kept: Kept = KEPT,
+    topics: Topics = TOPICS,
     open_: Annotated[bool, Parameter(name="--open", negative="")] = False,
 ) -> int:
     """Publish results by MQTT as Sparkplug B and JSON, until Ctrl-C; with --rig and --recipes take orders of jobs.
 
     Args:
         rig: Rig file; without it only results are published.
-        node: Sparkplug edge node; another one for every rig at the broker.
         open_: With --rig: take orders over a broker elsewhere without encryption.
 
     Examples:
         anisoscope line mqtt --broker mqtt://127.0.0.1 --rig rig.toml --recipes recipes
         anisoscope line mqtt --broker mqtts://broker.example --history inspections/history.sqlite
     """
-    from anisoscope.line.jobs import jobs_at
     from anisoscope.operations.remembering import history_place
 
     with extra_packages("MQTT", "line"):
@@ -135,18 +165,18 @@ def mqtt(
 
     if (rig is None) != (recipes is None):
         raise UsageError("--rig and --recipes go together: the rig that inspects, and what may be ordered")
-    if rig is None and reports != "all":
+    if rig is None and kept.reports != "all":
         raise UsageError("--reports is for parts that are inspected here: add --rig and --recipes")
-    where, names = broker_of(broker), Names(group, node, device)
-    place = history_place(history, out)
+    where, names = broker_of(broker), Names(topics.group, topics.node, topics.device)
+    place = history_place(kept.history, kept.out)
     if place is None:
         raise UsageError("MQTT publishes what the history gains: name one with --history")
     with contextlib.ExitStack() as stack:
         jobs: Jobs | None = None
         if rig is not None and recipes is not None:
             _check_reach(where, open_=open_)
-            jobs = stack.enter_context(jobs_at(rig, recipes, out, history, station, reports))
-        served = EdgeNode(where, names, place, out / "line" / "mqtt.json", write_line, jobs)
+            jobs = stack.enter_context(kept.jobs(rig, recipes))
+        served = EdgeNode(where, names, place, kept.out / "line" / "mqtt.json", write_line, jobs)
         if jobs is not None:
             stack.enter_context(jobs)  # a job that a killed process left goes on, and is heard of
         stack.enter_context(_at_signals(served.end))
@@ -168,6 +198,7 @@ def _check_reach(broker: "Broker", *, open_: bool) -> None:
 
 
 @app.command
+@with_options(addresses=Options(Addresses, names={"device": "--unit"}, whole=True))
 def modbus(
     plc: Annotated[str, Parameter(help="Address of the controller or coupler, HOST or HOST:PORT.")],
     /,
@@ -177,16 +208,8 @@ def modbus(
     recipe: Annotated[
         str, Parameter(name=["--recipe", "-r"], help="Name of the recipe: its file without .toml.")
     ],
-    out: Out = INSPECTIONS,
-    history: HistoryOption = None,
-    station: Station = None,
-    reports: Reports = "all",
-    trigger: Annotated[int, Parameter(help="Discrete input of the trigger, counted from 0.")] = 0,
-    number: Annotated[
-        int, Parameter(help="First of two holding registers with the number of the job, high word first.")
-    ] = 0,
-    outputs: Annotated[int, Parameter(help="First of five coils: ready, busy, pass, fail, invalid.")] = 0,
-    unit: Annotated[int, Parameter(help="Unit identifier of the controller.")] = 1,
+    kept: Kept = KEPT,
+    addresses: Given[Addresses],
     prefix: Annotated[str, Parameter(help="Begins the serial number; the number of the job follows.")] = "",
 ) -> int:
     """Inspect a part at every trigger of a controller and set its result lines, by Modbus/TCP, until Ctrl-C.
@@ -195,18 +218,16 @@ def modbus(
         anisoscope line modbus 192.168.1.10 --rig rig.toml --recipes recipes --recipe plate
     """
     with extra_packages("Modbus/TCP", "line"):
-        from anisoscope.line.modbus import POLL_S, Addresses, Handshake, Lines, ModbusIo
+        from anisoscope.line.modbus import POLL_S, Handshake, Lines, ModbusIo
     from anisoscope.base.crash import Steady
     from anisoscope.base.errors import NotConnected
-    from anisoscope.line.jobs import jobs_at
 
     host, _, port = plc.partition(":")
     if not host or not (port or "502").isdigit():
         raise UsageError(f"{plc}: give the controller as HOST or HOST:PORT")
-    io = ModbusIo(host, int(port or 502), Addresses(trigger, number, outputs, unit))
+    io = ModbusIo(host, int(port or 502), addresses.made())
     stop = threading.Event()
-    held = jobs_at(rig, recipes, out, history, station, reports)
-    with _at_signals(stop.set), contextlib.closing(io), held as jobs, jobs:
+    with _at_signals(stop.set), contextlib.closing(io), kept.jobs(rig, recipes) as jobs, jobs:
         jobs.check(recipe)
         handshake = Handshake(io, jobs, recipe, prefix, write_line)
         steady = Steady("line modbus", write_line)

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,7 +13,7 @@ from cyclopts import App, Group, Parameter
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import (
     LIGHT,
@@ -28,6 +28,7 @@ from anisoscope.cli.progress import progress
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Microscope
+from anisoscope.parameters.rendering import MapSample, MapView, PlateView
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
@@ -52,15 +53,6 @@ MAX_PANELS = 8
 RAW_SUFFIXES = (".npy", ".tif", ".tiff")
 USUAL_PITCH_UM = 100.0
 FIELD_COLUMNS = ["stage [°]", "first [1/sr]", "second [1/sr]", "difference [1/sr]", "Michelson", "ln ratio"]
-TiltOption = Annotated[
-    float, Parameter(help="Tilt of camera and light in degrees (--tilt=-10).", group=LIGHT)
-]
-BouncesOption = Annotated[
-    int | Literal["all"],
-    Parameter(
-        help="Reflections between facet and wall that are counted: 1 is direct light, or 'all'; spread evenly."
-    ),
-]
 
 
 @Parameter(name="*")
@@ -226,10 +218,11 @@ app = App(name="render", help="Render pictures of ridged plates and of height ma
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-@everyday("pixel", "region")
+@everyday("recipe", "pixel", "region")
 class SurfaceOptions:
     """How a map is taken, and what is added to ideal ridges."""
 
+    recipe: RecipeOption = None
     rough: Annotated[
         float, Parameter(help="Roughness α modelled as heights on ideal ridges (length 8 µm).")
     ] = 0.0
@@ -261,7 +254,7 @@ class SurfaceOptions:
 
     def read(
         self, height_map: Path | None, ridges: Given[RidgeDesign], base: "Stated"
-    ) -> "tuple[HeightMap, dict[str, Any]]":
+    ) -> "tuple[HeightMap, MapSample]":
         """The surface of the command line, else of the recipe, and how it is rendered."""
         from anisoscope.cli.options import parse_pixel
         from anisoscope.operations.render import ridge_sample
@@ -281,7 +274,7 @@ class SurfaceOptions:
             words += f", heights of roughness α = {self.rough:g}" if self.rough else ""
             words += f", burrs on {100 * self.burrs:g} %" if self.burrs else ""
             surface = ridge_sample(design, self.rough, self.burrs, self.seed)
-            return surface, {"pitch_um": design.pitch_um, "levelling": "none", "name": words}
+            return surface, MapSample(design.pitch_um, "none", name=words)
         why = "belongs to ideal ridges (--ridge-angle), not to a height map"
         ridges.refuse(["wall", "height_loss", "edge_radius_um", "foot_radius_um"], why)
         if self.rough or self.burrs:
@@ -291,7 +284,7 @@ class SurfaceOptions:
             pixel = base.pixel_um
         pitch = ridges.values.get("pitch_um", base.pitch_um)
         surface = read_height_map(file, pixel_um=pixel, role=role)
-        return surface, {"pitch_um": pitch, "levelling": self.level, "name": file.name}
+        return surface, MapSample(pitch, self.level, name=file.name)
 
 
 def _words(design: RidgeDesign) -> str:
@@ -322,36 +315,60 @@ def plastic_words(material: Material) -> str:
     return lobe + tail + (second if material.second_lobe else "")
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Cells:
+    """Fields of a plate.
+
+    Attributes:
+        pattern: Image of two levels in place of the checkerboard: dark is the second.
+    """
+
+    fields: Annotated[int, Parameter(help="Fields along a side, 2 to 64.")] = 7
+    field_size: Annotated[float, Parameter(help="Side of a field in mm.")] = 5.0
+    pattern: Path | None = None
+    plate_width: Annotated[float, Parameter(help="Width of the plate with --pattern in mm.")] = 40.0
+
+    def check(self) -> None:
+        """Refuse sizes and counts out of range.
+
+        Raises:
+            UsageError: one of them.
+        """
+        for name, value in (("--plate-width", self.plate_width), ("--field-size", self.field_size)):
+            if not 0.0 < value <= 10_000.0:
+                raise UsageError(f"{name} takes a length above 0 and up to 10000 mm, not {value:g}")
+        if self.pattern is None and not 2 <= self.fields <= 64:
+            raise UsageError(f"--fields takes 2 to 64, not {self.fields}")
+
+
+CELLS = Cells()
+
+
 @app.command
-@with_options(ridges=OF_RIDGES, plastic=OF_PLASTIC, rig=OF_LIGHT)
-@everyday(
-    *("picture", "recipe", "ridges", "plastic", "rig", "tilt"),
-    *("angles", "fields", "field_size", "pattern", "plate_width", "near_light"),
+@with_options(
+    view=Options(
+        PlateView,
+        readers={"angles_deg": parse_angles},
+        groups={"tilt_deg": LIGHT, "ridge_directions_deg": MORE, "bounces": MORE},
+        whole=True,
+    ),
+    ridges=OF_RIDGES,
+    plastic=OF_PLASTIC,
+    rig=OF_LIGHT,
 )
+@everyday("picture", "recipe", "cells")
 def checkerboard(
     *,
     picture: PictureOptions,
     recipe: RecipeOption = None,
     ridges: Given[RidgeDesign],
-    angles: Annotated[str, Parameter(help="Stage angles in degrees, one panel each.")] = "0,90",
-    ridge_directions: str = "0,-90",
-    fields: Annotated[int, Parameter(help="Fields along a side, 2 to 64.")] = 7,
-    field_size: Annotated[float, Parameter(help="Side of a field in mm.")] = 5.0,
-    pattern: Path | None = None,
-    plate_width: Annotated[float, Parameter(help="Width of the plate with --pattern in mm.")] = 40.0,
-    near_light: float | None = None,
-    bounces: int | Literal["all"] | None = None,
+    view: Given[PlateView],
+    cells: Cells = CELLS,
     plastic: Given[Material],
     rig: Given[Convention],
-    tilt: TiltOption = 0.0,
 ) -> int:
     """Render a plate of fields with two directions of ridges, turned on the stage.
-
-    Args:
-        ridge_directions: Directions of the ridges in the two kinds of fields, from +y, in degrees.
-        pattern: Image of two levels in place of the checkerboard: dark is the second.
-        near_light: Distance of the light in mm; default: parallel light.
-        bounces: Reflections followed: 1 is direct light, or 'all'. All by default, under a near light 1.
 
     Examples:
         anisoscope render checkerboard --out plate.png
@@ -360,41 +377,29 @@ def checkerboard(
     from anisoscope.operations.render import read_pattern, render_plate
     from anisoscope.operations.stated import stated
 
-    picture.check(pattern)
-    turns, turned = parse_angles(angles, "--angles"), parse_numbers(ridge_directions, "--ridge-directions")
-    if len(turned) != 2:
-        raise UsageError(
-            f"--ridge-directions takes two angles in degrees, such as 0,-90, not {ridge_directions!r}"
-        )
-    for name, value in (("--plate-width", plate_width), ("--field-size", field_size)):
-        if not 0.0 < value <= 10_000.0:
-            raise UsageError(f"{name} takes a length above 0 and up to 10000 mm, not {value:g}")
-    if pattern is None and not 2 <= fields <= 64:
-        raise UsageError(f"--fields takes 2 to 64, not {fields}")
+    picture.check(cells.pattern)
+    seen = view.made()
+    cells.check()
     base = stated(recipe)
     if base.height_map is not None and "ridge_angle_deg" not in ridges:
         raise UsageError(f"{recipe}: its surface is a height map; say the --ridge-angle of the plate")
     design = ridges.over(base.design or RidgeDesign(base.pitch_um or USUAL_PITCH_UM, 10.0))
-    cells = fields if pattern is None else read_pattern(pattern)
+    second = cells.fields if cells.pattern is None else read_pattern(cells.pattern)
     with progress("render", quiet=picture.json_) as advance:
         found = render_plate(
             design,
-            cells,
-            cell_mm=field_size if isinstance(cells, int) else plate_width / cells.shape[1],
-            angles_deg=turns,
-            tilt_deg=tilt,
-            ridge_directions_deg=(turned[0], turned[1]),
+            second,
+            cell_mm=cells.field_size if isinstance(second, int) else cells.plate_width / second.shape[1],
+            view=seen,
             material=plastic.over(base.material),
             convention=rig.over(base.convention),
-            near_light_mm=near_light,
-            bounces=bounces,
             panel=picture.panel,
             on_progress=advance,
         )
     # Fields of a plate are flat, without sparkle: white is their maximum, not a percentile.
     shown = [one.radiance for one in found.pictures]
     white = picture.brightest(shown, 100.0)
-    _write_plate(picture, found, design, white, rig_sentence(found.convention, tilt))
+    _write_plate(picture, found, design, white, rig_sentence(found.convention, seen.tilt_deg))
     rows = [
         [
             f"{one.stage_deg:g}",
@@ -442,6 +447,27 @@ def _write_plate(
     picture.write(panels_png(panels, [words, rig, picture.exposure_sentence(shown, white)], bar), shown)
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ComparedOptions(SurfaceOptions):
+    """How a map is compared with its picture.
+
+    Attributes:
+        cut: Also draw height and radiance along the line this far above the middle, in µm.
+    """
+
+    stage: Annotated[float, Parameter(help="Stage angle in degrees.")] = 0.0
+    cut: float | None = None
+
+
+OF_VIEW = Options(
+    MapView,
+    readers={"angles_deg": parse_angles},
+    groups={"tilt_deg": LIGHT, "bounces": MORE},
+    whole=True,
+)
+
+
 class Shot:
     """Microscope pictures with their caption, scale and printed results."""
 
@@ -449,12 +475,9 @@ class Shot:
         self,
         height_map: Path | None,
         picture: PictureOptions,
-        stage: str,
-        surface: SurfaceOptions | None,
-        recipe: Path | None,
+        view: MapView,
+        surface: "SurfaceOptions | None",
         models: tuple[Given[RidgeDesign], Given[Microscope], Given[Material], Given[Convention]],
-        bounces: int | Literal["all"],
-        tilt: float,
     ) -> None:
         from anisoscope.operations.render import reflections, render_frame
         from anisoscope.operations.stated import stated
@@ -462,27 +485,24 @@ class Shot:
         self.picture, taken = picture, surface or SurfaceOptions()
         ridges, microscope, plastic, rig = models
         picture.check(height_map)
-        reflections(bounces)
-        base, turns = stated(recipe), parse_angles(stage, "--stage")
+        reflections(view.bounces)
+        base = stated(taken.recipe)
         seen, region = microscope.over(Microscope()), taken.region_um()
         material, convention = plastic.over(base.material), rig.over(base.convention)
         heights, how = taken.read(height_map, ridges, base)
         with progress("render", quiet=picture.json_) as advance:
             self.found: Frames = render_frame(
                 heights,
-                angles_deg=turns,
-                tilt_deg=tilt,
+                view=view,
+                sample=replace(how, region_um=region),
                 material=material,
                 convention=convention,
                 microscope=seen,
-                bounces=bounces,
-                region_um=region,
                 panel=picture.panel,
                 on_progress=advance,
-                **how,
             )
         self.pictures: list[FloatArray] = list(self.found.radiance)
-        self.white, self.tilt = picture.brightest(self.pictures, 99.5), tilt
+        self.white, self.tilt = picture.brightest(self.pictures, 99.5), view.tilt_deg
 
     def caption(self) -> list[str]:
         """Caption of the pictures."""
@@ -538,22 +558,19 @@ class Shot:
 
 
 @app.command
-@with_options(ridges=OF_SURFACE, microscope=OF_MICROSCOPE, plastic=OF_PLASTIC, rig=OF_LIGHT)
-@everyday(*("picture", "angles", "recipe", "surface", "ridges", "microscope", "plastic", "rig", "tilt"))
+@with_options(view=OF_VIEW, ridges=OF_SURFACE, microscope=OF_MICROSCOPE, plastic=OF_PLASTIC, rig=OF_LIGHT)
+@everyday("picture", "surface")
 def frame(
     height_map: Path | None = None,
     /,
     *,
     picture: PictureOptions,
-    angles: Annotated[str, Parameter(help="Stage angles in degrees, one panel each.")] = "0,90,180",
-    recipe: RecipeOption = None,
+    view: Given[MapView],
     surface: SurfaceOptions | None = None,
     ridges: Given[RidgeDesign],
     microscope: Given[Microscope],
-    bounces: BouncesOption = "all",
     plastic: Given[Material],
     rig: Given[Convention],
-    tilt: TiltOption = 0.0,
 ) -> int:
     """Render what a microscope camera sees of a height map or of ideal ridges, one panel for each stage angle.
 
@@ -567,7 +584,7 @@ def frame(
     from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, Panel, panels_png, scale_bar
 
     models = ridges, microscope, plastic, rig
-    shot = Shot(height_map, picture, angles, surface, recipe, models, bounces, tilt)
+    shot = Shot(height_map, picture, view.made(), surface, models)
     frames = shot.found.pictures
     panels = [
         Panel(
@@ -589,29 +606,30 @@ def frame(
 
 
 @app.command
-@with_options(ridges=OF_SURFACE, microscope=OF_MICROSCOPE, plastic=OF_PLASTIC, rig=OF_LIGHT)
-@everyday(*("picture", "stage", "cut", "recipe", "surface", "ridges", "microscope", "plastic", "rig", "tilt"))
+@with_options(
+    view=replace(OF_VIEW, without={"angles_deg": "one picture: --stage"}),
+    ridges=OF_SURFACE,
+    microscope=OF_MICROSCOPE,
+    plastic=OF_PLASTIC,
+    rig=OF_LIGHT,
+)
+@everyday("picture", "surface")
 def comparison(
     height_map: Path | None = None,
     /,
     *,
     picture: PictureOptions,
-    stage: Annotated[float, Parameter(help="Stage angle in degrees.")] = 0.0,
-    cut: float | None = None,
-    recipe: RecipeOption = None,
-    surface: SurfaceOptions | None = None,
+    view: Given[MapView],
+    surface: ComparedOptions | None = None,
     ridges: Given[RidgeDesign],
     microscope: Given[Microscope],
-    bounces: BouncesOption = "all",
     plastic: Given[Material],
     rig: Given[Convention],
-    tilt: TiltOption = 0.0,
 ) -> int:
     """Render a height map in colours and its microscope picture side by side, in the same orientation and scale.
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for ideal ridges.
-        cut: Also draw height and radiance along the line this far above the middle, in µm.
 
     Examples:
         anisoscope render comparison part.x3p --stage 0 --cut 40 --out beside.png
@@ -626,7 +644,8 @@ def comparison(
     )
 
     models = ridges, microscope, plastic, rig
-    shot = Shot(height_map, picture, f"{stage:g}", surface, recipe, models, bounces, tilt)
+    taken = surface or ComparedOptions()
+    shot = Shot(height_map, picture, replace(view.made(), angles_deg=(taken.stage,)), taken, models)
     seen = shot.found.pictures[0]
     heights = shot.found.sample.heights_um(shot.found.views[0])
     known = heights[np.isfinite(heights)]
@@ -636,12 +655,12 @@ def comparison(
     colours = height_colours(heights, low, high)
     colours[~np.isfinite(heights)] = MISSING_RGB
     colours[~seen.covered] = BEYOND_RGB
-    line = _cut_line(cut, shot.found, heights, (low, high))
+    line = _cut_line(taken.cut, shot.found, heights, (low, high))
     panels = [
         Panel(colours, "height map", (f"colours from {low:.2f} to {high:.2f} µm, 99 % of the points",)),
         Panel(
             painted(seen.radiance, shot.white, picture.transfer, ~seen.covered, seen.missing),
-            f"microscope picture, stage {degrees(stage)}",
+            f"microscope picture, stage {degrees(taken.stage)}",
             (f"mean of the surface {shot.found.panels[0].mean_of_surface:.4f} 1/sr",),
         ),
     ]

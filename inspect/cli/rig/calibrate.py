@@ -1,21 +1,29 @@
 """``anisoscope calibrate``: calibrations of the rig."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.base.printable import check_printable
-from anisoscope.cli.help_page import MORE, everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Flag, Json, check_new, check_suffix
 from anisoscope.cli.progress import progress
-from anisoscope.cli.rig.options import RigPath, Yes, ask_to_turn, asked_to_seat_fixture
+from anisoscope.cli.rig.options import (
+    OF_TAKING,
+    SCANNED,
+    DryRun,
+    RigPath,
+    Scanned,
+    Yes,
+    ask_to_turn,
+    asked_to_seat_fixture,
+)
 from anisoscope.cli.tables import print_lines, print_table
-from anisoscope.parameters.taking import Taking
+from anisoscope.parameters.taking import Entry, MaterialEntry, Taking
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
@@ -30,14 +38,6 @@ app = App(
 )
 
 _Out = Annotated[Path, Parameter(help="File to write; picture (.tif) and record (.json) share its name.")]
-_Days = Annotated[float | None, Parameter(help="Days of validity; else the usual number for its kind.")]
-_Operator = Annotated[str | None, Parameter(help="Operator, for the record.")]
-OF_TAKING = Options(
-    Taking,
-    names={"frames": "--count", "light_channel": "--channel", "temperature_c": "--temperature"},
-    groups={"operator": MORE, "temperature_c": MORE},
-    whole=True,
-)
 FIXTURE_FRAMES = 4
 
 
@@ -322,6 +322,7 @@ def rotation(
 
 
 @app.command
+@with_options(entry=Options(Entry, whole=True))
 def check(
     *,
     rig: RigPath,
@@ -330,8 +331,7 @@ def check(
     teach: Flag = False,
     serial: Annotated[str | None, Parameter(name=["--serial", "-s"])] = None,
     max_deviation: Annotated[float, Parameter(help="Largest deviation of an ln ratio.")] = 0.02,
-    valid_days: _Days = None,
-    operator: _Operator = None,
+    entry: Given[Entry],
     json_: Json = False,
 ) -> int:
     """Measure a check standard, and compare it with its first measurement.
@@ -350,6 +350,7 @@ def check(
 
     if serial is not None and not teach:
         raise UsageError("--serial goes with --teach: afterwards the record knows which part it is")
+    noted = entry.made()
     with progress("check standard", quiet=json_) as advance:
         if teach:
             record = teach_check(
@@ -357,8 +358,7 @@ def check(
                 recipe,
                 out,
                 serial=serial or SERIAL,
-                valid_days=valid_days,
-                operator=operator,
+                **vars(noted),
                 on_progress=advance,
             )
         else:
@@ -367,58 +367,52 @@ def check(
                 recipe,
                 out,
                 limit=max_deviation,
-                valid_days=valid_days,
-                operator=operator,
+                **vars(noted),
                 on_progress=advance,
             )
     return _show(record, out, json_=json_)
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Readings:
+    """Readings of a specimen, or how it is scanned.
+
+    Attributes:
+        readings: Instead of a scan: CSV stage_deg,tilt_deg,value[,u].
+        frames: Judge the frames of this folder (frames.csv) instead of taking any.
+        reflectance: With --frames: reflectance of the white tile in its flat frames.
+        step: Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.
+    """
+
+    readings: Path | None = None
+    frames: Annotated[Path | None, Parameter(group=MORE)] = None
+    reflectance: Annotated[float, Parameter(group=MORE)] = 0.99
+    max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0
+    step: float | None = None
+
+
+SCAN = Readings()
+
+
 @app.command
-@everyday(
-    "rig",
-    "out",
-    "coupon",
-    "part",
-    "recipe",
-    "readings",
-    "max_tilt",
-    "step",
-    "dry_run",
-    "operator",
-    "json_",
+@with_options(
+    entry=Options(MaterialEntry, groups=dict.fromkeys(("lobe", "name", "valid_days"), MORE), whole=True)
 )
 def material(
     *,
     rig: RigPath,
     out: Annotated[Path | None, Parameter(help="Material file to write, such as abs.toml.")] = None,
-    coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
-    part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
-    recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
-    readings: Path | None = None,
-    frames: Path | None = None,
-    reflectance: float = 0.99,
-    max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
-    step: float | None = None,
-    lobe: Literal["auto", "tail", "second-lobe"] = "auto",
-    name: Annotated[str | None, Parameter(help="Name of the plastic; else that of the file.")] = None,
-    dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
-    valid_days: _Days = None,
-    operator: _Operator = None,
+    scanned: Scanned = SCANNED,
+    source: Readings = SCAN,
+    entry: Given[MaterialEntry],
+    dry_run: DryRun = False,
     json_: Json = False,
 ) -> int:
     """Scan a coupon or a part over stage and tilt: lobe and albedo of the plastic, with their covariance.
 
     Prints duration and expected uncertainty, then scans. The stage homes and turns: keep its path
     free. Exit code 0: the lobe fits; 3: it does not, or the specimen cannot be used.
-
-    Args:
-        readings: Instead of a scan: CSV stage_deg,tilt_deg,value[,u].
-        frames: Judge the frames of this folder (frames.csv) instead of taking any.
-        reflectance: With --frames: reflectance of the white tile in its flat frames.
-        step: Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.
-        lobe: Family of lobes; auto: the one that fits better.
-        recipe: Recipe with exposure and region, and with the part's surface.
 
     Examples:
         anisoscope calibrate material --coupon --rig rig.toml --recipe recipe.toml --out abs.toml
@@ -435,9 +429,8 @@ def material(
     )
     from anisoscope.inspection.reflectance_scan import read_scan
 
-    check_printable({"--operator": operator})
-    if coupon == part:
-        raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
+    noted, specimen = entry.made(), scanned.specimen()
+    readings, frames, recipe = source.readings, source.frames, scanned.recipe
     if out is None and not dry_run:
         raise UsageError("--out FILE.toml says where the material goes; --dry-run prints the plan only")
     if readings is None and recipe is None:
@@ -448,9 +441,13 @@ def material(
         raise UsageError("--readings and --frames exclude each other: both stand in place of a scan")
     read = None if readings is None else read_scan(readings)
     poses = None if frames is None else frame_poses(frames)
-    specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
     setup = scan_setup(
-        rig, recipe, specimen, tilt_deg=max_tilt, step_deg=step, poses=poses if read is None else read[0]
+        rig,
+        recipe,
+        specimen,
+        tilt_deg=source.max_tilt,
+        step_deg=source.step,
+        poses=poses if read is None else read[0],
     )
     if dry_run or not json_:
         plan = plan_scan(setup)
@@ -470,19 +467,9 @@ def material(
             scan, camera = (
                 scan_specimen(setup, rig, recipe, advance)
                 if frames is None
-                else scan_of_frames(setup, frames, rig, recipe, reflectance)
+                else scan_of_frames(setup, frames, rig, recipe, source.reflectance)
             )
-        file, found = calibrate_material(
-            setup,
-            scan,
-            out,
-            name=name or out.stem,
-            lobe=lobe,
-            camera=camera,
-            valid_days=valid_days,
-            operator=operator,
-            on_progress=advance,
-        )
+        file, found = calibrate_material(setup, scan, out, entry=noted, camera=camera, on_progress=advance)
     if json_:
         print_json({"file": str(out), **file.model_dump(mode="json", by_alias=True)})
     else:

@@ -1,69 +1,121 @@
 """``anisoscope rig commission`` and ``anisoscope rig check``: commissioning of a rig, and its daily self test."""
 
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.options import PITCH, Flag, Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.rig.options import Channel, Yes, ask_to_turn
+from anisoscope.cli.rig.options import OF_TAKING, RigPath, Yes, ask_to_turn
 from anisoscope.cli.tables import console, print_lines, print_table
-from anisoscope.views.options import parse_numbers
+from anisoscope.parameters.taking import Taking, Turning
+from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.commissioning.part import RidgedPart
     from anisoscope.commissioning.record import Commissioning
     from anisoscope.commissioning.selftest_record import SelfTest
-    from anisoscope.parameters.taking import Taking
-
-_RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 
 
-@everyday(
-    *(
-        "rig",
-        "part",
-        "exposure",
-        "ridge_angle",
-        "pitch",
-        "roughness",
-        "alpha",
-        "spot_mm",
-        "tilts",
-        "out",
-        "html",
-        "write",
-        "json_",
-    ),
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Known:
+    """Part on the stage.
+
+    Attributes:
+        part: Recipe of the part on the stage.
+        alpha: Roughness along and across the ridges, such as 0.06,0.1.
+        spot_mm: Diameter of the spot on the part; else the recipe's region.
+        u_ridge_angle: Standard uncertainty of the ridge angle, degrees.
+        u_alpha: Relative standard uncertainty of the roughness.
+    """
+
+    part: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None
+    ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of the part in degrees.")] = None
+    pitch: Annotated[float | None, PITCH, Parameter(help="Pitch of the ridges in µm.")] = None
+    alpha: str | None = None
+    spot_mm: float | None = None
+    u_ridge_angle: Annotated[float, Parameter(group=MORE)] = 0.1
+    u_alpha: Annotated[float | None, Parameter(group=MORE)] = None
+
+    def read(self) -> "RidgedPart":
+        """The part.
+
+        Raises:
+            UsageError: neither a recipe nor angle, pitch and spot.
+        """
+        from anisoscope.commissioning.commissioning import part_of_recipe
+        from anisoscope.commissioning.part import RidgedPart
+        from anisoscope.kinds.registry import read_recipe
+
+        if self.part is not None:
+            known = part_of_recipe(read_recipe(self.part), self.ridge_angle, self.u_ridge_angle)
+        elif self.ridge_angle is None or self.pitch is None or self.spot_mm is None:
+            raise UsageError(
+                "name the part on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm"
+            )
+        else:
+            known = RidgedPart(
+                self.pitch, self.ridge_angle, u_ridge_angle_deg=self.u_ridge_angle, spot_mm=self.spot_mm
+            )
+        changes: dict[str, float | None] = {}
+        if self.pitch is not None:
+            changes["pitch_um"] = self.pitch
+        if self.spot_mm is not None:
+            changes["spot_mm"] = self.spot_mm
+        if self.u_alpha is not None:
+            changes |= {"u_alpha_share": self.u_alpha, "alpha_covariance": None}
+        if self.alpha is not None:
+            values = parse_numbers(self.alpha, "--alpha")
+            if len(values) not in (1, 2) or min(values) <= 0.0:
+                raise UsageError(
+                    f"--alpha takes one or two numbers above 0, such as 0.06,0.1, not {self.alpha!r}"
+                )
+            changes |= {"alpha_along": values[0], "alpha_across": values[-1]}
+        return replace(known, **changes)  # type: ignore[arg-type]  # every field named above is a float
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Files:
+    """Files of a commissioning.
+
+    Attributes:
+        out: Record to write; else RIG.commissioning.json next to the rig file.
+        write: Write the findings into the rig file; with a flat the markers are taught then, the part may stay.
+    """
+
+    out: Path | None = None
+    html: Annotated[Path | None, Parameter(help="Page to write.")] = None
+    write: Flag = False
+    keep_frames: Annotated[Path | None, Parameter(help="Empty folder for the frames.", group=MORE)] = None
+
+
+UNKNOWN, RECORD = Known(), Files()
+
+
+@with_options(
+    turning=Options(
+        Turning,
+        names={"frames": "--count"},
+        groups=dict.fromkeys(("gain", "channel", "step_deg", "frames", "settle_s", "bounces"), MORE),
+        whole=True,
+    )
 )
+@everyday("rig", "known", "files", "json_")
 def commission(
     *,
-    rig: _RigOption,
-    part: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
-    exposure: Annotated[float | None, Parameter(help="Exposure in seconds; else the recipe's.")] = None,
-    gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
-    channel: str | None = None,
-    ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of the part in degrees.")] = None,
-    u_ridge_angle: float = 0.1,
-    pitch: Annotated[float | None, PITCH, Parameter(help="Pitch of the ridges in µm.")] = None,
-    alpha: str | None = None,
-    u_alpha: float | None = None,
-    spot_mm: float | None = None,
-    step: Annotated[float, Parameter(help="Step of the stage over one turn, degrees.")] = 15.0,
-    tilts: str = "-20,-10,10,20",
-    frames: Annotated[int, Parameter(name="--count", help="Frames per pose.")] = 2,
-    settle: Annotated[float, Parameter(help="Seconds to wait after every move.")] = 0.1,
-    bounces: int | Literal["all"] = "all",
+    rig: RigPath,
+    known: Known = UNKNOWN,
+    turning: Given[Turning],
     all_reflections: Annotated[bool, Parameter(negative="", show=False)] = False,
-    keep_frames: Annotated[Path | None, Parameter(help="Empty folder for the frames.")] = None,
-    out: Path | None = None,
-    html: Annotated[Path | None, Parameter(help="Page to write.")] = None,
-    write: Flag = False,
+    files: Files = RECORD,
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
@@ -72,18 +124,6 @@ def commission(
     Place the part on the stage first. The command turns it by a full turn, also at tilts if an axis tilts the arm; the
     first time it asks, or takes --yes.
     Sense and zero in the rig file need not be right. Exit code 0: done; undetermined quantities are named.
-
-    Args:
-        channel: Light channel; else the recipe's, else light.channel of the rig file.
-        u_ridge_angle: Standard uncertainty of the ridge angle, degrees.
-        alpha: Roughness along and across the ridges, such as 0.06,0.1.
-        u_alpha: Relative standard uncertainty of the roughness.
-        spot_mm: Diameter of the spot on the part; else the recipe's region.
-        tilts: Tilts from the present zero of the tilt axis, degrees.
-        bounces: Reflections that the model counts: 1 is direct light, or 'all'.
-        out: Record to write; else RIG.commissioning.json next to the rig file.
-        write: Write the findings into the rig file; with a flat the markers are taught then, the part may stay.
-        part: Recipe of the part on the stage.
 
     Examples:
         anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html
@@ -95,41 +135,49 @@ def commission(
     from anisoscope.commissioning.record import default_record_path, write_commissioning
     from anisoscope.commissioning.series import Series
     from anisoscope.kinds.registry import read_recipe
-    from anisoscope.parameters.taking import Taking
     from anisoscope.rig.rigfile import read_rig
 
-    if bounces != "all" and bounces < 1:
-        raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
-    if bounces != "all" and all_reflections:
-        raise UsageError(f"--all-reflections is --bounces all: leave it out with --bounces {bounces}")
-    recipe = None if part is None else read_recipe(part)
+    how = turning.made()
+    if how.bounces != "all" and all_reflections:
+        raise UsageError(f"--all-reflections is --bounces all: leave it out with --bounces {how.bounces}")
+    recipe = None if known.part is None else read_recipe(known.part)
+    exposure, channel, gain, frames = how.exposure_s, how.channel, how.gain, how.frames
     if exposure is None:
         if recipe is None:
             raise UsageError("give --exposure SECONDS, or --recipe FILE whose exposure is taken")
         exposure = recipe.acquisition.exposure_s
-    known = _part(part, ridge_angle, u_ridge_angle, pitch, alpha, u_alpha, spot_mm)
+    part = known.read()
     if channel is None and recipe is not None:
         channel = recipe.acquisition.light_channel
-    tilts_deg = parse_numbers(tilts, "--tilts")
-    series = Series(exposure, gain, step, tilts_deg, max(step, 60.0), frames, max(frames, 4), settle, channel)
+    series = Series(
+        exposure,
+        gain,
+        how.step_deg,
+        how.tilts_deg,
+        max(how.step_deg, 60.0),
+        frames,
+        max(frames, 4),
+        how.settle_s,
+        channel,
+    )
     ask_to_turn(rig, yes=yes)
     with progress("commissioning", quiet=json_) as advance:
         done = find(
             rig,
-            known,
+            part,
             series,
-            Assumed(bounces=None if bounces == "all" else bounces),
-            frames=keep_frames,
+            Assumed(bounces=None if how.bounces == "all" else how.bounces),
+            frames=files.keep_frames,
             on_progress=advance,
         )
-    target = default_record_path(rig) if out is None else out
+    target = files.out or default_record_path(rig)
     write_commissioning(done.record, target)
-    if html is not None:
+    if files.html is not None:
         from anisoscope.report.commission_page import write_commission_page
 
-        write_commission_page(done, html)
+        write_commission_page(done, files.html)
     lines = [message("record: {path}", path=target)]
-    if write:
+    if files.write:
         written = write_to_rig_file(rig, done.record)
         lines.append(
             message("the rig file states all this already")
@@ -143,42 +191,6 @@ def commission(
             lines += _taught(rig, taking, () if recipe is None else tilts_of(rig, recipe), quiet=json_)
     _show(done.record, lines, json_)
     return 0
-
-
-def _part(
-    recipe_path: Path | None,
-    ridge_angle: float | None,
-    u_ridge_angle: float,
-    pitch: float | None,
-    alpha: str | None,
-    u_alpha: float | None,
-    spot_mm: float | None,
-) -> "RidgedPart":
-    from dataclasses import replace
-
-    from anisoscope.commissioning.commissioning import part_of_recipe
-    from anisoscope.commissioning.part import RidgedPart
-    from anisoscope.kinds.registry import read_recipe
-
-    if recipe_path is not None:
-        known = part_of_recipe(read_recipe(recipe_path), ridge_angle, u_ridge_angle)
-    elif ridge_angle is None or pitch is None or spot_mm is None:
-        raise UsageError("name the part on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm")
-    else:
-        known = RidgedPart(pitch, ridge_angle, u_ridge_angle_deg=u_ridge_angle, spot_mm=spot_mm)
-    changes: dict[str, float | None] = {}
-    if pitch is not None:
-        changes["pitch_um"] = pitch
-    if spot_mm is not None:
-        changes["spot_mm"] = spot_mm
-    if u_alpha is not None:
-        changes |= {"u_alpha_share": u_alpha, "alpha_covariance": None}
-    if alpha is not None:
-        values = parse_numbers(alpha, "--alpha")
-        if len(values) not in (1, 2) or min(values) <= 0.0:
-            raise UsageError(f"--alpha takes one or two numbers above 0, such as 0.06,0.1, not {alpha!r}")
-        changes |= {"alpha_along": values[0], "alpha_across": values[-1]}
-    return replace(known, **changes)  # type: ignore[arg-type]  # every field named above is a float
 
 
 def _show(record: "Commissioning", lines: list[str], as_json: bool) -> None:
@@ -199,14 +211,22 @@ def _show(record: "Commissioning", lines: list[str], as_json: bool) -> None:
         console().print(line, markup=False, highlight=False)
 
 
+@with_options(
+    taking=replace(
+        OF_TAKING,
+        default={"frames": 20},
+        help={
+            "exposure_s": "Exposure in seconds for the part or tile on the stage.",
+            "frames": "Frames over which the lamp is observed.",
+        },
+        without=dict.fromkeys(("valid_days", "operator", "temperature_c"), "a self test is no calibration"),
+    )
+)
 def check(
     *,
-    rig: _RigOption,
-    exposure: Annotated[float, Parameter(help="Exposure in seconds for the part or tile on the stage.")],
-    gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
-    channel: Channel = None,
+    rig: RigPath,
+    taking: Given[Taking],
     commissioned: Path | None = None,
-    frames: Annotated[int, Parameter(name="--count", help="Frames over which the lamp is observed.")] = 20,
     tile: Flag = False,
     teach: Flag = False,
     out: Annotated[Path | None, Parameter(help="Folder that receives the result as JSON.")] = None,
@@ -227,12 +247,18 @@ def check(
     """  # fmt: skip
     from anisoscope.commissioning.selftest import self_test
     from anisoscope.commissioning.selftest_record import Settings, write_self_test
-    from anisoscope.parameters.taking import Taking
 
+    how = taking.made()
     if teach and tile:
         raise UsageError("--teach photographs the markers, which the white tile hides: leave --tile out")
     ask_to_turn(rig, yes=yes)
-    settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile, light_channel=channel)
+    settings = Settings(
+        exposure_s=how.exposure_s,
+        gain=how.gain,
+        frames=how.frames,
+        tile=tile,
+        light_channel=how.light_channel,
+    )
     with progress("self test", quiet=json_) as advance:
         result = self_test(rig, settings, commissioned, on_progress=advance)
     written_to = None if out is None else write_self_test(result, out)
@@ -241,7 +267,7 @@ def check(
     else:
         _show_checks(result, written_to)
     if teach and result.fit:
-        lines = _taught(rig, Taking(exposure, gain, 4, light_channel=channel), (), quiet=json_)
+        lines = _taught(rig, replace(how, frames=4), (), quiet=json_)
         if not json_:
             print_lines(*lines)
     return result.exit_code

@@ -1,38 +1,41 @@
 """``anisoscope rig focus``: bring the part into focus with the axis z, and say how repeatable that is."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.errors import CalibrationError
 from anisoscope.base.language import decimal, message, translated
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE, everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, Yes, asking
+from anisoscope.cli.rig.options import OF_SHOT, RigPath, Yes, asking
 from anisoscope.cli.tables import answer
+from anisoscope.parameters.taking import Shot, Sweep, Taking
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.live_view.autofocus import Sweep
     from anisoscope.operations.rigging import Focused
 
 
-@everyday("rig", "exposure", "low", "high", "gain", "repeat", "light", "map_", "out", "yes", "json_")
+@with_options(
+    shot=replace(OF_SHOT, groups={"channel": MORE}),
+    sweep=Options(
+        Sweep,
+        names={"low": "--from", "high": "--to", "repeats": "--repeat"},
+        groups=dict.fromkeys(("steps", "measure", "average"), MORE),
+        whole=True,
+    ),
+)
+@everyday("rig", "map_", "out", "yes", "json_")
 def focus(
     *,
     rig: RigPath,
-    exposure: Exposure,
-    low: Annotated[float, Parameter(name="--from", help="Reading of z in mm at which the search begins.")],
-    high: Annotated[float, Parameter(name="--to", help="Reading of z in mm at which it ends.")],
-    gain: Gain = 1.0,
-    steps: Annotated[int, Parameter(help="Number of readings in a sweep.")] = 15,
-    repeat: Annotated[int, Parameter(help="Fine sweeps; two or more tell the repeatability.")] = 3,
-    average: Annotated[int, Parameter(help="Frames averaged at each reading.")] = 1,
-    measure: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
-    light: LightState = "on",
-    channel: Channel = None,
+    sweep: Given[Sweep],
+    shot: Given[Shot],
     map_: Annotated[Path | None, Parameter(name="--map")] = None,
     out: Annotated[Path, Parameter(help="With --map: record to write.")] = Path("focus.json"),
     yes: Yes = False,
@@ -51,15 +54,12 @@ def focus(
         anisoscope rig focus --rig rig.toml --exposure 0.005 --from 9.5 --to 10.5
         anisoscope rig focus --rig rig.toml --exposure 0.005 --from 8 --to 12 --map tray.csv --yes
     """
-    from anisoscope.live_view.autofocus import Sweep
     from anisoscope.operations.rigging import focus as focused
 
-    if not (low < high and steps >= 1 and repeat >= 1 and average >= 1):
-        raise UsageError("--from must be below --to, and --steps, --repeat and --average 1 or more")
-    sweep = Sweep(low, high, steps, repeat, measure, average)
+    search, seen = sweep.made(), shot.made()
     if map_ is not None:
-        return _map(rig, map_, out, (exposure, gain), sweep, channel, yes=yes, json_=json_)
-    done = focused(rig, exposure, sweep, gain, light=light, channel=channel, confirm=asking(rig, yes=yes))
+        return _map(rig, map_, out, seen, search, yes=yes, json_=json_)
+    done = focused(rig, search, shot=seen, confirm=asking(rig, yes=yes))
     answer(done, [_line(done)], json_=json_)
     return 0
 
@@ -68,9 +68,8 @@ def _map(
     rig: Path,
     tray: Path,
     out: Path,
-    exposed: tuple[float, float],
-    sweep: "Sweep",
-    channel: str | None,
+    shot: Shot,
+    sweep: Sweep,
     *,
     yes: bool,
     json_: bool,
@@ -78,14 +77,15 @@ def _map(
     from anisoscope.cli.progress import progress
     from anisoscope.inspection.batch.tray import read_tray
     from anisoscope.live_view.autofocus import LEAST_SEATS, map_focus
-    from anisoscope.parameters.taking import Taking
 
     seats = [slot.place_mm for slot in read_tray(tray).slots if slot.place_mm is not None]
     asking(rig, yes=yes)(
         message("the axes search their references and go to {count} seats", count=len(seats))
     )
     with progress("focus map", quiet=json_) as advance:
-        record = map_focus(rig, seats, out, Taking(*exposed, light_channel=channel), sweep, advance)
+        record = map_focus(
+            rig, seats, out, Taking(shot.exposure_s, shot.gain, light_channel=shot.channel), sweep, advance
+        )
     if json_:
         print_json({"file": str(out), **record.model_dump(mode="json")})
     else:

@@ -7,31 +7,25 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RigError, UsageError
 from anisoscope.base.language import decimal, message, translated
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.log import chosen_language
 from anisoscope.cli.options import Flag, Json, extra_packages
-from anisoscope.cli.rig.options import (
-    Channel,
-    Exposure,
-    Gain,
-    LightState,
-    RigPath,
-    Yes,
-    asking,
-    write_line,
-)
+from anisoscope.cli.rig.options import OF_SHOT, RigPath, Yes, asking, write_line
+from anisoscope.parameters.taking import Shot, Watching
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.live_view.lamps import Lamp, RigLamps
-    from anisoscope.live_view.view import Counts, FocusMeasure, Reading
+    from anisoscope.live_view.view import Counts, Reading
     from anisoscope.rig.camera import Camera, CameraInfo
     from anisoscope.rig.jogging import Gamepad, Jogger
     from anisoscope.rig.stage import RotationStage
@@ -42,22 +36,43 @@ BLOCKS = " ▁▂▃▄▅▆▇█"
 BAR = 30
 
 
-@everyday("rig", "exposure", "gain", "light", "channel", "web", "jog", "pad", "yes", "json_")
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Hands:
+    """Page and jogging.
+
+    Attributes:
+        web: Show the picture on a page of the console, in the browser.
+        jog: Move the axes by keys, here or on the page, and by --pad.
+        pad: With --jog: game pad, such as /dev/input/event5; auto takes the only one (Linux).
+        port: With --web: TCP port of 127.0.0.1; 0 takes any free one.
+    """
+
+    web: Flag = False
+    jog: Flag = False
+    pad: Path | None = None
+    port: Annotated[int, Parameter(name="--web-port", group=MORE)] = 0
+
+
+HANDS = Hands()
+
+
+@with_options(
+    shot=OF_SHOT,
+    watching=Options(
+        Watching,
+        names={"frames": "--count"},
+        groups=dict.fromkeys(("focus", "frames", "fps"), MORE),
+        whole=True,
+    ),
+)
 def live(
     *,
     rig: RigPath,
-    exposure: Exposure,
-    gain: Gain = 1.0,
-    light: LightState = "on",
-    channel: Channel = None,
-    focus: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
-    frames: Annotated[int | None, Parameter(name="--count", help="End after so many frames.")] = None,
-    fps: Annotated[float, Parameter(help="Frames per second at most.")] = 10.0,
-    web: Flag = False,
-    jog: Flag = False,
-    pad: Path | None = None,
+    shot: Given[Shot],
+    watching: Given[Watching],
+    hands: Hands = HANDS,
     yes: Yes = False,
-    port: Annotated[int, Parameter(name="--web-port")] = 0,
     json_: Json = False,
 ) -> int:
     """Show focus (of the best seen), saturation, mean, histogram and ridge direction, until Ctrl-C or q and Enter.
@@ -66,12 +81,6 @@ def live(
     page up and down for z, a d w s for x and y, + and - for the size of the step, space stops all axes. A stick of a
     game pad steps its axis while it is held; shoulder buttons change the step, all others stop. The light goes off at
     the end. With --web the first line is the address to open, for browsers of this computer (extra [console]).
-
-    Args:
-        web: Show the picture on a page of the console, in the browser.
-        jog: Move the axes by keys, here or on the page, and by --pad.
-        pad: With --jog: game pad, such as /dev/input/event5; auto takes the only one (Linux).
-        port: With --web: TCP port of 127.0.0.1; 0 takes any free one.
 
     Examples:
         anisoscope rig live --rig rig.toml --exposure 0.003
@@ -83,53 +92,37 @@ def live(
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.rigfile import BY_HAND, read_rig
 
-    if frames is not None and frames < 1:
-        raise UsageError(f"--count must be 1 or more, not {frames}")
-    if not 0.0 < fps <= 1000.0:
-        raise UsageError(f"--fps must lie above 0 and up to 1000, not {fps:g}")
-    if pad is not None and not jog:
+    seen, how = shot.made(), watching.made()
+    if hands.pad is not None and not hands.jog:
         raise UsageError("--pad moves axes: it goes with --jog")
-    if web and (json_ or frames is not None):
+    if hands.web and (json_ or how.frames is not None):
         raise UsageError("--count and --json are of the lines in the terminal: not with --web")
-    file = read_rig(rig, channel=channel)
-    axes = {name: part for name, part in file.axes.items() if jog and part.driver != BY_HAND}
-    lit = None if light == "as-is" else file.light
+    file = read_rig(rig, channel=seen.channel)
+    axes = {name: part for name, part in file.axes.items() if hands.jog and part.driver != BY_HAND}
+    lit = None if seen.light == "as-is" else file.light
     with open_devices(axes, file.camera, lit, rows_of=file) as devices:
         camera, lamp = devices.camera, devices.light
         assert camera is not None
-        camera.configure(exposure, gain)
+        camera.configure(seen.exposure_s, seen.gain)
         if lamp is not None:
-            (lamp.on if light == "on" else lamp.off)()
+            (lamp.on if seen.light == "on" else lamp.off)()
         by_hand = lamp is not None and file.light.driver == "manual"  # which asks in the same terminal
         home_axes(devices.axes, axes, file, asking(rig, yes=yes))
         try:
             with ExitStack() as stack:
-                jogger, ended = _jogging(devices.axes, pad, stack) if jog else (None, None)
+                jogger, ended = _jogging(devices.axes, hands.pad, stack) if hands.jog else (None, None)
                 ended = ended or end_request(listen=not by_hand)
-                if web:
-                    exposed = exposure, gain
-                    _serve(
-                        camera,
-                        exposed,
-                        RigLamps(rig),
-                        focus,
-                        1.0 / fps,
-                        port,
-                        file.name,
-                        jogger,
-                        ended,
-                        channel,
-                    )
+                lamps = RigLamps(rig)
+                if hands.web:
+                    _serve(camera, seen, how, lamps, hands.port, file.name, jogger, ended)
                 else:
                     sink = stack.enter_context(_sink(jogger, json_=json_))
-                    lamps = RigLamps(rig)
+                    exposed = seen.exposure_s, seen.gain
                     _watch(
                         camera,
                         sink,
-                        lambda counts, info, at_s: lamps.read(counts, info, (exposure, gain), at_s, channel),
-                        focus,
-                        frames,
-                        1.0 / fps,
+                        lambda counts, info, at_s: lamps.read(counts, info, exposed, at_s, seen.channel),
+                        how,
                         ended,
                     )
         except KeyboardInterrupt:
@@ -195,9 +188,7 @@ def _watch(
     camera: "Camera",
     sink: "Sink",
     lamps: "Callable[[Counts, CameraInfo, float], tuple[Lamp, ...]]",
-    focus: "FocusMeasure",
-    frames: int | None,
-    pause_s: float,
+    how: Watching,
     ended: threading.Event,
 ) -> None:
     from anisoscope.live_view.view import Meter, look_at
@@ -207,11 +198,11 @@ def _watch(
         started = time.monotonic()
         counts = camera.grab()
         read = lamps(counts, info, time.monotonic())
-        reading = meter.read(look_at(counts, info, focus=focus), time.monotonic(), read)
+        reading = meter.read(look_at(counts, info, focus=how.focus), time.monotonic(), read)
         sink(counts, info, reading)
-        if frames is not None and reading.frame >= frames:
+        if how.frames is not None and reading.frame >= how.frames:
             return
-        ended.wait(max(0.0, pause_s - (time.monotonic() - started)))
+        ended.wait(max(0.0, 1.0 / how.fps - (time.monotonic() - started)))
 
 
 def end_request(*, listen: bool) -> threading.Event:
@@ -234,15 +225,13 @@ def end_request(*, listen: bool) -> threading.Event:
 
 def _serve(
     camera: "Camera",
-    exposed: tuple[float, float],
+    shot: Shot,
+    how: Watching,
     lamps: "RigLamps",
-    focus: "FocusMeasure",
-    gap_s: float,
     port: int,
     name: str,
     jogger: "Jogger | None",
     ended: threading.Event,
-    channel: str | None,
 ) -> None:
     """The picture on a page of the console, until the event is set."""
     with extra_packages("the page", "console"):
@@ -263,11 +252,11 @@ def _serve(
 
     with listen(HERE, port, "--web-port") as listener:
         hosts = hosts_of(HERE, int(listener.getsockname()[1]))
-        eyes = Eyes(SharedCamera(camera), None, channel, lamps)  # the light is on, or not
-        live = Live(eyes, gap_s=gap_s, measure=focus)
+        eyes = Eyes(SharedCamera(camera), None, shot.channel, lamps)  # the light is on, or not
+        live = Live(eyes, gap_s=1.0 / how.fps, measure=how.focus)
         app = create_app(
             Access(None, Trail(None)),
-            [live_router(live, *exposed, jogger, name)],
+            [live_router(live, shot.exposure_s, shot.gain, jogger, name)],
             hosts,
             pages=[Page("/station", "Picture")],
             lang=chosen_language(),

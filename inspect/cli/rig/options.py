@@ -10,18 +10,17 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
+from anisoscope.cli.help_page import MORE
+from anisoscope.parameters.taking import Shot, Taking
+from anisoscope.views.options import Options
 
 if TYPE_CHECKING:
     from anisoscope.operations.rigging import Confirm
     from anisoscope.rig.rigfile import MotorPart, RigAxes
 
 AxisName = Literal["stage", "tilt", "x", "y", "z"]
-Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
-Gain = Annotated[float, Parameter(help="Gain as a factor.")]
-LightState = Annotated[
-    Literal["on", "off", "as-is"],
-    Parameter(help="Light while the picture is taken; as-is leaves it alone, and asks nobody to switch it."),
-]
+DryRun = Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")]
+OF_SHOT = Options(Shot, whole=True)
 Channel = Annotated[
     str | None,
     Parameter(name="--channel", help="Light channel of the rig file; its light.channel by default."),
@@ -33,6 +32,40 @@ Yes = Annotated[
         name=["--yes", "-y"], negative="", help="Move without asking, also a rig that was never commissioned."
     ),
 ]
+
+
+OF_TAKING = Options(
+    Taking,
+    names={"frames": "--count", "light_channel": "--channel", "temperature_c": "--temperature"},
+    groups={"operator": MORE, "temperature_c": MORE},
+    whole=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Scanned:
+    """Specimen of a scan, and its recipe."""
+
+    coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False
+    part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False
+    recipe: Annotated[
+        Path | None,
+        Parameter(name=["--recipe", "-r"], help="Recipe with region, exposure and surface of the part."),
+    ] = None
+
+    def specimen(self) -> Literal["coupon", "part"]:
+        """What is scanned.
+
+        Raises:
+            UsageError: neither is stated, or both.
+        """
+        if self.coupon == self.part:
+            raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
+        return "coupon" if self.coupon else "part"
+
+
+SCANNED = Scanned()
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,20 @@
 """``anisoscope rig scan``: the rig as a goniometer."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.rig.options import Yes, ask_to_turn
+from anisoscope.cli.rig.options import SCANNED, DryRun, Scanned, Yes, ask_to_turn
 from anisoscope.cli.tables import print_lines, print_table
+from anisoscope.parameters.taking import ScanExtent
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.inspection.reflectance_scan import ScanResult, ScanSettings
@@ -19,9 +22,15 @@ if TYPE_CHECKING:
 _MOVE_S = 2.0
 
 
-@everyday("rig", "recipe", "out", "coupon", "part", "continue_", "max_tilt", "dry_run", "json_")
-def scan(
-    *,
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Lights:
+    """Lamps of a scan.
+
+    Attributes:
+        channel: Light channel of the rig file; given several times, one scan with all of them.
+    """
+
     rig: Annotated[
         tuple[Path, ...],
         Parameter(
@@ -30,18 +39,29 @@ def scan(
             consume_multiple=False,
             help="Rig file (TOML); given several times, a lamp each, one scan with all of them.",
         ),
-    ] = (),
-    recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
+    ] = ()
+    channel: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False, group=MORE)] = ()
+
+
+LIGHTS = Lights()
+
+
+@with_options(
+    extent=Options(
+        ScanExtent,
+        names={"tilt_deg": "--max-tilt"},
+        groups=dict.fromkeys(("stages", "tilts", "exposure_s"), MORE),
+        whole=True,
+    )
+)
+def scan(
+    *,
+    lights: Lights = LIGHTS,
+    scanned: Scanned = SCANNED,
     out: Annotated[Path | None, Parameter(help="New folder for frames, table and budget.")] = None,
-    coupon: Annotated[bool, Parameter(negative="", help="Scan a flat piece of the plastic.")] = False,
-    part: Annotated[bool, Parameter(negative="", help="Scan the ridged part of the recipe.")] = False,
     continue_: Annotated[Path | None, Parameter(name="--continue")] = None,
-    max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
-    stages: Annotated[int, Parameter(help="Number of stage angles.")] = 24,
-    tilts: Annotated[int, Parameter(help="Number of tilts.")] = 13,
-    exposure: float | None = None,
-    channel: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False)] = (),
-    dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
+    extent: Given[ScanExtent],
+    dry_run: DryRun = False,
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
@@ -53,10 +73,7 @@ def scan(
     With several rig files or channels each lamp has a folder, and the tables of all lamps lie above them.
 
     Args:
-        recipe: Recipe with region, exposure and surface.
         continue_: Continue the interrupted scan of this folder.
-        exposure: Shortest exposure in seconds; that of the recipe by default.
-        channel: Light channel of the rig file; given several times, one scan with all of them.
 
     Examples:
         anisoscope rig scan --coupon --rig rig.toml --recipe recipe.toml --out scan
@@ -73,42 +90,30 @@ def scan(
         resume_scan,
     )
 
+    rig, channel, recipe = lights.rig, lights.channel, scanned.recipe
     if continue_ is not None:
-        if rig or recipe or out or coupon or part or channel:
+        if rig or recipe or out or scanned.coupon or scanned.part or channel:
             raise UsageError("--continue goes on with what the folder says: leave the other options out")
         with progress("scan", quiet=json_) as advance:
             if (continue_ / LAMPS).exists():
                 return _show_lamps(resume_lamps(continue_, advance), continue_, as_json=json_)
             return _show(resume_scan(continue_, advance), continue_, as_json=json_)
-    if coupon == part:
-        raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
+    specimen, how = scanned.specimen(), extent.made()
     if not rig or recipe is None or (len(rig) > 1 and channel):
         raise UsageError("a scan needs --rig FILE (one, where --channel is given) and --recipe FILE")
-    specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
-    if exposure is not None and not 0.0 < exposure < float("inf"):
-        raise UsageError(f"--exposure takes a positive number of seconds, not {exposure:g}")
-    only, lights = next(iter(channel), None), max(len(rig), len(channel))
+    only, lamps = next(iter(channel), None), max(len(rig), len(channel))
     if dry_run:
-        job, settings = planned_scan(
-            rig[0], recipe, specimen,
-            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, channel=only,
-        )  # fmt: skip
-        return _show_plan(settings, job.recipe.acquisition.frames_per_pose, lights, as_json=json_)
+        job, settings = planned_scan(rig[0], recipe, specimen, extent=how, channel=only)
+        return _show_plan(settings, job.recipe.acquisition.frames_per_pose, lamps, as_json=json_)
     if out is None:
         raise UsageError("--out FOLDER says where the scan goes; --dry-run prints the plan only")
     ask_to_turn(*rig, yes=yes)
-    if lights > 1:
-        lamps = planned_lamps(
-            rig, recipe, specimen,
-            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, channels=channel,
-        )  # fmt: skip
+    if lamps > 1:
+        planned = planned_lamps(rig, recipe, specimen, extent=how, channels=channel)
         with progress("scan", quiet=json_) as advance:
-            return _show_lamps(begin_lamps(lamps, out, advance), out, as_json=json_)
+            return _show_lamps(begin_lamps(planned, out, advance), out, as_json=json_)
     with progress("scan", quiet=json_) as advance:
-        found = begin_scan(
-            rig[0], recipe, specimen, out,
-            tilt_deg=max_tilt, stages=stages, tilts=tilts, exposure_s=exposure, channel=only, on_progress=advance,
-        )  # fmt: skip
+        found = begin_scan(rig[0], recipe, specimen, out, extent=how, channel=only, on_progress=advance)
     return _show(found, out, as_json=json_)
 
 

@@ -9,7 +9,9 @@ from cyclopts import Parameter
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import Channel, Exposure, Gain, LightState, RigPath, write_line
+from anisoscope.cli.rig.options import OF_SHOT, RigPath, write_line
+from anisoscope.parameters.taking import Shot
+from anisoscope.views.options import Given, with_options
 
 if TYPE_CHECKING:
     from anisoscope.operations.rigging import Snapped
@@ -17,15 +19,13 @@ if TYPE_CHECKING:
 SATURATED_SHARE = 0.001
 
 
+@with_options(shot=OF_SHOT)
 def snap(
     *,
     rig: RigPath,
     out: Annotated[Path, Parameter(help="File to write (.tif): 16 bits, with our metadata.")],
-    exposure: Exposure,
-    gain: Gain = 1.0,
+    shot: Given[Shot],
     frames: Annotated[int, Parameter(name="--count", help="Frames to average, rounded to counts.")] = 1,
-    light: LightState = "on",
-    channel: Channel = None,
     preview: Annotated[bool, Parameter(negative="", help="Also write a PNG preview next to it.")] = False,
     stage: Annotated[bool, Parameter(name="--read-axes", negative="--no-read-axes")] = True,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
@@ -47,11 +47,8 @@ def snap(
     found = taken(
         rig,
         out,
-        exposure,
-        gain,
+        shot=shot.made(),
         frames=frames,
-        light=light,
-        channel=channel,
         preview=preview,
         read_angles=stage,
         overwrite=overwrite,

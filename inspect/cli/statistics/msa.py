@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.history.options import ALL, Place, Selection
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Flag, Json
 from anisoscope.cli.statistics.source import SOURCE, Alpha, Html, Number, Readable, print_grid, readings_from
 from anisoscope.cli.tables import print_lines
+from anisoscope.parameters.measurement_process import ProcessInputs
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.report.statistics_sections import Grid
@@ -229,28 +231,31 @@ def type1(
 
 
 @app.command
-@everyday(
-    *("standards", "gauge_study_", "number", "tolerance", "resolution", "corrected"),
-    *("u_calibration", "u_temperature", "u_object", "html", "json_"),
+@with_options(
+    inputs=Options(
+        ProcessInputs,
+        groups=dict.fromkeys(
+            (
+                "u_linearity",
+                "u_stability",
+                "u_gauges",
+                "u_other",
+                "largest_error",
+                "system_limit",
+                "process_limit",
+            ),
+            MORE,
+        ),
+        flags=("corrected",),
+        whole=True,
+    )
 )
 def process(
     *,
     standards: Annotated[Path, Parameter(help="CSV file with repeated readings: reference and a number.")],
     gauge_study_: Annotated[Path | None, Parameter(name="--gauge-study")] = None,
     number: Number = None,
-    tolerance: Tolerance,
-    resolution: Resolution = None,
-    corrected: Flag = False,
-    u_calibration: Annotated[float | None, Parameter(help="Standard uncertainty by the calibration.")] = None,
-    u_linearity: Annotated[float | None, Parameter(help="Standard uncertainty by the linearity.")] = None,
-    u_object: float | None = None,
-    u_temperature: Annotated[float | None, Parameter(help="Standard uncertainty by the temperature.")] = None,
-    u_stability: float | None = None,
-    u_gauges: float | None = None,
-    u_other: Annotated[float | None, Parameter(help="Standard uncertainty by other influences.")] = None,
-    largest_error: float | None = None,
-    system_limit: Annotated[float, Parameter(help="Largest Q of the measuring system, as a share.")] = 0.15,
-    process_limit: Annotated[float, Parameter(help="Largest Q of the process, as a share.")] = 0.30,
+    inputs: Given[ProcessInputs],
     html: Html = None,
     json_: Json = False,
 ) -> int:
@@ -261,11 +266,6 @@ def process(
     Exit codes: 0 capable, 1 not, 64 and above no analysis is possible.
 
     Args:
-        u_object: Standard uncertainty by the part itself, such as its form.
-        u_stability: Standard uncertainty by the stability over time.
-        u_gauges: Standard uncertainty by differences between gauges.
-        largest_error: Maximum permissible error, in place of calibration, bias and linearity.
-        corrected: Readings are corrected by the line of the standards.
         gauge_study_: CSV file of a gauge study: part, appraiser and a number.
 
     Examples:
@@ -277,25 +277,11 @@ def process(
 
     readings = read_readings(standards)
     name, _ = values_of(readings, number)
-    given = {
-        "CAL": u_calibration,
-        "LIN": u_linearity,
-        "OBJ": u_object,
-        "T": u_temperature,
-        "STAB": u_stability,
-        "GV": u_gauges,
-        "rest": u_other,
-    }
     study = msa_process(
         readings,
         None if gauge_study_ is None else read_readings(gauge_study_),
         number,
-        tolerance=tolerance,
-        corrected=corrected,
-        stated={key: one for key, one in given.items() if one is not None},
-        resolution=resolution,
-        largest_error=largest_error,
-        limits=(system_limit, process_limit),
+        inputs=inputs.made(),
     )
     if html is not None:
         write_process_page(html, f"Measurement process: {name}", readings.source, study)

@@ -1,0 +1,55 @@
+"""Pictures of a plate and of a height map (`anisoscope.operations.render`)."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class PlateView:
+    """View of a plate of fields.
+
+    Attributes:
+        angles_deg: stage angles in degrees, one panel each.
+        ridge_directions_deg: directions of the ridges in the two kinds of fields, from +y, in degrees.
+        tilt_deg: tilt of camera and light in degrees (--tilt=-10).
+        near_light_mm: distance of the light in mm; default: parallel light.
+        bounces: reflections followed: 1 is direct light, or 'all'. All by default, under a near light 1.
+    """
+
+    angles_deg: tuple[float, ...] = (0.0, 90.0)
+    ridge_directions_deg: tuple[float, ...] = (0.0, -90.0)
+    tilt_deg: float = 0.0
+    near_light_mm: float | None = None
+    bounces: int | Literal["all"] | None = None
+
+
+@dataclass(frozen=True)
+class MapView:
+    """View of a height map.
+
+    Attributes:
+        angles_deg: stage angles in degrees, one panel each.
+        tilt_deg: tilt of camera and light in degrees (--tilt=-10).
+        bounces: reflections between facet and wall that are counted: 1 is direct light, or 'all'; spread evenly.
+    """
+
+    angles_deg: tuple[float, ...] = (0.0, 90.0, 180.0)
+    tilt_deg: float = 0.0
+    bounces: int | Literal["all"] = "all"
+
+
+@dataclass(frozen=True)
+class MapSample:
+    """What is taken of a height map.
+
+    Attributes:
+        pitch_um: of a map, where it is not to be found in it.
+        levelling: of a map, as in `prepare_relief`.
+        region_um: (x0, y0, x1, y1) from the map's first point; all, or the middle of a large map, where it is left out.
+        name: what the surface is called.
+    """
+
+    pitch_um: float | None = None
+    levelling: Literal["auto", "plane", "none"] = "auto"
+    region_um: tuple[float, float, float, float] | None = None
+    name: str = ""
