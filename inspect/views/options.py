@@ -161,8 +161,18 @@ def with_options(**models: Options) -> Callable[[F], F]:
 
 
 def options_class(options: Options) -> type:
-    """A frozen dataclass whose fields are the options: `Given` of the model, or a part of other classes of options."""
+    """A frozen dataclass whose fields are the options: `Given` of the model, or a part of other classes of options.
+
+    Raises:
+        TypeError: a field has the name of an attribute of `Given`, which it would hide.
+    """
     assert is_dataclass(options.model)
+    own = {"model", "option", "lists", *(() if options.whole else ("values", "over", "made", "refuse"))}
+    hidden = sorted(own & {one.name for one in fields(options.model) if one.name not in options.without})
+    if hidden:
+        raise TypeError(
+            f"{options.model.__name__}: rename the fields {hidden}, which options have themselves"
+        )
     texts = _texts(options.model)
     hints = get_type_hints(options.model, include_extras=True)
     stated: list[Any] = []

@@ -18,7 +18,7 @@ from anisoscope.parameters.optics import Optics
 from anisoscope.parameters.proof import ProofView
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.parameters.taking import Taking
-from anisoscope.views.options import Given, Options, plain, with_options
+from anisoscope.views.options import Given, Options, options_class, plain, with_options
 
 MODELS = (
     *(Convention, Fabrication, InputUncertainty, Manufacture, Material, Microscope, Optics, ProofView),
@@ -189,3 +189,22 @@ def test_no_command_declares_the_fields_of_a_model_by_hand(guard):
             if len(like) > 1 and model not in models:
                 found.add((words, model))
     assert found == set(OTHER_THINGS), "take the fields from the model, or say why they are none of its"
+
+
+@dataclass(frozen=True)
+class Hiding:
+    """A model with a name that options have themselves.
+
+    Attributes:
+        model: of a camera.
+        values: of a table.
+    """
+
+    model: str = ""
+    values: str = ""
+
+
+def test_a_field_that_would_hide_what_options_are_is_refused():
+    with pytest.raises(TypeError, match=r"Hiding: rename the fields \['model', 'values'\]"):
+        options_class(Options(Hiding))
+    assert options_class(Options(Hiding, whole=True, without={"model": "of the test"})).lists == {}
