@@ -148,10 +148,11 @@ def read_image(path: Path | str, given: FileScales | None = None) -> HeightMap:
                 "leave --z-unit and --height-per-count out",
             )
         return read_library(path, given, "ps")
-    if png_note and given == FileScales() and (scales := PNG_NOTE.fullmatch(png_note)):
+    unscaled = replace(given, rows="auto", role="part", trust=()) == FileScales()
+    if png_note and unscaled and (scales := PNG_NOTE.fullmatch(png_note)):
         return _counted(path.name, raw, [_real(path.name, text) for text in scales.groups()])
     noted = _noted_pixel(str(answer.get("description", "")))
-    if noted and raw.dtype.kind == "f" and given == FileScales():
+    if noted and raw.dtype.kind == "f" and unscaled:
         given = replace(given, pixel_um=noted, z_unit="um")
     pixel = require_pixel(path.name, given.pixel_um)
     factor = _factor(path.name, raw.dtype.kind, given)

@@ -53,7 +53,7 @@ def test_init_writes_files_that_can_be_read_and_replaces_none(job, capsys):
 def test_commands_take_from_the_project_file_what_the_command_line_leaves_out(job):
     found = bound("inspect", "--serial", "A")
     assert (found["recipe"], found["rig"]) == (job / "recipe.toml", job / "rig.toml")
-    assert (found["out"], found["station"]) == (job / "inspections", "rig 2")
+    assert (found["into"].out, found["part"].station) == (job / "inspections", "rig 2")
     assert str(bound("inspect", "--recipe", "mine.toml")["recipe"]) == "mine.toml"
     assert bound("rig", "status")["which"].rig == job / "rig.toml"
     assert bound("show", "A")["place"] == str(job / "inspections")
@@ -72,7 +72,7 @@ def test_an_option_of_the_same_name_with_another_meaning_gets_nothing(job):
 def test_the_project_file_precedes_the_users_file_and_mistakes_name_the_file(job, tmp_path, capsys):
     (tmp_path / "user.toml").write_text('operator = "U. S."\nstation = "home"\n')
     found = bound("inspect", "--serial", "A")
-    assert (found["operator"], found["station"]) == ("U. S.", "rig 2")
+    assert (found["part"].operator, found["part"].station) == ("U. S.", "rig 2")
     (job / "anisoscope.toml").write_text('recipy = "recipe.toml"\n')
     assert run(["inspect", "--serial", "A"]) == 78
     assert "anisoscope.toml: recipy: unknown key; did you mean 'recipe'?" in capsys.readouterr().err
