@@ -21,8 +21,9 @@ from anisoscope.history.signs import Beacon
 
 class Loud(Beacon):
     def _give(self):
+        doing = self._now[0]  # what changes during the writing is written after it
         super()._give()
-        print(self._now[0], flush=True)
+        print(doing, flush=True)
 
 with Loud(sys.argv[1], "east", beat_s=3600.0) as found:
     found.show("running", "A1")
