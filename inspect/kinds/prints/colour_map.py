@@ -102,10 +102,7 @@ def map_of(
             0.5 * max(measured.grid.shape) * measured.grid.pixel_mm / expected.lamp_distance_mm
         )
         u_curl = float(np.hypot(u_curl, U_OF_LAMP * turned))
-    middle, low = np.quantile(local, [0.5, 0.16])
-    threshold = max(
-        rule.cell_delta_e, float(middle + rule.scatters * (middle - low)) if rule.scatters else 0.0
-    )
+    threshold = max(rule.cell_delta_e, rule.scatters * _between_neighbours(eye, cells))
     deviating = local > threshold
     labels = _labels(deviating)
     spots = _spots(labels, local, measured.grid)
@@ -139,14 +136,21 @@ def map_of(
     return PrintMap(local, total, lean, deviating, record)
 
 
+def _between_neighbours(eye: Eye, cells: FloatArray) -> float:
+    """Median ΔE of neighbours over √2, of (P, rows, cols, 3) cells: what dots scatter, and no gradient or spot does."""
+    pairs = (cells[:, 1:], cells[:, :-1]), (cells[:, :, 1:], cells[:, :, :-1])
+    apart = [eye.difference(one, other).max(axis=0).ravel() for one, other in pairs]
+    each = np.concatenate(apart)
+    return float(np.median(each) / np.sqrt(2.0)) if each.size else 0.0
+
+
 def _under_far_lamp(measured: MeasuredPrint, expected: PrintExpectation) -> MeasuredPrint:
     """Cells as a lamp far away shows them: by a near one half vectors turn by half the place over its distance."""
     if expected.lamp_distance_mm is None:
         return measured
     rows, cols = measured.grid.shape
-    col, row = np.meshgrid(np.arange(cols), np.arange(rows))
-    place = np.stack([col.ravel(), row.ravel(), np.ones(rows * cols)], axis=-1) @ measured.grid.to_mm().T
-    off_mm = place[:, :2] - place[:, :2].mean(axis=0)
+    row, col = (one.ravel() - one.mean() for one in np.mgrid[:rows, :cols])
+    off_mm = measured.grid.pixel_mm * np.stack([col, -row], axis=-1)
     turned = expected.scene.leaning(np.degrees(0.5 * off_mm / expected.lamp_distance_mm)) / expected.channels
     by_cell = np.moveaxis(turned, 0, -1).reshape(measured.cells.shape)
     return replace(measured, cells=measured.cells / by_cell)

@@ -152,9 +152,9 @@ class PrintTolerances(Part):
 class PrintArea(Part):
     """The map of local colour differences: square cells, each against the whole region.
 
-    A cell deviates where its CIEDE2000 exceeds ``cell_delta_e`` in some pose, and the median of all cells by
-    ``scatters`` times (median − 16 % quantile): cells of a halftone hold few dots. The print fails where more than
-    ``max_share`` of the area does. Left out, golden prints teach it.
+    A cell deviates where its CIEDE2000 exceeds ``cell_delta_e`` in some pose, and ``scatters`` times what neighbouring
+    cells differ by (median over √2): cells of a halftone hold few dots. The print fails where more than ``max_share``
+    of the area does. Left out, golden prints teach it.
     """
 
     cell_mm: Positive = 0.1

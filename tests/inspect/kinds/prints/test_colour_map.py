@@ -74,3 +74,13 @@ def test_cells_of_a_halftone_are_judged_by_how_all_of_them_scatter(sheet):
     _, spotted = sheet.decided()
     assert spotted.map.record.verdict is Verdict.FAIL
     assert spotted.map.record.spots[0].cells >= 10
+
+
+def test_ink_that_thins_out_across_a_print_is_no_scatter_of_dots(sheet):
+    rows, cols = sheet.grid.shape
+    for row, col in np.ndindex(rows, cols):
+        sheet.states[row, col] = State(missing=0.5 * (col + 0.5) / cols)
+    _, decision = sheet.decided()
+    record = decision.map.record
+    assert (record.cell_limit, record.verdict) == (None, Verdict.FAIL)
+    assert record.share > 0.5
