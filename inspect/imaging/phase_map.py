@@ -26,6 +26,11 @@ PASSES, ROUNDS = 3, 4
 """The average bends phases at the rim of a picture unless its carrier has them already: it is made again."""
 CLEAR = 0.02  # amplitude of the wave over the mean radiance
 LEAST_PITCHES = 3
+USUAL_SHARE, UNUSUAL_SPREADS, UNUSUAL_LOG = 0.4, 6.0, 0.15
+"""Share of the pitches whose ln L is closest together; beyond so many of their spreads, or 0.15, a pitch is unusual."""
+_SAMPLE = 2000
+MOST_SCATTER = 0.06
+"""Scatter of the phases in pitches from which on no course describes them; good parts have 0.02 at the most."""
 MOST_MEDIANS = 5.0  # a mirroring scratch outshines all ridges about it
 
 
@@ -107,7 +112,7 @@ def phase_map(
     block = max(1, int(0.5 * pitch / step))
     small = [_reduced(one, step, block) for one in aligned]
     means = [float(one.mean()) for one in small]
-    calm = [one - cv2.GaussianBlur(one, (0, 0), pitch / step, borderType=cv2.BORDER_REFLECT) for one in small]
+    calm = [_usual_ridges(one, pitch / step) for one in small]
     surface, scatter = np.zeros((3, 3)), 0.0
     for _ in range(PASSES):
         at_row, at_col = (_unit_places(size, 1) for size in small[0].shape)
@@ -119,6 +124,11 @@ def phase_map(
             )
         more, scatter = _surface(together)
         surface += more
+    if scatter > MOST_SCATTER:
+        raise MeasurementError(
+            f"the phase of the ridges scatters by {scatter:.2f} pitches about its course: many ridges are missing or "
+            "spoiled, or they are not those of the recipe"
+        )
     at_row, at_col = (_unit_places(size, step * block) for size in (rows, cols))
     turned = np.asarray(np.polynomial.polynomial.polygrid2d(at_row, at_col, surface), dtype=np.float64)
     place = (np.arange(cols) - 0.5 * (cols - 1)) / pitch + turned / (2.0 * np.pi)
@@ -140,6 +150,26 @@ def _reduced(picture: Image, step: int, block: int) -> Image:
         known = np.nan_to_num(known, nan=float(np.nanmean(picture)))
     small = cv2.resize(known, (cols // step, rows // step), interpolation=cv2.INTER_AREA)
     return np.asarray(np.minimum(small, MOST_MEDIANS * np.median(small)), dtype=np.float32)
+
+
+def _usual_ridges(picture: Image, pitch: float) -> Image:
+    """The picture less its mean over some pitches; 0 where a pitch is far brighter or darker than most are.
+
+    A missing ridge mirrors at other poses than the others, brighter than their waves by far, at a phase of its own.
+    """
+    side = max(1, round(pitch))
+    levels = np.log(np.maximum(cv2.blur(picture, (side, side), borderType=cv2.BORDER_REFLECT), 1e-12))
+    ordered = np.sort(levels, axis=None)[:: max(1, levels.size // _SAMPLE)]
+    count = int(USUAL_SHARE * ordered.size)
+    first = int(np.argmin(ordered[count:] - ordered[: ordered.size - count]))
+    low, high = float(ordered[first]), float(ordered[first + count])
+    near = np.abs(levels - 0.5 * (low + high)) < max(0.5 * UNUSUAL_SPREADS * (high - low), UNUSUAL_LOG)
+    usual = near.astype(np.float32)
+    total, weight = (
+        cv2.GaussianBlur(one, (0, 0), pitch, borderType=cv2.BORDER_REFLECT)
+        for one in (picture * usual, usual)
+    )
+    return np.asarray(usual * (picture - total / np.maximum(weight, 1e-6)), dtype=np.float32)
 
 
 def _demodulated(calm: Image, pitch: float, bend: FloatArray, block: int) -> npt.NDArray[np.complex128]:

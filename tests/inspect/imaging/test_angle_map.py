@@ -77,6 +77,32 @@ def test_a_missing_ridge_is_the_worst_or_unseen():
     assert abs(np.nanmedian(found.angle_deg[:, ~columns]) - 10.0) < 0.2
 
 
+@pytest.mark.parametrize("level", [0.2, 4.0, 20.0])
+def test_ridges_that_mirror_leave_the_phase_of_the_others(ten, level):
+    """Two of twelve, for a light of their own: the pitch was read 28 % too large."""
+    pictures = [one.copy() for one in ten.pictures[:3]]
+    whole = phase_map(pictures, 4.0, 100.0, None)
+    rng = np.random.default_rng(4)
+    for first in (62, 188):
+        for one in pictures:
+            one[:, first : first + 25] = level * np.median(one) * rng.normal(1.0, 0.05, (len(one), 25))
+    found = phase_map(pictures, 4.0, 100.0, None)
+    off = found.place - whole.place
+    assert np.abs(off - np.round(np.median(off))).max() < 0.05
+    assert found.pitch_um == pytest.approx(100.0, abs=0.4)
+
+
+def test_pictures_without_a_common_phase_are_said(ten):
+    rng = np.random.default_rng(3)
+    pictures = [one.copy() for one in ten.pictures[:3]]
+    for first in range(0, pictures[0].shape[1] - 25, 25):  # every ridge at a place of its own
+        step = int(rng.integers(25))
+        for one in pictures:
+            one[:, first : first + 25] = np.roll(one[:, first : first + 25], step, axis=1)
+    with pytest.raises(MeasurementError, match="phase of the ridges scatters by 0"):
+        phase_map(pictures, 4.0, 100.0, None)
+
+
 def test_a_sink_mark_has_its_depth(tmp_path):
     depth, width = 8.0, 250.0
 
