@@ -1,5 +1,6 @@
 """The rig file: which devices stand on the rig, where, and how they are oriented. TOML, schema 1."""
 
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -257,8 +258,9 @@ class LightPart(Part):
             with it.
         bandwidth_nm: full width of its spectrum at half of its height.
         half_angle_deg: of the cone of light that falls on a point of the sample.
-        distance_mm: from the middle of the field to the lamp; far away where it is left out. Over a print the light of
-            a near lamp turns, as the lean of a curled one.
+        distance_mm: from the middle of the field to the lamp; far away where it is left out. The light of a near lamp
+            turns over the region: predicted for ridges and prints, refused for plates and wafers beyond what they are
+            predicted for.
         options: further options of the driver.
         wheel: filter wheel in its beam.
         channels: light channels by their names.
@@ -289,6 +291,32 @@ class LightPart(Part):
             there = ", ".join(self.channels) or "none"
             raise ValueError(f"channel: there is no channel '{self.channel}'; there are: {there}")
         return self
+
+    def check_distance(self, size_mm: tuple[float, float], most_deg: float = math.inf) -> None:
+        """Check the distance of the lamp, where it is stated, against the size of a region.
+
+        Args:
+            size_mm: width and height of the region.
+            most_deg: turn of the light from the middle of the region to its rim for which it is predicted.
+
+        Raises:
+            RigFileError: the lamp stands nearer than the region is wide, or its light turns by more.
+        """
+        size, far = max(size_mm), self.distance_mm
+        if far is None:
+            return
+        if not far > size:
+            raise RigFileError(
+                f"light.distance_mm: the lamp stands at {far:g} mm, nearer than the region is wide ({size:g} mm): "
+                "give the distance from the part to the lamp"
+            )
+        turn_deg = math.degrees(0.5 * size / far)
+        if turn_deg > most_deg:
+            raise RigFileError(
+                f"light.distance_mm: over a region of {size:g} mm the light of a lamp at {far:g} mm turns by ± "
+                f"{turn_deg:.2g}°, and this surface is predicted for light of one direction within {most_deg:.2g}°: "
+                "move the lamp away, or take a smaller region"
+            )
 
     def in_channel(self, name: str) -> Self:
         """The same light in one of its channels."""

@@ -8,7 +8,7 @@ ridges it is held. A cell that no lean explains is left out: there is no facet, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -101,6 +101,14 @@ class AngleMap:
     pitch_um: float
     turn_deg: float
     unseen: npt.NDArray[np.bool_]
+
+    def under_lamp(self, distance_mm: float | None) -> "AngleMap":
+        """The same in the light of a lamp so near that the half vector turns over the part, by place/2D."""
+        if distance_mm is None:
+            return self
+        across, along = (np.degrees(0.5 * one / distance_mm) for one in (self.across_mm, self.along_mm))
+        leant = None if self.along_deg is None else self.along_deg + along[:, None]
+        return replace(self, angle_deg=self.angle_deg - across, along_deg=leant)
 
     @cached_property
     def spread_deg(self) -> float:

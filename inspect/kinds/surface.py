@@ -87,6 +87,7 @@ from anisoscope.prediction.expectation import (
     Expectation,
     SurfaceOptics,
     expectation,
+    under_lamp,
 )
 from anisoscope.prediction.part_scatter import (
     PartScatter,
@@ -115,7 +116,7 @@ from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.conclusion import Kinds, named_regions, surface_finding
 from anisoscope.report.inspection_page import Pictures, Sections
-from anisoscope.rig.rigfile import RigFile
+from anisoscope.rig.rigfile import LightPart, RigFile
 
 RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
 NO_RETURN = (
@@ -213,10 +214,13 @@ class SurfaceKind(
 
     def predict(self, recipe: RecipeT, rig: RigFile, *, cached: bool) -> Expectation:
         """The radiances of the poses."""
-        return self._predict(cached=cached)(recipe, rig.light.angle_deg)
+        return self._predict(cached=cached, lamp=rig.light)(recipe, rig.light.angle_deg)
 
-    def _predict(self, *, cached: bool) -> Predict:
-        return partial(cached_expectation if cached else expectation, optics=self.optics)
+    def _predict(self, *, cached: bool, lamp: LightPart | None = None) -> Predict:
+        far = partial(cached_expectation if cached else expectation, optics=self.optics)
+        if lamp is None:
+            return far
+        return lambda recipe, light_deg: under_lamp(far(recipe, light_deg), recipe, lamp)
 
     def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> tuple[str, ...]:
         """Gates of the aligned pictures.
@@ -437,7 +441,8 @@ class SurfaceKind(
     ) -> Explanation:
         """Causes, both comparisons, the fit over tilts, the place on the height map, and the golden parts."""
         golden = decided.reference
-        predict, monitor = self._predict(cached=cached), sitting.views.monitor
+        predict = self._predict(cached=cached, lamp=expected.lamp)
+        monitor = sitting.views.monitor
         watched = monitor is not None and monitor.light_watched
         diagnosis, unexplained = self._explained(
             recipe, expected, measured, decided, golden, advance, light_watched=watched, cached=cached
@@ -517,7 +522,8 @@ class SurfaceKind(
         light_watched: bool,
     ) -> bool:
         """Whether a fault of the rig fits better than no cause, without which a tenth of a second need not be spent."""
-        predict, light_deg = self._predict(cached=True), expected.convention.light_angle_deg
+        predict = self._predict(cached=True, lamp=expected.lamp)
+        light_deg = expected.convention.light_angle_deg
         evidence = evidence_of(recipe, expected, measured, decided, golden)
         good = nothing(evidence)
 
@@ -548,7 +554,8 @@ class SurfaceKind(
         cached: bool,
     ) -> tuple[DiagnosisRecord, str | None]:
         """Ranked causes, faults of the rig among them, and a note where that failed."""
-        predict, light_deg = self._predict(cached=cached), expected.convention.light_angle_deg
+        predict = self._predict(cached=cached, lamp=expected.lamp)
+        light_deg = expected.convention.light_angle_deg
         return explain(
             recipe,
             expected,

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import RecipeError
+from anisoscope.base.errors import RecipeError, RigFileError
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.inputs import InputUncertainty
 from anisoscope.prediction.crest_edges import crest_edges
@@ -24,7 +24,7 @@ from anisoscope.prediction.input_doubt import (
 from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.predicted import NEGLECTED_WAVES, Predicted
 from anisoscope.prediction.profile_likelihood import States
-from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, SEATING
 from anisoscope.prediction.recipe_models import Models, models_of
 from anisoscope.prediction.reflections import reflections_contributions
 from anisoscope.prediction.second_order import Response
@@ -41,9 +41,16 @@ from anisoscope.prediction.sensitivity import (
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.rig.rigfile import LightPart
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import directions
 
+MOST_NEAR = 0.2
+"""Change of ln L by a near lamp up to which its second order is enough."""
+U_NEAR_SHARE = 0.25
+"""Standard uncertainty of what a near lamp changes, over the largest change: of its distance, and of higher orders."""
+LAMP_SHARE = 0.25
+"""Turn of the light over a region, in half angles of the lamp, that is within the uncertainty of that angle."""
 _OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
 
 
@@ -87,6 +94,7 @@ class Expectation:
         states: ln L in any state of the uncertain inputs, where the model itself is evaluated; else None.
         turn_deg: azimuth on ``surface`` of the sample frame's x axis.
         lobes: ln L over the tail of the lobe where that is uncertain, or None.
+        lamp: of the rig, where its distance counts; None: far away.
     """
 
     model: str
@@ -101,6 +109,7 @@ class Expectation:
     states: States | None = None
     turn_deg: float = 0.0
     lobes: LobeDoubt | None = None
+    lamp: LightPart | None = None
 
     @property
     def outside_states(self) -> tuple[Component, ...]:
@@ -286,6 +295,49 @@ def expectation(
         optics.states(recipe, light_angle_deg),
         models.turn_deg,
         doubt.lobes,
+    )
+
+
+def under_lamp(expected: Expectation, recipe: SurfaceRecipe, light: LightPart) -> Expectation:
+    """The mean over a region whose every place sees the lamp at another angle.
+
+    A place off the middle sees the half vector turned by place/2D, in all poses alike, as if the part leant so. The
+    mean follows from slope and bend of ln L over the tilt of the seat.
+
+    Args:
+        expected: under a lamp far away.
+        recipe: its region, and its uncertainty of the seating tilt.
+        light: of the rig, with the distance D of its lamp.
+
+    Raises:
+        RigFileError: the lamp stands nearer than the region is wide, or its light turns by more over the region than
+            such a surface is predicted for.
+    """
+    distance_mm = light.distance_mm
+    if distance_mm is None:
+        return expected
+    size_mm, known, unit = recipe.region.size_mm, expected.response, recipe.uncertainty.seating_tilt_deg
+    if expected.states is not None or known is None or not all(name in known.sources for name in SEATING):
+        lamp = 0.0 if recipe.light is None else recipe.light.lamp_half_angle_deg
+        light.check_distance(size_mm, LAMP_SHARE * lamp)
+        return replace(expected, lamp=light)
+    light.check_distance(size_mm)
+    more = np.zeros(len(expected.radiance))
+    for name, size in zip(SEATING, reversed(size_mm), strict=True):
+        k, rms = known.sources.index(name), np.degrees(0.5 * size / distance_mm) / np.sqrt(12.0) / unit
+        more += 0.5 * rms**2 * (known.slope[:, k] ** 2 + known.bend[:, k, k])
+    if np.abs(more).max() > MOST_NEAR:
+        raise RigFileError(
+            f"light.distance_mm: a lamp at {distance_mm:g} mm changes the mean of the region by "
+            f"{np.abs(more).max():.0%} in a pose: move it away, or take a smaller region"
+        )
+    u = np.full(len(more), U_NEAR_SHARE * np.abs(more).max())
+    doubt = Component("distance of the lamp", "prediction", u, shared=False)
+    return replace(
+        expected,
+        radiance=expected.radiance * np.exp(more),
+        components=(*expected.components, doubt),
+        lamp=light,
     )
 
 

@@ -27,14 +27,14 @@ from anisoscope.prediction.sensitivity import (
 if TYPE_CHECKING:
     from anisoscope.recipe.material_file import MaterialFile
 
+SEATING = "seating tilt about x", "seating tilt about y"
 PLASTIC_AND_SEAT = (
     "roughness along the ridges",
     "roughness across the ridges",
     "albedo of the plastic",
     "refractive index",
     "light angle",
-    "seating tilt about x",
-    "seating tilt about y",
+    *SEATING,
 )
 """Names of the sources that a recipe states of plastic, lamp and seat."""
 TAIL = "tail of the lobe"

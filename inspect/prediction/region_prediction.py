@@ -27,6 +27,7 @@ from anisoscope.prediction.height_map_uncertainty import edge_contributions, pix
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.predict import Reflect, Roughness, predict_design, predict_height_map
 from anisoscope.prediction.predicted import Predicted
+from anisoscope.prediction.propagation import SEATING
 from anisoscope.prediction.reflections import groove_of_design
 from anisoscope.prediction.relief_preparation import Levelling, turned_clockwise
 from anisoscope.prediction.ridge_edges import (
@@ -55,7 +56,6 @@ PREDICTED = 2
 """Regions of a class that are predicted, the largest ones; their mean stands for the class."""
 LEAST_RIDGES = 4.0
 """Ridges of a square region from which on it is predicted alone."""
-SEATING = "seating tilt about x", "seating tilt about y"
 ALIKE = 0.1
 """Relative difference up to which the areas of two classes count as equal."""
 LEVEL = -1

@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.base.errors import RigFileError
-from anisoscope.rig.rigfile import StagePart, read_axes, read_replay_rig, read_rig
+from anisoscope.rig.rigfile import LightPart, StagePart, read_axes, read_replay_rig, read_rig
 
 GOOD = """
 schema = 1
@@ -167,3 +167,22 @@ def test_linear_axes_count_in_millimetres(tmp_path):
         RigFileError, match=r"options\.velocity_deg_s: this axis is linear; write velocity_mm_s"
     ):
         read_axes(path)
+
+
+@pytest.mark.parametrize(
+    ("far_mm", "most_deg", "says"),
+    [
+        (None, 0.0, None),
+        (80.0, 1.5, None),
+        (4.0, 90.0, "light.distance_mm: the lamp stands at 4 mm, nearer than the region is wide (4 mm)"),
+        (80.0, 1.4, "over a region of 4 mm the light of a lamp at 80 mm turns by ± 1.4°"),
+    ],
+)
+def test_a_lamp_near_a_region(far_mm, most_deg, says):
+    light = LightPart(distance_mm=far_mm)
+    if says is None:
+        light.check_distance((3.0, 4.0), most_deg)
+        return
+    with pytest.raises(RigFileError) as caught:
+        light.check_distance((3.0, 4.0), most_deg)
+    assert says in str(caught.value)

@@ -29,8 +29,7 @@ from anisoscope.kinds.plates.record import FieldRecord
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.expectation import part_uncertainty
-from anisoscope.prediction.propagation import RIDGE_ANGLE
-from anisoscope.prediction.region_prediction import SEATING
+from anisoscope.prediction.propagation import RIDGE_ANGLE, SEATING
 from anisoscope.prediction.second_order import Response
 from anisoscope.record.schema import CauseRecord, ComponentRecord, DiagnosisRecord
 

@@ -23,7 +23,7 @@ from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.prediction.predict import predict_design
-from anisoscope.prediction.region_prediction import SEATING
+from anisoscope.prediction.propagation import SEATING
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.plates import Plan
 

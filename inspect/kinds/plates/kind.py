@@ -171,6 +171,7 @@ class Plates(
 
     def predict(self, recipe: PlateRecipe, rig: RigFile, *, cached: bool) -> ExpectedPlate:
         """The radiances of the classes."""
+        rig.light.check_distance(recipe.region.size_mm, 2.0 * recipe.uncertainty.seating_tilt_deg)
         return expected_plate(recipe, recipe.plan.plan(), rig.light.angle_deg, cached=cached)
 
     def measure(

@@ -120,13 +120,6 @@ def expectation_of_print(recipe: PrintRecipe, rig: RigFile) -> PrintExpectation:
             f"area.cell_mm: a cell of {recipe.area.cell_mm:g} mm holds fewer than {MIN_PIXELS} red pixels, each "
             f"{rig.camera.pixel_um:g} µm wide: make cells {least_mm:.2g} mm or larger, better twice that"
         )
-    found, far = (
-        expect_print(recipe, rig.light.angle_deg, *lamp_and_sensitivities(rig)),
-        rig.light.distance_mm,
-    )
-    if far is not None and far <= max(recipe.region.size_mm):
-        raise RigFileError(
-            f"light.distance_mm: the lamp stands at {far:g} mm, nearer than the region is wide "
-            f"({max(recipe.region.size_mm):g} mm): give the distance from the part to the lamp"
-        )
-    return replace(found, lamp_distance_mm=far)
+    found = expect_print(recipe, rig.light.angle_deg, *lamp_and_sensitivities(rig))
+    rig.light.check_distance(recipe.region.size_mm)
+    return replace(found, lamp_distance_mm=rig.light.distance_mm)

@@ -68,7 +68,8 @@ class Ridges(SurfaceKind[RidgeRecipe], Beginning):
         """Lean of the facets, computed once a measurement."""
         if measured not in self._facets:
             try:
-                self._facets[measured] = angle_map(recipe, expected, measured)
+                far = None if expected.lamp is None else expected.lamp.distance_mm
+                self._facets[measured] = angle_map(recipe, expected, measured).under_lamp(far)
             except AnisoscopeError as problem:
                 self._facets[measured] = problem
         return self._facets[measured]

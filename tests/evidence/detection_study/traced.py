@@ -72,6 +72,7 @@ class Part:
         spoiled: Any = None,
         phase: float = PHASE,
         albedo: float = 0.1,
+        lamp_um: float | None = None,
     ) -> None:
         rng = np.random.default_rng(seed)
         cols, rows = (int(one / POINT_UM) + 1 for one in size)
@@ -96,8 +97,9 @@ class Part:
         self.changed = change[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).max(axis=(1, 3))
         self.poses = tuple(poses)
         tracer = PathTracer(
-            self.surface, Plastic(alpha, alpha, albedo, 1.5, lobe), reflections=3, paths=8192, seed=seed
-        )
+            self.surface, Plastic(alpha, alpha, albedo, 1.5, lobe), reflections=3, paths=8192, seed=seed,
+            lamp_distance_um=lamp_um,
+        )  # fmt: skip
         self.pictures: list[Any] = []
         for light, camera in zip(*directions(self.poses, Convention(10.0)), strict=True):
             seen = cv2.GaussianBlur(tracer.radiance(light, camera), (0, 0), BLUR_UM / POINT_UM)[::-1]

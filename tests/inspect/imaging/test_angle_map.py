@@ -12,8 +12,9 @@ from anisoscope.imaging.angle_map import angle_map, planned_worth, poses_for_ang
 from anisoscope.imaging.phase_map import phase_map
 from anisoscope.operations.facets import form_of, write_angle_map
 from anisoscope.parameters.geometry import Convention, Pose
-from anisoscope.prediction.expectation import Component, expectation
+from anisoscope.prediction.expectation import Component, expectation, under_lamp
 from anisoscope.profiles.files.load import read_height_map
+from anisoscope.rig.rigfile import LightPart
 from anisoscope.sim.light.geometry import pose_grid
 from detection_study.traced import TEXTURE, UPRIGHT, Part, recipe_of
 
@@ -75,6 +76,47 @@ def test_a_missing_ridge_is_the_worst_or_unseen():
     assert level.mean() > 0.9
     assert found.worst.ridge == flat
     assert abs(np.nanmedian(found.angle_deg[:, ~columns]) - 10.0) < 0.2
+
+
+@pytest.fixture(scope="module")
+def two_lamps():
+    """One part under a lamp far away and under one at 40 mm."""
+    poses = (*UPRIGHT, Pose(90.0, -10.0))
+    return tuple(Part(7, poses, size=(1600.0, 1200.0), spread=0.0, lamp_um=far) for far in (None, 4e4))
+
+
+def test_a_near_lamp_turns_the_leans_over_the_part(two_lamps):
+    part = two_lamps[1]
+    found = part.map_by(recipe_of())
+    mended = found.under_lamp(40.0)
+    for seen, right, true, place in (
+        (found.angle_deg, mended.angle_deg, part.leans(found)[0], found.across_mm[None, :]),
+        (found.along_deg, mended.along_deg, part.leans(found)[1], -found.along_mm[:, None]),
+    ):
+        known = np.isfinite(seen)
+        x = np.broadcast_to(place, seen.shape)[known]
+        turned, left = (np.polyfit(x, (one - true)[known], 1)[0] for one in (seen, right))
+        assert turned == pytest.approx(np.degrees(0.5 / 40.0), rel=0.05)
+        assert abs(left) < 0.04
+
+
+def test_a_near_lamp_changes_the_mean_of_a_region(two_lamps):
+    """By half a percent to one in poses far off the lobe's middle, as the path tracer says."""
+    far, near = (np.array([one.mean() for one in part.pictures]) for part in two_lamps)
+    poses = tuple((one.stage_deg, one.tilt_deg) for one in two_lamps[0].poses)
+    recipe = recipe_of()
+    recipe = recipe.model_copy(
+        update={
+            "poses": type(recipe.poses).model_validate({"stage_and_tilt_deg": poses}),
+            "region": recipe.region.model_copy(update={"size_mm": (1.6, 1.2)}),
+        }
+    )
+    plain = expectation(recipe, 10.0)
+    lit = under_lamp(plain, recipe, LightPart(distance_mm=40.0))
+    predicted, u = np.log(lit.radiance / plain.radiance), lit.components[-1].relative
+    assert lit.components[-1].source == "distance of the lamp"
+    assert np.abs(np.log(near / far) - predicted).max() < 2.0 * u.max() < 0.003
+    assert predicted[1] > 0.004
 
 
 @pytest.mark.parametrize("level", [0.2, 4.0, 20.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope.base.errors import HeightMapError, MeasurementError, RecipeError
+from anisoscope.base.errors import HeightMapError, MeasurementError, RecipeError, RigFileError
 from anisoscope.base.progress import silent
 from anisoscope.base.significance import joint_conformance
 from anisoscope.imaging.linearisation import RadianceImage
@@ -36,6 +36,7 @@ from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.plates import Plan, plate_map
 from anisoscope.record.verdict import Verdict
+from anisoscope.rig.rigfile import LightPart
 from anisoscope.sim.design.plates import modules_of_code
 from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.pathtracer.plastic import Plastic
@@ -65,6 +66,12 @@ def recipe(folder):
 @pytest.fixture(scope="module")
 def expected(recipe):
     return expected_plate(recipe, recipe.plan.plan(), LIGHT_DEG, cached=True)
+
+
+def test_a_lamp_too_near_for_a_plate_is_refused(recipe):
+    rig = SimpleNamespace(light=LightPart(distance_mm=40.0, angle_deg=LIGHT_DEG))
+    with pytest.raises(RigFileError, match=r"light of one direction within 0\.\d+°: move the lamp away"):
+        PLATES.predict(recipe, rig, cached=True)
 
 
 def measured(expected, factor=None, texts=None, seed=1, scatter=0.02):

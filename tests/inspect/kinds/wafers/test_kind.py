@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 import tomli_w
 
+from anisoscope.base.errors import RigFileError
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.report_seal import SEAL_NAME
 from anisoscope.inspection.run import Methods, inspect_part
-from anisoscope.kinds.registry import read_recipe
+from anisoscope.kinds.registry import kind_of, read_recipe
 from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.record.schema import RECORD_NAME, REPORT_NAME, UNSEALED
+from anisoscope.rig.rigfile import read_rig
 
 TILE_UM = 128.0
 WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 640.0}}
@@ -223,3 +225,17 @@ def test_a_region_that_leaves_the_wafer_is_invalid(wafers, plain):
     ).record
     assert record.verdict == "INVALID"
     assert "the region reaches beyond the part at 2 corners: " in record.reasons[0]
+
+
+def test_a_lamp_too_near_for_a_wafer_is_refused(wafers):
+    recipe = read_recipe(wafers / "recipe.toml")
+    rig = read_rig(wafers / "bench" / "good" / "rig.toml")
+    near, far = (
+        rig.model_copy(update={"light": rig.light.model_copy(update={"distance_mm": one})})
+        for one in (80.0, 5e3)
+    )
+    kind = kind_of(wafers / "recipe.toml")
+    with pytest.raises(RigFileError, match=r"turns by ± .*light of one direction within 0\.\d+°"):
+        kind.predict(recipe, near, cached=True)
+    plain = kind.predict(recipe, rig, cached=True)
+    np.testing.assert_array_equal(kind.predict(recipe, far, cached=True).radiance, plain.radiance)
