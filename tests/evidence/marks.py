@@ -229,7 +229,7 @@ def by_path_tracer(rng: np.random.Generator, alpha: float, lobe: str, seed: int)
     plastic = Plastic(along, across, rng.choice([0.1, 0.3]), 1.5, lobe)
 
     def seen(sheet: Sheet, lights: np.ndarray, cameras: np.ndarray) -> list[np.ndarray]:
-        tracer = PathTracer(sheet.surface, plastic, reflections=3, paths=2048, seed=seed)
+        tracer = PathTracer(sheet.surface, plastic, reflections=3, paths=65536, seed=seed)
         return [tracer.radiance(*pair) for pair in zip(lights, cameras, strict=True)]
 
     return seen
@@ -361,29 +361,57 @@ CHANGED_CELL_UM, CHANGED_SHARE = 0.5, 0.1
 """Change of a height, and the share of a cell with it from which on the cell is spoiled."""
 
 
-def judged_cells(name: str, number: int) -> dict[str, tuple[int, int, int, float]]:
-    """Spoiled cells found, good ones that deviate, spoiled ones missed, and the share that deviates, by look."""
-    angle, pitch, alpha, lobe = list(JUDGED.values())[number % len(JUDGED)]
+GOLDEN = 3
+"""Good parts of a design whose limits stand beside that of the part itself."""
+LOOKED = tuple((look, golden) for look in LOOKS for golden in (False, True))
+
+
+def traced_maps(name: str, number: int, design: int) -> tuple[Part, dict[str, CellMap]]:
+    """A traced part with a defect of the library, and its cells, by look."""
+    angle, pitch, alpha, lobe = list(JUDGED.values())[design]
     part = Part(
         70_000 + 100 * number + len(name), NINE, angle=angle, pitch=pitch, alpha=alpha, lobe=lobe,
         size=(1400.0, 1200.0), spread=0.1, phase=np.random.default_rng(number).random(), spoiled=CELL_PARTS[name],
     )  # fmt: skip
-    found = {}
+    pictures = {look: [part.pictures[k] for k in poses] for look, poses in LOOKS.items()}
+    return part, {look: map_of(seen, angle, pitch, alpha, LOOKS[look]) for look, seen in pictures.items()}
+
+
+def golden_limits(number: int) -> dict[str, float]:
+    """Limits of a golden part, by look."""
+    _, maps = traced_maps("good", 500 + number, number % len(JUDGED))
+    return {look: one.limit for look, one in maps.items()}
+
+
+def judged_cells(
+    name: str, number: int, golden: list[dict[str, float]]
+) -> dict[tuple[str, bool], tuple[int, int, int, float]]:
+    """Spoiled cells found, good ones that deviate, spoiled ones missed, and the share that deviates.
+
+    By look, alone and with golden parts.
+    """
+    design = number % len(JUDGED)
+    part, maps = traced_maps(name, number, design)
+    pitch = list(JUDGED.values())[design][1]
     spoiled = part.spoiled_share(CHANGED_CELL_UM, pitch, 1) > CHANGED_SHARE
-    for look, poses in LOOKS.items():
-        over = map_of([part.pictures[k] for k in poses], angle, pitch, alpha, poses).deviating()
+    found = {}
+    for look, with_golden in LOOKED:
+        limits = [one[look] for one in golden[design :: len(JUDGED)]] if with_golden else []
+        over = maps[look].by(limits).deviating()
         counts = (int(np.sum(one)) for one in (over & spoiled, over & ~spoiled, spoiled & ~over))
-        found[look] = (*counts, float(over.mean()))
+        found[look, with_golden] = (*counts, float(over.mean()))
     return found
 
 
 def cells_table(count: int) -> str:
     """F1 of the cells of a mark, and the largest share of a good part that deviates."""
-    lines = ["| part | " + " | ".join(LOOKS) + " |", "|---|" + "---|" * len(LOOKS)]
+    heads = [f"{look}, {GOLDEN} golden" if golden else look for look, golden in LOOKED]
+    lines = ["| part | " + " | ".join(heads) + " |", "|---|" + "---|" * len(heads)]
+    golden = for_each(golden_limits, range(GOLDEN * len(JUDGED)), 2)
     for name in CELL_PARTS:
-        found = for_each(lambda k, name=name: judged_cells(name, k), range(count), 2)
+        found = for_each(lambda k, name=name: judged_cells(name, k, golden), range(count), 2)
         cells = []
-        for look in LOOKS:
+        for look in LOOKED:
             hit, false, missed, share = np.array([one[look] for one in found]).T
             score = 2.0 * hit.sum() / max(2.0 * hit.sum() + false.sum() + missed.sum(), 1.0)
             cells.append(f"{100.0 * share.max():.1f} % of the worst" if name == "good" else f"{score:.2f}")

@@ -97,7 +97,7 @@ class Part:
         self.changed = change[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).max(axis=(1, 3))
         self.poses = tuple(poses)
         tracer = PathTracer(
-            self.surface, Plastic(alpha, alpha, albedo, 1.5, lobe), reflections=3, paths=8192, seed=seed,
+            self.surface, Plastic(alpha, alpha, albedo, 1.5, lobe), reflections=3, paths=65536, seed=seed,
             lamp_distance_um=lamp_um,
         )  # fmt: skip
         self.pictures: list[Any] = []
