@@ -155,7 +155,7 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
         place = np.broadcast_to((np.arange(cols) + 0.5) * pixel_um / pitch_um, (rows, cols))
     points = _Points.of(pictures, place)
     off = points.off(CALM_UM / pixel_um)
-    covariance, calm = points.covariance(off)
+    covariance, texture, calm = points.covariance(off)
     size = measured.cells.shape[:0:-1]
 
     def of_cells(values: Image) -> FloatArray:
@@ -164,7 +164,8 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     squares = points.distance(off, covariance)
     logs = np.log1p(squares)
     score = of_cells(logs)
-    limit, spread, over = _limits(score, of_cells(logs * calm), of_cells(calm))
+    alone = np.log1p(points.distance(off * calm, np.broadcast_to(texture, covariance.shape)))
+    limit, spread, over = _limits(score, (of_cells(logs * calm), of_cells(alone)), of_cells(calm))
     beyond = (squares > np.expm1(limit)).astype(np.float32)
     cells = np.stack([of_cells(one) for one in off])
     poses = recipe.poses.poses()
@@ -184,26 +185,31 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     )
 
 
-def _limits(score: FloatArray, calm: FloatArray, share: FloatArray) -> tuple[float, float, float]:
+def _limits(score: FloatArray, calm: Sequence[FloatArray], share: FloatArray) -> tuple[float, float, float]:
     """Limit of the cells, their spread, and limit by all of them over that by their calm points.
 
     The limit by all cells is that of the texture, unless marks have raised it far beyond that of the calm points.
 
     Args:
         score: (cell rows, cell cols) mean ln(1 + D²).
-        calm: the same with 0 at all but the calm points.
+        calm: the same with 0 at all but the calm points, by the covariance of every place and by that of the texture
+            alone; the greater limit counts.
         share: of these.
     """
     known = share >= max(float(np.quantile(share, 1.0 - CALM_SHARE)), 0.5 * float(share.max()))
-    middles, spreads = [], []
-    for scores, points in ((score, 1.0), (calm[known] / share[known], float(share[known].mean()))):
-        middle, low = np.quantile(scores, [0.5, 0.16])
-        middles.append(float(middle))
-        spreads.append(max(float(middle - low), LEAST_SPREAD) * np.sqrt(points))
-    own, least = (middle + SCATTERS * spread for middle, spread in zip(middles, spreads, strict=True))
+    part = float(share[known].mean())
+    own, spread = _limit(score, 1.0)
+    least, calm_spread = max(_limit(one[known] / share[known], part) for one in calm)
     over = own / least
     most = max(1.0, 2.0 * CROWDED - over)
-    return least * min(over, most), min(spreads), over
+    return least * min(over, most), min(spread, calm_spread), over
+
+
+def _limit(scores: FloatArray, part: float) -> tuple[float, float]:
+    """Limit of cells by scores of a part of each, and their spread."""
+    middle, low = np.quantile(scores, [0.5, 0.16])
+    spread = max(float(middle - low), LEAST_SPREAD) * np.sqrt(part)
+    return float(middle) + SCATTERS * spread, spread
 
 
 def _at_most(matrices: FloatArray, most: FloatArray) -> FloatArray:
@@ -283,11 +289,12 @@ class _Points:
                 cv2.GaussianBlur(off, (0, 0), sigma, dst=off, borderType=cv2.BORDER_REFLECT)
         return found
 
-    def covariance(self, off: Image) -> tuple[FloatArray, Image]:
+    def covariance(self, off: Image) -> tuple[FloatArray, FloatArray, Image]:
         """Covariance of the deviations in every bin, of most of its points and at most as of a good part.
 
         Returns:
-            (B, P, P) covariances, and (rows, cols) 1 at the points of the bins that scatter least.
+            (B, P, P) covariances, (P, P) that of the texture, and (rows, cols) 1 at the points of the bins that scatter
+            least, which show it.
         """
         from scipy.special import chdtri  # noqa: PLC0415 - start-up time
 
@@ -321,7 +328,7 @@ class _Points:
         texture, steep = found[calm].mean(axis=0), U_PLACE**2 * self._steepness()
         walls = WALLS**2 + LEAST_SCATTER**2
         bounded = _at_most(found + steep, texture + steep + walls * np.eye(poses))
-        return bounded, np.repeat(calm, FINE)[self.fine].astype(np.float32)
+        return bounded, texture, np.repeat(calm, FINE)[self.fine].astype(np.float32)
 
     def _steepness(self) -> FloatArray:
         """(B, P, P) mean products of the slopes of the profiles per pitch, over every bin and its neighbours."""
