@@ -26,8 +26,8 @@ PASSES, ROUNDS = 3, 4
 """The average bends phases at the rim of a picture unless its carrier has them already: it is made again."""
 CLEAR = 0.02  # amplitude of the wave over the mean radiance
 LEAST_PITCHES = 3
-USUAL_SHARE, UNUSUAL_SPREADS, UNUSUAL_LOG = 0.4, 6.0, 0.15
-"""Share of the pitches whose ln L is closest together; beyond so many of their spreads, or 0.15, a pitch is unusual."""
+USUAL_SHARE, UNUSUAL_SPREADS, UNUSUAL_LOG = 0.4, 6.0, 0.3
+"""Share of the pitches whose ln L is closest together; beyond so many of their spreads, or 0.3, a pitch is unusual."""
 _SAMPLE = 2000
 MOST_SCATTER = 0.06
 """Scatter of the phases in pitches from which on no course describes them; good parts have 0.02 at the most."""
