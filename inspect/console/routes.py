@@ -40,6 +40,7 @@ def _words() -> dict[str, str]:
     away = message("The console does not answer. The inspection goes on; Stop at the rig itself.")
     return _picture_words(away) | {
         "frame": message("frame"),
+        "ending": message("Stopping: waits for the end of this step: {doing}", doing="{doing}"),
         "next": message("What to do next"),
         "stopped": message("stopped"),
         "mine": message("You hold the rig."),

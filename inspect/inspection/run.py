@@ -184,7 +184,7 @@ def inspect_part(
             goes on. Without any frame the folder goes too.
         RecordError: the folder cannot be written.
     """
-    who = (particulars or Particulars()).checked()
+    who, until = (particulars or Particulars()).checked(), _until(cancel, on_progress)
     job = prepare(recipe_path, rig_path, serial)
     try:
         now = (methods or USUAL).now()
@@ -198,7 +198,7 @@ def inspect_part(
         # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
         with open_rig(job.rig) as rig:
             _check_rig(rig, plan, job)
-            ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
+            ready = cleanup.enter_context(expecting(job, until, lot_mates, methods))
             folder = cleanup.enter_context(new_folder(out, serial))
             on_folder(folder)
             here = rig_path.resolve().parent
@@ -215,7 +215,7 @@ def inspect_part(
             darks = shared_darks(folder, plan, rig, now)
             fresh = _photograph(manifest, rig, folder, on_progress, cancel, darks, now)
             manifest = _without_old_pictures(manifest, rig, folder, fresh, used_before)
-            manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel, fresh)
+            manifest, judged = _decide(manifest, rig, folder, job, ready, until, cancel, fresh)
         concluded = conclude(folder, manifest, job, ready, on_progress, judged)
     return reported(*concluded, reports, on_progress)
 
@@ -301,6 +301,7 @@ def _resumed(
     cancel: threading.Event | None,
     methods: Methods | None,
 ) -> tuple[Inspected, PendingReport]:
+    until = _until(cancel, on_progress)
     with working_in(folder):
         manifest, job = reopen(folder)
         mates = lot_mates(manifest.particulars.lot)
@@ -310,8 +311,8 @@ def _resumed(
             cleanup.enter_context(_going_on(folder))
             ready: Ready | None = None
             if missing_frames(manifest, read_journal(folder)) == 0:
-                ready = cleanup.enter_context(expecting(job, on_progress, mates, methods))
-                judged = _judge(manifest, folder, job, ready, on_progress)
+                ready = cleanup.enter_context(expecting(job, until, mates, methods))
+                judged = _judge(manifest, folder, job, ready, until)
                 if _settled(manifest, job, judged):
                     return conclude(folder, manifest, job, ready, on_progress, judged)
                 manifest = one_round_more(folder, manifest)
@@ -319,11 +320,22 @@ def _resumed(
                 raise RecordError(f"{folder}: not all frames were copied: inspect the folder of frames again")
             with open_rig(job.rig) as rig:
                 _check_rig(rig, manifest.plan, job)
-                ready = ready or cleanup.enter_context(expecting(job, on_progress, mates, methods))
+                ready = ready or cleanup.enter_context(expecting(job, until, mates, methods))
                 fresh = _photograph(manifest, rig, folder, on_progress, cancel)
                 manifest = _without_old_pictures(manifest, rig, folder, fresh, used_before)
-                manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel, fresh)
+                manifest, judged = _decide(manifest, rig, folder, job, ready, until, cancel, fresh)
             return conclude(folder, manifest, job, ready, on_progress, judged)
+
+
+def _until(cancel: threading.Event | None, on_progress: Advance) -> Advance:
+    """Progress of what is computed: its next step after a cancel raises a `RigError`."""
+
+    def advance(doing: str, done: int, total: int) -> None:
+        if cancel is not None and cancel.is_set():
+            raise RigError(f"the inspection was stopped before: {doing}")
+        on_progress(doing, done, total)
+
+    return advance
 
 
 @contextlib.contextmanager

@@ -86,7 +86,8 @@ function show(state) {
 }
 
 function progress(at) {
-  $("doing").textContent = at.doing || "";
+  const doing = at.doing || "";  // a computation ends at its next step
+  $("doing").textContent = doing && now.state === "stopping" ? words.ending.replace("{doing}", doing) : doing;
   $("progress").max = Math.max(at.total, 1); $("progress").value = at.done;
   showFrames(at.frames);
 }

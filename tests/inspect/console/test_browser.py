@@ -83,6 +83,7 @@ def test_the_space_bar_stops_and_the_page_offers_to_resume(page, station, monkey
         with page.expect_response(re.compile("/stop$")):
             page.keyboard.press("Space")
         assert len(station[1]) == before + 1
+        page.locator("#doing").get_by_text("Stopping: waits for the end of this step: ").wait_for()
         go.set()
         page.locator("#failure").get_by_text("stopped").wait_for()
     page.reload()

@@ -15,6 +15,7 @@ import pytest
 from anisoscope.console.access import Session
 from anisoscope.console.live import EventLog, exposure_advice, focus_advice
 from anisoscope.console.station import Start, _in_short, _Present
+from anisoscope.inspection import run
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.sim.bench.camera import SimulatedCamera
 
@@ -235,6 +236,29 @@ def test_a_stop_ends_the_inspection_and_it_can_be_resumed(browser, at, monkeypat
     done = browser.wait()
     assert (done["verdict"]["serial"], done["verdict"]["verdict"]) == ("A-4", "PASS")
     assert state["folder"] not in browser.get("/resumable")
+
+
+def test_a_stop_while_a_part_is_judged_ends_it_at_the_next_step(browser, at, monkeypatch):
+    """Else the page went on for as long as its kernels are compiled."""
+    photographed, begun, go = run.begin_series, threading.Event(), threading.Event()
+
+    def wait(*given):
+        photographed(*given)
+        begun.set()
+        go.wait()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "begin_series", wait)
+        begin(browser, "A-8")
+        assert begun.wait(60)
+        browser.post("/stop")
+        assert browser.get("/status")["state"] == "stopping"
+        go.set()
+        state = browser.wait()
+    assert state["failure"]["stopped"]
+    assert "stopped before: measurement" in state["failure"]["text"]
+    browser.post("/resume", name=state["folder"])
+    assert browser.wait()["verdict"]["serial"] == "A-8"
 
 
 def test_a_stop_reaches_the_axes_though_every_thread_waits(station_at, served, app_of, monkeypatch):
