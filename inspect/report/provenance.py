@@ -1,6 +1,6 @@
 """Where the numbers of a report come from: groups of names and values, and the files with their hashes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
@@ -123,7 +123,7 @@ def _rig(record: Record) -> tuple[tuple[str, str], ...]:
     drift = (
         "not measured"
         if record.drift is None
-        else f"{100 * record.drift:+.2f} % between the first picture and its repetition at the end"
+        else f"{100 * record.drift:+z.2f} % between the first picture and its repetition at the end"
     )
     return (
         ("rig", f"{rig['name']}, SHA-256 {_hash_of(record, 'rig')}"),
@@ -131,17 +131,20 @@ def _rig(record: Record) -> tuple[tuple[str, str], ...]:
         ("camera", f"{record.camera}, {rig['camera']['pixel_um']:g} µm a pixel"),
         ("light", f"{rig['light']['driver']}, {rig['light']['angle_deg']:g}° from the camera"),
         ("drift", drift.replace("-", "−")),
-        ("alignment", "; ".join(_alignment(pose) for pose in record.poses) or "–"),
+        ("alignment", _alignment(record.poses)),
     )
 
 
-def _alignment(pose: PoseRecord) -> str:
-    tilt = f", tilt {pose.tilt_deg:g}°" if pose.tilt_deg else ""
-    turned = turn_text(pose.marker_angle_deg - pose.stage_deg)
+def _alignment(poses: Sequence[PoseRecord]) -> str:
+    """How all poses were aligned; each of them is in the record."""
+    if not poses:
+        return "–"
+    turns = [(pose.marker_angle_deg - pose.stage_deg + 180.0) % 360.0 - 180.0 for pose in poses]
     return (
-        f"{pose.stage_deg:g}°{tilt}: {pose.markers} markers, turned {turned} from the stage's reading, "
-        f"{pose.residual_px:.2f} px rms"
-    ).replace("-", "−")
+        f"at least {min(pose.markers for pose in poses)} markers in each of {len(poses)} poses, turned "
+        f"{turn_text(min(turns))} to {turn_text(max(turns))} from the stage's reading, at most "
+        f"{max(pose.residual_px for pose in poses):.2f} px rms"
+    )
 
 
 def calibrations_of(
@@ -187,7 +190,7 @@ class Trace:
     """One reading over the poses, drawn in a box of `WIDTH` by `HEIGHT`.
 
     Attributes:
-        title: reading and unit.
+        title: reading, unit and range.
         points: (x, y) of every picture in the box, with its value in words.
         limits: y of the limits that lie in the box.
     """
@@ -227,7 +230,7 @@ def rig_section(record: Record) -> RigSection | None:
     traces = [
         _trace(
             "lamp and exposure [%]",
-            "+.2f",
+            "+z.2f",
             monitor,
             lambda pose: 100.0 * (pose.level / usual - 1.0),
             level_limit,
@@ -238,7 +241,7 @@ def rig_section(record: Record) -> RigSection | None:
         traces.append(
             _trace(
                 "stray light [% of white]",
-                ".2f",
+                "z.2f",
                 monitor,
                 lambda pose: 100.0 * pose.stray_share,
                 limit,
@@ -282,6 +285,7 @@ def _trace(
 ) -> Trace:
     values = [value(pose) for pose in monitor.poses]
     low, high = min(values), max(values)
+    title = true_minus(f"{title}: {low:{form}} to {high:{form}}")
     if limit is not None:
         low, high = min(low, -limit), max(high, limit)
     room = max(high - low, 0.2 * abs(high), 1e-6)

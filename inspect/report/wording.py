@@ -1,5 +1,7 @@
 """Numbers, contrasts and causes as the report of an inspection words them."""
 
+import re
+
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import contrast_name, p_value_text, percent_text, ratio_text, true_minus
 from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC
@@ -9,6 +11,8 @@ from anisoscope.report.page import Filters, css_string
 from anisoscope.report.provenance import when
 
 MOST_WEIGHT = 0.99
+_UNIT = re.compile(r"(?<=±) (?=\d)|(?<=\d) (?=(?:%|[µn]?m)(?!\w))")
+"""Spaces between a number and its sign or unit, where no line breaks."""
 U_LEGEND = "U = 2u: expanded uncertainty"
 
 
@@ -22,7 +26,7 @@ def filters() -> Filters:
         "p_said": p_value_text,
         "percent": percent_text,
         "ratio": ratio_text,
-        "typeset": true_minus,
+        "typeset": lambda text: _UNIT.sub("\N{NO-BREAK SPACE}", true_minus(text)),
         "when": when,
         "css_string": css_string,
     }

@@ -26,8 +26,6 @@ from anisoscope.base.errors import HeightMapError, RigFileError, UsageError
 from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.profiles.defects import burrs
-from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import add_facet_roughness, ridges
 from anisoscope.sim.bench.benchfile import (
@@ -58,7 +56,6 @@ from anisoscope.sim.bench.optics import (
 )
 from anisoscope.sim.bench.plate import PlateSample
 from anisoscope.sim.bench.printpart import PrintPart
-from anisoscope.sim.bench.prints import PrintSample
 from anisoscope.sim.bench.sensor import Mosaic, Sensor
 from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.pathtracer.plastic import Plastic
@@ -159,6 +156,8 @@ def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
     """
     part = file.sample
     if part.kind == "print":
+        from anisoscope.sim.bench.prints import PrintSample  # noqa: PLC0415 - of one kind of sample only
+
         return PrintSample(part.print or PrintPart(), part.size_mm, file.optics.pixel_um, file.vision(), rng)
     if part.kind == "wafer":
         from anisoscope.sim.bench.wafer import build_wafer  # noqa: PLC0415 - of one kind of sample only
@@ -186,6 +185,8 @@ def build_surface(part: SamplePart, rng: np.random.Generator) -> RidgedSurface:
         HeightMapError: the file cannot be read, or too much of the map is missing.
     """
     if part.kind == "height-map":
+        from anisoscope.profiles.files.load import read_height_map  # noqa: PLC0415 - readers of all formats
+
         assert part.file is not None  # the bench file's own check
         found = read_height_map(part.file)
         if found.missing_share > MOST_MISSING:
@@ -205,6 +206,8 @@ def build_surface(part: SamplePart, rng: np.random.Generator) -> RidgedSurface:
             surface, alpha_along=alpha, alpha_across=alpha, correlation_um=part.correlation_um, rng=rng
         )
     if part.burr_coverage > 0:
+        from anisoscope.profiles.defects import burrs  # noqa: PLC0415 - of few samples
+
         surface = burrs(surface, part.burr_coverage, pitch_um=part.pitch_um, rng=rng).map
     return RidgedSurface(surface, part.pitch_um)
 

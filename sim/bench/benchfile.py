@@ -22,7 +22,6 @@ from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.firmware.fw102c import PLACES
 from anisoscope.sim.bench.plate import PlatePart
 from anisoscope.sim.bench.printpart import PrintPart
-from anisoscope.sim.bench.prints import check_print
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.light.colour.vision import Vision
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
@@ -400,6 +399,8 @@ def read_bench(path: Path) -> BenchFile:
         path, BenchFile, error=RigFileError, substitutions={"here": str(path.resolve().parent)}
     )
     if found.sample.kind == "print":
+        from anisoscope.sim.bench.prints import check_print  # noqa: PLC0415 - of one kind of sample only
+
         try:
             check_print(found.sample.print or PrintPart(), found.vision())
         except RigFileError as problem:

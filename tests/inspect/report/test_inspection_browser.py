@@ -190,7 +190,9 @@ def test_it_says_why_and_how_to_check(shown, report):
     )
     assert poses == [3] * len(record.poses)  # measured, predicted, difference
     assert shown.evaluate("document.querySelectorAll('.pose .marked svg use').length") == len(record.poses)
-    assert texts(shown, "#finding") == [record.conclusion.finding]
+    assert [one.replace("\N{NO-BREAK SPACE}", " ") for one in texts(shown, "#finding")] == [
+        record.conclusion.finding
+    ]
     assert texts(shown, "#action") == [f"What to do next: {record.conclusion.action}"]
     told = shown.evaluate("document.body.textContent")
     particulars = record.particulars.model_dump(

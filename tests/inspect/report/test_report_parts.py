@@ -133,7 +133,7 @@ def test_provenance_says_who_what_with_what(make_report_record):
     assert "f5" * 32 in told["recipe"]
     assert "21" * 32 in told["rig"]
     assert told["drift"].startswith("−0.21 %")
-    assert "turned +0.01° from the stage's reading" in told["alignment"]
+    assert "turned +0.01° to +0.01° from the stage's reading" in told["alignment"]
     silent = {n: v for g in groups_of(make_report_record(particulars={}, poses=[])) for n, v in g.rows}
     assert not {"lot", "cavity", "operator", "station"} & silent.keys()
     assert silent["alignment"] == "–"
