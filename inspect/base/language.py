@@ -148,8 +148,8 @@ _PERCENT = re.compile(r"(?<=\d)%(?![0-9A-Fa-f]{2})")
 
 
 def shown(value: Any) -> Any:  # noqa: ANN401 - what templates show
-    """A text with a blank between a number and %, as pages have it; anything else, ready markup too, as it is."""
-    return _PERCENT.sub(" %", value) if type(value) is str else value
+    """A text with a blank between a number and %, where no line breaks; anything else, ready markup too, as it is."""
+    return _PERCENT.sub("\N{NO-BREAK SPACE}%", value) if type(value) is str else value
 
 
 def _in_place(name: str, text: str) -> str:

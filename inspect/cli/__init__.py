@@ -375,6 +375,7 @@ def _call(arguments: list[str]) -> object:
     if not helps:
         return app(arguments, exit_on_error=False, print_error=False)
     command = command_of(app, arguments)
+    shown = examples(command)  # first: it imports the commands of a group, whose sentences are shown then
     short, rest = first_options()
     app.help_formatter = None if everything or command.default_command is None else short
     try:
@@ -382,7 +383,7 @@ def _call(arguments: list[str]) -> object:
     finally:
         app.help_formatter = None
     words = " ".join(app.parse_commands([token for token in arguments if token not in app.help_flags])[0])
-    print_below(examples(command), f"{rest()}: anisoscope {words} {ALL_FLAG}" if rest() else "")
+    print_below(shown, f"{rest()}: anisoscope {words} {ALL_FLAG}" if rest() else "")
     return 0
 
 

@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import get_args
@@ -31,6 +33,14 @@ ROOT = Path(__file__).resolve().parents[3]
 def test_every_command_has_a_sentence():
     lines = {" ".join(words): one.help.strip().split("\n")[0] for words, one in ALL.items()}
     assert {name: line for name, line in lines.items() if not line.endswith(".") or len(line) > 120} == {}
+
+
+def test_the_page_of_a_group_has_the_sentences_of_commands_that_nothing_imported_before():
+    page = subprocess.run(
+        [sys.executable, "-m", "anisoscope", "ink", "--help"], capture_output=True, text=True, check=True
+    ).stdout
+    names = [name for name in app["ink"] if not name.startswith("-")]
+    assert [name for name in names if not re.search(rf"{name} +[A-Z]", page)] == []
 
 
 def test_commands_that_the_sources_name_exist():
