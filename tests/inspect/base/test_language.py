@@ -129,8 +129,11 @@ def test_what_the_catalogue_does_not_know_stays_as_it_is():
 
 def test_pages_have_a_blank_before_a_percent_sign_and_addresses_none():
     for text, wanted in (
-        ("28.3% of the study (95% interval)", "28.3 % of the study (95 % interval)"),
-        ("15.5 %, ±1%, 100%", "15.5 %, ±1 %, 100 %"),
+        (
+            "28.3% of the study (95% interval)",
+            "28.3\N{NO-BREAK SPACE}% of the study (95\N{NO-BREAK SPACE}% interval)",
+        ),
+        ("15.5 %, ±1%, 100%", "15.5 %, ±1\N{NO-BREAK SPACE}%, 100\N{NO-BREAK SPACE}%"),
         ("parts/A1%20B/report.html?a=5%C3%A4", "parts/A1%20B/report.html?a=5%C3%A4"),
         ("%", "%"),
     ):
