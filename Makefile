@@ -13,7 +13,7 @@ WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all fast rewritten soak statistics evidence types lint contracts tree quick docs docs-check benchmark benchmark-record lock clean help
+.PHONY: demo test test-all fast rewritten soak statistics evidence figures types lint contracts tree quick docs docs-check benchmark benchmark-record lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
@@ -24,6 +24,7 @@ help:
 	@echo "make soak       the long test campaigns"
 	@echo "make statistics rates over many draws: coverage, false alarms, power of the studies"
 	@echo "make evidence   the detection study (docs/detection.md); options of it in STUDY"
+	@echo "make figures    figures of light and design against their judges (docs/evidence/reflectance.md)"
 	@echo "make benchmark  speed against named alternatives"
 	@echo "make clean      remove what make made"
 
@@ -60,6 +61,10 @@ statistics: $(VENV)/.dev
 STUDY ?= --world same --rigs 2
 evidence: $(VENV)/.dev
 	$(BIN)/python tests/evidence/detection.py $(STUDY)
+
+# Light and design against their judges: docs/evidence/reflectance.md. Rows of judges that are not installed stay.
+figures: $(VENV)/.dev
+	ANISOSCOPE_WRITE_DOCS=1 $(BIN)/python -Im pytest -m figures $$(grep -rlw --include='test_*.py' judged_figure tests)
 
 # One process rewrites the assertions of all tests while types are checked; otherwise each worker does it for itself.
 rewritten: $(VENV)/.dev

@@ -101,6 +101,12 @@ def pytest_ignore_collect(collection_path, config):
     )
 
 
+def pytest_itemcollected(item):
+    """Tests that give a figure of the evidence are chosen by `-m figures`."""
+    if "judged_figure" in item.fixturenames:
+        item.add_marker("figures")
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):
     """Put the tests with the longest preparations first in the shares that `--dist worksteal` deals out."""
@@ -135,6 +141,12 @@ def pytest_collection_finish(session):
 
         numba.set_num_threads(1)  # tests of threads take more
         beside("sidebyside").share()
+
+
+@pytest.fixture
+def judged_figure():
+    """``judged_figure(part, what, judge, found, goal)``: a row of docs/evidence/reflectance.md (`figures.figure`)."""
+    return beside("figures").figure
 
 
 @pytest.fixture(scope="session")

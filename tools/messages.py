@@ -26,7 +26,7 @@ from anisoscope.diagnosis.discriminating_poses import TILTS_DEG
 from anisoscope.diagnosis.ranking import bare_title
 from anisoscope.imaging.mark_classes import TEXTURE, UNKNOWN
 from anisoscope.kinds.plates.causes import FIELD_TITLES
-from anisoscope.kinds.plates.decision import NONE_NAMED, OF_ALL_FIELDS
+from anisoscope.kinds.plates.decision import MEASURE_LOBE, NONE_NAMED
 from anisoscope.kinds.plates.kind import RULE as PLATE_RULE
 from anisoscope.kinds.prints.decision import NONE_EXCLUDED, NOT_JUDGED
 from anisoscope.kinds.prints.missing_ink import MISSING_TITLE
@@ -221,7 +221,9 @@ FURTHER = (
     *("ink missing {size}", "film thicker by {size}", "film thinner by {size}", "{name} in the ink {size}"),
     *("field ridge angle +{size}", "field ridge angle −{size}", "field height loss {size}"),
     *("field worn to {size}", "field bare on {size}", "{defect} (up to {size} at row {row} column {column})"),
-    *(NONE_NAMED, OF_ALL_FIELDS, NONE_EXCLUDED),
+    *("every field ridge angle +{size}", "every field ridge angle −{size}", "every field height loss {size}"),
+    *("every field worn to {size}", "every field bare on {size}"),
+    *(NONE_NAMED, MEASURE_LOBE, NONE_EXCLUDED),
     *("photograph more poses", "photograph further tilts", "{defect} (any size)", "{defect} (up to {size})"),
 )
 """Names that reach the page or the console from data."""

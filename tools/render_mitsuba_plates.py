@@ -9,14 +9,15 @@ Plates differ in roughness (5 %), albedo (3 %) and seat (0.05°). Frames have sh
 archive holds a folder with ``frames.csv`` and frames for every plate, and once ``recipe.toml``, ``rig.toml``,
 ``white-reference.tif`` and ``plates.json`` with the true values.
 
-Mitsuba's compiler needs LLVM 16 or later; the environment variable DRJIT_LIBLLVM_PATH names another libLLVM.so.
+Mitsuba's compiler needs LLVM 16 or later, that of 3.9 LLVM 19; the environment variable DRJIT_LIBLLVM_PATH names
+another libLLVM.so.
 """
 
 import argparse
 import json
 import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ POSES = tuple(Pose(angle, 0.0) for angle in (0.0, 90.0, 180.0))
 
 @dataclass(frozen=True)
 class Plate:
-    """True values of a plate; ``defects`` by name with the (row, column) of their fields."""
+    """True values of a plate; ``defects`` by name with the (row, column) of their fields, and radius of worn crests."""
 
     name: str
     alpha: float
@@ -53,16 +54,20 @@ class Plate:
     seating_deg: tuple[float, float]
     defects: dict[str, list[tuple[int, int]]]
     seed: int
+    worn_um: float = 0.2 * demo.PITCH_UM
 
 
 def plates() -> tuple[Plate, ...]:
-    """Two good plates, one with three dead fields, one with one worn field, and one with a field turned."""
+    """Two good plates, one with dead fields, one with a worn field, one with a field turned, two worn all over."""
+    every = [(row, col) for row in range(len(plan().rows)) for col in range(len(plan().rows))]
     defects: dict[str, dict[str, list[tuple[int, int]]]] = {
         "good-1": {},
         "good-2": {},
         "dead": {"missing": [(3, 4), (6, 8), (9, 2)]},
         "one-worn": {"worn": [(4, 5)]},
         "turned-field": {"direction": [(7, 3)]},
+        "all-worn-10": {"worn": every},
+        "all-worn-15": {"worn": every},
     }
     found = []
     for number, (name, own) in enumerate(defects.items()):
@@ -72,7 +77,9 @@ def plates() -> tuple[Plate, ...]:
             ALBEDO * (1.0 + 0.03 * rng.standard_normal()),
         )
         x, y = 0.05 * rng.standard_normal(2)
-        found.append(Plate(name, float(alpha), float(albedo), (float(x), float(y)), own, number))
+        worn_um = {"worn_um": 15.0} if name == "all-worn-15" else {}
+        seat = float(x), float(y)
+        found.append(Plate(name, float(alpha), float(albedo), seat, own, number, **worn_um))
     return tuple(found)
 
 
@@ -92,9 +99,7 @@ def heights(plate: Plate) -> np.ndarray:
             azimuth = of.azimuths_deg[of.rows[row][col]]
             design = RidgeDesign(demo.PITCH_UM, demo.RIDGE_ANGLE_DEG + 0.1 * float(rng.standard_normal()))
             if (row, col) in plate.defects.get("worn", []):
-                design = RidgeDesign(
-                    demo.PITCH_UM, design.ridge_angle_deg, edge_radius_um=0.2 * demo.PITCH_UM
-                )
+                design = replace(design, edge_radius_um=plate.worn_um)
             if (row, col) in plate.defects.get("direction", []):
                 azimuth = next(one for one in of.azimuths_deg.values() if one != azimuth)
             tile = height_of_field(design, module_um, azimuth, steps)

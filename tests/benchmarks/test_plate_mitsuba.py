@@ -111,7 +111,7 @@ def cross_talk(shown, own, other):
 @pytest.mark.parametrize(
     ("radius", "foot", "depth"), [(1.0, 0.0, 2), (8.0, 0.0, 2), (1.0, 3.0, 2), (1.0, 3.0, 8)]
 )
-def test_light_of_the_exported_body(bench, tmp_path, radius, foot, depth):
+def test_light_of_the_exported_body(bench, tmp_path, judged_figure, radius, foot, depth):
     """Of ten pitches in the middle of a field, seen from above: direct light, and light of up to seven reflections."""
     design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius, foot_radius_um=foot)
     write_body(Body(Plan(("A",), {"A": 0.0}, 1.0), design, 1000.0), tmp_path / "part.stl", "part")
@@ -128,11 +128,15 @@ def test_light_of_the_exported_body(bench, tmp_path, radius, foot, depth):
         ).mean()
         for stage in stages
     }
-    title = f"light of a body with crests of {radius:g} and feet of {foot:g} µm, {depth - 1} reflections"
+    title = (
+        f"light of an exported body, crests of {radius:g} and feet of {foot:g} µm, {depth - 1} reflections"
+    )
     run = bench.compare(title, works, rounds=1, warm=False)
     off = np.array([run[name].result for name in works]) / expected - 1.0
     bench.note("off the prediction: " + ", ".join(f"{one:+.2%}" for one in off))
     assert np.abs(off).max() < 0.005
+    found = f"{np.abs(off).max():.2%}"
+    judged_figure("Outline", title, f"Mitsuba {mitsuba.__version__} on the STL", found, "0.5%")
 
 
 @pytest.mark.parametrize("fields", [64, 256])

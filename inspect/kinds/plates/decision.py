@@ -7,10 +7,10 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
-from anisoscope.decision.exclusion import MORE_TILTS, with_exclusions
+from anisoscope.decision.exclusion import MORE_TILTS, open_defects, open_text, with_exclusions
 from anisoscope.kinds.plates.code_grades import Cells, Grade, graded
 from anisoscope.kinds.plates.code_symbol import Symbol, find_symbol, read_fields
-from anisoscope.kinds.plates.excluded_fields import excluded_fields
+from anisoscope.kinds.plates.excluded_fields import OF_ALL, excluded_fields
 from anisoscope.kinds.plates.expectation import ExpectedPlate
 from anisoscope.kinds.plates.field_judgement import (
     TESTS,
@@ -43,8 +43,8 @@ from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import directions
 
 NONE_NAMED = "no defect is excluded: [defects] names none"
-OF_ALL_FIELDS = (
-    "what all fields share, as worn crests, fails only if significant: no tolerance, no golden plates"
+MEASURE_LOBE = (
+    "measure the lobe (anisoscope calibrate material), or add golden plates (anisoscope golden add)"
 )
 MOST_RECORDED = 4096
 """Fields of which the offsets are recorded."""
@@ -158,13 +158,17 @@ def decide_plate(
     )
     verdict, reasons = _verdict(details, recipe, p_value)
     if verdict is Verdict.PASS:
-        found = excluded_fields(expected, recipe, tested, scatters)
+        absolute = covariance + recipe.uncertainty.scale_share**2
+        free = tolerance is None and golden is None
+        found = excluded_fields(expected, recipe, tested, scatters, (off, absolute) if free else None)
+        shared = open_defects(tuple(one for one in found if one.defect.words.startswith(OF_ALL)))
         details = details.model_copy(update={"exclusions": tuple(one.record() for one in found)})
+        if shared and recipe.decision.unexcluded == "note":
+            reasons = (open_text(shared, MEASURE_LOBE), *reasons)
+        remedy = MEASURE_LOBE if shared else MORE_TILTS
         verdict, reasons = with_exclusions(
-            verdict, reasons, found, recipe.decision.unexcluded, MORE_TILTS, NONE_NAMED
+            verdict, reasons, found, recipe.decision.unexcluded, remedy, NONE_NAMED
         )
-        if tolerance is None and golden is None:
-            reasons = (*reasons, OF_ALL_FIELDS)
     budget = tuple(
         BudgetRecord(source=one.source, kind=one.kind, contributions=tuple(_share(one, gradient).tolist()))
         for one in sorted(components, key=lambda one: -float(_share(one, gradient).max()))
@@ -249,11 +253,16 @@ def planned_contrasts(
 ) -> tuple[list[str], FloatArray, FloatArray]:
     """Names of the contrasts that will be judged, (K,) what is predicted, and (K, K) covariance without scatter."""
     names, gradient = contrast_pairs(expected.plan.letters, expected.poses)
+    covariance = gradient @ planned_covariance(expected, recipe) @ gradient.T
+    return names, gradient @ np.log(expected.radiance).ravel(), covariance
+
+
+def planned_covariance(expected: ExpectedPlate, recipe: PlateRecipe) -> FloatArray:
+    """(C·P, C·P) covariance of ln L of the classes without scatter of fields, on the absolute scale."""
     none = np.zeros_like(expected.radiance)
     measured = _measured_components(expected, recipe, none, np.ones(len(none)))
     covariance = np.sum([one.covariance() for one in (*expected.components, *measured)], axis=0)
-    covariance = gradient @ (covariance + _of_poses(expected, None, recipe)) @ gradient.T
-    return names, gradient @ np.log(expected.radiance).ravel(), covariance
+    return np.asarray(covariance + _of_poses(expected, None, recipe) + recipe.uncertainty.scale_share**2)
 
 
 def _measured_components(

@@ -1,8 +1,11 @@
-"""Defects of single fields of a plate that its poses exclude: the worst field of each, by the scatter of its class.
+"""Defects of a plate that its poses exclude: of its worst field, by the scatter of its class, and of all fields.
 
 A field is compared with the middle of its class, or with the pattern of golden plates. A plate with one field that has
 a defect of exactly the size of interest excludes it as seldom as that field does, however many fields there are; of a
 good plate the limit is that of its most deviating field, and so larger the more fields it has.
+
+What all fields share shows in the classes alone, against the prediction and with the absolute scale: of an unmeasured
+lobe, too, because it moves classes and poses otherwise than a defect does.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,6 +34,8 @@ DOUBT = 0.1
 """Relative standard uncertainty of the change of ln L by a defect."""
 PLANNED = 0.2
 """Scatter of the fields over their tolerance, where no plate has shown it."""
+OF_ALL = "every "
+"""Before the words of a defect that all fields share."""
 _MANY = 1e6
 _Light = Callable[[RidgeDesign, float], FloatArray]
 
@@ -40,40 +45,65 @@ def excluded_fields(
     recipe: PlateRecipe,
     tested: FloatArray,
     scatters: tuple[FieldScatter | None, ...],
+    shared: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[Exclusion, ...]:
     """Limits of the named defects of the worst field; of any size where a class has too few fields to compare.
+
+    With ``shared``, those of all fields at once follow.
 
     Args:
         expected: the prediction.
         recipe: with the smallest interesting sizes.
         tested: (P, rows, cols) ln L of the fields less that of good ones.
         scatters: of every class.
+        shared: (C·P,) ln L of the classes less the predicted one, and its (C·P, C·P) covariance with that of the scale.
     """
     light = quick_light(recipe, expected.poses, expected.convention)
     design, plan, classes = recipe.surface.ridge_design(), expected.plan, expected.plan.classes()
     worst: dict[str, Exclusion] = {}
+    together: dict[NamedDefect, list[FloatArray]] = {}
     for number, (letter, scatter) in enumerate(zip(plan.letters, scatters, strict=True)):
         places = np.argwhere((classes == number) & np.isfinite(tested).all(axis=0))
         own = plan.design_of(letter, design)
         for defect, shown in _shown(recipe, own, plan.azimuths_deg[letter], light):
+            together.setdefault(defect, []).append(shown)
             for one in _of_class(defect, shown, scatter, tested, places):
                 if defect.name not in worst or one.limit > worst[defect.name].limit:
                     worst[defect.name] = one
-    return tuple(worst.values())
+    if shared is None:
+        return tuple(worst.values())
+    off, covariance = shared
+    changes = []
+    for defect, each in together.items():
+        shown = np.concatenate(each, axis=1)
+        of_all = replace(defect, words=f"{OF_ALL}{defect.words}")
+        changes.append(Change(of_all, shown, covariance + _doubted(shown)))
+    return (*worst.values(), *excluded_by_changes(changes, off))
 
 
-def planned_fields(expected: ExpectedPlate, recipe: PlateRecipe) -> tuple[PlannedLimit, ...]:
+def _doubted(shown: FloatArray) -> FloatArray:
+    """(E, n, n) covariance of changes (E, n)."""
+    return np.asarray(DOUBT**2 * np.einsum("ep,eq->epq", shown, shown))
+
+
+def planned_fields(
+    expected: ExpectedPlate, recipe: PlateRecipe, covariance: FloatArray | None
+) -> tuple[PlannedLimit, ...]:
     """Limits of a plate as designed, whose fields scatter by `PLANNED` of their tolerance.
 
     Args:
         expected: the prediction.
         recipe: with the smallest interesting sizes.
+        covariance: (C·P, C·P) of ln L of the classes with that of the scale; None where a tolerance judges them.
     """
     size = len(expected.poses)
     own = (PLANNED * recipe.fields.tolerance) ** 2 * np.eye(size)
     scatter = FieldScatter(np.zeros(size), own, _MANY)
     tested = np.zeros((size, *expected.plan.classes().shape))
-    return planned([excluded_fields(expected, recipe, tested, (scatter,) * len(expected.plan.letters))])
+    shared = None if covariance is None else (np.zeros(len(covariance)), covariance)
+    return planned(
+        [excluded_fields(expected, recipe, tested, (scatter,) * len(expected.plan.letters), shared)]
+    )
 
 
 def _of_class(
@@ -92,7 +122,7 @@ def _of_class(
         return
     # what few fields leave unknown of their scatter, as for golden parts
     known = scatter.covariance * (float(stdtrit(scatter.freedom, 0.95)) / ONE_SIDED) ** 2
-    covariance = known + DOUBT**2 * np.einsum("ep,eq->epq", shown, shown)
+    covariance = known + _doubted(shown)
     away = tested[:, places[:, 0], places[:, 1]].T - scatter.middle
     (at_size,) = np.flatnonzero(FINE == 1.0)
     score = away @ np.linalg.solve(covariance[at_size], shown[at_size])

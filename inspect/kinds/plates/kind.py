@@ -32,7 +32,13 @@ from anisoscope.kinds.parts import (
 )
 from anisoscope.kinds.plates.causes import FIELD_WORDS, explain_plate, plate_words
 from anisoscope.kinds.plates.code_grades import OVERALL
-from anisoscope.kinds.plates.decision import PlateDecision, contrast_pairs, decide_plate, planned_contrasts
+from anisoscope.kinds.plates.decision import (
+    PlateDecision,
+    contrast_pairs,
+    decide_plate,
+    planned_contrasts,
+    planned_covariance,
+)
 from anisoscope.kinds.plates.excluded_fields import planned_fields
 from anisoscope.kinds.plates.expectation import ExpectedPlate, expected_plate
 from anisoscope.kinds.plates.field_judgement import fields_text, places_text, predicted_fields
@@ -343,7 +349,9 @@ class Plates(
             complaints=tuple(complaints),
             contrasts=contrasts,
             undecided=undecided,
-            excludes=planned_fields(expected, recipe),
+            excludes=planned_fields(
+                expected, recipe, planned_covariance(expected, recipe) if tolerance is None else None
+            ),
             remedy=MORE_TILTS,
         )
 

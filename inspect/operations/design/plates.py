@@ -479,6 +479,7 @@ def recipe_of(plan: Plan, design: RidgeDesign, product: str) -> dict[str, object
         "poses": {"angles_deg": inspected_at((0.0, 90.0))},
         "acquisition": {"exposure_s": 0.006},
         "region": {"size_mm": [round(one, 6) for one in plan.size_mm]},
+        "decision": {"unexcluded": "inconclusive"},
     }
 
 

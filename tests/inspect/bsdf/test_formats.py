@@ -46,17 +46,21 @@ def test_a_spectrum_becomes_what_the_format_holds(tmp_path, surfaces):
     np.testing.assert_allclose(read_reflectance(tmp_path / "x.bsdf").evaluate(up, up)[0], shape, rtol=1e-3)
 
 
-def test_ridges_are_no_klems_matrix_unless_asked_for(tmp_path):
+def test_ridges_are_no_klems_matrix_unless_asked_for(tmp_path, judged_figure):
     ridges = of_ridges(RidgeDesign(100.0, 10.0), Material())
     for name in ("klems", "tensor-tree"):
         with pytest.raises(UsageError, match=r"is not for ridges.*--coarse"):
             export(ridges, tmp_path / "x.xml", name)
     assert not list(tmp_path.iterdir())
-    assert export(ridges, tmp_path / "x.xml", "klems", coarse=True).rms > 0.1
+    rms = export(ridges, tmp_path / "x.xml", "klems", coarse=True).rms
+    assert rms > 0.1
+    judged_figure(
+        "Exchange", "Klems matrix of ridges, read back", "what was exported", f"{rms:.0%} rms", "refused"
+    )
     export(of_ridges(RidgeDesign(100.0, 0.0), Material()), tmp_path / "flat.xml", "klems")
 
 
-def test_merl_says_what_a_reader_of_cells_sees(tmp_path):
+def test_merl_says_what_a_reader_of_cells_sees(tmp_path, judged_figure):
     """By an own look-up of cells, as the reader that comes with the data does it."""
     flat = of_ridges(RidgeDesign(100.0, 0.0), Material(0.1, 0.1))
     done = export(flat, tmp_path / "x.binary", "merl")
@@ -71,6 +75,8 @@ def test_merl_says_what_a_reader_of_cells_sees(tmp_path):
     off = np.sqrt(np.mean((cells - wanted) ** 2) / np.mean(wanted**2))
     assert float(text.partition(" are ")[2].partition("%")[0]) == pytest.approx(100.0 * off, abs=0.5)
     assert 3.0 < 100.0 * off < 5.0
+    found = f"{done.rms:.1%} interpolated, {off:.1%} nearest cell"
+    judged_figure("Exchange", "MERL of flat plastic, α 0.1", "own reader of cells", found, "both stated")
 
 
 def test_unknown_files(tmp_path):

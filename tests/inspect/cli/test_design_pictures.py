@@ -90,7 +90,7 @@ def test_blur_and_what_a_display_shows_are_those_of_the_task(anisoscope, folder)
     np.testing.assert_array_equal(read_layout(folder / "cells.npz")[0].tiles[0], expected)
 
 
-def test_the_map_of_a_hologram_is_predicted_by_every_command(hologram, anisoscope, folder):
+def test_the_map_of_a_hologram_is_predicted_by_every_command(hologram, anisoscope, folder, judged_figure):
     """Sixteen levels in cells of one pixel: no slopes."""
     assert anisoscope("design", "height", "unit.npz", "--out", "unit.x3p", cwd=folder).code == 0
     for command in (
@@ -110,6 +110,8 @@ def test_the_map_of_a_hologram_is_predicted_by_every_command(hologram, anisoscop
     ):
         done = anisoscope(*command, cwd=folder)
         assert done.code == 0, done.err
+    what = "`design hologram`, `design height`, then `predict --map`, `--model wave`, `bsdf export --optics waves`"
+    judged_figure("Stepped maps", what, "files of the commands", "all predict it", "all")
     wrong = anisoscope("predict", "unit.x3p", "--map", "no.png", "--steps", "5", cwd=folder)
     assert wrong.code != 0
     assert "lie on no 5 plateaus" in wrong.err

@@ -52,7 +52,7 @@ def traced(design, lobe="beckmann"):
         (RidgeDesign(PITCH, 11.0, 30.0), "beckmann", "a wall of another draft", {"draft_deg": 30.0}),
     ],
 )
-def test_what_the_model_lacks_is_found_by_its_rival(design, lobe, model, own):
+def test_what_the_model_lacks_is_found_by_its_rival(judged_figure, design, lobe, model, own):
     asked = traced(design, lobe)
     found = fit_or_rival(asked)
     assert (found.tests[0].rejected, found.fits, found.misfit.model) == (True, True, model)
@@ -62,6 +62,9 @@ def test_what_the_model_lacks_is_found_by_its_rival(design, lobe, model, own):
         assert one[name].low95 is not None
     alone = {e.name: e for e in fit(asked).estimates}["ridge_angle_deg"]
     assert alone.u > 0.2  # as the Birge ratio has it
+    angle = one["ridge_angle_deg"]
+    shown = f"rejected, {alone.value:.1f} ± {alone.u:.1f}°; {found.misfit.model}: {angle.value:.2f} ± {angle.u:.2f}°"
+    judged_figure("Fits", f"ridges of 11°, light of {model}", "own path tracer", shown, "11°")
 
 
 def test_the_radius_of_feet_is_found():
@@ -70,12 +73,15 @@ def test_the_radius_of_feet_is_found():
     assert abs(one["foot_radius_um"].value - 6.0) < 3.0 * one["foot_radius_um"].u < 1.5
 
 
-def test_a_model_that_holds_stays_as_it_is():
+def test_a_model_that_holds_stays_as_it_is(judged_figure):
     asked = traced(RidgeDesign(PITCH, 11.0))
     found, alone = fit_or_rival(asked), fit(asked)
     assert found.estimates == alone.estimates
     assert (len(found.tests), found.misfit.birge_ratio) == (1, 1.0)
-    assert abs(found.estimates[0].value - 11.0) < 3.0 * found.estimates[0].u
+    angle = found.estimates[0]
+    assert abs(angle.value - 11.0) < 3.0 * angle.u
+    shown = f"{angle.value:.2f} ± {angle.u:.2f}°"
+    judged_figure("Fits", "ridges of 11°, light of the model's own kind", "own path tracer", shown, "11°")
 
 
 def matte(albedo, sigma_deg, count=60):
@@ -108,16 +114,19 @@ def test_a_matte_surface_has_no_lobe(sigma, model):
         assert abs(one["matte_deg"].value - sigma) < 3.0 * one["matte_deg"].u
 
 
-def test_without_u_a_constant_that_is_nearer_is_taken():
+def test_without_u_a_constant_that_is_nearer_is_taken(judged_figure):
     """A grey ball under lamps that are known to 8 % only, as photographs of one are."""
     value, place, rng = matte(0.5, 0.0)
     value *= 1.0 + 0.08 * rng.standard_normal(len(value))
     found = fit_or_rival(problem(value, None, place, ALPHAS, "brdf", FLAT))
     assert "Lambert" in found.misfit.model
-    assert found.rms < 0.085 * 0.5 / np.pi < fit(problem(value, None, place, ALPHAS, "brdf", FLAT)).rms
+    lobe = fit(problem(value, None, place, ALPHAS, "brdf", FLAT)).rms
+    assert found.rms < 0.085 * 0.5 / np.pi < lobe
+    shown = f"constant {found.rms * np.pi / 0.5:.1%} rms, lobe {lobe * np.pi / 0.5:.1%}: constant taken"
+    judged_figure("Fits", "matte ball, lamps known to 8%", "Lambert in closed form", shown, "no lobe")
 
 
-def test_values_of_no_model_have_no_interval_and_exit_code_3(anisoscope, tmp_path):
+def test_values_of_no_model_have_no_interval_and_exit_code_3(anisoscope, tmp_path, judged_figure):
     rows = [f"{10 + 5 * n},0,{10 + 5 * n},180,{0.05 * (1 + n % 3)},0.0002" for n in range(9)]
     head = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value,u"
     (tmp_path / "t.csv").write_text("\n".join([head, *rows]) + "\n")
@@ -128,3 +137,5 @@ def test_values_of_no_model_have_no_interval_and_exit_code_3(anisoscope, tmp_pat
     assert all(one["rejected"] for one in shown["tests"])
     assert {one["low95"] for one in shown["parameters"]} == {None}
     assert any("no interval is given" in one for one in shown["notes"])
+    found = f"no interval, exit code {done.code}"
+    judged_figure("Fits", "values of no model", "made up", found, "no interval")

@@ -1,5 +1,7 @@
 """Units that repeat under a Gaussian lamp: against the orders of an own Fourier transform, and in files of others."""
 
+import os
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -48,14 +50,17 @@ def orders(height, um, nodes=7):
     return density * (1.0 + cosine) ** 2 / (4.0 * cosine * um**2), cosine
 
 
-def test_a_unit_that_repeats_under_a_gaussian_lamp_is_its_orders():
+def test_a_unit_that_repeats_under_a_gaussian_lamp_is_its_orders(judged_figure):
     lamp = np.degrees(np.arcsin(0.5 / (2.0 * np.sqrt(2.0) * np.pi * COHERENCE_UM)))
     task = AngularTask((500.0,), (0.0, 0.0), REACH * 63 / 64, POINTS, 0.0, 1e-4, lamp_sigma_deg=lamp)
     height = unit()
     found = angular_reflectance(HeightMap(height.T, PIXEL_UM, PIXEL_UM), task, periodic=True)
     wanted, cosine = orders(height, 0.5)
     found = found.brdf[0].T * (0.5 * (1.0 + cosine)) ** 2
-    assert np.sqrt(np.mean((found - wanted) ** 2) / np.mean(wanted**2)) < 0.005
+    off = float(np.sqrt(np.mean((found - wanted) ** 2) / np.mean(wanted**2)))
+    assert off < 0.005
+    what, judge = "map of a unit that repeats, Gaussian lamp", "orders by an own Fourier transform"
+    judged_figure("Stepped maps", what, judge, f"{off:.2%} rms", "0.5%")
     with pytest.raises(ModelError, match="a Gaussian or a disc"):
         AngularTask(lamp_half_angle_deg=1.0, lamp_sigma_deg=1.0)
     with pytest.raises(ModelError, match="0 to 10°"):
@@ -93,3 +98,21 @@ def test_a_folder_of_designs_is_predicted_and_compared(tmp_path, monkeypatch, ca
     monkeypatch.setattr(sys, "argv", ["public_designs.py", str(tmp_path / "none")])
     with pytest.raises(SystemExit, match=r"holds no hmap\.exr"):
         tool["main"]()
+
+
+@pytest.mark.benchmark
+@pytest.mark.skipif("ANISOSCOPE_PUBLIC_DESIGNS" not in os.environ, reason="needs the published designs")
+def test_published_designs(monkeypatch, capsys, judged_figure):
+    """The folder ANISOSCOPE_PUBLIC_DESIGNS, in 20 min of processor: the sums below the table of the page."""
+    monkeypatch.setattr(sys, "argv", ["public_designs.py", os.environ["ANISOSCOPE_PUBLIC_DESIGNS"]])
+    assert runpy.run_path(str(TOOL))["main"]() == 0
+    sums = dict(re.findall(r"^(.+): (median .+)$", capsys.readouterr().out, flags=re.MULTILINE))
+    judges = {
+        "map as published": "their renderer",
+        "unit": "their renderer",
+        "pieces": "their renderer",
+        "unit and half a pixel": "their method with pixels half as wide",
+    }
+    assert sums.keys() == judges.keys()
+    for name, judge in judges.items():
+        judged_figure("Published designs", name, judge, sums[name], "3% each")

@@ -114,7 +114,7 @@ def profile_of_stl(path, row_mm):
     ("radius", "foot", "reflections", "stages"),
     [(1.0, 0.0, 1, 4), (8.0, 0.0, 1, 4), (1.0, 4.0, 1, 4), (1.0, 4.0, 5, 2)],
 )
-def test_light_of_the_body_is_the_predicted_one(tmp_path, radius, foot, reflections, stages):
+def test_light_of_the_body_is_the_predicted_one(tmp_path, judged_figure, radius, foot, reflections, stages):
     """Within .5 %: the STL under the path tracer, which knows heights alone, and the model of the design."""
     design = RidgeDesign(50.0, 10.0, 10.0, edge_radius_um=radius, foot_radius_um=foot)
     write_body(Body(Plan(("A",), {"A": 0.0}, 0.3), design, BASE_UM), tmp_path / "part.stl", "part")
@@ -126,6 +126,15 @@ def test_light_of_the_body_is_the_predicted_one(tmp_path, radius, foot, reflecti
     found = [tracer.radiance(*pose).mean(dtype=float) for pose in zip(*sides, strict=True)]
     expected = corrected.radiance(*sides, design, Material(0.08, 0.08, 0.1), bounces=reflections)
     assert found == pytest.approx(expected, rel=5e-3)
+    what = (
+        f"light of an exported body, crests of {radius:g} and feet of {foot:g} µm, {reflections} reflections"
+    )
+    off = np.abs(np.array(found) / expected - 1.0).max()
+    judged_figure("Outline", what, "own path tracer on the STL", f"{off:.2%}", "0.5%")
+    arcs, chords = design.profile(at - 125.0), np.interp(at - 125.0, *ridge_polyline(design))
+    sag = np.abs((chords - arcs) * np.cos(np.arctan(np.gradient(arcs, 0.01)))).max()
+    what = f"chords of crests of {radius:g} and feet of {foot:g} µm"
+    judged_figure("Outline", what, "arcs in closed form", f"{sag:.4f} µm", "0.01 µm")
 
 
 def test_what_cannot_be_made_is_refused(tmp_path, monkeypatch):

@@ -118,7 +118,7 @@ def on_insert(tmp_path, body, count=4000):
 
 
 @pytest.mark.parametrize(("half_angle", "foot"), [(DRAFT, 0.0), (4.0, 0.0), (4.0, 1.0)])
-def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(tmp_path, half_angle, foot):
+def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(tmp_path, judged_figure, half_angle, foot):
     """Within .02 µm along the normal of the STL; corners of borders keep the radius of the tip."""
     tool, body = Tool(TIP, half_angle), Body(PLAN, replace(DESIGN, foot_radius_um=foot), 100.0)
     cuts = run(insert_path(body, tool), tmp_path / "insert.nc")
@@ -130,15 +130,20 @@ def test_the_cut_block_is_the_insert_and_no_deeper_anywhere(tmp_path, half_angle
     assert inside.sum() > 2000
     assert np.abs(off[inside]).max() < 0.02
     assert np.quantile(off[inside], 0.9) > 0.5 * SCALLOP_UM
+    what = f"block cut by the G-code, tool of {half_angle:g}°, feet of {foot:g} µm"
+    off = np.abs(off[inside]).max()
+    judged_figure("Outline", what, "STL by VTK, G-code by another parser", f"{off:.3f} µm", "0.02 µm")
 
 
-def test_time_is_that_of_feed_and_rapids(path, cuts):
+def test_time_is_that_of_feed_and_rapids(path, cuts, judged_figure):
     plunges = np.sum(CLEARANCE_MM - 1e-3 * cuts[:, 2])
     cutting = (1e3 * path.length_m + plunges) / TOOL.feed_mm_min
     assert cutting < path.minutes < cutting + 1.5 * (plunges + 2.0 * 1e3 * path.length_m) / RAPID_MM_MIN
     assert insert_path(path.body, replace(TOOL, feed_mm_min=200.0)).minutes == pytest.approx(
         path.minutes - 0.5 * cutting
     )
+    judge = f"cuts and plunges alone: {cutting:.2f} min"
+    judged_figure("Outline", "milling time of four fields", judge, f"{path.minutes:.2f} min", "stated")
 
 
 def test_tables_say_the_same_as_the_program(path, cuts, tmp_path):

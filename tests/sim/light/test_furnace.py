@@ -65,7 +65,7 @@ def entered(mu, alpha, tail, rng, outside=True):
 
 
 @pytest.mark.parametrize(("alpha", "tail"), [(0.15, 1.0), (0.3, 0.0)])
-def test_the_base_of_energy_balance_lies_within_the_bound_and_nearer_to_ours(alpha, tail):
+def test_the_base_of_energy_balance_lies_within_the_bound_and_nearer_to_ours(judged_figure, alpha, tail):
     rng, count = np.random.default_rng(6), 30000
     inside = 1.0 - entered(np.sqrt(rng.random(count)), alpha, tail, rng, outside=False)
     crossed = entered(np.full(count, 0.98), alpha, tail, rng)
@@ -77,7 +77,11 @@ def test_the_base_of_energy_balance_lies_within_the_bound_and_nearer_to_ours(alp
         bound = interface_bound(material) / (1.0 - albedo * inside)
         noise = 3.0 * (0.0028 * albedo / (1.0 - albedo * inside) + 0.0022)
         assert -noise < balanced / ours - 1.0 < bound + noise
+        shown = f"{balanced / ours - 1.0:+.1%}, bound in the budget {bound:.1%}"
         if tail:
             there = np.interp(0.98, np.linspace(0.0, 1.0, len(other.transmission)), other.transmission)
             theirs = albedo / (1.0 - albedo * other.internal_reflectance) / (np.pi * INDEX**2) * there**2
             assert abs(ours / balanced - 1.0) < abs(theirs / balanced - 1.0)
+            shown += f"; single reflections under the tail {balanced / theirs - 1.0:+.1%}"
+        what = f"base of α {alpha:g}, albedo {albedo:g}, tail {tail:g}: balance over ours"
+        judged_figure("Base under a tail", what, "walks through all reflections", shown, "within the bound")
