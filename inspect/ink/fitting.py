@@ -27,10 +27,14 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.rejection import Misfit, best_model, misfit, rejection_words
 from anisoscope.ink.goniometer import Readings
+from anisoscope.parameters.material import LONGEST_TAIL, SHORTEST_TAIL
+from anisoscope.sim.light.colour.observer import white_point, xyz_weights
+from anisoscope.sim.light.colour.spaces import ciede2000, lab
 from anisoscope.sim.light.ink.angles import shift
-from anisoscope.sim.light.ink.distributions import Distribution
-from anisoscope.sim.light.ink.ink import Ink, InkUncertainty
+from anisoscope.sim.light.ink.distributions import Distribution, tail_of
+from anisoscope.sim.light.ink.ink import MOST_C, Ink, InkUncertainty
 from anisoscope.sim.light.ink.model import albedo_warning
+from anisoscope.sim.materials.spectra import find_illuminant
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -173,8 +177,59 @@ def _dropped(readings: Readings, why: npt.NDArray[np.str_]) -> tuple[Dropped, ..
 ALPHA_RANGE = (0.005, 1.0)
 _STARTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 _REWEIGHTED = 2
-_STEPS = 30
-_CLOSE = 1e-8
+_STEPS = 60
+_CLOSE = 1e-9
+_SETTLED, _NEARLY = 1e-9, 1e-6
+"""Relative change of χ² at which a fit ends; of one by the bright part of a lobe that has another form."""
+_WIDEST_STEP = 0.5
+_GLOSS_STARTS = (0.0, 6.0)
+"""c of a gloss where the search begins: as Fresnel's reflectance rises, and constant."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """Terms of the light that are fitted.
+
+    Attributes:
+        distribution: of the flakes' normals; None: its tail is fitted.
+        alpha: roughness where it is not fitted; 1 is a matte print, whose ln f is linear.
+        bases: terms that are added: "paper", matte, with a spectrum of its own; "gloss", a second lobe of no colour, of
+            which roughness, level and c are fitted; "flakes", a second lobe of the same ρ and c.
+    """
+
+    distribution: Distribution | None = "ggx"
+    alpha: float | None = None
+    bases: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """The form in words."""
+        names: dict[Distribution | None, str] = {
+            "ggx": "the lobe of the paper (GGX)",
+            "beckmann": "Beckmann's lobe",
+            None: "a lobe of any tail",
+        }
+        lobe = "a matte print" if self.alpha == 1.0 else names[self.distribution]
+        return " and ".join([lobe, *(BASES[one] for one in self.bases)])
+
+
+BASES = {"paper": "paper", "gloss": "gloss", "flakes": "a second lobe"}
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """A term that adds to the ink's light: its name in `BASES`, roughness, (W,) ln ρ and (W,) c."""
+
+    name: str
+    alpha: float
+    log_rho: FloatArray = field(metadata=LEFT_OUT)
+    c: FloatArray
+
+    @property
+    @in_json()
+    def rho(self) -> FloatArray:
+        """(W,) ρ, BRDF scale."""
+        return np.exp(self.log_rho)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +245,14 @@ class Solution:
         u_c: (W,).
         residual: (G, W) ln measured − ln fitted, NaN without a reading.
         distribution: of the flakes' normals.
+        u_tail: standard uncertainty of a fitted tail.
+        base: terms that add to it.
+        u_light: (G, W) standard uncertainty of ln of the fitted light; None of the published fit.
         chi2: weighted sum of squares; 0 where it was not asked for.
         parameters: number of fitted ones.
+        form: terms that were fitted.
+        shared: parameters that all wavelengths share, by name; logarithms but for the c of a gloss.
+        each: (W, E) those of each wavelength: ln ρ, c, and ln ρ of paper.
     """
 
     alpha: float
@@ -202,52 +263,184 @@ class Solution:
     u_c: FloatArray
     residual: FloatArray
     distribution: Distribution = "ggx"
+    u_tail: float = 0.0
+    base: tuple[Base, ...] = ()
+    u_light: FloatArray | None = None
     chi2: float = 0.0
     parameters: int = 0
+    form: Form = Form()
+    shared: dict[str, float] = field(default_factory=dict)
+    each: FloatArray | None = None
 
 
 def log_lobe(
-    alpha: float, half_deg: FloatArray, distribution: Distribution = "ggx"
-) -> tuple[FloatArray, FloatArray]:
-    """(G,) ln(D/4) at half angles, of Eq. 3 or Beckmann's, and its derivative by ln α."""
-    sine, cosine = np.sin(np.radians(half_deg)) ** 2, np.cos(np.radians(half_deg)) ** 2
-    if distribution == "beckmann":
-        slope = sine / cosine / alpha**2
-        return -slope - np.log(4.0 * np.pi * alpha**2 * cosine**2), 2.0 * slope - 2.0
-    square = alpha**2
-    total = square * cosine + sine
-    value = np.log(square / (4.0 * np.pi)) - 2.0 * np.log(total)
-    return value, 2.0 - 4.0 * square * cosine / total
+    alpha: float, half_deg: FloatArray, tail: float = 1.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(G,) ln(D/4) at half angles, of Eq. 3 (tail 1), Beckmann's (0) or between; derivatives by ln α and ln tail."""
+    slopes = (np.tan(np.radians(half_deg)) / alpha) ** 2
+    level = -np.log(4.0 * np.pi * alpha**2) - 4.0 * np.log(np.cos(np.radians(half_deg)))
+    if tail < SHORTEST_TAIL:
+        return level - slopes, 2.0 * slopes - 2.0, np.zeros_like(slopes)
+    rise, share = np.log1p(tail * slopes), slopes / (1.0 + tail * slopes)
+    power = 1.0 + 1.0 / tail
+    return level - power * rise, 2.0 * tail * power * share - 2.0, rise / tail - tail * power * share
 
 
-def _sum(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("gw,gw->w", one, other))
+class _Terms:
+    """ln f of a form at places of a grid, with its derivatives by what all wavelengths share, and by those of each."""
+
+    def __init__(self, grid: Grid, form: Form) -> None:
+        self.grid, self.form = grid, form
+        self.shared = [
+            *(["alpha"] if form.alpha is None else []),
+            *(["tail"] if form.distribution is None else []),
+            *(["gloss alpha", "gloss c", "gloss"] if "gloss" in form.bases else []),
+            *(["flakes alpha", "flakes"] if "flakes" in form.bases else []),
+        ]
+        ends = {
+            "alpha": np.log(ALPHA_RANGE),
+            "tail": np.log([SHORTEST_TAIL, LONGEST_TAIL]),
+            "gloss alpha": np.log(ALPHA_RANGE),
+            "gloss c": [-20.0, 20.0],
+            "gloss": [-30.0, 5.0],
+            "flakes alpha": np.log(ALPHA_RANGE),
+            "flakes": [-20.0, 5.0],
+        }
+        self.ends = np.array([ends[name] for name in self.shared]).reshape(-1, 2)
+        self.paper = "paper" in form.bases
+        self.each = 3 if self.paper else 2
+
+    def of(self, shared: FloatArray) -> dict[str, float]:
+        """The shared parameters by name, with those that are held."""
+        known = {"alpha": np.log(self.form.alpha or 1.0)}
+        if self.form.distribution is not None:
+            known["tail"] = np.log(max(tail_of(self.form.distribution), 1e-300))
+        return known | dict(zip(self.shared, shared.tolist(), strict=True))
+
+    def __call__(self, shared: FloatArray, each: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(G, W) ln f, (G, W, shared) and (G, W, each) derivatives, at (shared,) and (W, each) parameters."""
+        at, x, half = self.of(shared), self.grid.x[:, None], self.grid.half_deg
+        dark, still = np.full((len(x), 1), -np.inf), np.zeros(len(x))
+        lobe, wider, longer = log_lobe(np.exp(at["alpha"]), half, np.exp(at["tail"]))
+        (level, blunter, _), (second, steeper, _) = (
+            log_lobe(np.exp(at[name]), half, 0.0) if name in at else (None, still, still)
+            for name in ("gloss alpha", "flakes alpha")
+        )
+        colour = each[:, 0] + each[:, 1] * x
+        own = lobe[:, None] + colour
+        paper = each[:, 2] - np.log(4.0 * np.pi) if self.paper else dark
+        gloss = dark if level is None else level[:, None] + at["gloss"] + at["gloss c"] * x
+        flakes = dark if second is None else second[:, None] + at["flakes"] + colour
+        total = np.logaddexp(np.logaddexp(own, flakes), np.logaddexp(paper, gloss))
+        part, other, matte, shiny = (np.exp(one - total) for one in (own, flakes, paper, gloss))
+        slopes = {
+            "alpha": part * wider[:, None],
+            "tail": part * longer[:, None],
+            "gloss alpha": shiny * blunter[:, None],
+            "gloss c": shiny * x,
+            "gloss": shiny,
+            "flakes alpha": other * steeper[:, None],
+            "flakes": other,
+        }
+        ink = part + other
+        of_each = [ink, ink * x, matte][: self.each]
+        of_shared = [slopes[name] for name in self.shared]
+        empty = np.zeros((*total.shape, 0))
+        return total, np.stack(of_shared, axis=-1) if of_shared else empty, np.stack(of_each, axis=-1)
 
 
-class _Projection:
-    """Weighted least squares in (1, x) of every wavelength: (G, W) weights, 0 without a reading."""
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Normal equations in which wavelengths meet only in what they share: S shared and E own parameters of each.
 
-    def __init__(self, x: FloatArray, weight: FloatArray) -> None:
-        self.weight = weight
-        self.total = weight.sum(axis=0)
-        self.middle = (x @ weight) / self.total
-        self.x = x[:, None] - self.middle
-        self.spread = _sum(weight * self.x, self.x)
+    Attributes:
+        rest: (W, G) residuals; these and the derivatives are divided by the uncertainty of a reading.
+        shared: (W, G, S) derivatives.
+        each: (W, G, E).
+    """
 
-    def __call__(self, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Value at x = 0, slope, and residuals of (G, W) values."""
-        weighted = self.weight * y
-        mean = weighted.sum(axis=0) / self.total
-        slope = _sum(weighted, self.x) / self.spread
-        return mean - slope * self.middle, slope, y - mean - slope * self.x
+    rest: FloatArray
+    shared: FloatArray
+    each: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squares."""
+        return float(np.vdot(self.rest, self.rest))
+
+    def inverse_of_each(self, damping: float = 0.0) -> FloatArray:
+        """(W, E, E) inverse of what belongs to one wavelength."""
+        own = self.each.mT @ self.each
+        scale = np.einsum("wii->wi", own)
+        return np.asarray(np.linalg.inv(own + (damping + 1e-14) * scale[:, :, None] * np.eye(own.shape[-1])))
+
+    def turned(self, inverse: FloatArray) -> FloatArray:
+        """(W, E, S) by how much the own parameters follow the shared ones."""
+        return np.asarray(inverse @ (self.each.mT @ self.shared))
+
+    def freed(self, turned: FloatArray) -> FloatArray:
+        """(W, G, S) derivatives by the shared parameters where the own ones follow."""
+        return np.asarray(self.shared - self.each @ turned)
+
+    def step(self, damping: float) -> tuple[FloatArray, FloatArray]:
+        """(S,) and (W, E) step of Gauss and Newton, damped."""
+        inverse = self.inverse_of_each(damping)
+        turned = self.turned(inverse)
+        shared = np.zeros(self.shared.shape[-1])
+        if shared.size:
+            freed = self.freed(turned)
+            left = (freed.mT @ self.shared).sum(axis=0)
+            left = left + damping * np.diag(np.diag(left)) + 1e-30 * np.eye(len(left))
+            pull = (freed.mT @ self.rest[..., None]).sum(axis=0)[:, 0]
+            shared = np.linalg.lstsq(left, pull, rcond=1e-13)[0]
+        own = inverse @ (self.each.mT @ self.rest[..., None])
+        return shared, own[..., 0] - turned @ shared
+
+
+def _normal(
+    terms: _Terms, weight: FloatArray, logs: FloatArray, shared: FloatArray, each: FloatArray
+) -> _Normal:
+    value, of_shared, of_each = terms(shared, each)
+    white = np.sqrt(weight)
+    slopes = (np.moveaxis(white[..., None] * one, 0, 1) for one in (of_shared, of_each))
+    return _Normal((white * (logs - value)).T, *slopes)
+
+
+def _settled(
+    terms: _Terms,
+    weight: FloatArray,
+    logs: FloatArray,
+    shared: FloatArray,
+    each: FloatArray,
+    end: float = _SETTLED,
+) -> tuple[FloatArray, FloatArray, _Normal]:
+    """Parameters of least squares by damped steps, and their normal equations."""
+    now, damping = _normal(terms, weight, logs, shared, each), 0.0
+    for _ in range(_STEPS):
+        of_shared, of_each = now.step(damping)
+        most = float(np.abs(of_shared).max(initial=0.0))
+        share = min(1.0, _WIDEST_STEP / max(most, 1e-300))
+        trial = np.clip(shared + share * of_shared, *terms.ends.T)
+        own = each + share * np.clip(of_each, -3.0, 3.0)
+        own[:, 1] = np.clip(own[:, 1], -MOST_C, MOST_C)
+        after = _normal(terms, weight, logs, trial, own)
+        if after.cost <= now.cost or not np.isfinite(now.cost):
+            close = max(most, float(np.abs(of_each).max())) < _CLOSE
+            less = now.cost - after.cost <= end * now.cost
+            shared, each, now, damping = trial, own, after, 0.1 * damping if damping > 1e-6 else 0.0
+            if close or (less and damping == 0.0):
+                break
+        else:
+            if most < _CLOSE and float(np.abs(of_each).max()) < _CLOSE:
+                break
+            damping = max(10.0 * damping, 1e-4)
+            if damping > 1e8:
+                break
+    return shared, each, now
 
 
 def solve_jointly(
-    grid: Grid,
-    noise: float,
-    distribution: Distribution = "ggx",
-    alpha: float | None = None,
-    dim: float = 0.0,
+    grid: Grid, noise: float, form: Form | None = None, dim: float = 0.0, start: Solution | None = None
 ) -> Solution:
     """Fit all readings of a grid.
 
@@ -255,117 +448,151 @@ def solve_jointly(
         grid: the readings.
         noise: relative standard deviation of a reading, in addition to the floor of the grid. It sets the weights only;
             the uncertainties come from the scatter about the fit.
-        distribution: of the flakes' normals.
-        alpha: roughness where it is not fitted; 1 is a matte print, whose ln f is linear.
+        form: terms that are fitted; GGX if None.
         dim: standard deviation of every reading besides, as a share of the largest one of its wavelength: where the
             lobe has another form, its bright part counts.
+        start: a fit of fewer bases or of the same, where the search begins; needed where there are bases.
 
     Raises:
         UsageError: readings that do not separate ρ from c, or do not determine the width of the lobe.
     """
+    chosen = form or Form()
     given = np.isfinite(grid.value)
-    measured = np.where(given, grid.value, 1.0)
-    level, held, found = measured, alpha is not None, np.nan if alpha is None else alpha
+    terms, logs = _Terms(grid, chosen), np.log(np.where(given, grid.value, 1.0))
+    level = np.exp(logs)
     floor = np.hypot(grid.floor, dim * np.max(np.where(given, grid.value, 0.0), axis=0))
-    projection, base = _projection(grid, given, noise, level, floor)
-    for _ in range(_REWEIGHTED):
-        found = found if held else _search(grid, projection, base, found, distribution)
-        lobe = log_lobe(found, grid.half_deg, distribution)[0][:, None]
-        log_rho, c, _ = projection(base - lobe)
-        level = np.exp(lobe + log_rho + c * grid.x[:, None])
-        projection, base = _projection(grid, given, noise, level, floor)
-    if not held:
-        found = _search(grid, projection, base, found, distribution)
-    return _finish(grid, given, projection, base, found, distribution, held=held)
 
+    def weights() -> FloatArray:
+        return np.where(given, 1.0 / (noise**2 + (floor / level) ** 2), 0.0)
 
-def _projection(
-    grid: Grid, given: npt.NDArray[np.bool_], noise: float, level: FloatArray, floor: FloatArray
-) -> tuple[_Projection, FloatArray]:
-    """Weights for the level of the fit, and logarithms of the readings."""
-    variance = noise**2 + (floor / level) ** 2
-    projection = _Projection(grid.x, np.where(given, 1.0 / variance, 0.0))
-    if np.any(projection.spread <= 1e-9 * projection.total):
-        at = int(np.argmax(projection.spread <= 1e-9 * projection.total))
-        raise UsageError(
-            f"at {grid.nm[at]:g} nm all readings have the same sum of angles, which does not tell rho from c: "
-            "measure at several angles of the light"
-        )
-    return projection, np.log(np.where(given, grid.value, 1.0))
-
-
-def _cost(
-    grid: Grid, projection: _Projection, base: FloatArray, alpha: float, distribution: Distribution
-) -> tuple[float, float, float]:
-    """Weighted sum of squares at an α, its Gauss-Newton step in ln α, and the curvature."""
-    lobe, slope = log_lobe(alpha, grid.half_deg, distribution)
-    rest = projection(base - lobe[:, None])[2]
-    along = projection(np.broadcast_to(slope[:, None], base.shape))[2]
-    weighted = projection.weight * along
-    curvature, pull = float(np.vdot(weighted, along)), float(np.vdot(weighted, rest))
-    return float(np.vdot(projection.weight * rest, rest)), pull / max(curvature, 1e-30), curvature
-
-
-def _search(
-    grid: Grid, projection: _Projection, base: FloatArray, start: float, distribution: Distribution
-) -> float:
-    alpha = start
-    if not np.isfinite(start):
-        alpha = min(_STARTS, key=lambda one: _cost(grid, projection, base, float(one), distribution)[0])
-    cost, step, curvature = _cost(grid, projection, base, alpha, distribution)
-    if curvature <= 1e-6 * float(projection.weight.sum()):
-        raise UsageError(
-            "the readings do not say how wide the lobe is: measure away from the mirror direction as well as in it"
-        )
-    for _ in range(_STEPS):
-        step = float(np.clip(step, -0.5, 0.5))
-        trial = float(np.clip(alpha * np.exp(step), *ALPHA_RANGE))
-        found = _cost(grid, projection, base, trial, distribution)
-        if found[0] <= cost:
-            alpha, (cost, step, _) = trial, found
-        else:
-            step *= 0.5
-        if abs(step) < _CLOSE:
-            break
-    return float(alpha)
-
-
-def _finish(
-    grid: Grid,
-    given: npt.NDArray[np.bool_],
-    projection: _Projection,
-    base: FloatArray,
-    alpha: float,
-    distribution: Distribution,
-    *,
-    held: bool,
-) -> Solution:
-    lobe, slope = log_lobe(alpha, grid.half_deg, distribution)
-    log_rho, c, rest = projection(base - lobe[:, None])
-    at_zero, turn, along = projection(np.broadcast_to(slope[:, None], base.shape))
-    cost, _, curvature = _cost(grid, projection, base, alpha, distribution)
-    parameters = 2 * len(grid.nm) + (not held)
+    weight = weights()
+    _check_angles(grid, weight)
+    parameters = len(terms.shared) + terms.each * len(grid.nm)
     freedom = int(given.sum()) - parameters
     if freedom < 1:
         raise UsageError(f"{int(given.sum())} readings for {parameters} parameters: measure at more angles")
-    scatter = cost / freedom
-    score = np.sum(projection.weight * along * rest, axis=1)
-    shared = float(score @ score) * len(score) / (len(score) - 1) / curvature**2
-    from_alpha = 0.0 if held else max(scatter / curvature, shared)
-    u_slope = scatter / projection.spread
-    u_start = scatter / projection.total + projection.middle**2 * u_slope
+    starts = [_start(terms, weight, logs)] if start is None else _more(terms, weight, logs, start)
+    tries = [_settled(terms, weight, logs, *one, _NEARLY if dim else _SETTLED) for one in starts]
+    shared, each, now = min(tries, key=lambda one: one[2].cost)
+    if chosen.alpha is None:
+        _check_width(now, weight)
+    # where the bright part counts, a flank that the fit misses must not weigh less the more it is missed
+    for _ in range(_REWEIGHTED if dim == 0.0 else 0):
+        level = np.exp(terms(shared, each)[0])
+        weight = weights()
+        shared, each, now = _settled(terms, weight, logs, shared, each)
+    return _finish(terms, weight, shared, each, now, freedom)
+
+
+def _start(terms: _Terms, weight: FloatArray, logs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the search of a fit without bases begins: the best of some roughnesses."""
+    form = terms.form
+    tail = [] if form.distribution is not None else [np.log(0.5)]
+    found = []
+    for width in [[]] if form.alpha is not None else [[np.log(one)] for one in _STARTS]:
+        shared, each = np.array([*width, *tail]), np.zeros((len(terms.grid.nm), 2))
+        held = _normal(terms, weight, logs, shared, each)
+        each = each + replace(held, shared=held.shared[..., :0]).step(0.0)[1]  # linear without a base
+        found.append((_normal(terms, weight, logs, shared, each).cost, shared, each))
+    return min(found, key=lambda one: one[0])[1:]
+
+
+def _more(
+    terms: _Terms, weight: FloatArray, logs: FloatArray, before: Solution
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Where the search begins that adds a base to a fit: half of the flakes' level, half or twice their roughness."""
+    assert before.each is not None
+    known, each = before.shared, before.each[:, : terms.each]
+    if terms.each > each.shape[1]:
+        least = np.min(np.where(weight > 0.0, logs, np.inf), axis=0)
+        each = np.column_stack([each, least + np.log(2.0 * np.pi)])
+    low, high = np.log(ALPHA_RANGE)
+    narrow, wide = (float(np.clip(known["alpha"] + step, low, high)) for step in (-np.log(2.0), np.log(2.0)))
+    guesses: list[dict[str, float]] = [{}]
+    if "gloss" in terms.shared and "gloss" not in known:
+        top = float(np.median(np.max(np.where(weight > 0.0, logs, -np.inf), axis=0)))
+        of_gloss = {"gloss alpha": narrow, "gloss": top + np.log(2.0 * np.pi) + 2.0 * narrow}
+        guesses = [{**of_gloss, "gloss c": c} for c in _GLOSS_STARTS]
+    elif "flakes" in terms.shared and "flakes" not in known:
+        guesses = [{"flakes alpha": width, "flakes": -1.0} for width in (narrow, wide)]
+    return [(np.array([(known | one)[name] for name in terms.shared]), each) for one in guesses]
+
+
+def _check_angles(grid: Grid, weight: FloatArray) -> None:
+    total = weight.sum(axis=0)
+    apart = grid.x[:, None] - (grid.x @ weight) / total
+    alike = np.sum(weight * apart**2, axis=0) <= 1e-9 * total
+    if np.any(alike):
+        raise UsageError(
+            f"at {grid.nm[int(np.argmax(alike))]:g} nm all readings have the same sum of angles, which does not tell "
+            "rho from c: measure at several angles of the light"
+        )
+
+
+def _check_width(now: _Normal, weight: FloatArray) -> None:
+    freed = now.freed(now.turned(now.inverse_of_each()))[..., 0]
+    if np.vdot(freed, freed) <= 1e-6 * weight.sum():
+        raise UsageError(
+            "the readings do not say how wide the lobe is: measure away from the mirror direction as well as in it"
+        )
+
+
+def _finish(
+    terms: _Terms, weight: FloatArray, shared: FloatArray, each: FloatArray, now: _Normal, freedom: int
+) -> Solution:
+    scatter, inverse = now.cost / freedom, now.inverse_of_each()
+    turned = now.turned(inverse)
+    freed = now.freed(turned)
+    covariance = _of_shared(now, freed, scatter)
+    own = scatter * inverse + turned @ covariance @ turned.mT
+    u_each = np.sqrt(np.einsum("wii->wi", own))
+    light = scatter * np.sum(now.each @ inverse * now.each, axis=-1)
+    light = (light + np.sum(freed @ covariance * freed, axis=-1)).T
+    given, inside = weight > 0.0, np.maximum(weight, 1e-300)
+    form, at, u = (
+        terms.form,
+        terms.of(shared),
+        dict(zip(terms.shared, np.sqrt(np.diag(covariance)), strict=True)),
+    )
+    alpha, tail = float(np.exp(at["alpha"])), float(np.exp(at["tail"]))
+    c, base = each[:, 1], []
+    for name in form.bases:
+        if name == "paper":
+            base.append(Base(name, 1.0, each[:, 2], np.zeros_like(c)))
+        else:
+            gloss = name == "gloss"
+            colour = (np.zeros_like(c), np.full_like(c, at["gloss c"])) if gloss else (each[:, 0], c)
+            base.append(Base(name, float(np.exp(at[f"{name} alpha"])), at[name] + colour[0], colour[1]))
     return Solution(
         alpha,
-        alpha * float(np.sqrt(from_alpha)),
-        log_rho,
-        np.sqrt(u_start + at_zero**2 * from_alpha),
-        c,
-        np.sqrt(u_slope + turn**2 * from_alpha),
-        np.where(given, rest, np.nan),
-        distribution,
-        cost,
-        parameters,
+        alpha * float(u.get("alpha", 0.0)),
+        each[:, 0],
+        u_each[:, 0],
+        each[:, 1],
+        u_each[:, 1],
+        np.where(given, now.rest.T / np.sqrt(inside), np.nan),
+        tail if form.distribution is None else form.distribution,
+        tail * float(u.get("tail", 0.0)),
+        tuple(base),
+        np.where(given, np.sqrt(light / inside), np.nan),
+        now.cost,
+        now.shared.shape[-1] + each.size,
+        form,
+        at,
+        each,
     )
+
+
+def _of_shared(now: _Normal, freed: FloatArray, scatter: float) -> FloatArray:
+    """(S, S) covariance of what all wavelengths share, from single readings, enlarged where places say so."""
+    if not freed.shape[-1]:
+        return np.zeros((0, 0))
+    inverse = np.linalg.pinv((freed.mT @ freed).sum(axis=0), rcond=1e-13, hermitian=True)
+    score = np.sum(freed * now.rest[..., None], axis=0)
+    of_places = inverse @ (score.T @ score) @ inverse * len(score) / (len(score) - 1)
+    found = scatter * inverse
+    more = np.sqrt(np.maximum(np.diag(of_places) / np.maximum(np.diag(found), 1e-300), 1.0))
+    return np.asarray(found * np.outer(more, more))
 
 
 SKIPPED_FROM_DEG = 70.0
@@ -451,12 +678,12 @@ Method = Literal["joint", "paper"]
 SCATTER = (0.01, 0.01, 0.003, 0.1, 0.05)
 """Scatter of good sheets about the one that was measured: roughness, level, colour, c, form of the lobe."""
 _BANDS = 8.0
-_BIN_DEG = 5.0
+_BIN_DEG = 2.5
 _THIRDS = 3
 
 
 def left_by_angle(half_deg: FloatArray, residual: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """The misfit of `InkUncertainty`, in its order: what the fit leaves in steps of 5°, less the scatter of places.
+    """The misfit of `InkUncertainty`, in its order: what the fit leaves in steps of 2.5°, less the scatter of places.
 
     Args:
         half_deg: (G,) half angles of the places.
@@ -483,7 +710,8 @@ def left_by_angle(half_deg: FloatArray, residual: FloatArray) -> tuple[tuple[flo
 
 
 NOISE = 0.03
-DIM = 1e-3
+DIM = 3e-3
+_VISIBLE_NM = (400.0, 700.0)
 _WEAK_C = 1.0
 _WEAK_ALPHA = 0.02
 
@@ -510,7 +738,10 @@ class InkFit:
         grid: the readings as they were fitted.
         scale: conversion of the readings to a BRDF.
         warnings: reasons to doubt the result.
-        distribution: of the flakes' normals.
+        distribution: of the flakes' normals, or its tail.
+        u_tail: standard uncertainty of a fitted tail.
+        base: terms that add to the light of the flakes.
+        u_light: (G, W) standard uncertainty of ln of the fitted light; None of the published two steps.
         tests: of the model and, where it was rejected, of its rivals; none of the published two steps.
         misfit: that of these parameters.
     """
@@ -528,6 +759,9 @@ class InkFit:
     scale: str
     warnings: tuple[str, ...]
     distribution: Distribution = "ggx"
+    u_tail: float = field(default=0.0, metadata=LEFT_OUT)
+    base: tuple[Base, ...] = ()
+    u_light: FloatArray | None = field(default=None, metadata=LEFT_OUT)
     tests: tuple[Misfit, ...] = ()
     misfit: Misfit | None = field(default=None, metadata=LEFT_OUT)
 
@@ -567,6 +801,20 @@ class InkFit:
         """Root mean square of the residuals: the relative scatter of the readings about the fit."""
         return _rms(self.residual)
 
+    @property
+    @in_json("mirror_delta_e2000")
+    def mirror_delta_e(self) -> float | None:
+        """Rms CIEDE2000 of the fit in the mirror direction (D65, brightest reading as white); None without readings."""
+        grid = self.grid
+        whole = grid.mirror & np.isfinite(grid.value).all(axis=1)
+        if not whole.any() or grid.nm[0] > _VISIBLE_NM[0] or grid.nm[-1] < _VISIBLE_NM[1]:
+            return None
+        light = find_illuminant("d65")
+        read = grid.value[whole] @ xyz_weights(light, grid.nm)
+        fitted = (grid.value[whole] / np.exp(self.residual[whole])) @ xyz_weights(light, grid.nm)
+        white, bright = white_point(light), float(read[:, 1].max())
+        return _rms(ciede2000(lab(read / bright, white), lab(fitted / bright, white)))
+
     def ink(self, name: str, source: str = "") -> Ink:
         """The ink, in the BRDF scale.
 
@@ -574,33 +822,36 @@ class InkFit:
             ModelError: fitted values outside the range of inks.
         """
         rho, c, nm = (tuple(values.tolist()) for values in (self.rho, self.c, self.nm))
+        base = tuple(
+            Ink(
+                "base", one.alpha, nm, tuple(one.rho.tolist()), tuple(one.c.tolist()),
+                distribution="ggx" if one.name == "paper" else "beckmann",
+            )
+            for one in self.base
+        )  # fmt: skip
         return Ink(
-            name,
-            self.alpha,
-            nm,
-            rho,
-            c,
-            "brdf",
-            source,
-            distribution=self.distribution,
-            uncertainty=self.uncertainty,
-        )
+            name, self.alpha, nm, rho, c, "brdf", source, distribution=self.distribution,
+            uncertainty=self.uncertainty, base=base,
+        )  # fmt: skip
 
     @property
     def uncertainty(self) -> InkUncertainty | None:
         """By the fit, the scatter from sheet to sheet and the misfit; None where u is not determined."""
-        shares = (
-            self.u_alpha / self.alpha,
-            *(float(np.sqrt(np.mean(one**2))) for one in (self.u_rho / self.rho, self.u_c)),
-        )
+        u_light = self.u_rho / self.rho if self.u_light is None else self.u_light[_brightest(self.grid)]
+        shares = (self.u_alpha / self.alpha, _rms(u_light), _rms(self.u_c))
         if not np.isfinite(shares).all():
             return None
         alpha, level, c = shares
-        several = np.hypot([alpha, level, level / np.sqrt(_BANDS), c, 0.0], SCATTER)
+        several = np.hypot([alpha, level, level / np.sqrt(_BANDS), c, self.u_tail], SCATTER)
         alpha, level, colour, c, lobe = (float(f"{min(one, 1.0):.2g}") for one in several)
         return InkUncertainty(
             alpha, level, colour, c, lobe, *left_by_angle(self.grid.half_deg, self.residual)
         )
+
+
+def _brightest(grid: Grid) -> BoolArray:
+    """(G,) the places whose half angle is within a step of the smallest."""
+    return np.asarray(grid.half_deg <= grid.half_deg.min() + _BIN_DEG)
 
 
 @dataclass(frozen=True, eq=False)
@@ -643,10 +894,10 @@ def fit(
     """Fit α, ρ(λ) and c(λ) to readings.
 
     Where the noise is stated and the joint fit rejected, Beckmann's lobe and a matte print (α = 1, Eq. 3 then being
-    constant) are tried in its place (`base.rejection`). Where none holds, or residuals exceed twice the unstated noise,
-    both lobes are fitted with an error of `DIM` of the peak besides, and the one with the smaller χ² is taken: else the
-    dim flank decides on the bright mirror direction. All uncertainties are from the scatter about the fit, so that the
-    Birge ratio is in them.
+    constant) are tried in its place (`base.rejection`), and then lobes of any tail, with paper, gloss or both besides.
+    These are fitted with an error of `DIM` of the peak besides: else the dim flank decides on the bright mirror
+    direction. Where none holds, or residuals exceed twice the unstated noise, that of the smallest information
+    criterion is taken. All uncertainties are from the scatter about the fit, so that the Birge ratio is in them.
 
     Args:
         readings: as a BRDF.
@@ -662,68 +913,80 @@ def fit(
     if not 0.0 < share < 1.0:
         raise UsageError(f"the noise of a reading is a share in 0 to 1, not {share:g}")
     grid = grid_of(readings, floor, SKIPPED_FROM_DEG if method == "paper" else None)
+    if len(grid.nm) < 2:
+        raise UsageError(f"readings of one wavelength, {grid.nm[0]:g} nm: an ink needs two or more")
     if method == "paper":
         return _warned(_ink_fit(solve_as_published(grid), method, grid, readings.scale), share)
     count = int(np.isfinite(grid.value).sum())
 
     def test(found: Solution) -> Misfit:
-        words = "a matte print" if found.alpha == 1.0 else _LOBES[found.distribution]
-        return misfit(words, found.chi2, count, found.parameters, known=noise is not None)
+        return misfit(found.form.words, found.chi2, count, found.parameters, known=noise is not None)
 
-    def rival(distribution: Distribution, alpha: float | None = None) -> Solution:
-        return solve_jointly(grid, share, distribution, alpha)
+    def rival(form: Form) -> Solution:
+        return solve_jointly(grid, share, form)
 
-    matte = (partial(rival, "ggx", 1.0),)
-    solution, tests = best_model(
-        solve_jointly(grid, share), ((partial(rival, "beckmann"), *matte),), test, matte
-    )
-    chosen = test(solution)
+    matte = (partial(rival, Form(alpha=1.0)),)
+    stages = ((partial(rival, Form("beckmann")), *matte),)
+    solution, tests = best_model(solve_jointly(grid, share), stages, test, matte)
+    chosen, bright = test(solution), None
+    if solution.alpha < 1.0 and (chosen.rejected or (noise is None and chosen.chi2 > 4.0 * chosen.dof)):
+        bright = _by_the_bright_part(grid, share, count)
+        # an error of the peak hides what the flank says: a form that holds with it has to hold without
+        if noise is not None and not test(bright).rejected:
+            whole = solve_jointly(grid, share, bright.form, start=bright)
+            tests = (*tests, test(whole))
+            if not tests[-1].rejected:
+                solution, chosen, bright = whole, tests[-1], None
     words = rejection_words(next(one for one in tests if one == chosen), tests)
-    left = _rms(solution.residual)
-    if solution.alpha < 1.0 and (chosen.rejected or (noise is None and left > 2.0 * share)):
-        bright = [solve_jointly(grid, share, kind, dim=DIM) for kind in _LOBES]
-        solution = min(bright, key=lambda one: one.chi2)
-        line = (
-            f"residuals of {100 * left:.2g} % rms exceed twice the noise of {100 * share:.2g} %: the model does not "
-            "follow these readings, or their noise is larger"
+    if bright is not None:
+        fitted = f"{bright.form.words} is fitted where the print is bright"
+        words.append(
+            f"residuals of {100 * _rms(solution.residual):.2g} % rms exceed twice the noise of {100 * share:.2g} %: "
+            f"the model does not follow these readings, or their noise is larger; {fitted}"
         )
-        lobe = _LOBES[solution.distribution]
-        words.append(f"{line}; {lobe} is fitted where the print is bright{_off_mirror(grid, solution)}")
+        solution = bright
     found = _ink_fit(solution, method, grid, readings.scale)
     return _warned(replace(found, tests=tests, misfit=chosen, warnings=tuple(words)), share)
+
+
+def _by_the_bright_part(grid: Grid, noise: float, count: int) -> Solution:
+    """The fit of the smallest information criterion; bases are added one by one as long as it falls."""
+
+    def criterion(one: Solution) -> float:
+        return misfit("", one.chi2, count, one.parameters, known=False).bic
+
+    plain = [solve_jointly(grid, noise, form, DIM) for form in (Form(), Form("beckmann"), Form(None))]
+    now = plain[-1]
+    while len(now.form.bases) < len(BASES):
+        tries = []
+        for name in BASES:
+            if name in now.form.bases:
+                continue
+            try:
+                form = replace(now.form, bases=(*now.form.bases, name))
+                tries.append(solve_jointly(grid, noise, form, DIM, now))
+            except UsageError:  # more parameters than readings
+                continue
+        better = min(tries, key=criterion, default=now)
+        if criterion(better) >= criterion(now):
+            break
+        now = better
+    for name in now.form.bases:  # which another may have made needless
+        left = tuple(one for one in now.form.bases if one != name)
+        now = min(now, solve_jointly(grid, noise, replace(now.form, bases=left), DIM, now), key=criterion)
+    return min([*plain, now], key=criterion)
 
 
 def _rms(residual: FloatArray) -> float:
     return float(np.sqrt(np.nanmean(residual**2)))
 
 
-def _off_mirror(grid: Grid, solution: Solution) -> str:
-    if not grid.mirror.any():
-        return ""
-    rest = solution.residual[grid.mirror]
-    return f", and in the mirror direction {100 * float(np.nanmean(rest)):+.2g} % off (rms {100 * _rms(rest):.2g} %)"
-
-
-_LOBES: dict[Distribution, str] = {"ggx": "the lobe of the paper (GGX)", "beckmann": "Beckmann's lobe"}
-
-
 def _ink_fit(solution: Solution, method: Method, grid: Grid, scale: str) -> InkFit:
     rho = np.exp(solution.log_rho)
     return InkFit(
-        method,
-        solution.alpha,
-        solution.u_alpha,
-        grid.nm,
-        rho,
-        rho * solution.u_log_rho,
-        solution.c,
-        solution.u_c,
-        solution.residual,
-        grid,
-        scale,
-        (),
-        solution.distribution,
-    )
+        method, solution.alpha, solution.u_alpha, grid.nm, rho, rho * solution.u_log_rho, solution.c, solution.u_c,
+        solution.residual, grid, scale, (), solution.distribution, solution.u_tail, solution.base, solution.u_light,
+    )  # fmt: skip
 
 
 def _warned(found: InkFit, noise: float) -> InkFit:
@@ -734,9 +997,8 @@ def _warned(found: InkFit, noise: float) -> InkFit:
             reasons[one.reason] = reasons.get(one.reason, 0) + 1
         texts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         warnings.append(f"{len(found.grid.dropped)} readings dropped: {texts}")
-    if len(found.nm) > 1:
-        too_bright = albedo_warning(found.ink("ink"))
-        warnings += [too_bright] if too_bright else []
+    too_bright = albedo_warning(found.ink("ink"))
+    warnings += [too_bright] if too_bright else []
     return replace(found, warnings=tuple(warnings))
 
 

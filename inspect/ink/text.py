@@ -3,7 +3,7 @@
 import numpy as np
 
 from anisoscope.ink.appearance import Show
-from anisoscope.ink.fitting import InkFit
+from anisoscope.ink.fitting import BASES, InkFit
 
 METHODS = {"joint": "joint fit of all readings", "paper": "two steps, as published"}
 
@@ -13,11 +13,16 @@ def summary(found: InkFit) -> str:
     u = f" ± {found.u_alpha:.2g}" if np.isfinite(found.u_alpha) else " ± unknown"
     if not found.fits:
         u = " (the model is rejected)"
-    elif found.distribution != "ggx":
-        u += f" ({found.distribution} distribution)"
+    if found.distribution != "ggx":
+        tail = found.distribution
+        u += f" ({tail} distribution)" if isinstance(tail, str) else f" (tail {tail:.2g})"
+    if found.base:
+        u += " with " + " and ".join(BASES[one.name] for one in found.base)
+    mirror = found.mirror_delta_e
+    off = "" if mirror is None else f", ΔE2000 {mirror:.2g} in the mirror direction"
     used = int(np.isfinite(found.grid.value).sum())
     return (
-        f"{METHODS[found.method]}: alpha {found.alpha:.5g}{u}, residuals {100 * found.rms:.2g} % rms over "
+        f"{METHODS[found.method]}: alpha {found.alpha:.5g}{u}, residuals {100 * found.rms:.2g} % rms{off} over "
         f"{used} readings at {len(found.grid.theta_i_deg)} places and {len(found.nm)} wavelengths"
     )
 

@@ -59,7 +59,10 @@ def fit_ink(data: Path | str, *, fitting: InkFitting) -> InkFit:
         UsageError: as ``read_brdf``, or readings that do not determine the parameters.
     """
     readings = read_brdf(data, fitting, fitting.white_table, fitting.white_readings)
-    return fit(readings, fitting.method, noise=fitting.u_reading, floor=fitting.floor)
+    try:
+        return fit(readings, fitting.method, noise=fitting.u_reading, floor=fitting.floor)
+    except UsageError as problem:
+        raise UsageError(f"{data}: {problem}") from None
 
 
 def calibrate_ink(folders: Sequence[Path | str], name: str) -> RigInk:
@@ -142,10 +145,13 @@ def compare_inks(
     sets = [(Path(one).stem, *_read(Path(one), how)) for one in data] or _synthetic(spheres.seed)
     for done, (name, read, measured) in enumerate(sets):
         on_progress(name, done, len(sets))
-        fitted = fit(read)
+        try:
+            fitted = fit(read)
+            ink = fitted.ink(name, "fitted to the readings")
+        except (UsageError, ModelError) as problem:
+            raise UsageError(f"{data[done] if data else name}: {problem}") from None
         if data:  # made-up readings have on purpose what the fit would warn of
             warnings += [f"{name}: {warning}" for warning in fitted.warnings]
-        ink = fitted.ink(name, "fitted to the readings")
         # A given roughness replaces the fitted one only in the models, not in the readings they are compared with.
         ink = ink if spheres.alpha is None else replace(ink, alpha=spheres.alpha)
         found.append(compare(measured, ink, illuminant=lamp, size=spheres.size))

@@ -20,7 +20,7 @@ from anisoscope.sim.light.colour.vision import Vision
 from anisoscope.sim.light.ink.angles import half_vector
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import spectral_term
-from anisoscope.sim.light.ink.shading import lobes
+from anisoscope.sim.light.ink.shading import lobes, with_bases
 from anisoscope.sim.materials.inks import find_ink
 from anisoscope.sim.materials.spectra import read_reflectance
 
@@ -235,7 +235,8 @@ class PrintSample:
         self._flakes = (np.radians(part.flake_tilt_deg), towards(part.flake_azimuth_deg))
         self._normal = normals(part, grid, size_mm)
         under_ink = inked(part, grid, rng)
-        self._coverage = ((under_ink * grain(part, grid, rng))[..., None] * shares).astype(np.float32)
+        coverage = ((under_ink * grain(part, grid, rng))[..., None] * shares).astype(np.float32)
+        self.inks, self._coverage = with_bases(self.inks, coverage)
         self._colours = _tables(self.inks, vision)
         paper = _reflectance(part.substrate, vision)
         self._channels = len(paper)

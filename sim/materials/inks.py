@@ -28,13 +28,22 @@ class InkFileError(ConfigError):
     """An ink file that cannot be used."""
 
 
+class BasePart(Part):
+    """Light that adds to an ink's, at its wavelengths and in its scale: of paper (α = 1) or of gloss."""
+
+    alpha: Alpha
+    distribution: Distribution = "ggx"
+    rho: tuple[float, ...]
+    c: tuple[float, ...]
+
+
 class InkFile(Part):
     """An ink: its roughness and its spectra; see `anisoscope.sim.light.ink.ink.Ink` for their meaning.
 
     ``alpha`` is an isotropic roughness; ``alpha_x`` and ``alpha_y`` stand in its place where the print is brushed, with
     ``brush_deg`` for the direction of x. ``convention`` is the scale of rho; ``white`` the reflectance of the white
     reference to which a "factor" refers. ``uncertainty`` says how well it is known; inspections take large ones for an
-    ink without.
+    ink without. Each ``base`` adds light.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
@@ -51,6 +60,7 @@ class InkFile(Part):
     rho: tuple[float, ...]
     c: tuple[float, ...]
     uncertainty: InkUncertainty | None = None
+    base: tuple[BasePart, ...] = ()
 
     @model_validator(mode="after")
     def _holds_an_ink(self) -> Self:
@@ -71,20 +81,15 @@ class InkFile(Part):
         """
         along = self.alpha if self.alpha_x is None else self.alpha_x
         assert along is not None
-        return Ink(
-            self.name,
-            along,
-            self.wavelengths_nm,
-            self.rho,
-            self.c,
-            self.convention,
-            self.source,
-            self.white,
-            self.alpha_y,
-            self.brush_deg,
-            self.distribution,
-            self.uncertainty,
+        nm, scale, white = self.wavelengths_nm, self.convention, self.white
+        base = tuple(
+            Ink("base", one.alpha, nm, one.rho, one.c, scale, white=white, distribution=one.distribution)
+            for one in self.base
         )
+        return Ink(
+            self.name, along, nm, self.rho, self.c, scale, self.source, white, self.alpha_y, self.brush_deg,
+            self.distribution, self.uncertainty, base,
+        )  # fmt: skip
 
 
 def read_ink(path: Path) -> Ink:
@@ -137,13 +142,25 @@ def ink_text(ink: Ink, comment: Sequence[str] = ()) -> str:
         content["alpha"] = float(f"{ink.alpha:.7g}")
     else:
         content |= {"alpha_x": ink.alpha, "alpha_y": ink.alpha_y, "brush_deg": ink.brush_deg}
-    for key in ("wavelengths_nm", "rho", "c"):
-        content[key] = [float(f"{value:.7g}") for value in getattr(ink, key)]
+    content |= {key: _seven(getattr(ink, key)) for key in ("wavelengths_nm", "rho", "c")}
+    if ink.base:
+        content["base"] = [
+            {
+                "alpha": float(f"{one.alpha:.7g}"),
+                "distribution": one.distribution,
+                **{key: _seven(getattr(one, key)) for key in ("rho", "c")},
+            }
+            for one in ink.base
+        ]
     if ink.uncertainty is not None:
         content["uncertainty"] = {
             name: value for name, value in asdict(ink.uncertainty).items() if value != ()
         }
     return "".join(f"# {line}\n" for line in comment) + tomli_w.dumps(content)
+
+
+def _seven(values: Sequence[float]) -> list[float]:
+    return [float(f"{value:.7g}") for value in values]
 
 
 def write_ink(ink: Ink, path: Path, comment: Sequence[str] = ()) -> None:

@@ -26,6 +26,8 @@ LIGHT_ANGLE_DEG = 10.0
 class Print:
     """A print of this world.
 
+    ``peaked`` lobes have a cusp, exponential in the slope.
+
     ``film_nm`` is the thickness of the coat (index 2.4), ``spread`` its relative scatter from flake to flake, ``wide``
     the share of flakes in the second lobe, ``rough`` the factor on both lobes; ``across`` widens them along y by as
     much as it narrows them along x. ``lean_deg`` is the mean tilt toward +x and +y. ``gloss`` is the slope of the
@@ -41,6 +43,7 @@ class Print:
     rough: float = 1.0
     across: float = 1.0
     lean_deg: tuple[float, float] = (0.0, 0.0)
+    peaked: bool = False
     gloss: float = 0.25
     sheet: float = 0.015
     cover: float = 1.0
@@ -66,8 +69,9 @@ class Print:
         return mix + gloss[:, None]
 
     def _slopes(self, slopes, rough):
-        narrow = _gauss(slopes, rough * self.narrow_slope, self.across)
-        return (1.0 - self.wide) * narrow + self.wide * _gauss(slopes, rough * self.wide_slope, self.across)
+        lobe = _peak if self.peaked else _gauss
+        narrow = lobe(slopes, rough * self.narrow_slope, self.across)
+        return (1.0 - self.wide) * narrow + self.wide * lobe(slopes, rough * self.wide_slope, self.across)
 
     def channels(self, poses):
         """(P, 3) radiance per unit of normal irradiance [1/sr] of a perfect white, at (stage, tilt) in degrees."""
@@ -108,6 +112,11 @@ def _slopes_seen(half, lean_deg):
 def _gauss(slopes, width, across):
     stretch = np.array([1.0 / np.sqrt(across), np.sqrt(across)])
     return np.exp(-np.sum((slopes / stretch) ** 2, axis=1) / width**2) / (np.pi * width**2)
+
+
+def _peak(slopes, width, across):
+    stretch = width * np.array([1.0 / np.sqrt(across), np.sqrt(across)])
+    return np.exp(-np.linalg.norm(slopes / stretch, axis=1)) / (2.0 * np.pi * width**2)
 
 
 def _flake(film_nm, spread, incidence):

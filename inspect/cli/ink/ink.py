@@ -196,7 +196,9 @@ def print_fit(found: "InkFit", title: str) -> None:
     from anisoscope.ink.text import FIT_COLUMNS, fit_rows, summary
 
     print_table(title, list(FIT_COLUMNS), fit_rows(found), caption=summary(found))
-    print_lines(f"Scale: {found.scale}; noise floor {found.grid.floor:.2g}/sr.")
+    print_lines(
+        f"Scale: {found.scale}; noise floor {found.grid.floor:.2g}/sr; one plane was read: taken as isotropic."
+    )
     for warning in found.warnings:
         print_lines(f"warning: {warning}")
 

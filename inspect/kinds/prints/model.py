@@ -17,6 +17,7 @@ from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.ink.angles import half_vector, shift
 from anisoscope.sim.light.ink.distributions import tail_of
 from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.light.ink.model import brdf
 
 _STEP = 1e-4
 _FAINTEST = 600.0
@@ -70,7 +71,7 @@ NAMES = tuple(field.name for field in fields(State))
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One print before one rig.
+    """One print before one rig; the state acts on the flakes, not on the base of an ink.
 
     Attributes:
         ink: its ink.
@@ -125,8 +126,11 @@ class Scene:
         x_deg, y_deg = np.asarray(tilts_deg).T
         leans = seating_rotation(-y_deg, x_deg)
         shares = _density(self.ink, half @ leans, good, self.lobe) / _density(self.ink, half, good, self.lobe)
-        paper = to_light[:, 2:] * (1.0 - self.coverage) * self.substrate / np.pi
-        return np.asarray(paper + shares[..., None] * (self.channels() - paper))
+        still = (1.0 - self.coverage) * self.substrate / np.pi + self.coverage * (
+            _base(self.ink, to_light, to_camera) @ self.weights
+        )
+        still = to_light[:, 2:] * still
+        return np.asarray(still + shares[..., None] * (self.channels() - still))
 
     def log_channels(self, state: State | None = None) -> FloatArray:
         """(3 P,) ln of `channels`, channels fastest.
@@ -170,7 +174,15 @@ class Scene:
             if part != 0.0:
                 lobe = _lobe(ink, half, state, self.lobe + state.lobe)
                 found += part * lobe[:, None] * _colour(ink, argument, state, self.ink.nm)
+                base = _base(ink, to_light, to_camera)
+                found += part * np.stack([np.interp(self.ink.nm, ink.nm, one) for one in base])
         return found, cos_i
+
+
+def _base(ink: Ink, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+    """(P, W) BRDF in 1/sr of what adds to the flakes, which do not move it."""
+    dark = np.zeros((len(to_light), len(ink.wavelengths_nm)))
+    return np.asarray(sum((brdf(one, to_light, to_camera) for one in ink.base), dark))
 
 
 def _colour(ink: Ink, argument: FloatArray, state: State, nm: FloatArray) -> FloatArray:

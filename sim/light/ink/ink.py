@@ -1,6 +1,6 @@
 """One ink: roughness, and spectra of reflectance and of goniochromatism."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ Scale = Literal["brdf", "factor"]
 SPECTRALON = 0.99
 """Reflectance of the white reference of the paper, a 99 % Spectralon."""
 
+MOST_C = 50.0
 _MICROMETRES = 20.0
 _GAP = 4.0
 
@@ -74,6 +75,8 @@ class Ink:
         brush_deg: direction along which ``alpha`` holds, counter-clockwise from +x of the surface.
         distribution: of the flakes' normals, "ggx" (the paper's, Eq. 3), "beckmann", or a tail (0 Beckmann's, 1 GGX).
         uncertainty: how well all this is known; None where nobody says.
+        base: inks at the same wavelengths whose light adds, such as paper (α = 1: 4 times its reflectance is ρ, in
+            1/sr) and gloss of the binder.
 
     Raises:
         ModelError: numbers that no ink can have; the message names the wavelength.
@@ -91,6 +94,7 @@ class Ink:
     brush_deg: float = 0.0
     distribution: Distribution = "ggx"
     uncertainty: InkUncertainty | None = None
+    base: tuple["Ink", ...] = ()
 
     def __post_init__(self) -> None:
         for name, value in (("alpha", self.alpha), ("alpha_y", self.across)):
@@ -114,6 +118,11 @@ class Ink:
             raise ModelError("the direction of the brushing must be a finite angle")
         self._check_wavelengths()
         self._check_spectra()
+        for one in self.base:
+            if one.base or not one.isotropic or one.wavelengths_nm != self.wavelengths_nm:
+                raise ModelError(
+                    "a base is isotropic, has the wavelengths of its ink, and no base of its own"
+                )
 
     def _check_wavelengths(self) -> None:
         nm = np.array(self.wavelengths_nm, dtype=np.float64)
@@ -148,8 +157,8 @@ class Ink:
                     )
                 if name == "rho" and value < 0.0:
                     raise ModelError(f"rho at {nm:g} nm is {value:g}: a reflectance is 0 or more")
-                if name == "c" and abs(value) > 50.0:
-                    raise ModelError(f"c at {nm:g} nm is {value:g}: beyond ±50 it is no ink")
+                if name == "c" and abs(value) > MOST_C:
+                    raise ModelError(f"c at {nm:g} nm is {value:g}: beyond ±{MOST_C:g} it is no ink")
 
     @property
     def across(self) -> float:
@@ -160,6 +169,11 @@ class Ink:
     def isotropic(self) -> bool:
         """The print looks alike however it is turned in its plane."""
         return self.across == self.alpha
+
+    @property
+    def parts(self) -> tuple["Ink", ...]:
+        """The flakes alone, and the base: Eq. 5 holds for each, and their light adds."""
+        return (replace(self, base=()), *self.base) if self.base else (self,)
 
     @property
     def rho_brdf(self) -> FloatArray:

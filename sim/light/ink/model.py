@@ -49,8 +49,11 @@ def brdf(
     Raises:
         ModelError: no such model or TiO2 data set, or wavelengths for which its index is not known.
     """
-    value, argument = lobe(ink, to_light, to_camera, model)
-    return np.asarray(value[..., None] * spectral_term(ink, argument, model, tio2_source=tio2_source))
+    found: FloatArray | float = 0.0
+    for part in ink.parts:
+        value, argument = lobe(part, to_light, to_camera, model)
+        found = found + value[..., None] * spectral_term(part, argument, model, tio2_source=tio2_source)
+    return np.asarray(found)
 
 
 def lobe(
@@ -146,6 +149,12 @@ def directional_albedo(
     Raises:
         ModelError: as :func:`~anisoscope.sim.light.ink.model.brdf`.
     """
+    if ink.base:
+        albedos = [
+            directional_albedo(part, theta_i_deg, model, shares=shares, azimuths=azimuths)
+            for part in ink.parts
+        ]
+        return np.asarray(sum(albedos))
     node, weight = _nodes(shares)
     azimuth = (np.arange(azimuths) + 0.5) * 2.0 * np.pi / azimuths
     share, turn = np.meshgrid(0.5 * (node + 1.0), azimuth, indexing="ij")
@@ -226,9 +235,9 @@ def _over(lower: Ink, upper: Ink) -> Ink:
     cosine = np.cos(np.radians(angles))
     x = shift(cosine, cosine)
     through = np.square(1.0 - np.minimum(directional_albedo(upper, angles, shares=24, azimuths=32), 1.0))
-    rho, c = (np.interp(nm, lower.nm, values) for values in (lower.rho_brdf, lower.c_values))
-    above = upper.rho_brdf * np.exp(np.outer(x, upper.c_values)) / upper.alpha**2
-    below = through * rho * np.exp(np.outer(x, c)) / lower.alpha**2
+    above = 4.0 * np.pi * brdf_at_angles(upper, angles, angles)
+    of_lower = 4.0 * np.pi * brdf_at_angles(lower, angles, angles)
+    below = through * np.stack([np.interp(nm, lower.nm, values) for values in of_lower])
     flux = float(above.sum() * upper.alpha**2), float(below.sum() * lower.alpha**2)
     alpha = (flux[0] * upper.alpha + flux[1] * lower.alpha) / max(sum(flux), _DARK)
     slope, start = np.polyfit(x, np.log(np.maximum((above + below) * alpha**2, _DARK)), 1)

@@ -97,7 +97,7 @@ def picture(
     Raises:
         ModelError: shapes that do not fit, a direction without length, and as :func:`ink_table`.
     """
-    covered = _checked_coverage(surface, inks, lights, coverage)
+    inks, covered = with_bases(inks, _checked_coverage(surface, inks, lights, coverage))
     normal = np.ascontiguousarray(surface.normal, dtype=np.float32)
     result = np.empty_like(normal) if out is None else _checked_target(out, normal)
     camera = _unit(to_camera)
@@ -113,6 +113,13 @@ def picture(
     most = min(SHARES_A_THREAD * threads.count(), -(-len(normal) // ROWS_A_SHARE))
     threads.each(lambda share: shade(share, result), threads.runs(len(normal), most))
     return result
+
+
+def with_bases(inks: Sequence[Ink], coverage: Float32) -> tuple[tuple[Ink, ...], Float32]:
+    """Inks and (rows, cols, K) coverage in which the base of an ink is one more ink that covers the same."""
+    parts = [ink.parts for ink in inks]
+    shares = np.repeat(coverage, [len(one) for one in parts], axis=2)
+    return tuple(part for one in parts for part in one), np.ascontiguousarray(shares)
 
 
 def _checked_target(out: Float32, normal: Float32) -> Float32:

@@ -188,11 +188,29 @@ def test_with_a_stated_noise_beckmanns_lobe_and_a_matte_print_are_found(rng):
     np.testing.assert_allclose(matte.rho, 0.4 * np.pi, rtol=0.1)
 
 
+def test_paper_below_the_flakes_is_a_base(rng):
+    """Of a reflectance of 20 % for red, which adds R/π everywhere; the ink that is made of the fit has it."""
+    red, sheet = synthetic_ink("synthetic-red"), np.linspace(0.05, 0.35, 41)
+    noise = 1.0 + 0.02 * rng.standard_normal((len(places()), 41))
+    at = places()
+    value = noise * (brdf_at_angles(red, at[:, 0], at[:, 1]) + sheet / np.pi)
+    found = fit(replace(readings(red), value=value.ravel()), noise=0.02)
+    assert found.fits
+    (paper,) = found.base
+    assert (paper.name, paper.alpha) == ("paper", 1.0)
+    np.testing.assert_allclose(paper.rho / 4.0, sheet, rtol=0.08)
+    assert abs(found.alpha - 0.19) < 4.0 * found.u_alpha
+    assert abs(found.distribution - 1.0) < 0.1
+    ink = found.ink("on paper")
+    np.testing.assert_allclose(brdf_at_angles(ink, 30.0, -70.0), sheet / np.pi, rtol=0.15)
+
+
 def test_an_ink_that_no_model_describes_is_rejected(rng, anisoscope, tmp_path):
-    """Two lobes beside each other, of a sharp and of a blunt print."""
+    """A lobe with rings."""
     red = synthetic_ink("synthetic-red")
-    sharp, blunt = readings(replace(red, alpha=0.08), rng), readings(replace(red, alpha=0.4))
-    both = replace(sharp, value=0.5 * sharp.value + 0.5 * blunt.value)
+    both = readings(red, rng)
+    half = np.abs(both.theta_i_deg - both.theta_o_deg) / 2.0
+    both = replace(both, value=both.value * (1.0 + 0.4 * np.cos(np.radians(36.0 * half))))
     columns = both.theta_i_deg, both.theta_o_deg, both.wavelength_nm, both.value
     rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
     (tmp_path / "red.csv").write_text(

@@ -7,6 +7,7 @@ docs/evidence/prints.md anew.
 import os
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point, xyz_weights
 from anisoscope.sim.light.colour.spaces import ciede2000, lab
 from anisoscope.sim.light.colour.vision import Sensitivities, Vision
+from anisoscope.sim.light.ink.angles import goniometer
 from anisoscope.sim.light.ink.model import brdf_at_angles
 from anisoscope.sim.materials.inks import InkFileError, read_ink, synthetic_ink, write_ink
 from anisoscope.sim.materials.spectra import find_illuminant
@@ -51,6 +53,7 @@ DEFECTS = {
 }
 
 
+@cache
 def fitted(**changes):
     """The ink of that world by goniometer and fit."""
     light, detector, nm, value = world.goniometer(world.Print(**changes), np.random.default_rng(1))
@@ -103,9 +106,8 @@ def test_the_ink_file_says_what_it_does_not_describe(house):
     known = house.expected.scene.ink.uncertainty
     assert known == read_ink(Path(house.recipe.print.ink)).uncertainty
     assert known.alpha_share > 0.012
-    assert (
-        0.05 < known.misfit_share[0] < 0.15 < max(known.misfit_share[:5])
-    )  # mirror direction, and within the lobe
+    assert known.misfit_share[0] < 0.03  # mirror direction
+    assert max(known.misfit_share[:10]) > 0.1  # within the lobe
     assert {source.name for source in house.expected.misfit} == {
         "misfit of the ink file",
         "misfit of the ink file in colour",
@@ -131,24 +133,62 @@ def test_a_near_lamp_whose_distance_is_known_is_no_curl(house):
         decide_print(replace(house.expected, lamp_distance_mm=known), measured, recipe).map.record
         for known in (None, 80.0)
     )
-    assert np.diag(far.curl_deg) == pytest.approx([0.67, 0.67], abs=0.08)
+    assert np.diag(far.curl_deg) == pytest.approx([0.72, 0.72], abs=0.1)
     assert np.abs(near.curl_deg).max() < 1.645 * near.u_curl_deg < 0.3
     assert near.share <= far.share
 
 
-def test_the_fit_decides_by_the_bright_part_of_a_foreign_lobe(house):
-    """CIEDE2000 in the mirror direction: 9 to 12 where all readings count alike, as the dim flank then decides."""
-    theta_deg = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
-    theta, zero = np.radians(theta_deg), np.zeros(5)
-    ways = [np.column_stack([side * np.sin(theta), zero, np.cos(theta)]) for side in (-1.0, 1.0)]
+def off_by(one, found):
+    """CIEDE2000 of a fit in the mirror direction, (300, W) z where nothing was read, and (300,) half angles."""
+    ink, known = found.ink("foreign"), found.uncertainty
     light = find_illuminant("d65")
     weights, white = np.pi * xyz_weights(light, world.NM[::5]), white_point(light)
-    true = world.Print().brdf(*ways)[:, ::5] @ weights
-    seen = brdf_at_angles(house.expected.scene.ink, theta_deg, theta_deg) @ weights
-    bright = true[:, 1].max()
-    assert ciede2000(lab(true / bright, white), lab(seen / bright, white)).max() < 5.5
-    words = next(line for line in fitted().warnings if "bright" in line)
-    assert "in the mirror direction +4.7 % off (rms 15 %)" in words
+    theta_deg = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+    true = one.brdf(*goniometer(theta_deg, theta_deg))[:, ::5] @ weights
+    seen = brdf_at_angles(ink, theta_deg, theta_deg) @ weights
+    delta_e = ciede2000(lab(true / true[:, 1].max(), white), lab(seen / true[:, 1].max(), white))
+    rng = np.random.default_rng(2)
+    i, o = rng.uniform(5.0, 60.0, 300), rng.uniform(-30.0, 70.0, 300)
+    away = np.log(one.brdf(*goniometer(i, o))[:, ::5]) - np.log(brdf_at_angles(ink, i, o))
+    rougher = replace(ink, alpha=1.001 * ink.alpha)
+    of_alpha = np.log(brdf_at_angles(rougher, i, o) / brdf_at_angles(ink, i, o)) / 0.001
+    half, x = np.abs(i - o) / 2.0, 1.0 - np.cos(np.radians((i + np.abs(o)) / 2.0))
+    misfit = [
+        np.interp(half, known.misfit_at_deg, one) for one in (known.misfit_share, known.misfit_colour_share)
+    ]
+    of_place = np.hypot(*misfit) ** 2 + (known.c * x) ** 2 + known.rho_share**2 + known.colour_share**2
+    return delta_e, away / np.sqrt(of_place[:, None] + (known.alpha_share * of_alpha) ** 2), half
+
+
+@pytest.mark.parametrize(
+    ("changes", "largest"),
+    [({}, 1.5), ({"peaked": True, "film_nm": 80, "narrow_slope": 0.07, "cover": 0.8, "sheet": 0.4}, 8.5)],
+    ids=["two lobes under gloss", "a lobe with a cusp, on paper"],
+)
+def test_the_fit_of_a_foreign_lobe_says_how_far_it_is_off(changes, largest):
+    """In the mirror direction (2.7 to 5 for two lobes where no base is fitted), and by its u where nothing was read."""
+    found = fitted(**changes)
+    delta_e, z, half = off_by(world.Print(**changes), found)
+    assert delta_e.max() < largest
+    assert found.mirror_delta_e > 0.7 * np.sqrt(np.mean(delta_e**2))
+    assert np.sqrt(np.mean(z**2)) < 1.3
+    assert np.sqrt(np.mean(z[half < 12.0] ** 2)) < 1.3
+
+
+@pytest.mark.statistics
+def test_ten_foreign_prints_drawn_at_random():
+    rng, found = np.random.default_rng(20261130), []
+    for _ in range(10):
+        narrow = rng.uniform(0.06, 0.16)
+        ends = {"film_nm": (55, 170), "wide_slope": (1.7 * narrow, 2.5 * narrow), "wide": (0.0, 0.4)}
+        ends |= {"gloss": (0.08, 0.5), "spread": (0.03, 0.1), "cover": (0.7, 1.0), "sheet": (0.02, 0.6)}
+        changes = {"narrow_slope": narrow} | {name: rng.uniform(*pair) for name, pair in ends.items()}
+        delta_e, z, _ = off_by(world.Print(**changes), fitted(**changes))
+        found.append([np.sqrt(np.mean(one**2)) for one in (delta_e, z)])
+    print(np.round(found, 2))  # noqa: T201 - what the study found
+    delta_e, z = np.transpose(found)
+    assert z.max() < 1.3
+    assert np.sqrt(np.mean(delta_e**2)) < 1.5
 
 
 HOUSES = {
@@ -208,13 +248,11 @@ def test_a_wrong_uncertainty_is_one_line(house, tmp_path, line, message):
 
 
 def test_good_prints_are_no_failures_of_an_ink_file_that_knows_its_misfit(house):
-    """The roughness is off by more than its limit: the file says itself how little it knows."""
     for seed in range(3):
         decision = house.decided(seed)
         assert decision.verdict is Verdict.INCONCLUSIVE
         assert decision.misfit is None
         assert "knows its prints too badly" in decision.not_described
-        assert abs(decision.quantities[0].deviation) > 0.05
 
 
 def test_an_ink_file_that_does_not_describe_the_print_says_so(tmp_path, make_recipe, golden_of):
@@ -291,6 +329,7 @@ def test_rates_in_another_world(house):
         lines.append("| " + " | ".join(cells) + " |")
     if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
         before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        head = f"| print ({TRIALS}, and {GOOD} good ones with golden) | by its ink file | by three golden prints |"
+        print_ = f"print ({TRIALS} each, {GOOD} good ones with golden prints)"
+        head = f"| {print_} | by its ink file | by three golden prints |"
         table = "\n".join([head, "|---|---|---|", *lines])
         PAGE.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
