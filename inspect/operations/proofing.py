@@ -15,7 +15,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
 from anisoscope.parameters.keywords import by_keywords
-from anisoscope.parameters.proof import FilmSettings, ProofSettings, ProofView
+from anisoscope.parameters.proof import FilmSettings, ProofSettings, ProofView, Separating
 from anisoscope.report.proof_page import Proof, ProofLight, ProofMesh, write_proof_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point
@@ -148,6 +148,12 @@ class Films:
         return paths
 
 
+def _separated(inks: tuple[Ink, ...], lamp: Illuminant, how: Separating) -> Separation:
+    return separation(
+        inks, lamp, way=how.way, angle_deg=how.angle_deg, gain=how.gain, substrate=how.substrate
+    )
+
+
 def film_paths(out: Path, inks: Sequence[Ink]) -> tuple[Path, ...]:
     """The picture of all dots and, next to it, each ink's film, named after the ink."""
     names = [out]
@@ -180,7 +186,7 @@ def halftone(
     """
     chosen = _inks(inks)
     lamp = find_illuminant(films.illuminant)
-    plan = separation(chosen, lamp, way=films.way, angle_deg=films.angle_deg, gain=films.gain)
+    plan = _separated(chosen, lamp, films)
     picture = read_image(Path(image))
     size = films.width_mm
     dots = picture.srgb.shape[1] if size is None else round(size / MM_AN_INCH * films.dpi)
@@ -211,6 +217,7 @@ class SoftProof:
         notes: what was converted in the image.
         mesh: shape to print on.
         pressed: what a press makes of the dots.
+        substrate: diffuse reflectance of the sheet.
         exposure: factor on linear light at which 99 % of the print are below 0.9.
     """
 
@@ -223,6 +230,7 @@ class SoftProof:
     notes: tuple[str, ...] = field(metadata=LEFT_OUT)
     mesh: Mesh | None = field(metadata=LEFT_OUT)
     pressed: Pressed | None = field(metadata=LEFT_OUT)
+    substrate: float = field(default=0.0, metadata=LEFT_OUT)
     exposure: float = 1.0
 
     @property
@@ -254,7 +262,9 @@ class SoftProof:
         where = surface(self.scene, size, size)
         extras = PHOTO if view.match else None
         cover = printed(where, self.tones)
-        return proof_picture(where, inks, lights, cover, model=view.ink_model, extras=extras)
+        return proof_picture(
+            where, inks, lights, cover, model=view.ink_model, extras=extras, substrate=self.substrate
+        )
 
     def exposed(self) -> "SoftProof":
         """The same with its exposure."""
@@ -331,6 +341,7 @@ class SoftProof:
             mesh=None if mesh is None else _vertices(mesh),
             photo=None if photo is None else photo_uri(read_image(photo)),
             still=picture_png(self.picture(STILL_SIDE)),
+            substrate=self.substrate,
         )
 
     def _start(self, photo: bool) -> dict[str, Any]:
@@ -414,7 +425,7 @@ def soft_proof(
     chosen = _inks(inks)
     lamps = tuple(find_illuminant(text) for text in settings.illuminants)
     solid = None if settings.mesh is None else read_obj(Path(settings.mesh))
-    plan = separation(chosen, lamps[0], way=settings.way, angle_deg=settings.angle_deg, gain=settings.gain)
+    plan = _separated(chosen, lamps[0], settings)
     picture: Image = read_image(Path(image))
     pixels = to_dots(picture, settings.dots or picture.srgb.shape[1])
     # The page holds all dots in one WebGL texture, whose side is limited; a PNG has no such limit.
@@ -440,5 +451,14 @@ def soft_proof(
         )
         tones = ndimage.uniform_filter(shares, (TONE_DOTS, TONE_DOTS, 1), mode="nearest")
     return SoftProof(
-        primaries, lamps, found, shares, tones, view or ProofView(), picture.notes, solid, result
+        primaries,
+        lamps,
+        found,
+        shares,
+        tones,
+        view or ProofView(),
+        picture.notes,
+        solid,
+        result,
+        settings.substrate,
     ).exposed()

@@ -55,12 +55,21 @@ class Separating:
         way: Coverages that meet the image's colours, or its linear R, G, B as coverages.
         angle_deg: Inclination of light and eye, on opposite sides, for which it is separated, in degrees.
         gain: Factor on the image's linear light; above 1 the bright parts are cut.
+        substrate: Diffuse reflectance of the sheet between the inks.
+
+    Raises:
+        UsageError: a reflectance outside of 0 to 1.
     """
 
     method: Literal["mask", "diffusion"] = "mask"
     way: Literal["match", "channels"] = "match"
     angle_deg: float = 20.0
     gain: float = 1.0
+    substrate: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.substrate <= 1.0:
+            raise UsageError(f"--substrate takes a reflectance of 0 to 1, not {self.substrate:g}")
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,7 @@ class FilmSettings(Separating):
     dpi: float = 300.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 1.0 <= self.dpi <= 20000.0:
             raise UsageError(f"--dpi takes 1 to 20000, not {self.dpi:g}")
         if self.width_mm is not None and not 0.0 < self.width_mm < math.inf:

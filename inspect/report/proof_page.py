@@ -80,6 +80,7 @@ class Proof:
         mesh: for the shape "mesh".
         photo: a data URI.
         still: PNG of the first state, for browsers without WebGL.
+        substrate: diffuse reflectance of the sheet.
     """
 
     title: str
@@ -100,6 +101,7 @@ class Proof:
     mesh: ProofMesh | None = None
     photo: str | None = None
     still: bytes | None = None
+    substrate: float = 0.0
     selftest: tuple[State, ...] = field(default=())
 
 
@@ -113,9 +115,10 @@ def write_proof_page(proof: Proof, path: Path) -> None:
     if not 1 <= len(proof.inks) <= 3 * min(len(proof.halftone_pngs), len(proof.tones_pngs)):
         raise UsageError(f"a proof of {len(proof.inks)} inks needs a picture for every three of them")
     for ink in proof.inks:
-        if tail_of(ink.distribution) != 1.0:
+        if tail_of(ink.distribution) != 1.0 or ink.base:
             raise UsageError(
-                f"{ink.name}: the page draws the distribution 'ggx', not {ink.distribution!r}: use --png"
+                f"{ink.name}: the page draws the distribution 'ggx' without a base, not {ink.distribution!r}"
+                f"{' with one' if ink.base else ''}: use --png"
             )
     models = [(key, LABELS[key]) for key in MODELS]
     shapes = [("sphere", "sphere"), ("cylinder", "cylinder"), ("plane", "plane")]
@@ -161,6 +164,7 @@ def _data(proof: Proof) -> dict[str, Any]:
         "tones": [png_uri(one) for one in proof.tones_pngs],
         "aspect": proof.aspect,
         "exposure": proof.exposure,
+        "substrate": proof.substrate,
         "fill": proof.fill,
         "second": list(proof.second_light_deg),
         "start": proof.start,

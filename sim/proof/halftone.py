@@ -131,6 +131,7 @@ class _Job:
     colours: Float32
     solvers: Float32
     exact: int
+    bare: Float32
     plan: Separation
 
     def cover(self, begin: int, stop: int, counts: npt.NDArray[np.int64]) -> Float32:
@@ -145,6 +146,7 @@ class _Job:
                 linear = np.concatenate([linear - common, common], axis=-1)
             limit_sum(linear, counts)
             return np.asarray(linear)
+        linear = linear - self.bare
         found = np.empty((*linear.shape[:2], self.plan.inks), dtype=np.float32)
         scratch = np.empty((2, self.plan.inks), dtype=np.float32)
         separate(linear, self.colours, self.solvers, self.exact, TOLERANCE, found, counts, scratch)
@@ -165,7 +167,8 @@ def _job(image: npt.NDArray[np.uint8] | Float32, plan: Separation) -> _Job:
     levels = (plan.gain * decode_srgb()).astype(np.float32)
     solvers, exact = plan.solvers
     solvers = (solvers.astype(np.float64) @ plan.adaptation).astype(np.float32)
-    return _Job(image, levels, (backward @ plan.colours).astype(np.float32), solvers, exact, plan)
+    added, bare = ((backward @ one).astype(np.float32) for one in (plan.added, plan.bare))
+    return _Job(image, levels, added, solvers, exact, bare, plan)
 
 
 def coverage(image: npt.NDArray[np.uint8] | Float32, plan: Separation) -> Float32:

@@ -80,6 +80,7 @@ def proof_picture(
     *,
     model: Model = "goniochromatic",
     extras: Extras | None = None,
+    substrate: float = 0.0,
 ) -> Float32:
     """(rows, cols, 3) linear sRGB of a print, as `anisoscope.sim.light.ink.shading.picture` gives it, with extras.
 
@@ -94,14 +95,17 @@ def proof_picture(
             replace(lights[0], to_light=(-x, -y, -z), irradiance=more.behind * lights[0].irradiance)
         )
     found = picture(where, inks, shining, coverage=coverage, model=model)
-    if more.phong > 0.0 or more.scattering > 0.0:
+    bare = np.zeros(1)
+    if substrate > 0.0 and coverage is not None:  # one ink without a coverage leaves nothing bare
+        bare = substrate / np.pi * np.clip(1.0 - np.sum(coverage, axis=2), 0.0, 1.0)
+    if more.phong > 0.0 or more.scattering > 0.0 or bare.any():
         for light in shining:
-            found += _paper(where, light, more)
+            found += _paper(where, light, more, bare)
     return found
 
 
-def _paper(where: Surface, light: Light, extras: Extras) -> Float32:
-    """(rows, cols, 3) light that the bare paper sends back beneath the inks."""
+def _paper(where: Surface, light: Light, extras: Extras, bare: FloatArray) -> Float32:
+    """(rows, cols, 3) light that the paper sends back beneath the inks, and, by its (rows, cols) BRDF, between them."""
     to_light = np.array(light.to_light) / np.linalg.norm(light.to_light)
     camera = np.array(UPWARD)
     normal = where.normal.astype(np.float64)
@@ -109,7 +113,7 @@ def _paper(where: Surface, light: Light, extras: Extras) -> Float32:
     mirrored = np.maximum(2.0 * cos_i * cos_o - float(to_light @ camera), 0.0)
     lobe = extras.phong * (extras.shininess + 2.0) / (2.0 * np.pi) * mirrored**extras.shininess
     scattered = extras.scattering / (4.0 * np.pi) / np.maximum(cos_i + cos_o, 1e-12)
-    value = np.where((cos_i > 0.0) & (cos_o > 0.0), light.irradiance * cos_i * (lobe + scattered), 0.0)
+    value = np.where((cos_i > 0.0) & (cos_o > 0.0), light.irradiance * cos_i * (lobe + scattered + bare), 0.0)
     return np.asarray(value[..., None] * linear_srgb(white_point(light.illuminant)), dtype=np.float32)
 
 

@@ -4,14 +4,14 @@ Coverage is linear: an ink that covers a share w of the paper adds w times its c
 gamma to correct, and an ICC profile has nothing to say about the print. The image is sRGB (an embedded profile is
 applied when it is read); it is made linear, adapted from sRGB's white to the white of the light (Bradford), and met by
 non-negative least squares in linear sRGB with the inks' own colours, seen in one geometry. The brightest neutral that
-the inks can mix is the white of the image.
+the inks can mix is the white of the image. A sheet that is not black shows where no ink is: colours then count from it.
 
 With a fourth ink, such as a white one, a colour has many mixtures: the one with the least ink is taken. It leaves room
 for brighter colours, so that neutrals are printed with the white ink as far as it goes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Literal
 
@@ -52,6 +52,7 @@ class Separation:
         gain: on the image's linear values; above 1 the bright parts are cut.
         angle_deg: inclination of light and eye, on opposite sides.
         illuminant: name of the light.
+        bare: (3,) linear sRGB of the sheet without ink, in the scale of ``colours``.
     """
 
     way: Way
@@ -62,6 +63,12 @@ class Separation:
     gain: float
     angle_deg: float
     illuminant: str
+    bare: FloatArray = field(default_factory=lambda: np.zeros(CHANNELS))
+
+    @property
+    def added(self) -> FloatArray:
+        """(3, K) by how much an ink changes the colour of the sheet where it covers it."""
+        return self.colours - self.bare[:, None]
 
     @property
     def inks(self) -> int:
@@ -74,9 +81,9 @@ class Separation:
 
         Those are of three inks and come first.
         """
-        exact = [_solver(self.colours, chosen) for chosen in _mixing(self.colours)]
+        exact = [_solver(self.added, chosen) for chosen in _mixing(self.added)]
         sets = [list(one) for count in (2, 1) for one in combinations(range(self.inks), count)]
-        found = exact + [_solver(self.colours, chosen) for chosen in sets]
+        found = exact + [_solver(self.added, chosen) for chosen in sets]
         return np.array(found, dtype=np.float32), len(exact)
 
 
@@ -107,12 +114,21 @@ def separation(
     way: Way = "match",
     angle_deg: float = ANGLE_DEG,
     gain: float = 1.0,
+    substrate: float = 0.0,
 ) -> Separation:
     """Make ready to turn images into coverages of three or four inks.
 
+    Args:
+        inks: red, green, blue, and perhaps white.
+        illuminant: the light.
+        way: of the separation.
+        angle_deg: inclination of light and eye, on opposite sides.
+        gain: on the image's linear values.
+        substrate: diffuse reflectance of the sheet.
+
     Raises:
-        ModelError: fewer or more inks, inks of which one can be mixed from the others or which cannot mix a white, an
-            angle outside of 0 to 85°, or a gain that is not above 0.
+        ModelError: a sheet brighter than the inks, fewer or more inks, inks of which one can be mixed from the others
+            or which cannot mix a white, an angle outside of 0 to 85°, or a gain that is not above 0.
     """
     if not FEWEST_INKS <= len(inks) <= MOST_INKS:
         raise ModelError(f"dot off dot needs three or four inks, not {len(inks)}")
@@ -139,9 +155,14 @@ def separation(
         raise ModelError(
             f"the inks mix no neutral under {illuminant.name} ({least} would be needed less than not at all)"
         )
-    return Separation(
-        way, seen * amounts.sum(), white, amounts / amounts.sum(), turn, gain, angle_deg, illuminant.name
-    )
+    bare = substrate / np.pi * amounts.sum() * linear_srgb(white_point(illuminant))
+    if np.any(bare >= white):
+        raise ModelError(
+            f"a sheet of reflectance {substrate:g} is brighter than the white of the inks at {angle_deg:g}°, so that "
+            "ink would darken it: take a darker sheet"
+        )
+    neutral = amounts / amounts.sum()
+    return Separation(way, seen * amounts.sum(), white, neutral, turn, gain, angle_deg, illuminant.name, bare)
 
 
 def decode_srgb() -> FloatArray:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.ink.options import NAMES, InksOption, OverwriteOption, printed_inks
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Flag, Json, check_new, check_target
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from anisoscope.operations.proofing import Films
 
 
-@with_options(films=Options(FilmSettings, names=NAMES, whole=True))
+@with_options(films=Options(FilmSettings, names=NAMES, groups={"substrate": MORE}, whole=True))
 def halftone(
     image: Path,
     /,

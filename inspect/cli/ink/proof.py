@@ -26,7 +26,7 @@ PRESS = Group("Press", help="Inks are printed in the order in which they are nam
 OF_SETTINGS = Options(
     ProofSettings,
     names={**NAMES, "illuminants": "--illuminant"},
-    groups={"method": MORE, "gain": MORE},
+    groups={"method": MORE, "gain": MORE, "substrate": MORE},
     whole=True,
 )
 OF_VIEW = Options(ProofView, VIEW, names={"pitch_deg": "--pitch-angle"}, default=ProofView())

@@ -42,7 +42,8 @@ void cover(vec2 uv, vec2 dx, vec2 dy, bool outer) {
 float hidden(float slant) { return 0.5 * (sqrt(1.0 + slant) - 1.0); }
 vec3 shaded(vec3 n, vec3 t) {
   vec3 total = vec3(0.0), eye = vec3(0.0, 0.0, 1.0), b = cross(n, t);
-  float cos_o = min(n.z, 1.0);
+  float cos_o = min(n.z, 1.0), bare = 1.0;
+  for (int k = 0; k < INKS; k++) bare -= w[k];
   for (int j = 0; j < 3; j++) {
     if (j >= lights) break;
     vec3 l = light[j].xyz, h = (l + eye) / max(length(l + eye), 1e-6);
@@ -70,7 +71,7 @@ vec3 shaded(vec3 n, vec3 t) {
     }
     float mirrored = max(2.0 * cos_i * cos_o - l.z, 0.0);
     float paper = extras.x * (extras.y + 2.0) / (2.0 * PI) * (mirrored > 0.0 ? pow(mirrored, extras.y) : 0.0)
-      + extras.z / (4.0 * PI * (cos_i + cos_o));
+      + extras.z / (4.0 * PI * (cos_i + cos_o)) + extras.w / PI * max(bare, 0.0);
     total += light[j].w * cos_i * paper * white;
   }
   return total;
@@ -263,7 +264,7 @@ function draw(state, model, view, ground) {
   gl.uniform1i(u("row"), (state.illuminant * DATA.models.length + m) * DATA.inks.length);
   gl.uniform1i(u("print"), kind_of(state.print));
   gl.uniform1i(u("each_dot"), state.dots === "each" ? 1 : 0);
-  gl.uniform4fv(u("extras"), state.match ? [state.phong, state.shininess, state.scattering, 0] : [0, 0, 0, 0]);
+  gl.uniform4fv(u("extras"), state.match ? [state.phong, state.shininess, state.scattering, DATA.substrate] : [0, 0, 0, DATA.substrate]);
   gl.uniform3fv(u("white"), lamp.white);
   gl.uniform1f(u("exposure"), DATA.exposure * 2 ** state.exposure);
   gl.uniform4fv(u("view"), view);

@@ -63,6 +63,7 @@ def test_halftone_says_what_was_lost(anisoscope, image, tmp_path):
         (["--out", "x.png", "--inks", "synthetic-red"], "three inks"),
         (["--out", "x.png", "--inks", "synthetic-red,synthetic-red,synthetic-blue"], "too much alike"),
         (["--out", "x.png", "--angle", "88"], "0 to 85"),
+        (["--out", "x.png", "--substrate", "1.5"], "--substrate takes"),
     ],
 )
 def test_mistakes_are_told_in_one_line(anisoscope, image, arguments, message):

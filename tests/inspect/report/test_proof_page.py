@@ -65,7 +65,7 @@ def proof(tmp_path_factory):
         title="Soft proof of <test>", subtitle="for a test", inks=inks, lights=lights, halftone_pngs=layers(dots),
         tones_pngs=layers(tones), aspect=12 / 9, exposure=EXPOSURE, fill=0.96, second_light_deg=SECOND, start=START,
         roughness=(("file", "as in the files", None), ("brushed", "brushed", 0.19), ("own", "own", None)),
-        mesh=ProofMesh(vertices, mesh.triangles.astype(np.uint32)), photo=PIXEL, still=layers(dots)[0],
+        mesh=ProofMesh(vertices, mesh.triangles.astype(np.uint32)), photo=PIXEL, still=layers(dots)[0], substrate=0.2,
     )  # fmt: skip
     path = folder / "proof.html"
     write_proof_page(content, path)
@@ -110,7 +110,9 @@ def core(case, content, mesh, prints, size):
         if case["match"]
         else None
     )
-    linear = proof_picture(where, inks, lights, cover, model=case["model"], extras=extras)
+    linear = proof_picture(
+        where, inks, lights, cover, model=case["model"], extras=extras, substrate=content.substrate
+    )
     adapt = adaptation(lamp) if case["adapt"] else None
     shown = np.any(where.normal != 0.0, axis=-1)
     around = np.pad(shown, 1)

@@ -8,6 +8,9 @@ from scipy.optimize import linprog, nnls
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import standard
+from anisoscope.sim.light.colour.observer import xyz_weights
+from anisoscope.sim.light.colour.spaces import linear_srgb
+from anisoscope.sim.light.ink.model import brdf_at_angles
 from anisoscope.sim.materials.inks import PACKAGED, synthetic_ink
 from anisoscope.sim.proof.halftone import BLOCK, coverage, halftone
 from anisoscope.sim.proof.separation import decode_srgb, separation
@@ -81,6 +84,23 @@ def test_colours_of_the_inks_come_back_under_either_light(inks):
         white = coverage(np.full((1, 1, 3), 255, dtype=np.uint8), plan)[0, 0]
         assert white.sum() == pytest.approx(1.0, abs=1e-5)
         np.testing.assert_allclose(white, plan.neutral, atol=1e-4)
+
+
+def test_a_sheet_that_shines_between_the_dots_is_counted(inks, d65):
+    """Spectra of the print, summed: 20 % of grey sheet and the image's colour come out, up to what white is."""
+    plan = separation(inks, d65, substrate=0.2)
+    image = np.float32([[[0.9, 0.8, 0.7], [0.4, 0.5, 0.5], [0.6, 0.45, 0.4]]])
+    covered = coverage(image, plan)[0]
+    assert covered.min() > 0.0
+    spectra = np.stack([brdf_at_angles(ink, 20.0, 20.0) for ink in inks])
+    shown = covered @ spectra + (1.0 - covered.sum(axis=1, keepdims=True)) * 0.2 / np.pi
+    seen = linear_srgb(shown @ xyz_weights(d65, inks[0].nm))
+    white = linear_srgb(plan.neutral @ spectra @ xyz_weights(d65, inks[0].nm))
+    np.testing.assert_allclose(seen / white, image[0], rtol=5e-3)
+    black = coverage(np.zeros((1, 1, 3), dtype=np.uint8), plan)
+    assert black.sum() == 0.0  # no darker than the sheet
+    with pytest.raises(ModelError, match="brighter than the white of the inks"):
+        separation([replace(ink, alpha=0.6) for ink in inks], d65, substrate=0.9)
 
 
 def test_coverage_is_linear_in_light(plan):

@@ -27,6 +27,18 @@ def test_without_extras_it_is_the_picture_of_the_inks(inks, d65):
     )
 
 
+def test_a_bare_sheet_reflects_its_share_alike_in_all_models(inks, d65):
+    where = surface(Scene("plane"), 8, 8)
+    lights = [Light((0.0, 0.6, 0.8), np.pi, d65)]
+    half = np.full((1, 1, 3), 1.0 / 6.0)
+    white = linear_srgb(white_point(d65))
+    for model in ("goniochromatic", "schlick"):
+        shown, inked = (
+            proof_picture(where, inks, lights, half, model=model, substrate=share) for share in (0.4, 0.0)
+        )
+        np.testing.assert_allclose((shown - inked)[4, 4], 0.5 * 0.4 * 0.8 * white, rtol=1e-5)
+
+
 def test_single_scattering_head_on_is_albedo_over_eight(inks):
     lamp = standard("a")
     where = surface(Scene("plane"), 8, 8)
