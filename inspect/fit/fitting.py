@@ -421,6 +421,7 @@ RIVALS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a lobe with a tail", ("tail",)),
     ("a second lobe", ("second_weight", "second_width")),
     ("rounded crests", ("edge_radius_um",)),
+    ("rounded feet", ("foot_radius_um",)),
     ("a wall of another draft", ("draft_deg",)),
 )
 """What a rejected model may lack, and the parameters that are then free as well."""

@@ -15,9 +15,12 @@ from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.reflectance_scan import read_scan
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.material_file import read_material_file
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions, pose_grid
+from anisoscope.sim.pathtracer.plastic import Plastic
+from anisoscope.sim.pathtracer.tracer import PathTracer
 
 SMALL = {
     "sensor": {"rows": 288, "cols": 320, "hot_pixel_share": 0.0},
@@ -139,18 +142,18 @@ def test_readings_need_no_devices_in_the_rig_file(anisoscope, tmp_path):
     assert abs(read_material_file(out).material.tail - 0.7) < 0.1
 
 
-def test_frames_of_a_coupon_need_no_devices_either(anisoscope, tmp_path):
-    """Frames of closed-form radiances with specks for the alignment, and dark and flat frames beside them."""
-    poses = pose_grid((0.0,), tuple(np.arange(-10.0, 11.0, 1.25)))
-    truth = Material(0.15, 0.2, 0.3)
-    light = corrected.radiance(*directions(poses, Convention()), scan_design(0.0), truth)
-    noise = np.random.default_rng(4)
+def test_frames_of_a_coupon_need_no_devices_either(anisoscope, tmp_path, judged_figure):
+    """Frames of the path tracer's radiances with specks for the alignment, and dark and flat frames beside them."""
+    poses = pose_grid((0.0, 90.0), tuple(np.arange(-10.0, 11.0, 2.5)))
+    flat = PathTracer(HeightMap(np.zeros((3, 3)), 1.0, 1.0), Plastic(0.15, 0.2, 0.3))
+    light = np.array([flat.direct(*one).mean() for one in zip(*directions(poses, Convention()), strict=True)])
+    noise = np.random.default_rng(6)
     lines = ["file,kind,stage_deg,tilt_deg,exposure_s,gain,bit_depth,black_level"]
 
     specks = 1.0 + 0.3 * np.kron(noise.uniform(-1.0, 1.0, (48, 48)), np.ones((3, 3)))
 
     def frame(kind, pose, level):
-        name, shown = f"{kind}{len(lines)}.tif", specks
+        name, shown = f"{kind}{len(lines)}.tif", np.rot90(specks, round(pose.stage_deg / 90.0))
         counts = (
             noise.normal(64.0 + level * (shown if kind == "sample" else 1.0), 3.0, (144, 144))
             .round()
@@ -181,6 +184,12 @@ def test_frames_of_a_coupon_need_no_devices_either(anisoscope, tmp_path):
     found, u = read_material_file(out).material, read_material_file(out).covariance.u()
     assert abs(np.log(found.alpha_along / 0.15)) < 3.0 * u["ln_alpha_along"] < 1.5
     assert abs(np.log(found.alpha_across / 0.2)) < 3.0 * u["ln_alpha_across"] < 1.5
+    shown = [
+        f"{value:.3f} ± {value * u[f'ln_{name}']:.3f}"
+        for name, value in (("alpha_along", found.alpha_along), ("alpha_across", found.alpha_across))
+    ]
+    what = "coupon of α .15 and .2 in frames, rig file without devices"
+    judged_figure("Fits", what, "own path tracer", " and ".join(shown), "α within 3 u")
 
 
 def test_a_plastic_of_another_family_is_warned_of_and_exit_code_3(rig_file, anisoscope, tmp_path):
