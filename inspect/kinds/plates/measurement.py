@@ -113,7 +113,7 @@ def measure_plate(
     check_views(views)
     grid, points = plate_grid(recipe, expected.plan, pixel_um)
     aligned = _aligned(views, grid)
-    interior = recipe.fields.interior
+    interior = recipe.interior
     # turned, it may show borders in too few poses to be placed
     check_lying(np.array([field_means(one, points, interior) for one in aligned]), expected)
     places = tuple(field_places(one, points, expected.plan.classes()) for one in aligned)
@@ -300,5 +300,5 @@ def read_code(picture: Image, recipe: PlateRecipe, points: int) -> str | None:
     if recipe.code is None:
         return None
     known = np.nan_to_num(picture, nan=float(np.nanmedian(picture)))
-    means = field_means(known, points, recipe.fields.interior)
+    means = field_means(known, points, recipe.interior)
     return read_plate(known, points, means, recipe.code.symbology)

@@ -32,7 +32,7 @@ def fields_by_map(
     azimuths = tuple(plan.azimuths_deg[letter] for letter in plan.letters)
     design = recipe.surface.ridge_design()
     ridges = tuple(plan.design_of(letter, design) for letter in plan.letters)
-    grid = FieldGrid(plan.classes(), azimuths, ridges, recipe.fields.interior)
+    grid = FieldGrid(plan.classes(), azimuths, ridges, recipe.interior)
     return predict_fields(
         surface, grid, recipe.material.material(), poses, convention, recipe.surface.bounces
     )

@@ -173,6 +173,15 @@ class PlateRecipe(RecipeBase):
                     f"region.size_mm = {list(self.region.size_mm)}: take smaller fields, or a larger region"
                 )
 
+    @property
+    def interior(self) -> float:
+        """Share of the side of a field over which it is averaged: one pitch where `FieldsPart.interior` is below two.
+
+        A part of a second pitch would have more of the facet or more of the crest.
+        """
+        pitch = 1e-3 * self.surface.pitch_um / self.plan.module_mm
+        return pitch if pitch <= self.fields.interior < 2.0 * pitch else self.fields.interior
+
     def check_plan(self, path: Path) -> Plan:
         """The plan of the recipe, read and checked.
 

@@ -62,7 +62,7 @@ class GoldenPlates(ReferenceSet[GoldenPlate, PlateRecipe]):
         return {
             "plan": [plan.rows, dict(plan.azimuths_deg), plan.module_mm],
             "surface": [recipe.surface.pitch_um, recipe.surface.decides],
-            "interior": recipe.fields.interior,
+            "interior": recipe.interior,
         }
 
     def values(self) -> FloatArray:

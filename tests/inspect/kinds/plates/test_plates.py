@@ -138,7 +138,7 @@ def test_a_plate_worn_all_over_fails_by_its_classes_not_by_its_fields(expected, 
 @pytest.mark.parametrize("rule", ["note", "inconclusive"])
 def test_an_angle_that_all_fields_share_is_not_excluded_where_the_lobe_is_unmeasured(folder, rule):
     """Two degrees less look like another lobe, and no fault of a single field."""
-    table = two_poses() | {"decision": {"unexcluded": rule}}
+    table = demo.recipe() | {"decision": {"unexcluded": rule}}
     table["plan"] = table["plan"] | {"file": str(folder / "plan.csv")}
     table["material"] = {key: table["material"][key] for key in ("alpha_along", "alpha_across", "albedo")}
     recipe = PLATES.recipe.model_validate(table)
@@ -372,6 +372,11 @@ def test_good_and_worn_plates_of_two_ridges_a_field_are_placed_in_the_light_of_t
     np.testing.assert_allclose(0.1 * np.array(seen.places[0].shift), (0.016, -0.012), atol=0.004)
     found = decide_plate(expected, seen, recipe)
     assert (found.verdict, seen.texts) == ("PASS", (demo.TEXT,) * 2)
+    whole = np.array([one[50:650, 50:650].reshape(12, 50, 12, 50).mean(axis=(1, 3)) for one in light])
+    classes = expected.plan.classes()
+    for number in (0, 1):  # over whole pitches: of 1.4 a field shows a third less of its crests
+        ratio = seen.radiance[:, classes == number].mean(axis=1) / whole[:, classes == number].mean(axis=1)
+        np.testing.assert_allclose(ratio, 1.0, atol=0.01)
 
 
 def replace_shift(places, x, y):
