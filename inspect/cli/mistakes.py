@@ -296,6 +296,8 @@ def _with_options(error: UnusedCliTokensError, line: list[str]) -> list[str] | N
 
 
 def _option_of(path: Path, names: Collection[str]) -> str | None:
+    if path.is_dir():  # of frames or of inspections
+        return next((option for option in ("--frames", "--history") if option in names), None)
     for suffix, keys, options in FILE_OPTIONS:
         known = next((option for option in options if option in names), None)
         if known is None or path.suffix.lower() != suffix:

@@ -169,7 +169,10 @@ def _answer(found: Comparison, names: Sequence[str]) -> str:
     if most is None or most.difference is None or most.u is None:
         return verdicts
     if abs(most.ratio or 0.0) < FAR:
-        return f"{verdicts} {message('No judged number differs by more than twice its uncertainty.')}"
+        none = message(
+            "No number of the table differs by more than twice its uncertainty; the findings say what else does."
+        )
+        return f"{verdicts} {none}"
     differs = message(
         "Most different: {name}, by {difference} ± {reach} (k = 2).",
         name=translated(true_minus(number_name(most.label))),

@@ -69,6 +69,7 @@ inspect --recipe recipe.toml --rig rig.toml --serial A1 --frames nowhere | nowhe
 recipe check rig.toml | anisoscope recipe check recipe.toml
 rig home --rig bench.toml | anisoscope rig sim bench bench.toml --pty --write-rig rig.toml
 msa gauge gauge.csv | anisoscope msa gauge --csv gauge.csv
+msa gauge done | anisoscope msa gauge --history done
 msa gauge --csv gage.csv | anisoscope msa gauge --csv gauge.csv
 spc done/history.sqlite | anisoscope spc --history done/history.sqlite
 export week.csv | anisoscope export --csv-file week.csv
