@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.notation import true_minus
 from anisoscope.report.page import write_page
 
 PAGE_NAME = "batch.html"
@@ -89,7 +90,7 @@ def write_batch_page(
         "has_codes": any(slot.code for slot in slots),
         "has_lots": any(slot.lot or slot.cavity for slot in slots),
     }
-    write_page(path, "batch.html", content, {"duration": _duration})
+    write_page(path, "batch.html", content, {"duration": _duration, "typeset": true_minus})
 
 
 def tray_places(labels: Sequence[str]) -> tuple[int, list[tuple[int, int]]]:

@@ -36,8 +36,8 @@ def write_camera_page(path: Path, sheet: CameraSheet) -> None:
             f"{camera.cols} x {camera.rows} pixels, {camera.bit_depth} bit, serial number {camera.serial}",
         ),
         ("rig", record.rig),
-        ("operator", record.operator or "not said"),
-        ("temperature", "not said" if record.temperature_c is None else f"{number(record.temperature_c)} °C"),
+        *([("operator", record.operator)] if record.operator else []),
+        *([] if record.temperature_c is None else [("temperature", f"{number(record.temperature_c)} °C")]),
         ("software", record.software),
         (
             "method",

@@ -1,17 +1,20 @@
 """Page of a commissioning: findings, pictures, curves and tables."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.notation import true_minus
 from anisoscope.commissioning.commissioning import Commissioned
 from anisoscope.commissioning.model import RigModel
 from anisoscope.commissioning.observation import Picture
 from anisoscope.commissioning.record import Finding, FitRecord
 from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, new_figure, svg_uri
 from anisoscope.report.page import write_page
+from anisoscope.report.provenance import when
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +56,16 @@ def finding_row(finding: Finding) -> tuple[str, str, str, str, str, str, str]:
         text_of(finding.old),
         value,
         u_text(finding.u),
-        note,
+        true_minus(note),
+    )
+
+
+def _answer(findings: Sequence[Finding]) -> str:
+    """How much was found, and what the pictures do not show, in a sentence."""
+    found = sum(one.status == "found" for one in findings)
+    unclear = "; ".join(one.words for one in findings if one.status == "not identifiable")
+    return f"Found: {found} of {len(findings)} quantities." + (
+        f" Not identifiable: {unclear}." if unclear else ""
     )
 
 
@@ -150,6 +162,7 @@ def write_commission_page(done: Commissioned, path: Path) -> None:
     assert record.fit is not None
     content = {
         "title": f"Commissioning of {record.rig}",
+        "answer": _answer(record.findings),
         "record": record,
         "findings": [finding_row(finding) for finding in record.findings],
         "pictures": [
@@ -169,9 +182,9 @@ def write_commission_page(done: Commissioned, path: Path) -> None:
             )
             for one in record.fit.parameters
         ],
-        "correlation": [[f"{x:+.2f}".replace("-", "−") for x in row] for row in record.fit.correlation],
+        "correlation": [[f"{x:+z.2f}".replace("-", "−") for x in row] for row in record.fit.correlation],
     }
-    write_page(path, "commission.html", content)
+    write_page(path, "commission.html", content, {"when": when})
 
 
 def _quality(fit: FitRecord) -> str:

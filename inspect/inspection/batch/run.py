@@ -358,12 +358,10 @@ def write_summary(batch: BatchFile, folder: Path) -> Path:
         RecordError: it cannot be written.
     """
     path = folder / PAGE_NAME
+    files = (("tray list", batch.tray), ("recipe", batch.recipe), ("rig", batch.rig))
     facts = [
-        ("tray list", batch.tray),
-        ("recipe", batch.recipe),
-        ("rig", batch.rig),
-        ("operator", batch.operator or "not said"),
-        ("station", batch.station or "not said"),
+        *((name, Path(file).name) for name, file in files),
+        *((name, said) for name in ("operator", "station") if (said := getattr(batch, name))),
         ("begun", batch.created_at.replace("T", " ").replace("+00:00", " UTC")),
         ("software", batch.software),
         ("SHA-256 of the recipe", batch.recipe_sha256),

@@ -73,7 +73,7 @@ function text(light, number, place) {
     sum += light[4 * one]; count++; low = Math.min(low, light[4 * one]); high = Math.max(high, light[4 * one]);
   }
   const one = DATA.classes[number];
-  const field = number === FLAT ? "flat" : `class ${one.name}, facets toward ${one.azimuth}°, ridge angle ${one.angle}°: ${light[4 * number].toPrecision(3)} per sr`;
+  const field = number === FLAT ? "flat" : `class ${one.name}, facets toward ${String(one.azimuth).replace("-", "−")}°, ridge angle ${one.angle}°: ${light[4 * number].toPrecision(3)} per sr`;
   return `mean ${(sum / count).toPrecision(3)} per sr, fields from ${low.toPrecision(3)} to ${high.toPrecision(3)}. ${place}: ${field}.`;
 }
 showFields({palette, text, channels: 1});

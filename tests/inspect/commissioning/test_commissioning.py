@@ -161,6 +161,8 @@ def test_a_rig_with_tilt_is_found_and_its_file_put_right(lay_out, tmp_path):
     write_commission_page(done, page)
     text = page.read_text(encoding="utf-8")
     assert text.count("<img") == 3 + 2
+    found = sum(finding.status == "found" for finding in record.findings)
+    assert f"Found: {found} of {len(record.findings)} quantities." in text
     assert "http" not in text.replace("http-equiv", "").replace("http://www.w3.org", "")
     for finding in record.findings:
         assert finding.key in text
