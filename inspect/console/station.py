@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from anisoscope.base.crash import as_foreseen
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message, translated
+from anisoscope.base.language import shown as shown_text
 from anisoscope.base.printable import Printable
 from anisoscope.console.access import SINGLE_USER, Session
 from anisoscope.console.guided import Begin, Guided, Outcome, guides
@@ -152,9 +153,11 @@ class Station:
         shown["guide"] = self._guided.shown(content["guide"])
         if content["verdict"] is not None:
             verdict = content["verdict"]
-            words = {name: translated(verdict[name]) for name in ("finding", "action")}
+            words = {name: shown_text(translated(verdict[name])) for name in ("finding", "action")}
             words["word"] = message(verdict["verdict"])
-            shown["verdict"] = verdict | words | {"reasons": [translated(one) for one in verdict["reasons"]]}
+            shown["verdict"] = (
+                verdict | words | {"reasons": [shown_text(translated(one)) for one in verdict["reasons"]]}
+            )
         if content["checked"] is not None:
             checks = [
                 one | {"words": translated(one["words"]), "remark": translated(one["remark"])}

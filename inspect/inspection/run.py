@@ -332,7 +332,7 @@ def _until(cancel: threading.Event | None, on_progress: Advance) -> Advance:
 
     def advance(doing: str, done: int, total: int) -> None:
         if cancel is not None and cancel.is_set():
-            raise RigError(f"the inspection was stopped before: {doing}")
+            raise RigError(f"the inspection was stopped at this step: {doing}")
         on_progress(doing, done, total)
 
     return advance
@@ -442,7 +442,9 @@ def _judge(
 ) -> Judged:
     advance("measurement", 0, 1)
     frames, final = read_frames(folder, manifest, fresh), _is_last_round(manifest, job)
-    return judged_by(manifest, job, ready, frames, advance, final=final)
+    judged = judged_by(manifest, job, ready, frames, advance, final=final)
+    advance("measurement", 1, 1)  # the last place where a stop leaves an inspection without a record
+    return judged
 
 
 def judged_by(

@@ -234,7 +234,7 @@ def in_words(lamp: Lamp) -> str:
     """Judgement, value and reason of a lamp, in the language of the page."""
     judged = {"green": message("good"), "yellow": message("look at it"), "red": message("not good")}
     unit = lamp.unit if lamp.unit == "°" else f" {lamp.unit}"
-    value = "" if lamp.value is None else decimal(true_minus(f"{lamp.value:.1f}{unit}"))
+    value = "" if lamp.value is None else decimal(true_minus(f"{lamp.value:z.1f}{unit}"))
     return ", ".join(filter(None, (judged.get(lamp.colour), value, translated(lamp.why))))
 
 

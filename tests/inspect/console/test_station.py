@@ -238,17 +238,19 @@ def test_a_stop_ends_the_inspection_and_it_can_be_resumed(browser, at, monkeypat
     assert state["folder"] not in browser.get("/resumable")
 
 
-def test_a_stop_while_a_part_is_judged_ends_it_at_the_next_step(browser, at, monkeypatch):
-    """Else the page went on for as long as its kernels are compiled."""
-    photographed, begun, go = run.begin_series, threading.Event(), threading.Event()
+@pytest.mark.parametrize("work", ["begin_series", "judge"])
+def test_a_stop_while_a_part_is_judged_ends_it_at_the_next_step(browser, at, monkeypatch, work):
+    """Else the page went on for as long as its kernels are compiled, to a verdict."""
+    usual, begun, go = getattr(run, work), threading.Event(), threading.Event()
 
-    def wait(*given):
-        photographed(*given)
+    def wait(*given, **more):
+        found = usual(*given, **more)
         begun.set()
         go.wait()
+        return found
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "begin_series", wait)
+        patch.setattr(run, work, wait)
         begin(browser, "A-8")
         assert begun.wait(60)
         browser.post("/stop")
@@ -256,7 +258,7 @@ def test_a_stop_while_a_part_is_judged_ends_it_at_the_next_step(browser, at, mon
         go.set()
         state = browser.wait()
     assert state["failure"]["stopped"]
-    assert "stopped before: measurement" in state["failure"]["text"]
+    assert "the inspection was stopped" in state["failure"]["text"]
     browser.post("/resume", name=state["folder"])
     assert browser.wait()["verdict"]["serial"] == "A-8"
 
