@@ -30,6 +30,8 @@ TARGET_SHARE = 0.9
 DIM = 0.1
 """Brightness of a pose, by the brightest, below which a longer exposure is worth while."""
 _CURL_U_DEG = 0.05
+_MEDIAN = 0.674
+"""Median of the size of a normal deviate, by which `colour_map` measures the scatter of cells."""
 _LENGTHS = ("chromaticity", "tilt")
 _DRAWS, _SEED = 2000, 7
 
@@ -237,6 +239,7 @@ def _complaints(
     quantities: tuple[PlannedQuantity, ...],
 ) -> tuple[str, ...]:
     found = [UNSTATED] if recipe.print.lacks_uncertainty(expected.scene.ink) else []
+    found += _of_dots(recipe, expected)
     darkest = min(poses, key=lambda one: one.brightness)
     if darkest.brightness < DIM and not recipe.acquisition.brackets:
         found.append(
@@ -251,6 +254,27 @@ def _complaints(
         if one.passing < TARGET_SHARE
     ]
     return tuple(found)
+
+
+def _of_dots(recipe: PrintRecipe, expected: PrintExpectation) -> list[str]:
+    """Whether cells hold too few dots of a halftone: of dots placed at random, which scatter most."""
+    part, area = recipe.print, recipe.area
+    if area is None or part.dot_um is None or part.coverage == 1.0:
+        return []
+    dots = (1000.0 * area.cell_mm / part.dot_um) ** 2
+    one = np.ones(3)
+    by_level = np.sqrt(np.einsum("i,pij,j->p", one, expected.eye.metric(expected.channels), one).max())
+    scatter = float(by_level * np.sqrt((1.0 - part.coverage) / (part.coverage * dots)))
+    limit = area.scatters * _MEDIAN * scatter
+    if limit <= area.cell_delta_e:
+        return []
+    held = f"a cell of {area.cell_mm:g} mm holds {dots:.0f} dots of {part.dot_um:g} µm"
+    wide = area.cell_mm * limit / area.cell_delta_e
+    text = (
+        f"{held}: cells of a good print scatter by up to ΔE {scatter:.2g}, so that a spot has to be off by up to "
+        f"{limit:.2g}, not {area.cell_delta_e:g} (area.cell_delta_e): take area.cell_mm = {wide:.2g}"
+    )
+    return [text]
 
 
 LAMP = "led-white"

@@ -208,3 +208,25 @@ def test_a_check_without_any_uncertainty_is_no_check(make_recipe, predict):
     recipe = make_recipe(uncertainty=dict.fromkeys(PrintUncertainty.model_fields, 0.0))
     with pytest.raises(RecipeError, match="no source of uncertainty is left"):
         check_print_recipe(recipe, predict(recipe))
+
+
+def test_the_check_says_when_cells_hold_few_dots(make_recipe, predict, rng):
+    """Dots of 40 µm by chance, laid out over cells of 0.1 mm and summed: they scatter by no more than is said."""
+    recipe = make_recipe(print={"coverage": 0.5, "dot_um": 40.0, "wrong_inks": []})
+    expected = predict(recipe)
+    (line,) = (one for one in check_print_recipe(recipe, expected).complaints if "dots of 40 µm" in one)
+    assert "holds 6 dots" in line
+    stated, limit = (float(one) for one in re.findall(r"up to (?:ΔE )?([\d.]+)", line))
+    dots = np.kron(rng.random((100, 100)) < 0.5, np.ones((4, 4)))  # points of 10 µm
+    share = dots.reshape(40, 10, 40, 10).mean(axis=(1, 3))
+    bright = expected.channels[expected.channels.sum(axis=1).argmax()]
+    bare = 0.04 / np.pi
+    inked = 2.0 * (bright - 0.5 * bare)
+    cells = share[..., None] * inked + (1.0 - share[..., None]) * bare
+    metric = expected.eye.metric(expected.channels)[expected.channels.sum(axis=1).argmax()]
+    off = np.log(cells) - np.log(cells.mean(axis=(0, 1)))
+    scatter = np.sqrt(np.mean(np.einsum("rci,ij,rcj->rc", off, metric, off)))
+    assert 0.6 * stated < scatter < 1.2 * stated
+    assert limit == pytest.approx(5.0 * 0.674 * stated, rel=0.1)
+    wide = recipe.model_copy(update={"area": recipe.area.model_copy(update={"cell_mm": 2.0})})
+    assert not any("dots of" in one for one in check_print_recipe(wide, expected).complaints)
