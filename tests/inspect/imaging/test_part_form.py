@@ -117,11 +117,8 @@ def fibre(rng):
 FORMED, LYING = {"sink": sink, "weld line": weld_line}, {"fibre": fibre}
 
 
-def judged(name, number, poses=NINE, change=None, shares=None):
-    """By 3 poses and by all: whether area, longest mark or form exceed their limits, and by which.
-
-    The shares of deviating cells are added to ``shares``.
-    """
+def traced(name, number, poses=NINE):
+    """A part with a mark, and its recipe."""
     rng = np.random.default_rng([17, number, len(name)])
     product = PRODUCTS[number % len(PRODUCTS)]
     part = Part(
@@ -130,13 +127,19 @@ def judged(name, number, poses=NINE, change=None, shares=None):
         spoiled=LYING[name](rng) if name in LYING else None,
     )  # fmt: skip
     angle, pitch, alpha = product["angle"], product["pitch"], product["alpha"]
-    recipe = recipe_of(angle, pitch, alpha, tail=float(product["lobe"] == "ggx"))
-    if change is not None:
-        part.pictures = change(part.pictures)
-    found = []
-    for count in sorted({3, len(poses)}):
+    return part, recipe_of(angle, pitch, alpha, tail=float(product["lobe"] == "ggx"))
+
+
+def judged(part, recipe, change=None, shares=None):
+    """By 3 poses and by all: whether area, longest mark or form exceed their limits, and by which.
+
+    The shares of deviating cells are added to ``shares``.
+    """
+    pictures = part.pictures if change is None else change(part.pictures)
+    found, pitch = [], recipe.surface.pitch_um
+    for count in sorted({3, len(part.poses)}):
         some = Part.__new__(Part)
-        some.__dict__.update(part.__dict__, poses=poses[:count], pictures=part.pictures[:count])
+        some.__dict__.update(part.__dict__, poses=part.poses[:count], pictures=pictures[:count])
         listed = tuple((one.stage_deg, one.tilt_deg) for one in some.poses)
         own = recipe.model_copy(
             update={"poses": type(recipe.poses).model_validate({"stage_and_tilt_deg": listed})}
@@ -144,7 +147,7 @@ def judged(name, number, poses=NINE, change=None, shares=None):
         seen = some.measured(None, pitch, 1)
         area, _ = judge_area(seen, cell_map(seen, own), own.area, 1.645)
         if shares is not None:
-            shares.append((count, number, area.share))
+            shares.append((count, area.share))
         form = form_deviation(some.map_by(recipe)).record(recipe.area.max_lean_deg, 1.645)
         found.append(
             (area.verdict is Verdict.FAIL, area.too_long, form is not None and form.verdict is Verdict.FAIL)
@@ -153,9 +156,9 @@ def judged(name, number, poses=NINE, change=None, shares=None):
 
 
 def test_a_sink_mark_and_a_fibre_that_no_share_of_the_area_shows():
-    assert judged("good", 0, UPRIGHT) == [(False, False, False)]
-    assert judged("sink", 0, UPRIGHT)[0][2]
-    assert judged("fibre", 1, UPRIGHT)[0][1]
+    assert judged(*traced("good", 0, UPRIGHT)) == [(False, False, False)]
+    assert judged(*traced("sink", 0, UPRIGHT))[0][2]
+    assert judged(*traced("fibre", 1, UPRIGHT))[0][1]
 
 
 @pytest.mark.statistics
@@ -163,14 +166,14 @@ def test_a_sink_mark_and_a_fibre_that_no_share_of_the_area_shows():
 def test_how_often_parts_fail(name):
     """Good ones by 3 and 9 poses at most twice in 200; sink marks, weld lines and fibres in 90 % of 20."""
     count, shares = 200 if name == "good" else 20, []
-    found = np.array(for_each(lambda k: judged(name, k, shares=shares), range(count), 2))
+    found = np.array(for_each(lambda k: judged(*traced(name, k), shares=shares), range(count), 2))
     fails = found.any(axis=2).sum(axis=0)
     if name != "good":
         assert np.all(fails >= 0.9 * count)
         return
     assert np.all(fails <= 0.01 * count)
     for poses in (3, 9):
-        of_poses = np.array([share for looks, _, share in shares if looks == poses])
+        of_poses = np.array([share for count, share in shares if count == poses])
         assert np.mean(of_poses <= 0.015) >= 0.99
 
 
@@ -202,13 +205,14 @@ NUISANCES = {
 
 @pytest.mark.statistics
 def test_nuisances_fail_no_good_part():
-    """Of 12 parts none that passed before; to three upright poses a stain in all is a lean, and a third may fail."""
+    """Of 25 parts none that passed before; to three upright poses a stain in all is a lean, and a third may fail."""
 
     def each(number):
-        return [judged("good", number, change=change) for change in (None, *NUISANCES.values())]
+        part, recipe = traced("good", number)
+        return [judged(part, recipe, change) for change in (None, *NUISANCES.values())]
 
-    found = np.array(for_each(each, range(12), 2)).any(axis=3)
+    found = np.array(for_each(each, range(600, 625), 2)).any(axis=3)
     by_three, by_nine = (found[:, 1:] & ~found[:, :1]).sum(axis=0).T
     assert by_nine.tolist() == [0] * len(NUISANCES)
     assert by_three[:-1].tolist() == [0] * (len(NUISANCES) - 1)
-    assert by_three[-1] <= 4
+    assert by_three[-1] <= 8
