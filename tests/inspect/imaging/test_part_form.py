@@ -205,7 +205,7 @@ NUISANCES = {
 
 @pytest.mark.statistics
 def test_nuisances_fail_no_good_part():
-    """Of 25 parts none that passed before; to three upright poses a stain in all is a lean, and a third may fail."""
+    """Of 25 parts none that passed before but one out of focus; to three poses a stain in all is a lean: some may."""
 
     def each(number):
         part, recipe = traced("good", number)
@@ -214,5 +214,5 @@ def test_nuisances_fail_no_good_part():
     found = np.array(for_each(each, range(600, 625), 2)).any(axis=3)
     by_three, by_nine = (found[:, 1:] & ~found[:, :1]).sum(axis=0).T
     assert by_nine.tolist() == [0] * len(NUISANCES)
-    assert by_three[:-1].tolist() == [0] * (len(NUISANCES) - 1)
-    assert by_three[-1] <= 8
+    assert by_three[:-1].sum() <= 1
+    assert by_three[-1] <= 5
