@@ -79,7 +79,7 @@ def test_what_all_fields_share_is_excluded_with_an_unmeasured_lobe(
     if verdict == "PASS":
         (worn,) = [one for one in record.details.exclusions if one.words == "every field worn to "]
         assert radius <= worn.size * worn.limit < 15.0
-        shown = f"PASS, every field worn to {worn.size * worn.limit:.0f} µm excluded"
+        shown = f"PASS, excluded beyond {worn.size * worn.limit:.0f} µm"
         assert f"every field worn to {worn.size * worn.limit:.2g} µm" in record.reasons[0]
     judged_figure(
         "Plates",
