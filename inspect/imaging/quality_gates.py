@@ -225,8 +225,9 @@ def check_dirt(views: list[View], measured: Measured, threshold: float) -> tuple
     """Detect stationary dirt: deviations at fixed pixels while the part turns.
 
     Cells are compared with their flank in every pose. Dirt on lens, sensor or white tile makes the same cells of the
-    *picture* deviate in every pose, whereas a mark on the part moves. The number expected by chance follows from the
-    number of deviating cells in each pose. Notes as of `check_part`.
+    *picture* deviate in every pose, whereas a mark on the part moves. A large mark about the axis lies over itself when
+    it is turned: cells that deviate wherever the part has turned them are the part's. The number expected by chance
+    follows from the number of deviating cells in each pose. Notes as of `check_part`.
     """
     turned = [
         i for i, v in enumerate(views) if i == 0 or abs(angle_between(views[0].stage_deg, v.stage_deg)) > 1.0
@@ -238,15 +239,18 @@ def check_dirt(views: list[View], measured: Measured, threshold: float) -> tuple
     first, shape = maps[0], maps[0].shape
     fixed, chance = np.abs(first) > threshold, float(np.mean(np.abs(first) > threshold))
     known, moved = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    turning = np.ones(shape, dtype=bool)
     for i, other in zip(turned[1:], maps[1:], strict=True):
         at = _same_pixels(views[0], views[i], measured.grid, shape)
         observed = _looked_up(other, at)
         moved |= np.hypot(*np.moveaxis(at - _cell_indices(shape)[..., :2], -1, 0)) > STILL_CELLS
         known &= np.isfinite(observed)
         fixed &= np.sign(first) * observed > threshold
+        turning &= np.abs(other) > threshold
         chance *= 0.5 * float(np.mean(np.abs(other) > threshold))
-    fixed &= known & moved
-    expected = chance * float((known & moved).sum())
+    counted = known & moved & ~turning
+    fixed &= counted
+    expected = chance * float(counted.sum())
     if fixed.sum() > expected + 6.0 * np.sqrt(expected) + 3.0:
         column, row = _place_of(fixed, views[0], measured.grid)
         raise CalibrationError(

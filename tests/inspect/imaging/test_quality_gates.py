@@ -111,7 +111,17 @@ def test_dirt_on_lens_or_white_tile_stays_while_the_part_turns(angles):
     assert row == pytest.approx((SIZE - 1) / 2 - 0.15 * 125, abs=4)
 
 
-@pytest.mark.parametrize("marks", [(), [(0.2, 0.2, 0.1), (-0.3, 0.1, 0.08)], [(0.0, 0.0, 0.1)], "many"])
+@pytest.mark.parametrize(
+    "marks",
+    [
+        (),
+        [(0.2, 0.2, 0.1), (-0.3, 0.1, 0.08)],
+        [(0.0, 0.0, 0.1)],
+        [(0.03, -0.02, 0.24)],
+        [(0.02, 0.0, 0.3), (0.3, 0.3, 0.05)],
+        "many",
+    ],
+)
 def test_marks_on_the_part_turn_with_it(marks):
     rng = np.random.default_rng(3)
     if marks == "many":
