@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from anisoscope.base.json_fields import in_json
+from anisoscope.base.notation import p_value_text
 from anisoscope.base.significance import chi2_tail
 
 REJECTED = 1e-3
@@ -54,7 +55,7 @@ class Misfit:
     @property
     def words(self) -> str:
         """The test in words."""
-        p_value = "" if self.p_value is None else f", p = {self.p_value:.2g}"
+        p_value = "" if self.p_value is None else f", p {p_value_text(self.p_value)}"
         return f"{self.model}: chi² {self.chi2:.4g} for {self.dof:.4g} degrees of freedom{p_value}"
 
 

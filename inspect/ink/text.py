@@ -3,7 +3,8 @@
 import numpy as np
 
 from anisoscope.ink.appearance import Show
-from anisoscope.ink.fitting import BASES, InkFit
+from anisoscope.ink.fitting import InkFit
+from anisoscope.ink.solver import BASES
 
 METHODS = {"joint": "joint fit of all readings", "paper": "two steps, as published"}
 

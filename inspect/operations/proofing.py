@@ -56,7 +56,7 @@ MOST_PRESSED = 16_000_000
 
 def percent(share: float) -> str:
     """A share in words."""
-    return "none" if share == 0.0 else f"{100.0 * share:.2g} %"
+    return "none" if share == 0.0 else f"{100.0 * share:.{2 if share < 0.995 else 3}g} %"
 
 
 def _inks(given: Sequence[Ink | str]) -> tuple[Ink, ...]:

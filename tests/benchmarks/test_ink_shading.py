@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from anisoscope.ink.fitting import fit, grid_of, solve_jointly
+from anisoscope.ink.fitting import fit
 from anisoscope.ink.goniometer import Readings
+from anisoscope.ink.solver import grid_of, solve_jointly
 from anisoscope.sim.light.ink import shading
 from anisoscope.sim.light.ink.model import brdf_at_angles
 from anisoscope.sim.light.ink.shading import Light, picture

@@ -268,8 +268,13 @@ def _of_dots(recipe: PrintRecipe, expected: PrintExpectation) -> list[str]:
     limit = area.scatters * _MEDIAN * scatter
     if limit <= area.cell_delta_e:
         return []
-    held = f"a cell of {area.cell_mm:g} mm holds {dots:.0f} dots of {part.dot_um:g} µm"
+    count = f"{dots:.0f} dots" if dots > 1.5 else "one dot or less"
+    held = f"a cell of {area.cell_mm:g} mm holds {count} of {part.dot_um:g} µm"
     wide = area.cell_mm * limit / area.cell_delta_e
+    if wide > min(recipe.region.size_mm):
+        return [
+            f"{held}, and the region too few for cells of any size: leave [area] out, or print smaller dots"
+        ]
     text = (
         f"{held}: cells of a good print scatter by up to ΔE {scatter:.2g}, so that a spot has to be off by up to "
         f"{limit:.2g}, not {area.cell_delta_e:g} (area.cell_delta_e): take area.cell_mm = {wide:.2g}"

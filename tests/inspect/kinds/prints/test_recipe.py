@@ -210,6 +210,12 @@ def test_a_check_without_any_uncertainty_is_no_check(make_recipe, predict):
         check_print_recipe(recipe, predict(recipe))
 
 
+def test_the_check_says_when_no_cell_of_the_region_holds_enough_dots(make_recipe, predict):
+    recipe = make_recipe(print={"coverage": 0.5, "dot_um": 4000.0, "wrong_inks": []})
+    (line,) = (one for one in check_print_recipe(recipe, predict(recipe)).complaints if "of 4000 µm" in one)
+    assert "holds one dot or less of 4000 µm, and the region too few" in line
+
+
 def test_the_check_says_when_cells_hold_few_dots(make_recipe, predict, rng):
     """Dots of 40 µm by chance, laid out over cells of 0.1 mm and summed: they scatter by no more than is said."""
     recipe = make_recipe(print={"coverage": 0.5, "dot_um": 40.0, "wrong_inks": []})
