@@ -67,6 +67,7 @@ SENTENCES = {
     "inspect/report/conclusion.py": (
         "_of_verdict",
         "_undecided",
+        "_too_uncertain",
         "_passed",
         "blind_to",
         "surface_finding",

@@ -28,6 +28,8 @@ OUTCOMES: Mapping[str, str] = {
     "pass": "Accept the part",
     "warning": "Accept the part; if the next parts deviate alike, check mould, material and lamp",
     "inconclusive": "Inspect it again; if it stays undecided, have a reviewer decide (anisoscope history dispose)",
+    "uncertain": "Reduce the largest uncertainty of the budget (that of the plastic: anisoscope calibrate material) or "
+    "widen the tolerance; until then have a reviewer decide (anisoscope history dispose)",
     "open": "Compare it with golden parts or with more parts of its lot, or photograph more poses; until then have "
     "a reviewer decide (anisoscope history dispose)",
     "misfit": "Teach golden prints (anisoscope golden add) or measure the ink (anisoscope ink fit); until then have a "
@@ -192,7 +194,23 @@ def _undecided(record: Record, measured: str) -> tuple[str, str]:
         if any(one.startswith("warning") for one in record.reasons):
             return "open", f"The part is within its limits, but not excluded: {blind}"
         return "open", f"No deviation was found, but not excluded: {blind}"
-    return "inconclusive", f"Too close to a limit to decide. {measured}"
+    unsure = _too_uncertain(record)
+    return (
+        ("uncertain", unsure) if unsure else ("inconclusive", f"Too close to a limit to decide. {measured}")
+    )
+
+
+def _too_uncertain(record: Record) -> str:
+    """The contrast that no part can pass, since its guard band takes its whole tolerance; empty where there is none."""
+    for one in surface_of(record).contrasts:
+        if one.guard is not None and one.tolerance is not None and one.guard >= one.tolerance:
+            contrast = quantity_name(one.kind, one.from_deg, one.to_deg, one.tilt_deg)
+            known, limit = f"{2.0 * one.u:.2g}", f"{one.tolerance:g}"
+            return (
+                f"Too uncertain to decide: {contrast} is known to ± {known} only, so that no part passes its "
+                f"tolerance ±{limit}"
+            )
+    return ""
 
 
 def _apart(record: Record) -> bool:

@@ -121,6 +121,19 @@ def test_a_part_with_a_significant_contrast_is_not_as_it_should_be(conclude, mak
     assert ("as it should be" in found.finding) == (not wrong)
 
 
+@pytest.mark.parametrize(("u", "guard", "key"), [(0.288, 0.474, "uncertain"), (0.06, 0.1, "inconclusive")])
+def test_a_tolerance_that_no_part_passes_is_not_a_part_close_to_it(
+    conclude, make_report_record, u, guard, key
+):
+    details = surface_of(make_report_record())
+    first, *others = details.contrasts
+    wide = first.model_copy(update={"u": u, "guard": guard, "tolerance": 0.4})
+    kept = [one.model_copy(update={"guard": None, "tolerance": None}) for one in others]
+    found = conclude(verdict="INCONCLUSIVE", details=details.model_copy(update={"contrasts": (wide, *kept)}))
+    assert (found.follows_from, found.action) == (key, f"{OUTCOMES[key]}.")
+    assert ("± 0.58 only" in found.finding and "±0.4" in found.finding) == (key == "uncertain")
+
+
 def test_what_does_not_describe_a_part_is_the_finding(conclude, make_report_record):
     details = surface_of(make_report_record()).model_copy(update={"not_described": "the ink file does not"})
     found = conclude(verdict="INCONCLUSIVE", details=details)
