@@ -47,8 +47,10 @@ FOOT_HEIGHTS = (
 U_ALPHA_SHARE = 0.4  # of the part's roughness before its photographs are seen
 U_LEAN_DEG = 3.0  # of the part's lean before, and of a cell's about that of the part
 U_ALONG_DEG = 0.3  # of the lean along the ridges before
-SHOWN_SHARE = 0.4
+SHOWN_SHARE = 0.55
 """Share of the variance of a fine texture's slopes that the points of a picture show: lens and pixels average."""
+BORDER_POINTS = 0.18
+"""Width of the border of a cell, in points of the picture, in which the light is that of its neighbours."""
 CELL_ERROR = 0.005
 """Relative standard uncertainty of the radiance of one cell against that of the part, without texture."""
 UNSEEN_CHANCE = 1e-5  # that a facet has a misfit as large
@@ -228,9 +230,8 @@ def angle_map(
         raise MeasurementError("no cell of a facet has light in every pose: see the frames of the inspection")
     logs = np.log(light[:, full])
     part = _part(scene, np.median(logs, axis=1))
-    texture = _texture(
-        scene, part, *(np.stack(one) for one in zip(*map(cells.scatter, measured.aligned), strict=True))
-    )
+    border = BORDER_POINTS * pixel_um * sum(1.0 / side for side in cells.side_um)
+    texture = _texture(scene, part, np.array([cells.scatter(one) for one in measured.aligned]), border)
     found = _leans(scene, part, logs - part.left[:, None], texture)
     kept = full.any(axis=0)
 
@@ -501,13 +502,21 @@ class _Cells:
         enough = count >= max(1.0, HALF_FULL * float(np.max(self._count)))
         return np.where(enough, total / np.maximum(count, 1.0), np.nan).reshape(self.shape)
 
-    def scatter(self, picture: FloatArray | Image) -> tuple[float, float]:
-        """Variance of ln L of the points of a cell, and half that of the differences of cells along a ridge."""
+    def scatter(self, picture: FloatArray | Image) -> tuple[float, float, float]:
+        """Variance of ln L of the points of a cell, how much it differs between cells, and what the means scatter by.
+
+        The second is the variance of the variances of the cells over the square of the first. The second and third
+        are half the variance of the differences of cells along a ridge.
+        """
         logs = np.log(np.maximum(np.nan_to_num(picture, nan=1e-12), 1e-12))
         means = self.means(logs)
-        own = logs.ravel()[self._inside[0]] - means.ravel()[self._inside[1]]
-        near = np.diff(means, axis=0)
-        return tuple(_calm_variance(one[np.isfinite(one)]) for one in (own, near / np.sqrt(2.0)))  # type: ignore[return-value]
+        own = np.full(self.number.shape, np.nan)
+        own.ravel()[self._inside[0]] = (logs.ravel()[self._inside[0]] - means.ravel()[self._inside[1]]) ** 2
+        each = self.means(own)
+        known = each[np.isfinite(each)]
+        usual = float(np.median(known)) if known.size else 0.0
+        unlike, near = (np.diff(one, axis=0) / np.sqrt(2.0) for one in (each / max(usual, 1e-300), means))
+        return usual, *(_calm_variance(one[np.isfinite(one)]) for one in (unlike, near))  # type: ignore[return-value]
 
     def middles(self) -> tuple[FloatArray, FloatArray]:
         """(A, C) row and column of the middles of the cells; NaN of empty ones."""
@@ -578,29 +587,44 @@ def _part(scene: _Scene, medians: FloatArray) -> _PartLean:
     )
 
 
-def _texture(scene: _Scene, part: _PartLean, points: FloatArray, means: FloatArray) -> FloatArray:
-    """(P,) standard uncertainty of ln L of a cell by the texture within it.
+@dataclass(frozen=True, eq=False)
+class _Texture:
+    """Doubt of a cell by the texture within it: (P, 3) of ln L, each of one sign over the poses, and of the lean."""
 
-    The mean of L over a cell is not L of the mean lean: with slopes of variance σ² about it, it is greater by
-    ½·σ²·L''/L, and that of one cell scatters about that of all as σ² does, of which a cell has n independent values.
+    of_light: FloatArray
+    of_lean_deg: float
+
+
+def _texture(scene: _Scene, part: _PartLean, seen: FloatArray, border: float) -> _Texture:
+    """Standard uncertainties of a cell by the texture within it.
+
+    The mean of L over a cell is not L of the mean lean: with slopes of covariance σᵢⱼ about it, it is greater by
+    ½·Σ σᵢⱼ·L,ᵢⱼ/L, and that of one cell scatters about that of all as σᵢⱼ does, of which a cell has n independent
+    values: the variances across and along by 2σ⁴/n, their covariance by σ⁴/n. All poses see the same slopes. Lens and
+    points of the picture blur the border of a cell besides, so that its mean lean is in part that of its neighbours.
 
     Args:
         scene: of the part.
         part: its lean.
-        points: (P,) variance of ln L of the points of a cell.
-        means: (P,) variance of the means of cells that the texture makes.
+        seen: (P, 3) variance of ln L of the points of a cell, that of the cells' variances over its square, and
+            variance of the means of cells (`_Cells.scatter`).
+        border: share of a cell whose light is that of its neighbours.
     """
     h = 0.5  # degrees
-    steps = np.array([(0.0, 0.0), (h, 0.0), (-h, 0.0), (0.0, h), (0.0, -h)]) + part.lean
-    logs = scene.log_radiance(steps[:, 0], steps[:, 1], scene.rougher(part.alpha, interface=part.alpha))
+    steps = [(0.0, 0.0), (h, 0.0), (-h, 0.0), (0.0, h), (0.0, -h), (h, h), (-h, -h), (h, -h), (-h, h)]
+    leans = np.array(steps) + part.lean
+    logs = scene.log_radiance(leans[:, 0], leans[:, 1], scene.rougher(part.alpha, interface=part.alpha))
     slopes = np.stack([logs[:, 1] - logs[:, 2], logs[:, 3] - logs[:, 4]], axis=-1) / (2.0 * h)
     bend = np.stack([logs[:, 1] + logs[:, 2], logs[:, 3] + logs[:, 4]], axis=-1) - 2.0 * logs[:, :1]
     bend = bend / h**2 + slopes**2  # L''/L
+    twist = (logs[:, 5] + logs[:, 6] - logs[:, 7] - logs[:, 8]) / (4.0 * h**2) + slopes[:, 0] * slopes[:, 1]
+    points, unlike, means = seen.T
     steep = np.sum(slopes**2, axis=1)
-    variance = float(np.sum(points * steep) / np.sum(steep**2))
-    independent = max(1.0, float(np.sum(points * steep) / max(float(np.sum(means * steep)), 1e-300)))
-    variance /= SHOWN_SHARE
-    return np.asarray(0.5 * variance * np.sqrt(np.sum(bend**2, axis=1)) * np.sqrt(2.0 / independent))
+    variance, between = (float(np.sum(one * steep) / np.sum(steep**2)) for one in (points, means))
+    unlike_all = float(np.sum(unlike * points * steep) / max(float(np.sum(points * steep)), 1e-300))
+    share = min(0.5 * unlike_all, 1.0)  # 1/n
+    each = np.column_stack([np.sqrt(0.5) * bend, twist]) * (variance / SHOWN_SHARE * np.sqrt(share))
+    return _Texture(np.asarray(each), float(np.sqrt(border * between)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -612,7 +636,7 @@ class _Leans:
     misfit: FloatArray
 
 
-def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: FloatArray) -> _Leans:
+def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: _Texture) -> _Leans:
     """Lean of every cell: the best of a table, then one step of Gauss and Newton from it."""
     centre = part.lean
     across = np.arange(max(centre[0] - BELOW_DEG, -10.0), centre[0] + ABOVE_DEG, STEP_DEG)
@@ -623,19 +647,20 @@ def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: FloatArray
     )
     table = table.reshape(len(logs), len(across), len(along))
     slope = np.stack([np.gradient(table, STEP_DEG, axis=axis) for axis in (1, 2)], axis=-1)
-    weight = 1.0 / np.hypot(texture, CELL_ERROR)
+    own_error = CELL_ERROR**2 * np.eye(len(logs)) + texture.of_light @ texture.of_light.T
+    white = np.linalg.inv(np.linalg.cholesky(own_error))
     before = np.array([U_LEAN_DEG, U_ALONG_DEG]) ** -2.0
     prior = np.sum((grid - centre) ** 2 * before, axis=-1).ravel()
-    flat = table.reshape(len(logs), -1) * weight[:, None]
+    flat = white @ table.reshape(len(logs), -1)
     square = np.sum(flat**2, axis=0) + prior
     lean, u, misfit = np.empty((logs.shape[1], 2)), np.empty((logs.shape[1], 2)), np.empty(logs.shape[1])
     for first in range(0, logs.shape[1], _AT_ONCE):
         block = slice(first, first + _AT_ONCE)
-        own = logs[:, block] * weight[:, None]
+        own = white @ logs[:, block]
         best = np.argmin(square[:, None] - 2.0 * (flat.T @ own), axis=0)
         i, j = np.unravel_index(best, grid.shape[:2])
-        jacobian = np.moveaxis(slope[:, i, j], 0, 1) * weight[:, None]  # (N, P, 2)
-        left = (logs[:, block] - table[:, i, j]).T * weight
+        jacobian = np.einsum("pq,qna->npa", white, slope[:, i, j])  # (N, P, 2)
+        left = (own - flat[:, best]).T
         information = np.einsum("npa,npb->nab", jacobian, jacobian) + np.diag(before)
         gain = np.linalg.inv(information)
         pull = np.einsum("npa,np->na", jacobian, left) - (grid[i, j] - centre) * before
@@ -645,4 +670,5 @@ def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: FloatArray
         misfit[block] = np.sum((left - np.einsum("npa,na->np", jacobian, step)) ** 2, axis=1)
     # where the poses contradict each other by more than that in most cells, all of it is larger
     usual = float(np.median(misfit)) / _median_chi2(max(len(logs) - 2, 1))
-    return _Leans(lean, u * np.sqrt(max(usual, 1.0)), misfit / max(usual, 1.0))
+    u = np.hypot(u * np.sqrt(max(usual, 1.0)), texture.of_lean_deg)
+    return _Leans(lean, u, misfit / max(usual, 1.0))

@@ -53,16 +53,63 @@ def test_three_upright_poses_tell_lean_and_roughness(ten):
     assert abs(found.alpha - np.hypot(0.08, TEXTURE) / np.hypot(0.07, TEXTURE)) < 2.0 * found.u_alpha
 
 
+STEEP = {"angle": 15.0, "pitch": 80.0, "alpha": 0.11}
+
+
+def suggested(recipe):
+    allowed = pose_grid(tuple(np.arange(0.0, 346.0, 15.0)), tuple(np.arange(-20.0, 21.0, 5.0)))
+    return tuple(allowed[k] for k in poses_for_angles(recipe, allowed, Convention(10.0), 3))
+
+
 def test_steeper_ridges_of_a_lobe_with_a_tail_in_suggested_poses():
     recipe = recipe_of(15.0, 80.0, 0.11, tail=1.0)
-    allowed = pose_grid(tuple(np.arange(0.0, 346.0, 15.0)), tuple(np.arange(-20.0, 21.0, 5.0)))
-    poses = tuple(allowed[k] for k in poses_for_angles(recipe, allowed, Convention(10.0), 3))
-    part = Part(2, poses, angle=15.0, pitch=80.0, alpha=0.11, lobe="ggx")
+    part = Part(2, suggested(recipe), **STEEP, lobe="ggx")
     found = part.map_by(recipe)
-    for lean, true in zip((found.angle_deg, found.along_deg), part.leans(found), strict=True):
+    us = found.u_deg, found.u_along_deg
+    for lean, u, true in zip((found.angle_deg, found.along_deg), us, part.leans(found), strict=True):
         off = (lean - true)[np.isfinite(lean)]
         assert np.sqrt(np.mean(off**2)) < 0.12
+        assert 0.7 < np.std(off / u[np.isfinite(lean)]) < 1.4
     assert abs(found.mean_deg - 15.0) < 2.0 * found.u_mean_deg
+
+
+SETS = {
+    "10° in three poses upright": (recipe_of(), UPRIGHT, {}),
+    "10° in four poses": (recipe_of(), (*UPRIGHT, Pose(90.0, -10.0)), {}),
+    "10° in three suggested poses": (recipe_of(), suggested(recipe_of()), {}),
+    "15° in three suggested poses": (
+        recipe_of(15.0, 80.0, 0.11, tail=1.0),
+        suggested(recipe_of(15.0, 80.0, 0.11, tail=1.0)),
+        STEEP | {"lobe": "ggx"},
+    ),
+}
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("name", SETS)
+def test_uncertainties_of_cells_of_many_parts(name):
+    recipe, poses, changed = SETS[name]
+    offs = []
+    for seed in range(100, 114):
+        part = Part(seed, poses, formed=lambda x, y: 1.5 * np.sin(y / 130.0 + x / 400.0), **changed)
+        found = part.map_by(recipe)
+        across, along = part.leans(found)
+        each = [(found.angle_deg, found.u_deg, across)]
+        if found.along_deg is not None:
+            each.append((found.along_deg, found.u_along_deg, along))
+        known = np.isfinite(found.angle_deg)
+        offs.append(
+            [
+                (
+                    float(np.sqrt(np.mean((lean - true)[known] ** 2))),
+                    float(np.std(((lean - true) / u)[known])),
+                )
+                for lean, u, true in each
+            ]
+        )
+    rms, z = np.sqrt(np.mean(np.square(offs), axis=0)).T
+    assert rms.max() < 0.12, (rms, z)
+    assert 0.8 < z.min() <= z.max() < 1.3, (rms, z)
 
 
 def test_a_missing_ridge_is_the_worst_or_unseen():
