@@ -204,17 +204,31 @@ def golden_test(
     basis = log_basis(len(expected.poses))
     value = basis @ np.log(measured.radiance)
     if scatter is None:
-        single = tuple(one for one in measured.components if one.source not in OF_THE_RIG)
-        own = tuple(one for one in expected.components if not varies or one.source.startswith(varies))
+        single, stated = of_one_part(expected, measured.components, varies)
         alike = None
         if expected.states is not None:
             rng, errors = np.random.default_rng(_SEED), root(contrast_covariance(single, basis))
             good = _good_parts(cast("Hashable", expected.states), varies) @ basis.T
             alike = good + rng.standard_normal(good.shape) @ errors
-        t2, p_value = like_sample(value, golden, contrast_covariance(own + single, basis), alike)
+        t2, p_value = like_sample(value, golden, stated, alike)
         return t2, len(basis), p_value, None
     found = predictive_test(scatter, golden, value, alpha, batches)
     return found.t2, found.dof, found.p_value, found
+
+
+def of_one_part(
+    expected: Expectation, measured: tuple[Component, ...], varies: tuple[str, ...]
+) -> tuple[tuple[Component, ...], FloatArray]:
+    """Sources that the rig's other inspections do not share, and the (P − 1, P − 1) form in which parts scatter.
+
+    Args:
+        expected: the prediction.
+        measured: sources of the measurement.
+        varies: as of `golden_test`.
+    """
+    single = tuple(one for one in measured if one.source not in OF_THE_RIG)
+    own = tuple(one for one in expected.components if not varies or one.source.startswith(varies))
+    return single, contrast_covariance(own + single, log_basis(len(expected.poses)))
 
 
 @lru_cache(maxsize=4)

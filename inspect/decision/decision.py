@@ -15,7 +15,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notation import contrast_name, p_value_text, quantity_name
 from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency import from_prediction, golden_test, scatter_of
-from anisoscope.decision.exclusion import Exclusion, open_defects, open_sizes, with_exclusions
+from anisoscope.decision.exclusion import Exclusion, open_defects, with_exclusions
 from anisoscope.decision.predictive import Direction, PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.decision.surface_exclusion import excluded_of, lacking_text, parts_needed, remedy_text
@@ -152,8 +152,7 @@ def decide(
     decisive = golden
     if of_lot:  # a deviation of the whole lot shows against the prediction alone
         alone = from_prediction(expected, measured)[2]
-        decisive = golden if p_value <= alone else None
-        p_value = min(2.0 * min(p_value, alone), 1.0)
+        p_value, decisive = min(2.0 * min(p_value, alone), 1.0), golden if p_value <= alone else None
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
     cells = None if recipe.area is None else cell_map(measured, recipe)
     if cells is not None and golden is not None and not of_lot:
@@ -167,7 +166,8 @@ def decide(
     )
     named = predictive if decisive is not None else None
     like = None if named is None else named.strongest
-    verdict, reasons = _combine(pairs, p_value, area, shape, rule, _alike(decisive), where, like)
+    words = "as predicted" if decisive is None else decisive.words
+    verdict, reasons = _combine(pairs, p_value, area, shape, rule, words, where, like)
     verdict, reasons = _with_marks(verdict, reasons, measured, cells)
     if verdict is Verdict.PASS and (
         blind := _blind(predictive, recipe, 0 if golden is None else len(golden.parts))
@@ -190,7 +190,7 @@ def decide(
             lacking_text(expected, golden, deviates=deviates),
         )
     if golden is not None and golden.unjudged:
-        reasons = (*reasons, _of_the_lot(golden, left_out, common))
+        reasons = (*reasons, golden.of_the_lot(left_out, common, "the prediction"))
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))
@@ -214,30 +214,6 @@ def decide(
         exclusions,
         shape,
     )
-
-
-def _of_the_lot(golden: GoldenSet, left_out: tuple[str, ...], common: tuple[Exclusion, ...]) -> str:
-    count = golden.unjudged
-    if golden.lot is None:
-        return f"compared with {count} parts of unknown quality: what they have in common is not seen"
-    without = f" (without {', '.join(left_out)}, unlike the others)" if left_out else ""
-    parts = "1 other part" if count == 1 else f"{count} other parts"
-    compared = f"compared with {parts} of lot {golden.lot}{without}"
-    if not open_defects(common):
-        return f"{compared}: what all of them have in common, the prediction judges"
-    return f"{compared}: of all of them together the prediction does not exclude {open_sizes(common)}"
-
-
-def _alike(reference: GoldenSet | None) -> str:
-    """A good part, in words."""
-    if reference is None:
-        return "as predicted"
-    number = len(reference.parts)
-    if reference.lot is not None:
-        return (
-            "like the other part of the lot" if number == 1 else f"like the {number} other parts of the lot"
-        )
-    return "like the golden part" if number == 1 else f"like the {number} golden parts"
 
 
 def _blind(predictive: PredictiveTest | None, recipe: SurfaceRecipe, golden: int) -> str | None:

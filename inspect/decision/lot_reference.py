@@ -5,6 +5,8 @@ those near it) leaves out parts that lie farther from it than good parts do, at 
 the lot have in common cannot be seen by them.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -17,12 +19,31 @@ _WIDER = 1.3  # the median of few parts is less certain than a mean
 _ROUNDS = 20
 
 
-def alike(contrasts: FloatArray, covariance: FloatArray) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+@dataclass(frozen=True, eq=False)
+class LotScatter:
+    """What is compared of the parts of a lot.
+
+    Attributes:
+        values: (n, m) of the parts.
+        covariance: (m, m) of good parts about their mean, of full rank.
+        sized: the covariance has the size of the scatter of good parts; otherwise most parts of the lot show a greater
+            one.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    sized: bool = True
+
+
+def alike(
+    contrasts: FloatArray, covariance: FloatArray, *, sized: bool = True
+) -> tuple[npt.NDArray[np.bool_], FloatArray]:
     """Parts of a lot that are alike.
 
     Args:
         contrasts: (n, m) of the parts, n ≥ `LEAST_PARTS`.
         covariance: (m, m) of good parts about their mean, of full rank.
+        sized: as of `LotScatter`.
 
     Returns:
         (n,) True for the parts that are alike, at least half of them, and (n,) squared distances from their centre.
@@ -32,6 +53,10 @@ def alike(contrasts: FloatArray, covariance: FloatArray) -> tuple[npt.NDArray[np
     count, m = contrasts.shape
     weight, least = np.linalg.inv(covariance), (count + 1) // 2
     limit = _WIDER * float(chdtri(m, _LEVEL))
+    if not sized:
+        off = contrasts - np.median(contrasts, axis=0)
+        middle = float(np.median(np.einsum("ni,ij,nj->n", off, weight, off)))
+        limit *= max(1.0, middle / float(chdtri(m, 0.5)))
     centre = np.median(contrasts, axis=0)
     kept = np.zeros(count, dtype=bool)
     distances = np.zeros(count)

@@ -8,7 +8,7 @@ part; `GoldenSet` adds the deviating area of surfaces.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
@@ -21,8 +21,9 @@ from anisoscope.base.errors import CalibrationError
 from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.base.significance import LEAST_SAMPLE, like_sample, log_basis
 from anisoscope.decision.equipment import Equipment
+from anisoscope.decision.exclusion import Exclusion, open_defects, open_sizes
 from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT
-from anisoscope.decision.lot_reference import alike
+from anisoscope.decision.lot_reference import LotScatter, alike
 from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
 from anisoscope.recipe.base import AcquisitionPart, RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -34,12 +35,21 @@ _EARLIER = ("exposure_s", "gain", "frames_per_pose", "dark_frames", "settle_s")
 
 
 class ReferenceRow(BaseModel):
-    """One reference part: serial number and time of inspection; a kind adds what it measures, in the file's order."""
+    """One reference part: serial number and time of inspection; a kind adds what it measures, in the file's order.
+
+    ``unlabelled`` marks parts of a lot of unknown quality.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     serial: str
     inspected_at: str
+    unlabelled: Annotated[bool, Field(exclude_if=lambda value: not value)] = False
+
+    @property
+    def pictured(self) -> tuple[Any, ...] | None:
+        """Numbers that two inspections share to the last digit only if they are of the same pictures; None: none."""
+        return None
 
     def deviating_area(self, rule: Any) -> tuple[float, int | None] | None:  # noqa: ANN401 - of the kind
         """Share of the area that deviated, and its number of cells; None unless it was judged by this rule."""
@@ -64,6 +74,8 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         equipment: camera, lens and lamp common to the parts; None in files of earlier versions.
         poses: (stage angle, tilt) of every pose, degrees.
         parts: one row a part, in the order in which they were added.
+        lot: lot of a part, where these are the other parts of it, of unknown quality.
+        refused: reasons why further parts of it do not serve, a line each.
         thing: what is inspected, in messages.
         tests: number of tests that share the level of the recipe, that of the area among them.
         shares_level: the other ones, in words.
@@ -79,6 +91,8 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
     equipment: Annotated[Equipment | None, Field(exclude_if=lambda value: value is None)] = None
     poses: tuple[tuple[float, float], ...]
     parts: tuple[RowT, ...] = ()
+    lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
+    refused: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
 
     thing: ClassVar[str] = "part"
     tests: ClassVar[int] = 2
@@ -233,7 +247,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
 
         Raises:
             CalibrationError: the inspection was INVALID, was made with other poses, region, exposure or viewing
-                conditions, or is in the set already.
+                conditions, or is in the set already, itself or another one of the same pictures.
         """
         poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
         if record.verdict == "INVALID" or not record.poses:
@@ -273,6 +287,12 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
             raise CalibrationError(
                 f"this inspection of {row.serial} ({row.inspected_at}) is in the set already"
             )
+        copied = next((part for part in base.parts if part.pictured == row.pictured is not None), None)
+        if copied is not None:
+            raise CalibrationError(
+                f"{row.serial} has the radiances of {copied.serial} to the last digit, so that the same pictures would "
+                f"count twice: inspect another good {cls.thing}, or take the pictures again"
+            )
         return base.model_copy(update={"parts": (*base.parts, row), "equipment": equipment})
 
     def without(self, serial: str) -> Self:
@@ -295,9 +315,137 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
     def lacking(self) -> str | None:
         """Reason why the parts do not serve as the reference yet, or None."""
         count = len(self.parts)
+        if self.lot is not None:
+            least = self.least_of_lot()
+            if count + 1 >= least:
+                return None
+            return (
+                f"{self.thing} {count + 1} of lot {self.lot}: from {self.thing} {least} on, the {self.thing}s of the "
+                "lot are compared with each other"
+            )
         if count >= self.needed:
             return None
         return f"{counted(count, self.noun)}: from {self.needed} on {self.thing}s are compared with them"
+
+    @classmethod
+    def least_of_lot(cls) -> int:
+        """Smallest number of parts of a lot that are compared with each other."""
+        return max(LEAST_OF_LOT, LEAST_SAMPLE + 1)
+
+    @property
+    def unjudged(self) -> int:
+        """Number of parts of a lot of unknown quality."""
+        return sum(part.unlabelled for part in self.parts)
+
+    @property
+    def words(self) -> str:
+        """A part like these, in words."""
+        number = len(self.parts)
+        if self.lot is not None:
+            return (
+                f"like the {'' if number == 1 else f'{number} '}other {plural(number, self.thing)} of the lot"
+            )
+        return f"like the {'' if number == 1 else f'{number} '}{plural(number, self.noun)}"
+
+    @property
+    def refused_text(self) -> str | None:
+        """Reason why parts of the lot do not serve, or None."""
+        if not self.refused:
+            return None
+        more = f" (and {len(self.refused) - 1} more)" if len(self.refused) > 1 else ""
+        return f"not compared with all {self.thing}s of lot {self.lot}: {self.refused[0]}{more}"
+
+    @classmethod
+    def of_lot(
+        cls,
+        recipe: RecipeT,
+        lot: str,
+        equipment: Equipment,
+        seen: BaseModel | None,
+        records: Iterable[Record],
+    ) -> Self:
+        """The other parts of the lot of a part, of unknown quality.
+
+        Args:
+            recipe: of the part.
+            lot: name of the lot.
+            equipment: camera, lens and lamp of the part.
+            seen: its viewing conditions, as of `conditions_of`.
+            records: inspections of the other parts, the oldest first.
+        """
+        poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
+        header: dict[str, Any] = {} if seen is None else {"seen": seen}
+        key = cls.key_of(recipe)
+        known = cls(
+            product=recipe.product, recipe_key=key, poses=poses, equipment=equipment, lot=lot, **header
+        )
+        refused: list[str] = []
+        for record in records:
+            try:
+                known = cls.with_inspection(known, recipe, record)
+            except CalibrationError as error:  # of another recipe or rig, or twice the same pictures
+                refused.append(str(error))
+        unlabelled = tuple(part.model_copy(update={"unlabelled": True}) for part in known.parts)
+        return known.model_copy(update={"parts": unlabelled, "refused": tuple(refused)})
+
+    def alike(self, found: LotScatter) -> tuple[Self, tuple[str, ...]]:
+        """Parts of the lot that are like most parts of it, and the serial numbers of the others.
+
+        Args:
+            found: what is compared, of these parts and, last, of the part itself, which is one of the lot too.
+        """
+        near, _ = alike(found.values, found.covariance, sized=found.sized)
+        marked = list(zip(self.parts, near[:-1], strict=True))
+        return (
+            self.model_copy(update={"parts": tuple(part for part, like in marked if like)}),
+            tuple(part.serial for part, like in marked if not like),
+        )
+
+    def without_odd_parts(
+        self, found: LotScatter, added: Collection[tuple[str, str]]
+    ) -> tuple[Self, list[str]]:
+        """A set without parts of a lot that deviate from the others, and the serial numbers of these.
+
+        Args:
+            found: what is compared of the parts.
+            added: serial numbers and times of inspection of the parts of the lot.
+
+        Raises:
+            CalibrationError: there are too few parts.
+        """
+        least = self.least_of_lot()
+        if len(self.parts) < least:
+            raise CalibrationError(
+                f"{counted(len(self.parts), self.thing)} of unknown quality: {least} of a lot or more show which one "
+                "deviates"
+            )
+        kept, _ = alike(found.values, found.covariance, sized=found.sized)
+        rows, left_out = [], []
+        for part, near in zip(self.parts, kept, strict=True):
+            new = (part.serial, part.inspected_at) in added
+            if new and not near:
+                left_out.append(part.serial)
+            else:
+                rows.append(part.model_copy(update={"unlabelled": True}) if new else part)
+        return self.model_copy(update={"parts": tuple(rows)}), left_out
+
+    def of_the_lot(self, left_out: tuple[str, ...], common: tuple[Exclusion, ...], judge: str) -> str:
+        """What a verdict by parts of unknown quality leaves open, in words.
+
+        Args:
+            left_out: serial numbers of parts of the lot that deviate from the others.
+            common: what the prediction excludes of all of them.
+            judge: what predicts, in words.
+        """
+        count = self.unjudged
+        if self.lot is None:
+            those = counted(count, self.thing)
+            return f"compared with {those} of unknown quality: what they have in common is not seen"
+        without = f" (without {', '.join(left_out)}, unlike the others)" if left_out else ""
+        compared = f"compared with {counted(count, f'other {self.thing}')} of lot {self.lot}{without}"
+        if not open_defects(common):
+            return f"{compared}: what all of them have in common, {judge} judges"
+        return f"{compared}: of all of them together {judge} does not exclude {open_sizes(common)}"
 
     def _areas(self, rule: Any) -> list[tuple[float, int | None]]:  # noqa: ANN401 - of the kind
         return [area for part in self.parts if (area := part.deviating_area(rule)) is not None]
@@ -309,7 +457,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
     def known_shares(self, recipe: RecipeT) -> KnownShares | None:
         """Shares that set the limit of the area; None where the recipe gives its own or the parts are too few."""
         rule = self.area_rule(recipe)
-        if rule is None or limit_is_given(rule):
+        if rule is None or limit_is_given(rule) or self.lot is not None:
             return None
         shares, cells = self.area_shares(rule), [count for _, count in self._areas(rule) if count]
         if not cells or len(shares) < MIN_PARTS:
@@ -355,12 +503,11 @@ class GoldenPart(ReferenceRow):
     """One golden part: identity, time of inspection, and (P,) ln radiances.
 
     ``area_share`` is the share of the ``cells`` whose score exceeded ``limit``; sets of earlier versions have no limit,
-    but the ln ratio of their cells, ``cell_deviation``. ``unlabelled`` marks parts of a lot of unknown quality.
+    but the ln ratio of their cells, ``cell_deviation``.
     """
 
     log_radiance: tuple[float, ...]
     lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
-    unlabelled: Annotated[bool, Field(exclude_if=lambda value: not value)] = False
     area_share: float | None
     cell_deviation: Annotated[
         float | Literal["auto"] | None, Field(exclude_if=lambda value: value is None)
@@ -368,6 +515,11 @@ class GoldenPart(ReferenceRow):
     limit: Annotated[float | None, Field(exclude_if=lambda value: value is None)] = None
     cells: int | None = None
     verdict: str
+
+    @property
+    def pictured(self) -> tuple[Any, ...]:
+        """Ln of the radiances."""
+        return self.log_radiance
 
     def deviating_area(self, rule: Any) -> tuple[float, int | None] | None:  # noqa: ANN401 - of the kind
         """Share and number of cells, if they were judged by their scores."""
@@ -409,11 +561,6 @@ class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
         """Number of batches: lots, and days of inspection of parts without a lot."""
         return len({part.lot or part.inspected_at[:10] for part in self.parts})
 
-    @property
-    def unjudged(self) -> int:
-        """Number of parts of a lot of unknown quality."""
-        return sum(part.unlabelled for part in self.parts)
-
     def t_squared(self, radiance: FloatArray, u: FloatArray) -> tuple[float, int, float]:
         """T² of one more part from these parts (`base.significance.like_sample`).
 
@@ -439,12 +586,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         predictive: a part is compared with one golden part or more, by the scatter that the recipe states
             (`anisoscope.decision.predictive`); otherwise with three or more, by the form of the budget.
         varies: beginnings of the names of sources in the budget that differ from part to part; none for all.
-        lot: lot of a part, where these are the other parts of it, of unknown quality.
-        refused: reasons why further parts of it do not serve, a line each.
     """
-
-    lot: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
-    refused: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
 
     predictive: ClassVar[bool] = True
     varies: ClassVar[tuple[str, ...]] = ()
@@ -459,74 +601,15 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         """One, where the recipe states the scatter; otherwise three."""
         return 1 if self.predictive else super().needed
 
-    @property
-    def lacking(self) -> str | None:
-        """Reason why the parts do not serve as the reference yet, or None."""
-        if self.lot is not None:
-            return self._waiting
-        return super().lacking
-
-    @property
-    def _waiting(self) -> str | None:
-        """Reason why the other parts of a lot do not serve yet: with the part itself they are fewer than three."""
-        if len(self.parts) + 1 >= LEAST_OF_LOT:
-            return None
-        return (
-            f"part {len(self.parts) + 1} of lot {self.lot}: from part {LEAST_OF_LOT} on, the parts of the lot are "
-            "compared with each other"
-        )
-
-    @property
-    def refused_text(self) -> str | None:
-        """Reason why parts of the lot do not serve, or None."""
-        if not self.refused:
-            return None
-        more = f" (and {len(self.refused) - 1} more)" if len(self.refused) > 1 else ""
-        return f"not compared with all parts of lot {self.lot}: {self.refused[0]}{more}"
+    @classmethod
+    def least_of_lot(cls) -> int:
+        """Three, where the recipe states the scatter; otherwise four."""
+        return LEAST_OF_LOT if cls.predictive else super().least_of_lot()
 
     @property
     def batches(self) -> int:
         """Number of batches; parts of the lot of a part differ from it as from each other."""
         return len(self.parts) if self.lot is not None else super().batches
-
-    def alike(self, log_radiance: FloatArray, covariance: FloatArray) -> tuple[Self, tuple[str, ...]]:
-        """Parts of the lot that are like most parts of it, and the serial numbers of the others.
-
-        Args:
-            log_radiance: (P,) of the part, which is one of the lot too.
-            covariance: (P − 1, P − 1) of the contrasts of good parts about their mean.
-        """
-        mine = log_basis(len(log_radiance)) @ log_radiance
-        near, _ = alike(np.vstack([self.contrasts(), mine]), covariance)
-        marked = list(zip(self.parts, near[:-1], strict=True))
-        return (
-            self.model_copy(update={"parts": tuple(part for part, like in marked if like)}),
-            tuple(part.serial for part, like in marked if not like),
-        )
-
-    @classmethod
-    def of_lot(cls, recipe: SurfaceRecipe, lot: str, equipment: Equipment) -> Self:
-        """An empty set for the other parts of a lot, seen by the equipment of a part of it."""
-        poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
-        key = cls.key_of(recipe)
-        return cls(product=recipe.product, recipe_key=key, poses=poses, equipment=equipment, lot=lot)
-
-    @classmethod
-    def with_inspection(cls, known: Self | None, recipe: SurfaceRecipe, record: Record) -> Self:
-        """A set with one more part; arguments and errors as for `ReferenceSet.with_inspection`.
-
-        Raises:
-            CalibrationError: the radiances are those of another part to the last digit.
-        """
-        found = super().with_inspection(known, recipe, record)
-        *others, latest = found.parts
-        for part in others:
-            if part.log_radiance == latest.log_radiance:
-                raise CalibrationError(
-                    f"{latest.serial} has the radiances of {part.serial} to the last digit, so that the same pictures "
-                    "would count twice: inspect another good part, or take the pictures again"
-                )
-        return found
 
     @classmethod
     def restricted(
@@ -567,9 +650,14 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         return {"area_share": area.share, "limit": area.limit, "cells": area.cells}
 
 
+def plural(count: int, what: str) -> str:
+    """``golden part`` of one, ``golden parts`` of several."""
+    return what if count == 1 else f"{what}s"
+
+
 def counted(count: int, what: str) -> str:
     """``1 golden part``, ``2 golden parts``."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+    return f"{count} {plural(count, what)}"
 
 
 def golden_path(recipe_path: Path) -> Path:

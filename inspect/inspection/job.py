@@ -99,15 +99,15 @@ class Job:
             lot: name of the lot; None where it is not known.
             mates: inspections of the lot, the oldest first.
         """
-        if lot is None or not isinstance(self.kind, References):
+        kind, recipe = self.kind, self.recipe
+        if lot is None or not (isinstance(kind, References) and kind.compares_with_lot(recipe)):
             return None
         serve = (mate for mate in mates if mate.folder and mate.verdict != Verdict.INVALID.value)
         last = {mate.serial: mate for mate in serve if mate.serial != self.serial}
         folders = [Path(mate.folder) for mate in list(last.values())[-MOST_OF_LOT:]]
-        found: AnyReferenceSet | None = self.kind.lot_reference(
-            self.recipe, lot, Equipment.of_rig(self.rig, self.white.camera), _records(folders)
-        )
-        return found
+        equipment = Equipment.of_rig(self.rig, self.white.camera)
+        seen = kind.conditions_on(recipe, self.rig, self.white.filters)
+        return kind.reference_set.of_lot(recipe, lot, equipment, seen, _records(folders))
 
     def of_lot(self, lot: str | None, mates: Sequence[LotMate], folder: Path) -> Self:
         """The job with the other parts of a lot as reference, if it has none; they are written into the folder.

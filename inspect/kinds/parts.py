@@ -5,22 +5,24 @@ What a kind does not have is answered in one line (`collecting` and the like), o
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
+from pydantic import BaseModel
 
 from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.progress import Advance
 from anisoscope.decision.equipment import Equipment
+from anisoscope.decision.lot_reference import LotScatter
 from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet, ReferenceSet, golden_path
 from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.ink.fitting import RigInk
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.recipe_check import RecipeCheck
-from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.base import LotDecision, RecipeBase
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import ConclusionRecord, DiagnosisRecord, Record
@@ -64,6 +66,12 @@ class Reference(Protocol):
             CalibrationError: there is none.
         """
         ...
+
+
+def reference_notes(reference: Reference | None) -> tuple[str, ...]:
+    """Why good parts, or some parts of a lot, do not serve: notes of an inspection."""
+    found = (getattr(reference, "lacking", None), getattr(reference, "refused_text", None))
+    return tuple(note for note in found if note)
 
 
 def usable(reference: Reference | None) -> Reference | None:
@@ -119,22 +127,40 @@ class References(ABC):
         found: Reference = self.reference_set.with_inspection(known, recipe, record)
         return found
 
-    def lot_reference(
-        self, recipe: OfKind, lot: str, equipment: Equipment, records: Iterable[Record]
-    ) -> AnyReferenceSet | None:
-        """The other parts of the lot of a part, by default None: parts of this kind are not compared with them.
+    def compares_with_lot(self, recipe: OfKind) -> bool:
+        """Whether a part of a lot is compared with the others of it, where there are no good parts."""
+        return isinstance(recipe.decision, LotDecision) and recipe.decision.compare_with_lot
+
+    def conditions_on(self, recipe: OfKind, rig: RigFile, filters: str) -> BaseModel | None:
+        """Viewing conditions on a rig, as of `ReferenceSet.conditions_of`; None where the kind states none.
 
         Args:
             recipe: the recipe.
-            lot: name of the lot.
-            equipment: camera, lens and lamp of the part.
-            records: inspections of the other parts, the oldest first; those of another recipe or rig are left out.
+            rig: the rig.
+            filters: colour filters of its camera.
         """
-        del recipe, lot, equipment, records
+        del recipe, rig, filters
         return None
 
+    def lot_scatter(self, known: OfKind, recipe: OfKind, rig: RigFile) -> LotScatter:
+        """What is compared of parts of unknown quality, and how good ones scatter.
+
+        Args:
+            known: the parts.
+            recipe: their recipe.
+            rig: on which they were inspected.
+
+        Raises:
+            CalibrationError: nothing is, which is the default.
+        """
+        del recipe, rig
+        raise CalibrationError(
+            f"{known.thing}s of unknown quality are not compared with each other: add {known.thing}s that are known to "
+            "be good, without --unlabelled"
+        )
+
     def without_odd_parts(
-        self, known: OfKind, recipe: OfKind, added: Collection[tuple[str, str]]
+        self, known: OfKind, recipe: OfKind, added: Collection[tuple[str, str]], rig: RigFile
     ) -> tuple[Reference, list[str]]:
         """A set with parts of a lot of unknown quality, without those that deviate from the others.
 
@@ -142,18 +168,18 @@ class References(ABC):
             known: the set with all of them.
             recipe: the recipe.
             added: serial numbers and times of inspection of the parts.
+            rig: on which they were inspected.
 
         Returns:
             The set, and the serial numbers of the parts that were left out.
 
         Raises:
-            CalibrationError: the kind states no scatter of good parts, or there are too few parts.
+            CalibrationError: parts of the kind are not compared with each other, or there are too few.
         """
-        del known, recipe, added
-        raise CalibrationError(
-            "parts of unknown quality need a recipe that states how good parts scatter ([scatter]): add parts that are "
-            "known to be good, without --unlabelled"
+        kept: tuple[Reference, list[str]] = known.without_odd_parts(
+            self.lot_scatter(known, recipe, rig), added
         )
+        return kept
 
     def show_reference(
         self,

@@ -16,6 +16,7 @@ from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.details import GROUP, kind_of_recipe, recorded_kind
 from anisoscope.record.schema import read_record
+from anisoscope.rig.rigfile import RigFile
 
 
 def kind_names() -> tuple[str, ...]:
@@ -111,14 +112,14 @@ def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
 
 
 def add_golden(
-    recipe: Path, folders: Sequence[Path], *, unlabelled: bool = False
+    recipe: Path, folders: Sequence[Path], *, unlabelled_on: RigFile | None = None
 ) -> tuple[Any, list[str], list[str]]:
     """Add inspected parts to the golden parts of a recipe, all of them or none.
 
     Args:
         recipe: recipe file.
         folders: finished inspections.
-        unlabelled: parts of unknown quality: those that deviate from the others are left out.
+        unlabelled_on: the rig of parts of unknown quality, of which those that deviate from the others are left out.
 
     Returns:
         The golden parts, the serial numbers of added parts whose verdict was FAIL, and those of parts left out.
@@ -144,9 +145,9 @@ def add_golden(
         known = collects.add_reference(known, rules, record)
     assert known is not None
     left_out: list[str] = []
-    if unlabelled:
+    if unlabelled_on is not None:
         added = {(record.serial, record.created_at) for record in map(read_record, folders)}
-        known, left_out = collects.without_odd_parts(known, rules, added)
+        known, left_out = collects.without_odd_parts(known, rules, added, unlabelled_on)
     write_golden(path, known)
     return known, [serial for serial in failed if serial not in left_out], left_out
 

@@ -1,6 +1,6 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import datetime
 from functools import partial
@@ -21,11 +21,11 @@ from anisoscope.base.errors import (
 )
 from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import LEAST_SAMPLE
-from anisoscope.decision.consistency import scatter_of
+from anisoscope.base.significance import LEAST_SAMPLE, log_basis
+from anisoscope.decision.consistency import contrast_scatter, of_one_part, scatter_of
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
-from anisoscope.decision.equipment import Equipment
+from anisoscope.decision.lot_reference import LotScatter
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.cause_words import plastic_words
@@ -67,18 +67,17 @@ from anisoscope.kinds.parts import (
     Reporting,
     Teaching,
     Tolerances,
+    reference_notes,
     untaught,
     usable,
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.surface_reference import (
     golden_record,
-    other_parts,
     taught_tolerances,
     teach_scatter,
     unlike_text,
     with_power,
-    without_odd_parts,
 )
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import (
@@ -90,6 +89,7 @@ from anisoscope.prediction.expectation import (
     under_lamp,
 )
 from anisoscope.prediction.part_scatter import (
+    CAMERA_SHARE,
     PartScatter,
     part_scatter,
     with_design,
@@ -319,11 +319,10 @@ class SurfaceKind(
         if golden is not None and parts is None and len(golden.parts) < LEAST_SAMPLE:
             golden = None
         if golden is not None and golden.lot is not None:
-            if parts is None:
-                golden = None
-            else:
-                covariance = scatter_of(parts, measured).covariance
-                golden, left_out = golden.alike(np.log(measured.radiance), covariance)
+            found = self._lot_scatter(golden, expected, measured, parts)
+            golden, left_out = (None, ()) if found is None else golden.alike(found)
+        if golden is not None and len(golden.parts) < golden.needed:
+            golden = None
         waiting = isinstance(reference, GoldenSet) and reference.lot is not None
         judged = recipe.area is not None and recipe.area.max_lean_deg is not None
         return decide(
@@ -336,6 +335,19 @@ class SurfaceKind(
             left_out=left_out,
             form=self.form(recipe, expected, measured) if judged else None,
         )
+
+    @staticmethod
+    def _lot_scatter(
+        others: GoldenSet, expected: Expectation, measured: Measured, parts: PartScatter | None
+    ) -> LotScatter | None:
+        """What is compared of a part and the others of its lot: by the stated scatter, or the form of the budget."""
+        mine = log_basis(len(measured.radiance)) @ np.log(measured.radiance)
+        values = np.vstack([others.contrasts(), mine])
+        if parts is not None:
+            return LotScatter(values, scatter_of(parts, measured).covariance)
+        if others.predictive:
+            return None
+        return LotScatter(values, of_one_part(expected, measured.components, others.varies)[1], sized=False)
 
     def kept(self, recipe: RecipeT, measured: Measured) -> Mapping[str, Any]:
         """Radiances, cells and how they deviate, uncertainties; the pictures are in the frames."""
@@ -453,8 +465,6 @@ class SurfaceKind(
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
         facets = self.facets(recipe, expected, measured)
-        lacking = reference and reference.lacking
-        refused = reference.refused_text if isinstance(reference, GoldenSet) else None
         unlike = unlike_text(decided)
         changed = (
             NO_CELL_DEVIATION if recipe.area is not None and recipe.area.cell_deviation is not None else None
@@ -474,8 +484,7 @@ class SurfaceKind(
             tuple(
                 note
                 for note in (
-                    lacking,
-                    refused,
+                    *reference_notes(reference),
                     unlike,
                     changed,
                     unexplained,
@@ -615,13 +624,9 @@ class SurfaceKind(
 
     reference_set: type[GoldenSet] = GoldenSet
 
-    def lot_reference(
-        self, recipe: RecipeT, lot: str, equipment: Equipment, records: Iterable[Record]
-    ) -> GoldenSet | None:
-        """The other parts of a lot, where recipe and kind have it: they state how good parts scatter."""
-        if not (recipe.decision.compare_with_lot and self.reference_set.predictive and recipe.scatter):
-            return None
-        return other_parts(self.reference_set, recipe, lot, equipment, records)
+    def compares_with_lot(self, recipe: RecipeT) -> bool:
+        """Where the recipe says so and, of parts that are compared by the stated scatter, states it."""
+        return super().compares_with_lot(recipe) and bool(recipe.scatter or not self.reference_set.predictive)
 
     def show_reference(
         self,
@@ -634,19 +639,31 @@ class SurfaceKind(
         parts = self.part_scatter(recipe, light_angle_deg)
         return shown if parts is None else with_power(shown, known, recipe, parts)
 
-    def without_odd_parts(
+    def lot_scatter(
         self,
         known: Any,  # noqa: ANN401
         recipe: RecipeT,
-        added: Collection[tuple[str, str]],
-    ) -> tuple[GoldenSet, list[str]]:
-        """The set without parts of a lot that deviate from the others, by the scatter that the recipe states."""
-        equipment = known.equipment
-        angle = None if equipment is None else equipment.light_angle_deg
-        parts = None if angle is None else self.part_scatter(recipe, angle)
+        rig: RigFile,
+    ) -> LotScatter:
+        """Contrasts, and the scatter that the recipe states, or else its form by the budget.
+
+        Raises:
+            CalibrationError: parts of this kind are compared by the stated scatter, and it states none.
+        """
+        if not self.reference_set.predictive:
+            expected = self.predict(recipe, rig, cached=True)
+            camera = Component(
+                "camera", "measurement", np.full(len(expected.poses), CAMERA_SHARE), shared=False
+            )
+            form = of_one_part(expected, (camera,), self.reference_set.varies)[1]
+            return LotScatter(known.contrasts(), form, sized=False)
+        parts = self.part_scatter(recipe, rig.light.angle_deg)
         if parts is None:
-            return cast("tuple[GoldenSet, list[str]]", super().without_odd_parts(known, recipe, added))
-        return without_odd_parts(known, parts, added)
+            raise CalibrationError(
+                "parts of unknown quality need a recipe that states how good parts scatter ([scatter]): add parts that "
+                "are known to be good, without --unlabelled"
+            )
+        return LotScatter(known.contrasts(), contrast_scatter(parts, CAMERA_SHARE).covariance)
 
     def tolerances(self, recipe: RecipeT) -> dict[str, float]:
         """One tolerance a contrast."""

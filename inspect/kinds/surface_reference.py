@@ -1,6 +1,5 @@
 """Good parts of a surface as a reference: what they show, what they teach, and the other parts of a lot."""
 
-from collections.abc import Collection, Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -8,15 +7,12 @@ from typing import Any, cast
 import numpy as np
 
 from anisoscope.base.atomic_write import write_text
-from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.base.regular_file import bounded_text
 from anisoscope.base.significance import log_basis
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.decision import Decision
-from anisoscope.decision.equipment import Equipment
-from anisoscope.decision.lot_reference import LEAST_PARTS as LEAST_OF_LOT
-from anisoscope.decision.lot_reference import alike
 from anisoscope.decision.predictive import (
     MAX_BIRGE,
     birge_ratio,
@@ -26,7 +22,7 @@ from anisoscope.decision.predictive import (
     size_of,
     suggested_scatter,
 )
-from anisoscope.decision.reference_parts import GoldenSet, counted
+from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.kinds.command_output import CommandOutput, Table
@@ -147,62 +143,6 @@ def scatter_texts(recipe: SurfaceRecipe) -> dict[str, tuple[float, str]]:
         "seating tilt about y": seat,
         RIDGE_ANGLE: (recipe.scattered_ridge_angle_deg, "°, ridge_angle_deg"),
     }
-
-
-def other_parts(
-    reference: type[GoldenSet],
-    recipe: SurfaceRecipe,
-    lot: str,
-    equipment: Equipment,
-    records: Iterable[Record],
-) -> GoldenSet:
-    """The other parts of the lot of a part, of unknown quality.
-
-    Args:
-        reference: class of the set.
-        recipe: of the part.
-        lot: name of the lot.
-        equipment: camera, lens and lamp of the part.
-        records: inspections of the other parts, the oldest first.
-    """
-    known = reference.of_lot(recipe, lot, equipment)
-    refused: list[str] = []
-    for record in records:
-        try:
-            known = reference.with_inspection(known, recipe, record)
-        except CalibrationError as error:  # of another recipe or rig, or twice the same pictures
-            refused.append(str(error))
-    unlabelled = tuple(part.model_copy(update={"unlabelled": True}) for part in known.parts)
-    return known.model_copy(update={"parts": unlabelled, "refused": tuple(refused)})
-
-
-def without_odd_parts(
-    known: GoldenSet, parts: PartScatter, added: Collection[tuple[str, str]]
-) -> tuple[GoldenSet, list[str]]:
-    """A set without parts of a lot that deviate from the others, and the serial numbers of these.
-
-    Args:
-        known: the set with all of them.
-        parts: scatter of good parts.
-        added: serial numbers and times of inspection of the parts of the lot.
-
-    Raises:
-        CalibrationError: there are too few parts.
-    """
-    if len(known.parts) < LEAST_OF_LOT:
-        raise CalibrationError(
-            f"{counted(len(known.parts), 'part')} of unknown quality: {LEAST_OF_LOT} of a lot or more show which "
-            "one deviates"
-        )
-    kept, _ = alike(known.contrasts(), contrast_scatter(parts, CAMERA_SHARE).covariance)
-    rows, left_out = [], []
-    for part, near in zip(known.parts, kept, strict=True):
-        new = (part.serial, part.inspected_at) in added
-        if new and not near:
-            left_out.append(part.serial)
-        else:
-            rows.append(part.model_copy(update={"unlabelled": True}) if new else part)
-    return known.model_copy(update={"parts": tuple(rows)}), left_out
 
 
 def unlike_text(decided: Decision) -> str | None:

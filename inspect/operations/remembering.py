@@ -24,8 +24,8 @@ if TYPE_CHECKING:  # a server hands these functions to the process that inspects
 
 RETRY_S = 60.0
 MOST_MATES = 500
-LOT_SIZES = (3, 5, 9)
-"""Numbers of parts of a lot at which those whose verdict is open are judged anew."""
+LOT_STEPS = (0, 2, 6)
+"""Parts of a lot beyond the least number, at which those whose verdict is open are judged anew."""
 _retry_at: dict[str, tuple[float, str]] = {}
 """By history: until when it is not tried again, and why; a server that is away would hold up every part."""
 
@@ -92,7 +92,7 @@ def judge_lot(
     methods: "Methods | None" = None,
     reports: "Reports | None" = None,
 ) -> "tuple[Inspected, ...]":
-    """Judge the INCONCLUSIVE parts of a lot anew, when an inspection makes it one of 3, 5 or 9 parts.
+    """Judge the INCONCLUSIVE parts of a lot anew, when an inspection makes it one of 3, 5 or 9 parts (or 4, 6 or 10).
 
     A changed verdict is an inspection of its own, which enters the history.
 
@@ -112,11 +112,13 @@ def judge_lot(
         return ()
     mates = tuple(mate for mate in lot_mates(place, lot) if mate.product == storable(record.product))
     last = {mate.serial: mate for mate in mates if mate.verdict != "INVALID"}
-    if len(last) not in LOT_SIZES:
-        return ()
     from anisoscope.inspection.replay import judge_anew
+    from anisoscope.kinds.parts import References
+    from anisoscope.kinds.registry import kind_named
 
-    found = []
+    kind, found = kind_named(record.kind), []
+    if not isinstance(kind, References) or len(last) - kind.reference_set.least_of_lot() not in LOT_STEPS:
+        return ()
     if reports is not None:
         reports.wait()  # a report of an earlier part of the lot may be at work
     for mate in last.values():

@@ -228,7 +228,12 @@ def add_golden(recipe: Path | str, folders: Sequence[Path | str], *, unlabelled:
     path = Path(recipe)
     if not folders:
         raise UsageError("name the folders of one or more finished inspections")
-    known, failed, left_out = added_golden(path, [Path(one) for one in folders], unlabelled=unlabelled)
+    rig = None
+    if unlabelled:
+        from anisoscope.inspection.manifest import reopen
+
+        rig = reopen(Path(folders[0]))[1].rig
+    known, failed, left_out = added_golden(path, [Path(one) for one in folders], unlabelled_on=rig)
     return GoldenParts.of(
         golden_path(path),
         known,

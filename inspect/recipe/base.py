@@ -67,6 +67,15 @@ class DecisionBase(Part):
     remeasure: Annotated[int, Field(ge=0, le=9)] = 1
 
 
+class LotDecision(DecisionBase):
+    """Decision rule of kinds whose parts judge each other.
+
+    With ``compare_with_lot``, where the recipe has no golden parts, a part is compared with the other parts of its lot.
+    """
+
+    compare_with_lot: bool = False
+
+
 class LimitsPart(Part):
     """Limits beyond which a measurement is INVALID.
 

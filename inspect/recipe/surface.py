@@ -20,7 +20,7 @@ from anisoscope.parameters.inputs import (
 )
 from anisoscope.parameters.material import LONGEST_TAIL, Material
 from anisoscope.parameters.ridges import LIKELY_PITCH, STEEPEST_DRAFT_DEG, RidgeDesign
-from anisoscope.recipe.base import CommonUncertainty, DecisionBase, RecipeBase
+from anisoscope.recipe.base import CommonUncertainty, LotDecision, RecipeBase
 from anisoscope.recipe.material_file import MaterialFile, MaterialLightPart, read_material_file
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -271,19 +271,16 @@ LARGEST_LN_RATIO = 3.0
 """Largest tolerance of a ln ratio: a factor of 20."""
 
 
-class DecisionPart(DecisionBase):
+class DecisionPart(LotDecision):
     """Decision rule for the contrasts.
 
     ``tolerance`` is the largest deviation |measured − predicted| of a good part, one number for all pairs or
     one a pair; without it a significant deviation at ``alpha`` fails the part. ``deviation`` says what a
     significant deviation within the tolerance does. INCONCLUSIVE parts are measured up to ``remeasure`` times
     more. With ``rig_faults`` a failing part is INVALID or INCONCLUSIVE where a fault of the rig explains it as well.
-    With ``compare_with_lot``, where the recipe has no golden parts, a part is compared with the other parts of its lot,
-    from the third one on.
     """
 
     rig_faults: bool = True
-    compare_with_lot: bool = False
     contrast: ContrastKind = "log_ratio"
     tolerance: Positive | tuple[Positive, ...] | None = None
 

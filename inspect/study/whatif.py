@@ -27,11 +27,10 @@ from anisoscope.inspection.kept_measurement import CHANGE, read_kept
 from anisoscope.inspection.manifest import reopen
 from anisoscope.inspection.pipeline import Case, judge
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation
-from anisoscope.kinds.parts import Redeciding, Reference, read_reference
+from anisoscope.kinds.parts import Redeciding, Reference, References, read_reference
 from anisoscope.kinds.registry import kind_of
 from anisoscope.parameters.workers import Workers
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import Record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.peers import LotMate
@@ -275,7 +274,7 @@ def rejudged(task: Task) -> Rejudged:
 def _with_lot(plan: _Plan, task: Task) -> _Plan:
     """With the other parts of the lot where the recipe compares parts with them: all that are known by now."""
     recipe = plan.recipe
-    compares = isinstance(recipe, SurfaceRecipe) and recipe.decision.compare_with_lot
+    compares = isinstance(plan.kind, References) and plan.kind.compares_with_lot(recipe)
     if plan.reference is not None or not compares or not task.mates:
         return plan
     job = replace(reopen(Path(task.row.folder))[1], kind=plan.kind, recipe=recipe)

@@ -26,6 +26,11 @@ class GoldenPlate(ReferenceRow):
     offsets: tuple[tuple[tuple[float | None, ...], ...], ...]
     verdict: str
 
+    @property
+    def pictured(self) -> tuple[tuple[float, ...], ...]:
+        """Ln of the radiances of the classes."""
+        return self.ln_classes
+
 
 class GoldenPlates(ReferenceSet[GoldenPlate, PlateRecipe]):
     """The good plates of one recipe."""

@@ -37,6 +37,7 @@ from anisoscope.kinds.prints.reference_comparison import (
     GoldenComparison,
     compare_with_golden,
     linear_fit,
+    lot_scatter,
 )
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.sources import Source, total
@@ -58,6 +59,7 @@ NOT_DESCRIBED = (
 TOO_UNCERTAIN = (
     "the ink file knows its prints too badly for these limits: teach golden prints, or measure the ink"
 )
+BY_INK = "the ink file"
 OF_THE_INK = ("alpha x", "alpha y", "gain", "chromaticity", "delta_e")
 """Quantities that are counted from the ink file; the others compare poses, or places of the print."""
 _MISFITS = tuple(
@@ -121,11 +123,35 @@ def decide_print(
         expected: the prediction.
         measured: the channels.
         recipe: limits and rule.
-        golden: good prints that replace the prediction as the reference of a deviation.
+        golden: good prints that replace the prediction as the reference of a deviation; or the other prints of its
+            lot, which show how it differs from most of them, while the ink file judges what all have in common: the
+            tests by either have half of the level.
 
     Raises:
         MeasurementError: the print cannot be fitted, its map is too noisy, or the golden prints do not vary enough.
     """
+    if golden is None or not golden.unjudged:
+        return _decided(expected, measured, recipe, golden)
+    if golden.lot is None:
+        found = _decided(expected, measured, recipe, golden)
+        return replace(found, reasons=(*found.reasons, golden.of_the_lot((), (), BY_INK)))
+    logs = np.vstack([golden.logs(), np.log(measured.channels).ravel()])
+    others, left_out = golden.alike(lot_scatter(logs, recipe, expected))
+    rule = recipe.decision.model_copy(update={"alpha": 0.5 * recipe.decision.alpha})
+    recipe = recipe.model_copy(update={"decision": rule})
+    found = alone = _decided(expected, measured, recipe, None)
+    if alone.verdict is not Verdict.FAIL and len(others.parts) >= others.needed:
+        found = _decided(expected, measured, recipe, others)
+    return replace(found, reasons=(*found.reasons, others.of_the_lot(left_out, alone.exclusions, BY_INK)))
+
+
+def _decided(
+    expected: PrintExpectation,
+    measured: MeasuredPrint,
+    recipe: PrintRecipe,
+    golden: GoldenPrints | None,
+) -> PrintDecision:
+    """The verdict by the ink file, or by these prints."""
     of_rig = (*measured.sources, *rig_sources(recipe, expected))
     logs = np.log(measured.channels).ravel()
     everything = (*expected.sources, *of_rig)
@@ -321,7 +347,7 @@ def _together(p_value: float, comparison: GoldenComparison | None, recipe: Print
     """Whether all channels together deviate significantly, and the line of the reasons about it."""
     alpha = recipe.decision.alpha
     significant = p_value < alpha
-    alike = "as predicted" if comparison is None else f"like the {comparison.count} golden prints"
+    alike = "as predicted" if comparison is None else comparison.words
     text = p_value_text(p_value)
     line = (
         f"all channels together: p {text} for a print {alike} (level {alpha:g})"

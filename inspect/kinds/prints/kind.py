@@ -11,6 +11,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cause_words import CauseWords
 from anisoscope.base.errors import AnisoscopeError, MeasurementError, UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.decision.lot_reference import LotScatter
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, check_light, check_view
 from anisoscope.imaging.quality_gates import beyond_part, check_views
@@ -26,6 +27,7 @@ from anisoscope.kinds.parts import (
     References,
     Reporting,
     Teaching,
+    reference_notes,
     usable,
 )
 from anisoscope.kinds.prints.causes import PRINT_WORDS, explain_print
@@ -48,7 +50,13 @@ from anisoscope.kinds.prints.measurement import (
 )
 from anisoscope.kinds.prints.recipe import OF_INK, UNSTATED, PrintDefects, PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
-from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
+from anisoscope.kinds.prints.reference_comparison import lot_scatter
+from anisoscope.kinds.prints.reference_prints import (
+    GoldenPrints,
+    ViewingConditions,
+    conditions_on,
+    read_golden_prints,
+)
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
@@ -188,8 +196,7 @@ class Prints(
     ) -> Results:
         """Results for the record."""
         names = (lamp_and_sensitivities(sitting.rig)[1].name, sitting.frames.filters)
-        lacking = reference and reference.lacking
-        notes = (*measured.unwatched, *((lacking,) if lacking else ()))
+        notes = (*measured.unwatched, *reference_notes(reference))
         if recipe.print.lacks_uncertainty(expected.scene.ink):
             notes += (UNSTATED,)
         return print_results(expected, decided, names, notes)
@@ -231,6 +238,19 @@ class Prints(
     ) -> GoldenPrints | None:
         """The golden prints."""
         return read_golden_prints(path, recipe, rig)
+
+    def conditions_on(self, recipe: PrintRecipe, rig: RigFile, filters: str) -> ViewingConditions:
+        """Ink, lamp, sensitivities and colour filters."""
+        return conditions_on(recipe, rig, filters)
+
+    def lot_scatter(
+        self,
+        known: Any,  # noqa: ANN401
+        recipe: PrintRecipe,
+        rig: RigFile,
+    ) -> LotScatter:
+        """What is fitted to the prints, and the form in which sheets of an ink scatter."""
+        return lot_scatter(known.logs(), recipe, expectation_of_print(recipe, rig))
 
     def show_reference(
         self,

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import ModelError, RecipeError, UsageError
 from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
-from anisoscope.recipe.base import CommonUncertainty, RecipeBase
+from anisoscope.recipe.base import CommonUncertainty, LotDecision, RecipeBase
 from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.sim.light.colour.observer import shares_of_points
@@ -205,6 +205,7 @@ class PrintRecipe(RecipeBase):
     area: PrintArea | None = PrintArea()
     uncertainty: PrintUncertainty = PrintUncertainty()
     defects: PrintDefects = PrintDefects()
+    decision: LotDecision = LotDecision()
 
     margin_at_markers: ClassVar[bool] = True
     described_in: ClassVar[str] = "is [print]"
@@ -307,6 +308,7 @@ curl_deg = 0.5  # how much it changes across the region
 alpha = 0.01  # level of significance of all channels together
 # deviation = "warn"  # a significant deviation within the limits: "warn" or "fail"; left out "fail" with golden prints
 remeasure = 1  # how often an INCONCLUSIVE print is photographed again
+compare_with_lot = true  # without golden prints: with others of its lot (inspect --lot), from the fourth print on
 unexcluded = "inconclusive"  # a print that may have a defect of [defects] does not pass; "note": it passes, with a note
 
 [defects]  # smallest interesting sizes

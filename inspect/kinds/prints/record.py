@@ -161,9 +161,13 @@ class GoldenColourRecord(_Part):
 
 
 class GoldenPrintsRecord(_Part):
-    """The golden prints that decided what deviates; ``t2`` and ``p_value`` are of all fitted parameters together."""
+    """The golden prints that decided what deviates; ``t2`` and ``p_value`` are of all fitted parameters together.
+
+    ``lot`` names the lot where they are its other prints, of unknown quality.
+    """
 
     parts: int
+    lot: str | None = None
     t2: float
     p_value: float
     fitted: tuple[GoldenFitRecord, ...]

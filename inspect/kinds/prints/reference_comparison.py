@@ -14,10 +14,12 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.significance import holm, like_sample
+from anisoscope.decision.lot_reference import LotScatter
 from anisoscope.imaging.area_limit import KnownShares
-from anisoscope.kinds.prints.expectation import PrintExpectation
+from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources, scatter_of_prints
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.record import GoldenColourRecord, GoldenFitRecord, GoldenPrintsRecord
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.sources import Source, total
@@ -58,6 +60,7 @@ class GoldenComparison:
 
     Attributes:
         count: n, how many they are.
+        words: a print like them, in words.
         fitted: (n, 9) parameters of the golden prints from those of the predicted print, as of `lobe_fit.PARAMETERS`.
         measured: (9,) those of this print.
         t2: T² of the nine.
@@ -66,9 +69,11 @@ class GoldenComparison:
         logs: (3P,) mean of the golden prints' ln of the channels.
         covariance: (3P, 3P) covariance of a good print's ln of the channels about it, from the scatter of the nine.
         area: the deviating area by that of the golden prints, or None where they lack it.
+        lot: lot of the print, where these are its other prints, of unknown quality.
     """
 
     count: int
+    words: str
     fitted: FloatArray
     measured: FloatArray
     t2: float
@@ -77,6 +82,7 @@ class GoldenComparison:
     logs: FloatArray
     covariance: FloatArray
     area: GoldenArea | None = None
+    lot: str | None = None
 
     @property
     def p_value(self) -> float:
@@ -98,7 +104,12 @@ class GoldenComparison:
             for name, own, known in zip(PARAMETERS, self.measured, self.fitted.T, strict=True)
         )
         return GoldenPrintsRecord(
-            parts=self.count, t2=self.t2, p_value=self.p_fitted, fitted=fitted, colours=self.colours
+            parts=self.count,
+            lot=self.lot,
+            t2=self.t2,
+            p_value=self.p_fitted,
+            fitted=fitted,
+            colours=self.colours,
         )
 
 
@@ -175,7 +186,32 @@ def compare_with_golden(
     count = len(known)
     scatter = slopes @ np.cov(fitted, rowvar=False) @ slopes.T * (1.0 + 1.0 / count)
     mean = golden.logs().mean(axis=0)
-    return GoldenComparison(count, fitted, own, t2, p_fitted, colours, mean, np.asarray(scatter), shares)
+    return GoldenComparison(
+        count,
+        golden.words,
+        fitted,
+        own,
+        t2,
+        p_fitted,
+        colours,
+        mean,
+        np.asarray(scatter),
+        shares,
+        golden.lot,
+    )
+
+
+def lot_scatter(logs: FloatArray, recipe: PrintRecipe, expected: PrintExpectation) -> LotScatter:
+    """What is compared of prints of unknown quality: the nine parameters, which scatter in the form of sheets of ink.
+
+    Args:
+        logs: (n, 3P) ln of the channels of the prints.
+        recipe: the recipe.
+        expected: its prediction.
+    """
+    gain = linear_fit(expected, (*expected.common, *rig_sources(recipe, expected))).gain
+    off = logs - np.log(expected.channels).ravel()
+    return LotScatter(off @ gain.T, gain @ scatter_of_prints(recipe, expected) @ gain.T, sized=False)
 
 
 def _area(known: KnownShares, share: float, others: list[float], alpha: float) -> GoldenArea:

@@ -49,6 +49,11 @@ class GoldenPrint(ReferenceRow):
     u_curl_deg: float | None = None
     verdict: str
 
+    @property
+    def pictured(self) -> tuple[Any, ...]:
+        """Ln of the channels."""
+        return self.log_channels
+
     def deviating_area(self, rule: Any) -> tuple[float, int | None] | None:  # noqa: ANN401 - a PrintArea
         """Share and number of cells, if the print was judged with these cells and this threshold."""
         judged = (self.cell_delta_e, self.cell_mm) == (rule.cell_delta_e, rule.cell_mm)
@@ -116,10 +121,16 @@ def read_golden_prints(path: Path, recipe: PrintRecipe, rig: RigFile | None = No
         return None
     seen = {"ink": recipe.print.read_ink().name}
     if rig is not None:
-        lamp, sensitivities = lamp_and_sensitivities(rig)
-        seen |= {"lamp": lamp.name, "sensitivities": sensitivities.name}
+        seen = conditions_on(recipe, rig, found.seen.filters).model_dump()
     found.check_seen(path, seen)
     return found
+
+
+def conditions_on(recipe: PrintRecipe, rig: RigFile, filters: str) -> ViewingConditions:
+    """Viewing conditions of a recipe's prints on a rig with these colour filters."""
+    lamp, sensitivities = lamp_and_sensitivities(rig)
+    ink = recipe.print.read_ink().name
+    return ViewingConditions(ink=ink, lamp=lamp.name, sensitivities=sensitivities.name, filters=filters)
 
 
 def _details_of(record: Record) -> PrintDetails:

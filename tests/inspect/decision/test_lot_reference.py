@@ -35,6 +35,20 @@ def test_bad_parts_of_a_lot_are_left_out(good, bad):
     assert right >= 90
 
 
+@pytest.mark.parametrize("size", [0.25, 9.0])
+def test_parts_that_scatter_more_than_stated_show_it_themselves(size):
+    """Of a lot of ten, 4 σ of its own scatter away: three times as wide as stated no good part is left out."""
+    rng = np.random.default_rng(8)
+    lost = found = 0
+    for _ in range(100):
+        parts = np.sqrt(size) * lot(rng, 9, 1, 14.0)
+        kept, _ = alike(parts, COVARIANCE, sized=False)
+        lost += int(np.count_nonzero(~kept[:9]))
+        found += int(not kept[9])
+    assert lost <= 27
+    assert found >= 95
+
+
 def test_half_of_a_lot_is_kept_at_least():
     """Parts that all differ by far more than stated: the nearer half is kept, and no part twice."""
     rng = np.random.default_rng(3)

@@ -16,12 +16,13 @@ import pytest
 import flake_prints as world
 from anisoscope.ink.fitting import fit
 from anisoscope.ink.goniometer import Readings
+from anisoscope.kinds.parts import usable
 from anisoscope.kinds.prints.causes import explain_print
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import expect_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.model import Scene
-from anisoscope.kinds.prints.recipe import PrintArea, PrintPoses
+from anisoscope.kinds.prints.recipe import PrintArea, PrintDefects, PrintPoses
 from anisoscope.kinds.prints.rig_ink import NM, ink_of_channels
 from anisoscope.kinds.prints.sources import of_each
 from anisoscope.record.verdict import Verdict
@@ -35,7 +36,6 @@ from anisoscope.sim.materials.inks import InkFileError, read_ink, synthetic_ink,
 from anisoscope.sim.materials.spectra import find_illuminant
 
 PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "prints.md"
-BEGIN, END = "<!-- another world: begin -->", "<!-- another world: end -->"
 TRIALS, GOOD = 40, 1000
 DEFECTS = {
     "good print": lambda one: one,
@@ -87,13 +87,32 @@ class House:
         """The same with its measurement."""
         rng = np.random.default_rng([seed, list(DEFECTS).index(defect)])
         logs = world.photographed(DEFECTS[defect](world.good(rng)), self.poses, rng)
-        channels = np.exp(logs).reshape(-1, 3)
-        noise = of_each("noise of camera and photons", "measurement", np.full(logs.size, 2e-4))
-        cells = channels[:, :, None, None]
-        measured = MeasuredPrint(channels, cells, 0.0 * channels, (noise,), cell_grid(self.recipe), 0.001)
+        measured = self.seen(logs)
         rows = [world.photographed(world.good(rng), self.poses, rng) for _ in range(golden)]
         reference = self.golden_of(self.recipe, self.expected, rows) if golden else None
         return measured, decide_print(self.expected, measured, self.recipe, reference)
+
+    def seen(self, logs):
+        """A measurement with these ln of the channels."""
+        channels = np.exp(logs).reshape(-1, 3)
+        noise = of_each("noise of camera and photons", "measurement", np.full(logs.size, 2e-4))
+        cells = channels[:, :, None, None]
+        return MeasuredPrint(channels, cells, 0.0 * channels, (noise,), cell_grid(self.recipe), 0.001)
+
+    def lot(self, seed, parts, defect="good print", bad=1):
+        """``judge(k)`` of the prints of a lot, the last of which have the defect: print k, by all the others."""
+        rng = np.random.default_rng([seed, parts, list(DEFECTS).index(defect)])
+        good = [world.good(rng) for _ in range(parts)]
+        made = [*good[: parts - bad], *(DEFECTS[defect](one) for one in good[parts - bad :])]
+        rows = [world.photographed(one, self.poses, rng) for one in made]
+
+        def judge(number):
+            others = self.golden_of(self.recipe, self.expected, [*rows[:number], *rows[number + 1 :]])
+            unlabelled = tuple(one.model_copy(update={"unlabelled": True}) for one in others.parts)
+            others = others.model_copy(update={"lot": "R-7", "parts": unlabelled})
+            return decide_print(self.expected, self.seen(rows[number]), self.recipe, usable(others))
+
+        return judge
 
 
 @pytest.fixture(scope="module")
@@ -277,6 +296,28 @@ def test_three_golden_prints_find_what_the_ink_file_cannot(house, defect):
     assert house.decided(2, defect, golden=3).verdict is Verdict.FAIL
 
 
+@pytest.mark.parametrize("defect", ["film −2 %", "10 % of the ink missing", "flakes shingled by 1°"])
+def test_prints_of_a_lot_show_which_one_is_bad(house, defect):
+    """Nobody said which prints are good; the bad one is no reference for the others."""
+    judge = house.lot(3, 5, defect)
+    bad, good = judge(4), judge(0)
+    assert bad.verdict is Verdict.FAIL
+    assert good.verdict is not Verdict.FAIL
+    assert good.golden.words == "like the 3 other prints of the lot"
+    assert "compared with 3 other prints of lot R-7 (without G-3, unlike the others)" in good.reasons[-1]
+
+
+def test_two_other_prints_are_too_few_and_what_all_prints_share_is_the_ink_files(house):
+    few = house.lot(3, 3)(0)
+    assert (few.verdict, few.golden) == (Verdict.INCONCLUSIVE, None)
+    odd = house.lot(3, 4, "film −2 %")(0)  # two are left without the bad one
+    assert (odd.verdict, odd.golden) == (Verdict.INCONCLUSIVE, None)
+    assert "without G-2, unlike the others" in odd.reasons[-1]
+    whole = house.lot(3, 5, "film +2 %", bad=5)(0)
+    assert (whole.verdict, whole.golden) == (Verdict.FAIL, None)
+    assert "the ink file" in whole.reasons[-1]
+
+
 CAUSES = {
     "film +2 %": ("film-thickness", None),
     "film −2 %": ("film-thickness", None),
@@ -327,9 +368,48 @@ def test_rates_in_another_world(house):
             if defect == "good print":
                 assert found["FAIL"] <= 0.02 * trials if golden else not found["FAIL"]
         lines.append("| " + " | ".join(cells) + " |")
-    if os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1":
-        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        print_ = f"print ({TRIALS} each, {GOOD} good ones with golden prints)"
-        head = f"| {print_} | by its ink file | by three golden prints |"
-        table = "\n".join([head, "|---|---|---|", *lines])
-        PAGE.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+    print_ = f"print ({TRIALS} each, {GOOD} good ones with golden prints)"
+    head = f"| {print_} | by its ink file | by three golden prints |"
+    write_table("another world", [head, "|---|---|---|", *lines])
+
+
+def write_table(name, lines):
+    """Between its marks on the page, where it is asked for."""
+    if os.environ.get("ANISOSCOPE_WRITE_DOCS") != "1":
+        return
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(begin)
+    after, table = rest.partition(end)[2], "\n".join(lines)
+    PAGE.write_text(f"{before}{begin}\n\n{table}\n\n{end}{after}", encoding="utf-8")
+
+
+LOT_OF, LOTS = (5, 10), 20
+IN_LOTS = list(DEFECTS)[:3] + list(DEFECTS)[4:8]
+NO_DEFECTS = PrintDefects(**dict.fromkeys(PrintDefects.model_fields))
+
+
+@pytest.mark.statistics
+def test_rates_in_lots_of_prints_that_nobody_looked_at(house):
+    """One bad print in every lot: it, and two of the good ones, each by all the others."""
+    house.recipe = house.recipe.model_copy(update={"defects": NO_DEFECTS})  # which change no verdict here
+    lines = []
+    for defect in IN_LOTS:
+        cells = [defect]
+        for parts in LOT_OF:
+            bad, good = Counter(), Counter()
+            for seed in range(1000, 1000 + LOTS):
+                judge = house.lot(seed, parts, defect)
+                bad[str(judge(parts - 1).verdict)] += 1
+                good.update(str(judge(number).verdict) for number in range(2))
+            cells += [
+                ", ".join(f"{n} {verdict}" for verdict, n in sorted(one.items())) for one in (bad, good)
+            ]
+            print(defect, parts, *cells[-2:], flush=True)  # noqa: T201 - what the study found
+            assert good["FAIL"] <= 0.05 * good.total()
+            if defect == "good print":
+                assert bad["FAIL"] <= 0.1 * LOTS
+            elif not defect.startswith("roughness"):
+                assert bad["FAIL"] >= 0.8 * LOTS
+        lines.append("| " + " | ".join(cells) + " |")
+    head = "".join(f" bad print of {parts} ({LOTS}) | good ones ({2 * LOTS}) |" for parts in LOT_OF)
+    write_table("lots of prints", [f"| the bad print |{head}", "|---|---|---|---|---|", *lines])

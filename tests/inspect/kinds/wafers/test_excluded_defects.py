@@ -18,11 +18,13 @@ from anisoscope.kinds.surface_reference import golden_record
 from anisoscope.kinds.wafers.kind import OPTICS, WAFERS, WaferSet
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.kinds.wafers.states import DEPTH, WIDTH
+from anisoscope.operations.demo import wafers as demo
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.profile_likelihood import Combined, nearest_costly
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.verdict import Verdict
+from anisoscope.rig.rigfile import RigFile
 
 SIDE_UM, NOISE = 64.0, 0.003
 
@@ -179,6 +181,44 @@ def test_a_record_without_sizes_is_judged_as_it_was(recipe):
     assert WAFERS.as_recorded(recipe, table).defects.of_wafers == recipe.defects.of_wafers
     del table["defects"]["etch_depth_nm"], table["defects"]["etch_width_nm"]
     assert WAFERS.as_recorded(recipe, table).defects.of_wafers == ()
+
+
+def test_wafers_of_a_lot_show_which_one_is_bad(recipe, expected):
+    """Four of unknown quality: the one that is 20 nm too deep fails, and is no reference for the others."""
+    rng, states = np.random.default_rng(4), expected.states
+    varies = np.array([one.startswith(WaferSet.varies) for one in states.sources])
+    shared = rng.normal(size=len(varies))
+    deep = states.with_defect(states.defects[0], 20.0 / recipe.defects.etch_depth_nm)
+    off = [states.change(np.where(varies, rng.normal(size=len(varies)), shared)) for _ in range(4)]
+    off.insert(0, deep.change(np.zeros(len(deep.sources))))
+    made = [expected.radiance * np.exp(one + NOISE * rng.normal(size=len(one))) for one in off]
+    rows = [
+        GoldenPart(
+            serial=str(k),
+            inspected_at="",
+            log_radiance=tuple(np.log(one)),
+            area_share=None,
+            verdict="PASS",
+            unlabelled=True,
+        )
+        for k, one in enumerate(made)
+    ]
+    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
+
+    def judged(number, parts):
+        others = tuple(row for row in rows[:parts] if row.serial != str(number))
+        lot = WaferSet(product="wafers", recipe_key="", poses=poses, lot="W-1", parts=others)
+        return WAFERS.decide(None, recipe, expected, seen(made[number]), lot)
+
+    assert judged(1, 3).golden == 0  # two others are too few
+    assert judged(0, 5).verdict is Verdict.FAIL
+    good = judged(1, 5)
+    assert good.p_value > 1e-3
+    assert "compared with 3 other parts of lot W-1 (without 0, unlike the others)" in good.reasons[-1]
+    whole = WaferSet(product="wafers", recipe_key="", poses=poses, parts=tuple(rows))
+    rig = RigFile.model_validate(demo.rig("good"))
+    kept, left_out = WAFERS.without_odd_parts(whole, recipe, {(str(k), "") for k in range(5)}, rig)
+    assert ([row.serial for row in kept.parts], left_out, kept.unjudged) == (list("1234"), ["0"], 4)
 
 
 @pytest.mark.parametrize("count", [3, 5, 6, 7, 25])
