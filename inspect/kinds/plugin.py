@@ -11,6 +11,7 @@ from anisoscope.base.errors import CalibrationError, MeasurementError, RecipeErr
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
 from anisoscope.decision.equipment import Equipment
+from anisoscope.decision.lot_reference import LotScatter
 from anisoscope.decision.reference_parts import RadianceSet, ReferenceRow, ReferenceSet
 from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
@@ -78,6 +79,7 @@ __all__ = [
     "Judgement",
     "Kind",
     "LocalPath",
+    "LotScatter",
     "Measured",
     "MeasurementError",
     "NewRecipe",

@@ -126,11 +126,24 @@ class Scene:
         x_deg, y_deg = np.asarray(tilts_deg).T
         leans = seating_rotation(-y_deg, x_deg)
         shares = _density(self.ink, half @ leans, good, self.lobe) / _density(self.ink, half, good, self.lobe)
-        still = (1.0 - self.coverage) * self.substrate / np.pi + self.coverage * (
-            _base(self.ink, to_light, to_camera) @ self.weights
-        )
-        still = to_light[:, 2:] * still
+        still = self._still(to_light, to_camera)
         return np.asarray(still + shares[..., None] * (self.channels() - still))
+
+    def _still(self, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+        """(P, 3) of `channels` that no flake sends: what lies below and between, and the base of the ink."""
+        base = _base(self.ink, to_light, to_camera) @ self.weights
+        return np.asarray(
+            to_light[:, 2:] * ((1.0 - self.coverage) * self.substrate / np.pi + self.coverage * base)
+        )
+
+    def density(self, half: FloatArray) -> FloatArray:
+        """D [1/sr] of the good print's flakes at (P, 3) half vectors."""
+        return 4.0 * _density(self.ink, half, State(), self.lobe)
+
+    def of_flakes(self) -> FloatArray:
+        """(P,) share of the light of every pose that flakes send."""
+        still = self._still(*directions(self.poses, Convention(self.light_angle_deg)))
+        return np.asarray(1.0 - still.sum(axis=1) / self.channels().sum(axis=1))
 
     def log_channels(self, state: State | None = None) -> FloatArray:
         """(3 P,) ln of `channels`, channels fastest.

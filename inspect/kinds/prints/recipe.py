@@ -56,7 +56,8 @@ class PrintPart(Part):
     ``substrate`` the diffuse reflectance of what lies below and between. ``lobe`` says what the distribution of the
     flakes' normals is: 0 that of the ink file, 1 the other one of GGX and Beckmann, between them a geometric mean;
     an inspection of a good print finds it. ``wrong_inks`` are other inks of the house, which the diagnosis looks for.
-    ``dot_um`` is the side of a dot of a halftone, of which `recipe check` says how many a cell holds.
+    ``dot_um`` is the side of a dot of a halftone, ``flake_um`` the diameter of a flake: `recipe check` says how many
+    dots, and how many flakes that shine, a cell holds.
 
     The ``u_…`` are standard uncertainties: relative of roughness, of level (``u_rho_share``, all wavelengths alike) and
     of colour (``u_colour_share``, between the colour channels); absolute of c, of the lobe and of the substrate. Those
@@ -67,6 +68,7 @@ class PrintPart(Part):
     coverage: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     substrate: Share = 0.04
     dot_um: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
+    flake_um: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
     lobe: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.0
     wrong_inks: Annotated[tuple[InkName, ...], Field(max_length=4)] = ()
     u_alpha_share: Share | None = None

@@ -12,6 +12,8 @@ LAMP = "led-white"
 EXPOSURE_S, FLAT_EXPOSURE_S = 0.008, 0.012
 PIXEL_UM, PIXELS = 6.3, 640
 TILTS_DEG = [0.0, 10.0, 20.0, -20.0, -10.0]
+DELTA_E = 2.4
+"""Limit that 90 % of prints pass whose ink and rig are off as their files allow (`recipe check`)."""
 DEFECTS: dict[str, dict[str, Any]] = {
     "good": {},
     "brushed": {"anisotropy": 1.15, "brush_deg": 20.0},
@@ -79,4 +81,8 @@ def _files(name: str, rng: np.random.Generator) -> Files:
     return bench_of(sample, int(rng.integers(2**31))), rig_of(flat_of(name))
 
 
-SCENE = Scene(PARTS, 300, lambda *_: recipe_of(INK), _files, FLAT_EXPOSURE_S)
+def _recipe(*_: object) -> dict[str, Any]:
+    return recipe_of(INK) | {"tolerances": {"delta_e": DELTA_E}}
+
+
+SCENE = Scene(PARTS, 300, _recipe, _files, FLAT_EXPOSURE_S)
