@@ -158,7 +158,8 @@ def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
     if part.kind == "print":
         from anisoscope.sim.bench.prints import PrintSample  # noqa: PLC0415 - of one kind of sample only
 
-        return PrintSample(part.print or PrintPart(), part.size_mm, file.optics.pixel_um, file.vision(), rng)
+        lamp_mm, raster_um = file.optics.lamp_distance_mm, file.optics.pixel_um
+        return PrintSample(part.print or PrintPart(), part.size_mm, raster_um, file.vision(), rng, lamp_mm)
     if part.kind == "wafer":
         from anisoscope.sim.bench.wafer import build_wafer  # noqa: PLC0415 - of one kind of sample only
 

@@ -149,8 +149,9 @@ class OpticsPart(Part):
     colour filters, per pixel of the strongest colour. A cold lamp is brighter by ``lamp_warmup_share`` (darker, if
     negative), and loses it over ``lamp_warmup_frames`` lit frames. ``spectrum`` is the lamp's: ``led-white`` (made
     up), a CIE illuminant such as ``d65`` or ``a``, or a file *.csv. A lamp at ``lamp_distance_mm`` shines on
-    every place of ridges and height maps from another direction; without it, it is far away. ``numerical_aperture`` (on
-    the side of the sample) and ``wavelength_nm`` set the depth of field where there is an axis ``z``.
+    every place of ridges, height maps and prints from another direction; without it, it is far away.
+    ``numerical_aperture`` (on the side of the sample) and ``wavelength_nm`` set the depth of field where there is an
+    axis ``z``.
     """
 
     pixel_um: Positive = 4.0

@@ -220,15 +220,23 @@ class PrintSample:
         raster_um: size of its pixels, if the print does not say it.
         vision: the camera's channels under the lamp.
         rng: grain and pinholes.
+        lamp_distance_mm: from the middle of the sheet to the lamp; None: far away.
 
     Raises:
         RigFileError: an ink or a spectrum that cannot be used.
     """
 
     def __init__(
-        self, part: PrintPart, size_mm: float, raster_um: float, vision: Vision, rng: np.random.Generator
+        self,
+        part: PrintPart,
+        size_mm: float,
+        raster_um: float,
+        vision: Vision,
+        rng: np.random.Generator,
+        lamp_distance_mm: float | None = None,
     ) -> None:
         grid = grid_of(size_mm, part.raster_um or raster_um)
+        self._grid, self._lamp_mm = grid, lamp_distance_mm
         self.pixel_um = (grid.raster_um, grid.raster_um)
         self.inks = _printed_inks(part)
         shares = [1.0 - part.wrong_share, part.wrong_share][: len(self.inks)]
@@ -245,7 +253,22 @@ class PrintSample:
         ]
 
     def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
-        """(channels, rows, cols) radiance; see `anisoscope.sim.bench.bench.Sample`."""
+        """(channels, rows, cols) radiance; see `anisoscope.sim.bench.bench.Sample`.
+
+        A near lamp lights every place from a direction of its own, with the irradiance that the white tile takes out.
+        Light changes smoothly with its direction: parabolas through those at three places each way.
+        """
+        if self._lamp_mm is None:
+            return self._lit(to_light, to_camera)
+        found = np.zeros((self._channels, *self._grid.shape), dtype=np.float32)
+        for x_mm, of_column in _parabolas(self._grid.x_mm):
+            for y_mm, of_row in _parabolas(self._grid.y_mm):
+                way = self._lamp_mm * to_light - [x_mm, y_mm, 0.0]
+                found += of_row * of_column * self._lit(way / np.linalg.norm(way), to_camera)
+        return found
+
+    def _lit(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        """(channels, rows, cols) radiance under light from one direction."""
         facing = self._normal @ to_light.astype(np.float32)
         seen = np.maximum(facing, np.float32(0.0)) * (self._normal @ to_camera.astype(np.float32) > 0.0)
         shine = np.moveaxis(self._shine(to_light, to_camera), -1, 0)[: self._channels]
@@ -276,6 +299,16 @@ class PrintSample:
         x = -self._normal[..., :1] * self._normal
         x[..., 0] += 1.0
         return np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True), dtype=np.float32)
+
+
+def _parabolas(at_mm: FloatArray) -> list[tuple[float, Image]]:
+    """Three places on an axis of the raster, and the weight that each has at all of them (Lagrange)."""
+    nodes = [float(at_mm.min()), 0.5 * float(at_mm.min() + at_mm.max()), float(at_mm.max())]
+    found = []
+    for node in nodes:
+        factors = [(at_mm - other) / (node - other) for other in nodes if other != node]
+        found.append((node, np.prod(factors, axis=0).astype(np.float32)))
+    return found
 
 
 def shingled(half: FloatArray, tilt_rad: float, side: tuple[float, float]) -> FloatArray:

@@ -293,3 +293,18 @@ def test_a_spot_is_where_it_was_put_and_turns_with_the_sheet(print_bench):
 def test_the_seed_makes_the_print(print_bench):
     pictures = [print_bench(grain_share=0.05).photograph(0.003, 1.0) for _ in range(2)]
     np.testing.assert_array_equal(*pictures)
+
+
+def test_a_near_lamp_lights_every_place_from_its_own_direction():
+    """Each against the formula with the direction from there to a lamp at 80 mm."""
+    part = PrintPart.model_validate(FLAT | {"raster_um": 100.0, "ink": "synthetic-red"})
+    sample = PrintSample(part, 2.4, 4.0, VISION, np.random.default_rng(1), lamp_distance_mm=80.0)
+    to_light, to_camera = at(35.0, 12.0)
+    found = sample.radiance(to_light, to_camera)
+    middle = expected(RED, (to_light, to_camera))
+    np.testing.assert_allclose(found[:, 12, 12], middle, rtol=2e-3)
+    for row, col in ((0, 0), (3, 20), (24, 7), (17, 24)):
+        way = 80.0 * to_light - [0.1 * (col - 12), 0.1 * (row - 12), 0.0]
+        near = expected(RED, (way / np.linalg.norm(way), to_camera))
+        assert np.abs(near / middle - 1.0).max() > 0.01
+        np.testing.assert_allclose(found[:, row, col], near, rtol=2e-3)
