@@ -190,7 +190,7 @@ def decide(
             lacking_text(expected, golden, deviates=deviates),
         )
     if golden is not None and golden.unjudged:
-        reasons = (*reasons, golden.of_the_lot(left_out, common, "the prediction"))
+        reasons = (*reasons, golden.of_the_lot(left_out, common))
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))

@@ -316,16 +316,21 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         """Reason why the parts do not serve as the reference yet, or None."""
         count = len(self.parts)
         if self.lot is not None:
-            least = self.least_of_lot()
-            if count + 1 >= least:
-                return None
-            return (
-                f"{self.thing} {count + 1} of lot {self.lot}: from {self.thing} {least} on, the {self.thing}s of the "
-                "lot are compared with each other"
-            )
+            return self._waiting
         if count >= self.needed:
             return None
         return f"{counted(count, self.noun)}: from {self.needed} on {self.thing}s are compared with them"
+
+    @property
+    def _waiting(self) -> str | None:
+        """Reason why the other parts of a lot do not serve yet, with the part itself, or None."""
+        parts, least_of_lot = len(self.parts) + 1, self.least_of_lot()
+        if parts >= least_of_lot:
+            return None
+        return (
+            f"part {parts} of lot {self.lot}: from part {least_of_lot} on, the parts of the lot are compared with each "
+            "other"
+        )
 
     @classmethod
     def least_of_lot(cls) -> int:
@@ -343,9 +348,11 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         number = len(self.parts)
         if self.lot is not None:
             return (
-                f"like the {'' if number == 1 else f'{number} '}other {plural(number, self.thing)} of the lot"
+                "like the other part of the lot"
+                if number == 1
+                else f"like the {number} other parts of the lot"
             )
-        return f"like the {'' if number == 1 else f'{number} '}{plural(number, self.noun)}"
+        return "like the golden part" if number == 1 else f"like the {number} golden parts"
 
     @property
     def refused_text(self) -> str | None:
@@ -353,7 +360,7 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
         if not self.refused:
             return None
         more = f" (and {len(self.refused) - 1} more)" if len(self.refused) > 1 else ""
-        return f"not compared with all {self.thing}s of lot {self.lot}: {self.refused[0]}{more}"
+        return f"not compared with all parts of lot {self.lot}: {self.refused[0]}{more}"
 
     @classmethod
     def of_lot(
@@ -429,23 +436,22 @@ class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
                 rows.append(part.model_copy(update={"unlabelled": True}) if new else part)
         return self.model_copy(update={"parts": tuple(rows)}), left_out
 
-    def of_the_lot(self, left_out: tuple[str, ...], common: tuple[Exclusion, ...], judge: str) -> str:
+    def of_the_lot(self, left_out: tuple[str, ...], common: tuple[Exclusion, ...]) -> str:
         """What a verdict by parts of unknown quality leaves open, in words.
 
         Args:
             left_out: serial numbers of parts of the lot that deviate from the others.
             common: what the prediction excludes of all of them.
-            judge: what predicts, in words.
         """
         count = self.unjudged
         if self.lot is None:
-            those = counted(count, self.thing)
-            return f"compared with {those} of unknown quality: what they have in common is not seen"
+            return f"compared with {count} parts of unknown quality: what they have in common is not seen"
         without = f" (without {', '.join(left_out)}, unlike the others)" if left_out else ""
-        compared = f"compared with {counted(count, f'other {self.thing}')} of lot {self.lot}{without}"
+        parts = "1 other part" if count == 1 else f"{count} other parts"
+        compared = f"compared with {parts} of lot {self.lot}{without}"
         if not open_defects(common):
-            return f"{compared}: what all of them have in common, {judge} judges"
-        return f"{compared}: of all of them together {judge} does not exclude {open_sizes(common)}"
+            return f"{compared}: what all of them have in common, the prediction judges"
+        return f"{compared}: of all of them together the prediction does not exclude {open_sizes(common)}"
 
     def _areas(self, rule: Any) -> list[tuple[float, int | None]]:  # noqa: ANN401 - of the kind
         return [area for part in self.parts if (area := part.deviating_area(rule)) is not None]
@@ -650,14 +656,9 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         return {"area_share": area.share, "limit": area.limit, "cells": area.cells}
 
 
-def plural(count: int, what: str) -> str:
-    """``golden part`` of one, ``golden parts`` of several."""
-    return what if count == 1 else f"{what}s"
-
-
 def counted(count: int, what: str) -> str:
     """``1 golden part``, ``2 golden parts``."""
-    return f"{count} {plural(count, what)}"
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def golden_path(recipe_path: Path) -> Path:

@@ -59,7 +59,6 @@ NOT_DESCRIBED = (
 TOO_UNCERTAIN = (
     "the ink file knows its prints too badly for these limits: teach golden prints, or measure the ink"
 )
-BY_INK = "the ink file"
 OF_THE_INK = ("alpha x", "alpha y", "gain", "chromaticity", "delta_e")
 """Quantities that are counted from the ink file; the others compare poses, or places of the print."""
 _MISFITS = tuple(
@@ -134,7 +133,7 @@ def decide_print(
         return _decided(expected, measured, recipe, golden)
     if golden.lot is None:
         found = _decided(expected, measured, recipe, golden)
-        return replace(found, reasons=(*found.reasons, golden.of_the_lot((), (), BY_INK)))
+        return replace(found, reasons=(*found.reasons, golden.of_the_lot((), ())))
     logs = np.vstack([golden.logs(), np.log(measured.channels).ravel()])
     others, left_out = golden.alike(lot_scatter(logs, recipe, expected))
     rule = recipe.decision.model_copy(update={"alpha": 0.5 * recipe.decision.alpha})
@@ -142,7 +141,7 @@ def decide_print(
     found = alone = _decided(expected, measured, recipe, None)
     if alone.verdict is not Verdict.FAIL and len(others.parts) >= others.needed:
         found = _decided(expected, measured, recipe, others)
-    return replace(found, reasons=(*found.reasons, others.of_the_lot(left_out, alone.exclusions, BY_INK)))
+    return replace(found, reasons=(*found.reasons, others.of_the_lot(left_out, alone.exclusions)))
 
 
 def _decided(

@@ -74,6 +74,11 @@ class GoldenPrints(ReferenceSet[GoldenPrint, PrintRecipe]):
         """(n, 3P) ln of the channels of every print, channels fastest."""
         return np.array([part.log_channels for part in self.parts]).reshape(len(self.parts), -1)
 
+    @property
+    def words(self) -> str:
+        """A print like these, in words."""
+        return super().words if self.lot is not None else f"like the {len(self.parts)} golden prints"
+
     @classmethod
     def row_of(cls, record: Record, recipe: PrintRecipe) -> GoldenPrint:
         """Row with ln of the channels, and what the map shows."""

@@ -303,8 +303,8 @@ def test_prints_of_a_lot_show_which_one_is_bad(house, defect):
     bad, good = judge(4), judge(0)
     assert bad.verdict is Verdict.FAIL
     assert good.verdict is not Verdict.FAIL
-    assert good.golden.words == "like the 3 other prints of the lot"
-    assert "compared with 3 other prints of lot R-7 (without G-3, unlike the others)" in good.reasons[-1]
+    assert good.golden.words == "like the 3 other parts of the lot"
+    assert "compared with 3 other parts of lot R-7 (without G-3, unlike the others)" in good.reasons[-1]
 
 
 def test_two_other_prints_are_too_few_and_what_all_prints_share_is_the_ink_files(house):
@@ -315,7 +315,7 @@ def test_two_other_prints_are_too_few_and_what_all_prints_share_is_the_ink_files
     assert "without G-2, unlike the others" in odd.reasons[-1]
     whole = house.lot(3, 5, "film +2 %", bad=5)(0)
     assert (whole.verdict, whole.golden) == (Verdict.FAIL, None)
-    assert "the ink file" in whole.reasons[-1]
+    assert "the prediction" in whole.reasons[-1]
 
 
 CAUSES = {

@@ -45,19 +45,17 @@ def test_prints_of_a_lot_are_compared_from_the_fourth_one_on(of_lot):
     waiting = [of_lot(serial) for serial in "ABC"]
     assert [(one.record.verdict, anew) for one, anew in waiting] == 3 * [("INCONCLUSIVE", ())]
     notes = waiting[2][0].record.notes
-    assert (
-        f"print 3 of lot {LOT}: from print 4 on, the prints of the lot are compared with each other" in notes
-    )
+    assert f"part 3 of lot {LOT}: from part 4 on, the parts of the lot are compared with each other" in notes
     fourth, anew = of_lot("D")
     assert fourth.record.verdict == "PASS"
-    assert fourth.record.reasons[-1].startswith(f"compared with 3 other prints of lot {LOT}: of all of them")
+    assert fourth.record.reasons[-1].startswith(f"compared with 3 other parts of lot {LOT}: of all of them")
     assert (fourth.record.details.golden.lot, fourth.record.details.golden.parts) == (LOT, 3)
     assert [(one.record.serial, one.record.verdict) for one in anew] == [(name, "PASS") for name in "ABC"]
     assert recompute(fourth.folder).same
     assert recompute(anew[0].folder).same
     bad, _ = of_lot("X", {"missing_share": 0.1})
     assert bad.record.verdict == "FAIL"
-    assert any("like the 4 other prints of the lot" in one for one in bad.record.reasons)
+    assert any("like the 4 other parts of the lot" in one for one in bad.record.reasons)
 
     folders = [one.folder for one, _ in waiting]
     with pytest.raises(
