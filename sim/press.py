@@ -20,6 +20,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.errors import UsageError
+from anisoscope.parameters.moulding import MouldingRun
 
 SETTINGS = {
     "melt temperature": (230.0, 0.6),
@@ -130,6 +131,12 @@ def mould(parts: int, changes: tuple[Change, ...], rng: np.random.Generator) -> 
     measured = {name: one + MEASURED[name] * rng.standard_normal(parts) for name, one in measured.items()}
     seconds = EVERY * np.cumsum(cycles["cycle time"])
     return Moulded(seconds, cycles, measured)
+
+
+def moulded(run: MouldingRun) -> Moulded:
+    """Parts of a run; errors as for `mould`."""
+    changes = () if run.setting is None else (Change(run.setting, run.change, run.onset - 1, run.ramp),)
+    return mould(run.parts, changes, np.random.default_rng(run.seed))
 
 
 def check_free(folder: Path) -> None:

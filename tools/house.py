@@ -382,10 +382,17 @@ def declared_options(root: Any) -> tuple[int, set[tuple[str, str]]]:  # noqa: AN
 
 
 def _shared_type(owner: Any, name: str) -> tuple[str, str]:  # noqa: ANN401
-    """Module and name of a parameter; an annotated type that several commands share is one declaration."""
+    """Module and name of a parameter; an annotated type that several commands share is one declaration.
+
+    What a library declares, such as a step of editing, goes with the annotation that is made of it.
+    """
     hint = owner.__annotations__.get(name)
     if not hasattr(hint, "__metadata__"):
         return owner.__module__, f"{owner.__qualname__}.{name}"
+    for one in hint.__metadata__:
+        made_of = type(one).__module__
+        if made_of.startswith("anisoscope.") and not made_of.startswith("anisoscope.cli"):
+            return made_of, f"{name}: {one}"
     return ".".join(owner.__module__.split(".")[:2]), f"{name}: {get_args(hint)[:2]}"
 
 

@@ -100,20 +100,6 @@ TrustFile = Annotated[
     Path | None,
     Parameter(name="--trust", help="Trust file: one of its keys has to have signed (`anisoscope key`)."),
 ]
-OwnCertificate = Annotated[
-    Path | None,
-    Parameter(
-        name="--certificate", help="Own certificate (`anisoscope line certificate`): sign and encrypt."
-    ),
-]
-OwnKey = Annotated[Path | None, Parameter(name="--key", help="Its key.")]
-PeersFolder = Annotated[
-    Path | None,
-    Parameter(
-        name="--peers",
-        help="Folder of the certificates that are trusted; its folder rejected receives those that are not.",
-    ),
-]
 LightAngleOption = Annotated[
     float | None,
     Parameter(name="--light-angle", help="Without --rig: angle of the light, degrees; else 10 is assumed."),
@@ -122,6 +108,9 @@ Flag = Annotated[bool, Parameter(negative="")]
 """What is so where it is stated, and has no --no-…"""
 Html = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+Overwrite = Annotated[bool, Parameter(negative="", help="Replace files that exist.")]
+RecipeFile = Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")]
+HeightMaps = Annotated[Path, Parameter(help="Height maps in a format of docs/height-maps.md, or patterns.")]
 
 
 @Parameter(name="*")
@@ -215,6 +204,22 @@ class Lamp:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
+class Trusted:
+    """Certificates by which programs of OPC UA know each other.
+
+    Attributes:
+        certificate: Own certificate (`anisoscope line certificate`): sign and encrypt.
+        key: Its key.
+        peers: Folder of the certificates that are trusted; its folder rejected receives those that are not.
+    """
+
+    certificate: Path | None = None
+    key: Path | None = None
+    peers: Path | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
 class Into:
     """Folder and history that receive inspections."""
 
@@ -223,6 +228,7 @@ class Into:
 
 
 PRINTED, DRAWN, NO_BASE, USUAL_LAMP, INTO = Output(), DrawnOutput(), Base(), Lamp(), Into()
+UNTRUSTED = Trusted()
 OF_WORKERS = Options(
     Workers,
     MORE,

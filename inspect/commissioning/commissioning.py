@@ -38,7 +38,7 @@ from anisoscope.commissioning.record import (
 from anisoscope.commissioning.series import PictureSet, Series, take
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
-from anisoscope.parameters.taking import Taking
+from anisoscope.parameters.taking import KnownPart, Taking, Turning
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.recipe.base import RecipeBase
@@ -118,6 +118,59 @@ class Commissioned:
 
 
 _LOBE = ("ln_alpha_along", "ln_alpha_across", "ln_albedo", "tail")
+
+
+def known_part(known: KnownPart, recipe: SurfaceRecipe | None) -> RidgedPart:
+    """The ridged part on the stage: that of its recipe, or ideal ridges, with what was stated of it.
+
+    Args:
+        known: what was stated.
+        recipe: that of `KnownPart.recipe`, where it names one.
+
+    Raises:
+        HeightMapError: the recipe's height map cannot be read, or has no ridges.
+    """
+    if recipe is not None:
+        part = part_of_recipe(recipe, known.ridge_angle_deg, known.u_ridge_angle_deg)
+    else:
+        assert known.pitch_um is not None
+        assert known.ridge_angle_deg is not None
+        part = RidgedPart(known.pitch_um, known.ridge_angle_deg, u_ridge_angle_deg=known.u_ridge_angle_deg)
+    if known.pitch_um is not None:
+        part = replace(part, pitch_um=known.pitch_um)
+    if known.spot_mm is not None:
+        part = replace(part, spot_mm=known.spot_mm)
+    if known.u_alpha is not None:
+        part = replace(part, u_alpha_share=known.u_alpha, alpha_covariance=None)
+    if known.alpha is not None:
+        part = replace(part, alpha_along=known.alpha[0], alpha_across=known.alpha[-1])
+    return part
+
+
+def series_of(turning: Turning, recipe: SurfaceRecipe | None) -> Series:
+    """The pictures of a commissioning; exposure and channel that are not stated are the recipe's.
+
+    Raises:
+        UsageError: an exposure is stated nowhere.
+    """
+    exposure, channel = turning.exposure_s, turning.channel
+    if recipe is not None:
+        exposure = recipe.acquisition.exposure_s if exposure is None else exposure
+        channel = recipe.acquisition.light_channel if channel is None else channel
+    if exposure is None:
+        raise UsageError("give --exposure SECONDS, or --recipe FILE whose exposure is taken")
+    step, frames = turning.step_deg, turning.frames
+    return Series(
+        exposure,
+        turning.gain,
+        step,
+        turning.tilts_deg,
+        max(step, 60.0),
+        frames,
+        max(frames, 4),
+        turning.settle_s,
+        channel,
+    )
 
 
 def part_of_recipe(

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.experiment.experiment import (
     PUBLISHED_BEST_DEG,
@@ -18,7 +17,9 @@ from anisoscope.experiment.experiment import (
     contrast_table,
     findings,
 )
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.roughness_grid import RoughnessGrid
 from anisoscope.sim.light.geometry import directions, pose_grid
 
 BoolArray = npt.NDArray[np.bool_]
@@ -154,29 +155,22 @@ def findings_share(setup: Setup, alpha_along: FloatArray, alpha_across: FloatArr
     return FindingsMap(setup, np.asarray(alpha_along), np.asarray(alpha_across), *held)
 
 
-def findings_maps(
-    setup: Setup | None = None, *, alpha_from: float = 0.03, alpha_to: float = 0.3, grid_points: int = 24
-) -> FindingsMaps:
-    """Where the findings come out, for both planes of tilt, on a grid that is even in the logarithm.
+@by_keywords(grid=RoughnessGrid)
+def findings_maps(setup: Setup | None = None, *, grid: RoughnessGrid) -> FindingsMaps:
+    """Where the findings come out, for both planes of tilt.
 
     Args:
         setup: model, convention, index and albedo.
-        alpha_from: smallest roughness of the grid.
-        alpha_to: largest.
-        grid_points: per side, 2 to 100.
+        grid: `RoughnessGrid`.
 
     Raises:
-        UsageError: another number of points, or roughnesses that do not rise from above 0.
+        UsageError: a grid that is none.
         ModelError: a roughness or a pose outside what the model means.
     """
     setup = Setup() if setup is None else setup
-    if not 2 <= grid_points <= 100:
-        raise UsageError(f"--grid-points takes 2 to 100, not {grid_points}")
-    if not 0.0 < alpha_from < alpha_to:
-        raise UsageError(f"--alpha-from {alpha_from} must lie above 0 and below --alpha-to {alpha_to}")
-    replace(setup.material, alpha_along=alpha_from, alpha_across=alpha_to)
-    alphas = np.geomspace(alpha_from, alpha_to, grid_points)
-    alphas[[0, -1]] = alpha_from, alpha_to
+    replace(setup.material, alpha_along=grid.alpha_from, alpha_across=grid.alpha_to)
+    alphas = np.geomspace(grid.alpha_from, grid.alpha_to, grid.grid_points)
+    alphas[[0, -1]] = grid.alpha_from, grid.alpha_to
     planes: tuple[Literal["perpendicular", "in-plane"], ...] = ("perpendicular", "in-plane")
     return FindingsMaps(
         tuple(

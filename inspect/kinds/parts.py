@@ -22,8 +22,8 @@ from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.ink.fitting import RigInk
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.base import LotDecision, RecipeBase
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import ConclusionRecord, DiagnosisRecord, Record
 from anisoscope.report.conclusion import concluded

@@ -42,8 +42,8 @@ from anisoscope.kinds.parts import (
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
 from anisoscope.record.schema import (

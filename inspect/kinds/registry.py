@@ -11,8 +11,8 @@ from anisoscope.base.toml_table import read_toml
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.kinds.kind import AnyKind, Kind
 from anisoscope.kinds.parts import Beginning, collecting
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.details import GROUP, kind_of_recipe, recorded_kind
 from anisoscope.record.schema import read_record
@@ -78,7 +78,7 @@ def read_recipe(path: Path) -> SurfaceRecipe:
     return recipe
 
 
-def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
+def kind_of_new(requested: NewRecipe) -> AnyKind:
     """The kind whose recipe is to be written: the named one, or else the one that claims the options.
 
     Kinds that do not load are left out, unless one of them is named.
@@ -87,6 +87,7 @@ def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
         UsageError: no kind has this name, or the options are for another kind.
         RecipeError: none of those that load takes these options, or the named one does not load.
     """
+    name = requested.kind
     if name is not None and name not in kind_names():
         near = get_close_matches(name, kind_names(), 1)
         hint = f"; did you mean {near[0]}?" if near else ""

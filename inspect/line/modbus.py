@@ -16,7 +16,7 @@ from pymodbus.pdu import ModbusPDU
 
 from anisoscope.base.errors import AnisoscopeError, NotConnected
 from anisoscope.line.jobs import Jobs, Order
-from anisoscope.parameters.handshake import Addresses
+from anisoscope.parameters.serving import Addresses
 
 POLL_S = 0.02
 

@@ -36,6 +36,8 @@ from anisoscope.inspection.archive_store import open_store
 from anisoscope.inspection.folder import files_in
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.past_pages import thumbnail_of
+from anisoscope.parameters.exporting import ExportFiles
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.workers import Workers
 from anisoscope.quality.capability import specification
 from anisoscope.quality.readings import history_readings, read_readings
@@ -189,28 +191,19 @@ def verify_history(
     )
 
 
-def export_history(
-    history: History,
-    filters: Filters | None = None,
-    *,
-    csv: Path | None = None,
-    values: Path | None = None,
-    json: Path | None = None,
-    junit: Path | None = None,
-) -> int:
+@by_keywords(files=ExportFiles)
+def export_history(history: History, filters: Filters | None = None, *, files: ExportFiles) -> int:
     """Write past inspections to files; how many.
 
     Args:
         history: open.
         filters: which inspections; all by default.
-        csv: table, a line each, UTF-8.
-        values: CSV of fixed columns: a line for each number, units in line 2.
-        json: list.
-        junit: JUnit XML, for servers of continuous integration.
+        files: `ExportFiles`.
 
     Raises:
         HistoryError: the history cannot be read.
     """
+    csv, values, json, junit = files.csv, files.values, files.json, files.junit
     with history.selection(filters or Filters()) as selected:
         if csv is not None:
             write_lines(csv, csv_lines(selected.decided(), selected.labels()))

@@ -1,6 +1,7 @@
 """Radiances and contrasts of a part: of ideal ridges, of a height map, or of a recipe."""
 
 import hashlib
+import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,10 +19,12 @@ from anisoscope.parameters.optics import POINT_LIKE, Optics
 from anisoscope.parameters.ridges import RidgeDesign
 
 if TYPE_CHECKING:
+    from anisoscope.prediction.angular import AngularReflectance
     from anisoscope.prediction.optics_selection import Rig
     from anisoscope.prediction.predicted import Predicted
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.recipe.material_file import MaterialFile
+    from anisoscope.sim.light.colour.illuminant import Illuminant
 
 Model = Literal["auto", "geometric", "wave", "both", "printed", "corrected", "relief"]
 BY_RAYS = ("printed", "corrected", "relief")
@@ -291,3 +294,52 @@ def predict_recipe(path: Path, light_angle_deg: float) -> "Predicted":
 
     kind = surface_kind_of(path)
     return predicted(cached_expectation(kind.read_recipe(path), light_angle_deg, kind.optics))
+
+
+ANGULAR_COLUMNS = ("v_x", "v_y", "inclination_deg", "azimuth_deg", "wavelength_nm", "brdf_per_sr")
+
+
+def write_angular_table(found: "AngularReflectance", path: Path) -> None:
+    """Write the BRDF over all directions as CSV.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    from anisoscope.base.atomic_write import write_text
+    from anisoscope.base.csv_style import csv_text, number_text
+
+    rows = [[number_text(f"{value:.6g}") for value in row] for row in found.rows()]
+    write_text(path, csv_text([list(ANGULAR_COLUMNS), *rows], file=True))
+
+
+def write_angular_picture(found: "AngularReflectance", lamp: "Illuminant | None", path: Path) -> None:
+    """Draw the BRDF with its axes: one wavelength with a bar, several as panels, under a lamp one panel in colour.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    import numpy as np
+
+    from anisoscope.base.atomic_write import write_bytes
+    from anisoscope.report.figures import new_figure
+
+    reach = found.task.reach
+    extent = (-reach, reach, -reach, reach)
+    panels = 1 if lamp is not None else len(found.brdf)
+    with new_figure(4.6 * panels, 4.2) as (figure, axes):
+        axes.remove()
+        for panel, number in zip(figure.subplots(1, panels, squeeze=False)[0], range(panels), strict=True):
+            if lamp is not None:
+                panel.imshow(found.srgb(lamp), extent=extent)
+                panel.set_title("colour, scaled to its brightest", fontsize=9)
+            else:
+                one = found.brdf[number]
+                top = max(float(np.nanquantile(one, 0.997)), 1e-12)
+                shown = panel.imshow(one, origin="lower", extent=extent, cmap="inferno", vmin=0.0, vmax=top)
+                figure.colorbar(shown, ax=panel, label="BRDF [1/sr]", shrink=0.85)
+                panel.set_title(f"{found.task.wavelengths_nm[number]:g} nm", fontsize=9)
+            panel.set_xlabel("v_x [1]")
+            panel.set_ylabel("v_y [1]")
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
+    write_bytes(path, stream.getvalue())

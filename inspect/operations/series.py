@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
-from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.errors import RecordError
 from anisoscope.base.json_fields import json_field
-from anisoscope.inspection.batch.codes import Kind
 from anisoscope.inspection.batch.first_pose import Look
 from anisoscope.inspection.batch.journal import BATCH_NAME, VERDICTS, BatchFile, read_batch
 from anisoscope.inspection.batch.operator import Operator, Unattended
@@ -18,6 +18,8 @@ from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.batch.watch import Listener, Watch, Watched
 from anisoscope.inspection.reports import Reports
 from anisoscope.operations.remembering import history_place, judge_lot, lot_mates, remember, used_before
+from anisoscope.parameters.inspecting import FramesWatch, TrayRun
+from anisoscope.parameters.keywords import by_keywords
 from anisoscope.record.verdict import Verdict
 
 
@@ -45,18 +47,16 @@ class Batch:
     page: Path
 
 
+@by_keywords(run=TrayRun)
 def batch(
     tray: Path | str,
     recipe: Path | str,
     rig: Path | str,
     *,
+    run: TrayRun,
     out: Path | str = "inspections",
-    resume: bool = False,
-    who: Operator | None = None,
-    look: Look | None = None,
-    operator: str | None = None,
-    station: str | None = None,
     history: str | None = None,
+    who: Operator | None = None,
     note: Callable[[str], None] | None = None,
 ) -> Batch:
     """Inspect the parts of a tray list; a fault at one part does not stop the others.
@@ -65,13 +65,10 @@ def batch(
         tray: tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig,x_mm,y_mm; or AQDEF.
         recipe: recipe file.
         rig: rig file.
+        run: `TrayRun`.
         out: folder that receives the folder ``batch-NAME``, after the list.
-        resume: continue an interrupted batch; finished parts are kept.
-        who: answers before each part; by default nobody: the tray fills itself, or the axes bring the parts.
-        look: kind of code to read on every part, and exposure; None reads none.
-        operator: for the records.
-        station: where the rig stands.
         history: that the inspections enter; ``none`` for none. By default that of the folder.
+        who: answers before each part; by default nobody: the tray fills itself, or the axes bring the parts.
         note: takes a line of what a report lacks.
 
     Raises:
@@ -85,14 +82,14 @@ def batch(
         Path(recipe),
         Path(rig),
         folder,
-        operator,
-        station,
-        look,
+        run.operator,
+        run.station,
+        Look(run.code_kind, run.code_exposure_s) if run.read_code else None,
         lambda lot: lot_mates(place, lot),
         used_before(place),
     )
     say = note or (lambda _: None)
-    begun_before = (folder / BATCH_NAME).exists() and not resume
+    begun_before = (folder / BATCH_NAME).exists() and not run.resume
     for text in listed.notes:
         say(text)
     try:
@@ -102,7 +99,7 @@ def batch(
                 replace(order, judge_lot=lots),
                 who or Unattended(),
                 lambda inspected: remember(inspected, place),
-                resume=resume,
+                resume=run.resume,
                 reports=reports,
             )
             for text in reports.finish():
@@ -114,23 +111,29 @@ def batch(
     return Batch(found, folder, write_summary(found, folder))
 
 
+class Hearer(Listener, Protocol):
+    """Receiver of all that a watch says."""
+
+    def begun(self, root: Path) -> None:
+        """The folder is watched; no inspection began."""
+        ...
+
+    def note(self, text: str) -> None:
+        """What a report lacks."""
+        ...
+
+
+@by_keywords(how=FramesWatch)
 def watch(
     folder: Path | str,
     recipe: Path | str,
     rig: Path | str | None = None,
     *,
-    listener: Listener,
+    how: FramesWatch,
+    listener: Hearer,
     stop: threading.Event | None = None,
-    once: bool = False,
     out: Path | str = "inspections",
-    reflectance: float = 0.99,
-    stable_s: float = 2.0,
-    poll_s: float = 1.0,
-    code: Kind | None = None,
-    reuse: str = "",
     history: str | None = None,
-    note: Callable[[str], None] | None = None,
-    begun: Callable[[Path], None] | None = None,
 ) -> Watch:
     """Inspect every folder of frames that another program writes.
 
@@ -138,30 +141,18 @@ def watch(
         folder: in which folders of frames (with frames.csv) arrive.
         recipe: recipe file.
         rig: rig file; by default rig.toml in the folder of frames.
+        how: `FramesWatch`.
         listener: hears of every inspection, and of folders that cannot be inspected.
         stop: ends it after the folder at work.
-        once: end when the complete folders that exist are inspected.
         out: folder that receives the inspections.
-        reflectance: of the white tile in flat frames.
-        stable_s: seconds without a change after which a folder is complete.
-        poll_s: seconds between checks of the folder.
-        code: kind of code that identifies each part in its first frame; None reads none.
-        reuse: reason for judging frames of another part all the same; it is kept in the records.
         history: that the inspections enter; ``none`` for none. By default that of the folder.
-        note: takes a line of what a report lacks.
-        begun: called with the watched folder, before the first inspection.
 
     Returns:
         Verdicts, folders that cannot be inspected, and those still arriving.
 
     Raises:
-        UsageError: times that make no sense.
         AnisoscopeError: folder, recipe or rig file.
     """
-    if not (stable_s >= 0.0 and poll_s > 0.0):
-        raise UsageError(
-            f"--stable-for must be 0 s or more and --poll above 0 s, not {stable_s:g} and {poll_s:g}"
-        )
     base = Path(out)
     place = history_place(history, base)
     what = Watched(
@@ -169,22 +160,21 @@ def watch(
         base.resolve(),
         Path(recipe),
         None if rig is None else Path(rig),
-        reflectance,
-        stable_s,
-        poll_s,
-        code,
+        how.reflectance,
+        how.stable_s,
+        how.poll_s,
+        how.code_kind if how.read_code else None,
         lambda lot: lot_mates(place, lot),
         used_before(place),
-        reuse,
+        how.reuse,
     )
     ended = threading.Event() if stop is None else stop
-    with Reports(note) as reports:
+    with Reports(listener.note) as reports:
         what = replace(what, judge_lot=partial(judge_lot, place=place, reports=reports))
         watching = Watch(what, listener, lambda inspected: remember(inspected, place), reports=reports)
         with watching.open():
-            if begun is not None:
-                begun(what.root)
-            (watching.run_once if once else watching.run)(ended)
+            listener.begun(what.root)
+            (watching.run_once if how.once else watching.run)(ended)
             reports.finish()
     return watching
 

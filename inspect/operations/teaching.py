@@ -19,11 +19,12 @@ from anisoscope.decision.certificate import (
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.inspection import teach as by_part
 from anisoscope.inspection.replay import check_with_frames
-from anisoscope.kinds.parts import Reference, collecting
+from anisoscope.kinds.parts import Reference, collecting, taught
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import add_golden as added_golden
 from anisoscope.kinds.registry import kind_of
 from anisoscope.parameters.detection import PoseChoice
+from anisoscope.parameters.inspecting import PartFrames, Teaching
 from anisoscope.parameters.keywords import by_keywords
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.recipe.teaching import Taught
@@ -32,12 +33,12 @@ from anisoscope.rig.rigfile import RigFile, read_rig
 from anisoscope.study.best_poses import Suggestion, best_poses, sizes_in_toml, with_sizes
 
 
+@by_keywords(foreign=PartFrames)
 def check_recipe(
     recipe: Path | str,
     rig: Path | str | None = None,
     *,
-    frames: Path | str | None = None,
-    reflectance: float = 0.99,
+    foreign: PartFrames,
     light_angle_deg: float | None = None,
     try_tilts_deg: Sequence[float] = (10.0, 20.0),
     on_progress: Advance = silent,
@@ -47,8 +48,7 @@ def check_recipe(
     Args:
         recipe: recipe file.
         rig: rig file, for its geometry; its devices may be missing.
-        frames: folder of frames; whether a part can be measured by them is checked as well.
-        reflectance: of the white tile in the flat frames of that folder.
+        foreign: `PartFrames`; whether a part can be measured by them is checked as well.
         light_angle_deg: angle of the light, without a rig file; None is a usual one, and the check says so.
         try_tilts_deg: tilts to try as additions.
         on_progress: called with the work being done, steps done and steps in all.
@@ -57,49 +57,69 @@ def check_recipe(
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file.
     """
     path, rig_path, tries = Path(recipe), None if rig is None else Path(rig), tuple(try_tilts_deg)
-    if frames is None:
+    if foreign.frames is None:
         found: RecipeCheck = kind_of(path).check_recipe(path, rig_path, light_angle_deg, tries, on_progress)
         return found
     return check_with_frames(
-        path, Path(frames), rig_path, reflectance=reflectance, tries=tries, advance=on_progress
+        path,
+        Path(foreign.frames),
+        rig_path,
+        reflectance=foreign.reflectance,
+        tries=tries,
+        advance=on_progress,
     )
 
 
+@by_keywords(by=Teaching, foreign=PartFrames)
 def teach(
     recipe: Path | str,
     rig: Path | str | None = None,
     *,
-    serial: str,
-    frames: Path | str | None = None,
-    reflectance: float = 0.99,
+    by: Teaching,
+    foreign: PartFrames,
     out: Path | str = "inspections",
     on_progress: Advance = silent,
 ) -> Taught:
-    """Photograph a good part, or take frames of one, and set exposure, region and tolerances of a recipe by it.
+    """Set exposure, region and tolerances of a recipe by a good part, by its golden parts, or by a file of limits.
 
-    The recipe becomes a new version; the old one is saved next to it.
+    A good part is photographed, or frames of it are taken. The recipe becomes a new version; the old one is saved next
+    to it.
 
     Args:
         recipe: recipe file.
-        rig: rig file; with ``frames`` the rig.toml in their folder where it is not given.
-        serial: serial number of the good part.
-        frames: folder of frames (frames.csv), whose exposure stays.
-        reflectance: of the white tile in the flat frames of that folder.
+        rig: rig file; with frames the rig.toml in their folder where it is not given.
+        by: `Teaching`.
+        foreign: `PartFrames` of the good part, whose exposure stays.
         out: folder that receives the inspection folder.
         on_progress: called with the work being done, steps done and steps in all.
 
     Raises:
-        UsageError: neither a rig nor frames.
+        UsageError: neither a rig nor frames, or frames without a part.
         AnisoscopeError: a file, hardware, or a part that cannot be photographed well.
     """
-    path, rig_path = Path(recipe), None if rig is None else Path(rig)
-    if frames is not None:
-        return by_part.teach_by_frames(
-            path, Path(frames), serial, Path(out), on_progress, rig_path=rig_path, reflectance=reflectance
+    path, rig_path, frames = Path(recipe), None if rig is None else Path(rig), foreign.frames
+    if by.serial is None and frames is not None:
+        raise UsageError("--frames teaches by a good part: it goes with --serial")
+    if rig_path is None and frames is None:
+        raise UsageError(
+            "name a rig file with --rig" + (", or a folder of frames with --frames" if by.serial else "")
         )
-    if rig_path is None:
-        raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
-    return by_part.teach(path, rig_path, serial, Path(out), on_progress)
+    if by.serial is not None:
+        if frames is not None:
+            return by_part.teach_by_frames(
+                *(path, Path(frames), by.serial, Path(out), on_progress),
+                rig_path=rig_path,
+                reflectance=foreign.reflectance,
+            )
+        assert rig_path is not None
+        return by_part.teach(path, rig_path, by.serial, Path(out), on_progress)
+    assert rig_path is not None
+    if by.limits is not None:
+        return by_part.teach_by_limits(path, rig_path, by.limits)
+    try:
+        return taught(kind_of(path), path).teach_by_reference(path, rig_path, by.share, by.golden_of)
+    except CalibrationError as error:  # no part is judged here: no exit code may look like a verdict
+        raise UsageError(str(error)) from error
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ from typing import Literal
 
 from anisoscope.base.errors import UsageError
 
+GDS = (".gds", ".gds2", ".gdsii")
+"""Extensions of mask files."""
 MARKS = "COL,ROW=X,Y of four marks, ;-separated"
 
 
@@ -104,6 +106,117 @@ class StepMixture:
     def __post_init__(self) -> None:
         if not 1 <= self.etch_passes <= 4:
             raise UsageError(f"--etch-passes takes 1 to 4, not {self.etch_passes}")
+
+
+@dataclass(frozen=True)
+class LobeShape:
+    """Gaussian lobe that a mixture of step widths comes closest to.
+
+    Attributes:
+        sigma: σ of the Gaussian lobe along x, in half vectors h.
+        sigma_y: σ along y; as along x if not given.
+        max_width_um: widest step, µm.
+        nearest: take the nearest lobe if the wanted one is out of reach.
+    """
+
+    sigma: float
+    sigma_y: float | None = None
+    max_width_um: float = 20.0
+    nearest: bool = False
+
+
+@dataclass(frozen=True)
+class StepBlocks:
+    """Steps of a surface without a mirror direction.
+
+    Attributes:
+        arrangement: steps in a block, M or MX,MY.
+        width_um: width of a step, A or AX,AY in µm.
+        crossed: a sequence along each axis instead of blocks: the hole is a cross.
+
+    Raises:
+        UsageError: other than one or two numbers, or parts of steps.
+    """
+
+    arrangement: tuple[float, ...] = (2, 2)
+    width_um: tuple[float, ...] = (2.0,)
+    crossed: bool = False
+
+    def __post_init__(self) -> None:
+        many = self.arrangement
+        if not {len(many), len(self.width_um)} <= {1, 2} or any(m != int(m) for m in many):
+            raise UsageError("--arrangement takes one or two whole numbers, --width one or two numbers of µm")
+
+
+@dataclass(frozen=True)
+class DepthSearch:
+    """Search of depths whose levels have a zero mean phase.
+
+    Attributes:
+        levels: levels K: 2, 4, 8, … from log₂ K etch passes.
+        h_z: z component of the half vector; 1 where light and camera stand above.
+        width_um: width of the steps for the spike, µm.
+        seed: seed of the global search.
+
+    Raises:
+        UsageError: a width or seed that is none.
+    """
+
+    levels: int = 4
+    h_z: float = 1.0
+    width_um: float = 2.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.width_um > 0.0:
+            raise UsageError(f"--width must be a positive number of µm, not {self.width_um:g}")
+        check_seed(self.seed)
+
+
+@dataclass(frozen=True)
+class EtchedHeights:
+    """Part of a design, a layout or a GDSII file that becomes a height map.
+
+    Attributes:
+        corner_um: lower left corner X,Y of the window, µm.
+        window_size_um: size W,H of the window, µm; all if not given.
+        dots: dots along each side, of a design *.toml.
+        dot_um: side of a dot, µm, of a design *.toml.
+        seed: seed, of a design *.toml.
+        depths_nm: depth of every pass in nm, of a GDSII that does not say.
+        pixel_um: pixel size in µm, of a GDSII.
+
+    Raises:
+        UsageError: a window, seed or pixel that is none.
+    """
+
+    corner_um: tuple[float, ...] = (0.0, 0.0)
+    window_size_um: tuple[float, ...] | None = None
+    dots: int = 4
+    dot_um: float = 112.0
+    seed: int = 0
+    depths_nm: tuple[float, ...] | None = None
+    pixel_um: float | None = None
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+        extent = self.window_size_um
+        if len(self.corner_um) != 2 or (
+            extent is not None and (len(extent) not in (1, 2) or min(extent) <= 0.0)
+        ):
+            raise UsageError("--corner takes X,Y in µm, --window-size one or two positive numbers of µm")
+        if self.pixel_um is not None and not self.pixel_um > 0.0:
+            raise UsageError(f"--pixel must be positive, not {self.pixel_um:g} µm")
+
+    @property
+    def corner_yx_um(self) -> tuple[float, float]:
+        """The corner, rows first, as windows of a layout count."""
+        return self.corner_um[1], self.corner_um[0]
+
+    @property
+    def window_yx_um(self) -> tuple[float, float] | None:
+        """The size, rows first."""
+        return None if self.window_size_um is None else (self.window_size_um[-1], self.window_size_um[0])
 
 
 @dataclass(frozen=True)

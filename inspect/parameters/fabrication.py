@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from anisoscope.base.errors import ModelError
+from anisoscope.base.errors import ModelError, UsageError
 
 
 @dataclass(frozen=True)
@@ -92,3 +92,25 @@ class HologramSearch:
             raise ModelError(f"--over-etch takes −20 to 20 %, not {self.over_etch_percent:g}")
         if not 0.0 <= self.blur_um < math.inf:
             raise ModelError(f"--blur takes a length in µm, 0 for sharp steps, not {self.blur_um:g}")
+
+
+@dataclass(frozen=True)
+class WantedPicture:
+    """Picture over directions, and its light.
+
+    Attributes:
+        picture_light: light of a picture in colour: d65, a, led-b3 … or CSV; else grey.
+        line_width_nm: full width of the three lines at half of their height, nm.
+        picture_points: directions of the picture along each axis.
+
+    Raises:
+        UsageError: another number of directions.
+    """
+
+    picture_light: str | None = None
+    line_width_nm: float = 10.0
+    picture_points: int = 40
+
+    def __post_init__(self) -> None:
+        if not 16 <= self.picture_points <= 256:
+            raise UsageError(f"--picture-points takes 16 to 256, not {self.picture_points}")

@@ -98,3 +98,16 @@ class CodeDesign(PlateFiles):
             raise UsageError(
                 f"--facet-azimuths takes two azimuths, of light and of dark modules, not {azimuths}"
             )
+
+
+@dataclass(frozen=True)
+class GreyPictures:
+    """Pictures that become fields of a plate.
+
+    Attributes:
+        field_count: field count along the longer side; one a pixel of the picture if not given.
+        tone: greys of the pictures: proportional to radiance, as a camera sees them, or sRGB, for the eye.
+    """
+
+    field_count: int | None = None
+    tone: Literal["linear", "srgb"] = "linear"

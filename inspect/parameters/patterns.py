@@ -92,3 +92,23 @@ class Rough:
     alpha_along: float = 0.0
     alpha_across: float = 0.0
     correlation_um: float = 8.0
+
+
+@dataclass(frozen=True)
+class Injection:
+    """Extent of a defect that is added to a height map.
+
+    Attributes:
+        severity: 0 (none) to 1 (gross).
+        seed: seed of everything random.
+
+    Raises:
+        UsageError: a seed that is none.
+    """
+
+    severity: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise UsageError(f"--seed takes a whole number from 0, not {self.seed}")

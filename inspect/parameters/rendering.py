@@ -1,7 +1,10 @@
 """Pictures of a plate and of a height map (`anisoscope.operations.render`)."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
+
+from anisoscope.base.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,33 @@ class PlateView:
     tilt_deg: float = 0.0
     near_light_mm: float | None = None
     bounces: int | Literal["all"] | None = None
+
+
+@dataclass(frozen=True)
+class PlateFields:
+    """Fields of a plate.
+
+    Attributes:
+        fields: fields along a side, 2 to 64.
+        field_size_mm: side of a field in mm.
+        pattern: image of two levels in place of the checkerboard: dark is the second.
+        plate_width_mm: width of the plate with --pattern in mm.
+
+    Raises:
+        UsageError: a size or count out of its range.
+    """
+
+    fields: int = 7
+    field_size_mm: float = 5.0
+    pattern: Path | None = None
+    plate_width_mm: float = 40.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("--plate-width", self.plate_width_mm), ("--field-size", self.field_size_mm)):
+            if not 0.0 < value <= 10_000.0:
+                raise UsageError(f"{name} takes a length above 0 and up to 10000 mm, not {value:g}")
+        if self.pattern is None and not 2 <= self.fields <= 64:
+            raise UsageError(f"--fields takes 2 to 64, not {self.fields}")
 
 
 @dataclass(frozen=True)

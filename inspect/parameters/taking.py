@@ -1,10 +1,13 @@
 """Settings of pictures, searches and scans of a rig."""
 
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Literal
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.printable import check_printable
+from anisoscope.parameters.inspecting import PartFrames
+from anisoscope.parameters.ridges import LIKELY_PITCH
 
 FocusMeasure = Literal["tenengrad", "laplacian"]
 LightState = Literal["on", "off", "as-is"]
@@ -172,6 +175,21 @@ class MaterialEntry(Entry):
 
 
 @dataclass(frozen=True)
+class MaterialScan(PartFrames):
+    """Readings of a specimen of plastic, or how it is scanned.
+
+    Attributes:
+        readings: instead of a scan: CSV stage_deg,tilt_deg,value[,u].
+        max_tilt_deg: largest tilt of the scan in degrees.
+        step_deg: step of the tilt in degrees; 2.5 for a coupon, 10 for a part.
+    """
+
+    readings: Path | None = None
+    max_tilt_deg: float = 20.0
+    step_deg: float | None = None
+
+
+@dataclass(frozen=True)
 class Turning:
     """Pictures of a known part over a full turn, for the commissioning of a rig.
 
@@ -201,3 +219,38 @@ class Turning:
     def __post_init__(self) -> None:
         if self.bounces != "all" and self.bounces < 1:
             raise UsageError(f"--bounces must be 1 or more, or all, not {self.bounces}")
+
+
+@dataclass(frozen=True)
+class KnownPart:
+    """Part on the stage of a commissioning; what is not stated is the recipe's.
+
+    Attributes:
+        recipe: recipe of the part on the stage.
+        ridge_angle_deg: ridge angle of the part in degrees.
+        pitch_um: pitch of the ridges in µm.
+        alpha: roughness along and across the ridges, such as 0.06,0.1.
+        spot_mm: diameter of the spot on the part; else the recipe's region.
+        u_ridge_angle_deg: standard uncertainty of the ridge angle, degrees.
+        u_alpha: relative standard uncertainty of the roughness.
+
+    Raises:
+        UsageError: neither a recipe nor angle, pitch and spot; or a roughness that is none.
+    """
+
+    recipe: Path | None = None
+    ridge_angle_deg: float | None = None
+    pitch_um: Annotated[float | None, LIKELY_PITCH] = None
+    alpha: tuple[float, ...] | None = None
+    spot_mm: float | None = None
+    u_ridge_angle_deg: float = 0.1
+    u_alpha: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.recipe is None and None in (self.ridge_angle_deg, self.pitch_um, self.spot_mm):
+            raise UsageError(
+                "name the part on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm"
+            )
+        if self.alpha is not None and (len(self.alpha) not in (1, 2) or min(self.alpha) <= 0.0):
+            stated = ",".join(f"{one:g}" for one in self.alpha)
+            raise UsageError(f"--alpha takes one or two numbers above 0, such as 0.06,0.1, not {stated}")

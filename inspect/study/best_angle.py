@@ -26,6 +26,7 @@ from anisoscope.experiment.experiment import (
 )
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.random_surfaces import Quality
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.parameters.workers import Workers
 from anisoscope.profiles.defects import burrs
@@ -37,7 +38,6 @@ from anisoscope.sim.light.relief import radiance as relief_radiance
 from anisoscope.study.convergence import (
     PITCH_UM,
     QUALITIES,
-    Quality,
     Sampling,
     ideal_map,
     quality_text,

@@ -9,7 +9,6 @@ is common to all defective surfaces, the scatter differs from one piece of surfa
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Literal
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.experiment.experiment import STAGE_DEG, TILTS_DEG
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.random_surfaces import Quality
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.parameters.workers import Workers
 from anisoscope.profiles.defects import burrs, ridge_angle_error
@@ -57,7 +57,6 @@ class Sampling:
     seeds: int
 
 
-Quality = Literal["quick", "normal", "fine"]
 QUALITIES: dict[Quality, Sampling] = {
     "quick": Sampling(4, 200.0, 1.0, 4),
     "normal": Sampling(4, 300.0, 1.0, 12),

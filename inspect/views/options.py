@@ -45,7 +45,7 @@ def plain(name: str) -> str:
 class Given(Generic[M]):
     """Fields of a parameter model that the command line states."""
 
-    model: ClassVar[type]
+    _model: ClassVar[type]
     option: ClassVar[Mapping[str, str]]
     lists: ClassVar[Mapping[str, Callable[[str, str], Any]]]
 
@@ -80,7 +80,7 @@ class Given(Generic[M]):
             text = values.pop(name)
             if text is not None:  # else that of the model
                 values[name] = _read(reader, text, self.option[name])
-        return cast("M", self.model(**values))
+        return cast("M", self._model(**values))
 
     def refuse(self, names: Sequence[str], why: str) -> None:
         """Refuse stated fields.
@@ -167,7 +167,7 @@ def options_class(options: Options) -> type:
         TypeError: a field has the name of an attribute of `Given`, which it would hide.
     """
     assert is_dataclass(options.model)
-    own = {"model", "option", "lists", *(() if options.whole else ("values", "over", "made", "refuse"))}
+    own = {"_model", "option", "lists", *(() if options.whole else ("values", "over", "made", "refuse"))}
     hidden = sorted(own & {one.name for one in fields(options.model) if one.name not in options.without})
     if hidden:
         raise TypeError(
@@ -210,7 +210,7 @@ def options_class(options: Options) -> type:
             (one.name, Annotated[optional, parameter], field(default=default if options.whole else None))
         )
     space = {
-        "model": options.model,
+        "_model": options.model,
         "option": {name: options.option(name) for name, _, _ in stated},
         "lists": lists,
         "__doc__": options.model.__doc__,
@@ -260,7 +260,8 @@ def _reader(kind: Any, name: str, likely: Likely | None) -> Callable[[str, str],
         return lambda text, option: numbers(text, option, count, unit)
     if get_origin(kind) in (Union, UnionType):
         words = [word for one in get_args(kind) if get_origin(one) is Literal for word in get_args(one)]
-        return lambda text, option: text if text in words else _or_number(text, option, unit, words)
+        whole = float not in get_args(kind)
+        return lambda text, option: text if text in words else _or_number(text, option, unit, words, whole)
     return None
 
 
@@ -297,11 +298,12 @@ def _list_reader(unit: str) -> Callable[[str, str], tuple[float, ...]]:
     return lambda text, option: parse_numbers(text, option, unit=unit)
 
 
-def _or_number(text: str, option: str, unit: str, words: Sequence[str]) -> float:
+def _or_number(text: str, option: str, unit: str, words: Sequence[str], whole: bool) -> float:
     try:
-        return read_number(text, option, unit)
+        return int(text) if whole else read_number(text, option, unit)
     except ValueError:
-        raise ValueError(f"{option} takes {', '.join(words)} or a number, not {text!r}") from None
+        number = "a whole number" if whole else "a number"
+        raise ValueError(f"{option} takes {', '.join(words)} or {number}, not {text!r}") from None
 
 
 def quantity(name: str, likely: Likely | None = None) -> Parameter:

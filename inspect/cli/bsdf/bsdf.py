@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.ink.options import InksOption, OverwriteOption, printed_inks
+from anisoscope.cli.ink.options import InksOption, printed_inks
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import OF_PLASTIC, Flag, Json, check_new, check_suffix
+from anisoscope.cli.options import OF_PLASTIC, Flag, Json, Overwrite, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
 from anisoscope.parameters.material import Material
@@ -147,7 +147,7 @@ class FileOptions:
     scene: Annotated[Path | None, Parameter(help="RGL: also write a scene *.xml for Mitsuba.")] = None
     scene_shape: Annotated[Literal["sphere", "plate"], Parameter(help="Shape in the scene.")] = "sphere"
     coarse: Flag = False
-    overwrite: OverwriteOption = False
+    overwrite: Overwrite = False
 
 
 USUAL_FILE = FileOptions()
@@ -278,7 +278,7 @@ def import_(
     angle_unit: Literal["deg", "rad"] | None = None,
     values_are: Literal["brdf", "radiance", "factor"] = "brdf",
     pairs: Annotated[int, Parameter(help="Of a gridded file: pairs of directions to sample.")] = 2000,
-    overwrite: OverwriteOption = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Turn an instrument's table or a renderer's file into the table that fit brdf reads.

@@ -8,56 +8,26 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
-from anisoscope.cli.help_page import everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.log import chosen_language
-from anisoscope.cli.options import HistoryOption, extra_packages
+from anisoscope.cli.options import INTO, Into, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
+from anisoscope.parameters.serving import ConsoleSettings
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.console.openid import OpenId
 
-PORT = 8040
 
-
-@everyday(
-    "rig",
-    "recipes",
-    "out",
-    "history",
-    "users",
-    "openid",
-    "host",
-    "port",
-    "station",
-    "name",
-    "certificate",
-    "key",
-)
+@with_options(settings=Options(ConsoleSettings, repeated=("name",), groups={"idle": MORE}, whole=True))
 def serve(
     *,
     rig: RigPath,
     recipes: Annotated[Path, Parameter(help="Folder of the recipes that may be inspected here.")],
-    out: Path = Path("inspections"),
-    history: HistoryOption = None,
-    users: Path | None = None,
-    openid: Path | None = None,
-    host: Annotated[str, Parameter(help="Address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, Parameter(help="TCP port; 0 takes any free one.")] = PORT,
-    station: str | None = None,
-    name: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    certificate: Annotated[Path | None, Parameter(help="TLS certificate (PEM).")] = None,
-    key: Annotated[Path | None, Parameter(help="Its key (PEM).")] = None,
-    idle: float = 30.0,
+    into: Into = INTO,
+    settings: Given[ConsoleSettings],
 ) -> int:
     """Serve the console: a page at the station and a page over all stations, until Ctrl-C.
-
-    Args:
-        out: Folder that receives the inspection folders.
-        users: File of users; without it one user, at this computer only.
-        openid: With --users: file of an OpenID provider that logs people in too.
-        station: Station where the rig stands; the fleet page shows what it does.
-        idle: With --users: minutes without a person's request until a session may only look and stop.
-        name: Name by which other computers call this one; may be repeated.
 
     Examples:
         anisoscope serve --rig rig.toml --recipes recipes
@@ -92,21 +62,18 @@ def serve(
     from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
     from anisoscope.live_view.lamps import RigLamps
 
-    if (certificate is None) != (key is None):
-        raise UsageError("--certificate and --key go together")
-    if not idle > 0.0:
-        raise UsageError(f"--idle takes minutes, more than 0, not {idle:g}")
-    tls = None if certificate is None or key is None else (certificate, key)
-    check_exposure(host, users=users is not None, tls=tls is not None)
+    asked = settings.made()
+    users, tls, out = asked.users, asked.tls, into.out
+    check_exposure(asked.host, users=users is not None, tls=tls is not None)
     if not recipes.is_dir():
         raise UsageError(f"--recipes {recipes}: there is no such folder")
     accounts = None if users is None else accounts_in(users)
-    provider = _provider(openid, users)
-    place = history_place(history, out)
+    provider = _provider(asked.openid)
+    place = history_place(into.history, out)
     rig, out = rig.resolve(), out.resolve()
     trail = Trail(out / "console.audit.jsonl") if users is None else trail_of(users.resolve())
     with contextlib.ExitStack() as stack:
-        listener = stack.enter_context(listen(host, port))
+        listener = stack.enter_context(listen(asked.host, asked.port))
         here = int(listener.getsockname()[1])
         own = stack.enter_context(held_rig(rig))
         eyes = None if own.camera is None else Eyes(own.camera, own.light, own.channel, RigLamps(rig))
@@ -115,31 +82,27 @@ def serve(
         )
         worker = WorkerProcess(work)
         stack.callback(worker.close)
-        beacon = stack.enter_context(Beacon(place, station, unsigned))
-        at = Station(work, recipes.resolve(), worker, own.stop, eyes, trail, station, beacon.show)
+        beacon = stack.enter_context(Beacon(place, asked.station, unsigned))
+        at = Station(work, recipes.resolve(), worker, own.stop, eyes, trail, asked.station, beacon.show)
         app = create_app(
-            Access(accounts, trail, secure=tls is not None, openid=provider, idle_s=60.0 * idle),
+            Access(accounts, trail, secure=tls is not None, openid=provider, idle_s=60.0 * asked.idle),
             [station_router(at), fleet_router(place)],
-            hosts_of(host, here, name),
+            hosts_of(asked.host, here, asked.name),
             pages=[Page("/station", "Station"), Page("/fleet", "Fleet")],
             lang=chosen_language(),
             closing=at.end,
         )
-        address = f"http{'s' * (tls is not None)}://{host}:{here}/"
+        address = f"http{'s' * (tls is not None)}://{asked.host}:{here}/"
         print(message("console at {path}", path=address), flush=True)  # noqa: T201
         write_line(message("Ctrl-C ends it"))
         run_server(server_of(app, tls, at.log.close), listener)
     return 0
 
 
-def _provider(file: Path | None, users: Path | None) -> "OpenId | None":
+def _provider(file: Path | None) -> "OpenId | None":
     if file is None:
         return None
     from anisoscope.console.openid import OpenId, read_provider
 
-    if users is None:
-        raise UsageError(
-            "--openid goes with --users: who administers needs a way in when the provider is away"
-        )
     with extra_packages("--openid", "openid"):
         return OpenId(read_provider(file))

@@ -11,7 +11,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Html, Json
 from anisoscope.cli.tables import print_table
-from anisoscope.parameters.etching import check_seed
+from anisoscope.parameters.etching import DepthSearch, LobeShape, StepBlocks
 from anisoscope.parameters.fabrication import Fabrication
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
@@ -69,15 +69,10 @@ OF_BAND = replace(
 
 
 @app.command
-@with_options(fabrication=OF_STEPS)
+@with_options(shape=Options(LobeShape, flags=True, whole=True), fabrication=OF_STEPS)
 def lobe(
     *,
-    sigma: Annotated[float, Parameter(help="σ of the Gaussian lobe along x, in half vectors h.")],
-    sigma_y: Annotated[float | None, Parameter(help="σ along y; as along x if not given.")] = None,
-    max_width: Annotated[float, Parameter(help="Widest step, µm.")] = 20.0,
-    nearest: Annotated[
-        bool, Parameter(negative="", help="Take the nearest lobe if the wanted one is out of reach.")
-    ] = False,
+    shape: Given[LobeShape],
     fabrication: Given[Fabrication],
     name: NameOption = None,
     out: OutOption = None,
@@ -94,21 +89,20 @@ def lobe(
     """
     from anisoscope.operations.design.etched import etched_lobe
 
-    made = fabrication.over(Fabrication())
-    found = etched_lobe(sigma, sigma_y, fabrication=made, max_width_um=max_width, nearest=nearest, name=name)
+    found = etched_lobe(shape=shape.made(), fabrication=fabrication.over(Fabrication()), name=name)
     return _deliver(found, out, html, as_json=json_)
 
 
 @app.command
-@with_options(fabrication=OF_STEPS)
+@with_options(
+    blocks=Options(
+        StepBlocks, default={"arrangement": "2,2", "width_um": "2", "crossed": False}, flags=True, whole=True
+    ),
+    fabrication=OF_STEPS,
+)
 def antimirror(
     *,
-    arrangement: Annotated[str, Parameter(help="Steps in a block, M or MX,MY.")] = "2,2",
-    width: Annotated[str, Parameter(help="Width of a step, A or AX,AY in µm.")] = "2",
-    crossed: Annotated[
-        bool,
-        Parameter(negative="", help="A sequence along each axis instead of blocks: the hole is a cross."),
-    ] = False,
+    blocks: Given[StepBlocks],
     fabrication: Given[Fabrication],
     name: NameOption = None,
     out: OutOption = None,
@@ -122,12 +116,7 @@ def antimirror(
     """
     from anisoscope.operations.design.etched import etched_antimirror
 
-    made = fabrication.over(Fabrication())
-    many, widths = parse_numbers(arrangement, "--arrangement"), parse_numbers(width, "--width")
-    if not {len(many), len(widths)} <= {1, 2} or any(m != int(m) for m in many):
-        raise UsageError("--arrangement takes one or two whole numbers, --width one or two numbers of µm")
-    steps, sides = (int(many[0]), int(many[-1])), (widths[0], widths[-1])
-    found = etched_antimirror(steps, sides, crossed=crossed, fabrication=made, name=name)
+    found = etched_antimirror(blocks=blocks.made(), fabrication=fabrication.over(Fabrication()), name=name)
     return _deliver(found, out, html, as_json=json_)
 
 
@@ -155,16 +144,11 @@ def mixture(
 
 
 @app.command
-@with_options(light=OF_BAND)
+@with_options(search=Options(DepthSearch, whole=True), light=OF_BAND)
 def depths(
     *,
-    levels: Annotated[int, Parameter(help="Levels K: 2, 4, 8, … from log₂ K etch passes.")] = 4,
+    search: Given[DepthSearch],
     light: Given[Fabrication],
-    h_z: Annotated[
-        float, Parameter(help="z component of the half vector; 1 where light and camera stand above.")
-    ] = 1.0,
-    width: Annotated[float, Parameter(help="Width of the steps for the spike, µm.")] = 2.0,
-    seed: Annotated[int, Parameter(help="Seed of the global search.")] = 0,
     json_: Json = False,
 ) -> int:
     """Find depths of etch passes whose levels have a zero mean phase, at one wavelength or over a band.
@@ -174,18 +158,15 @@ def depths(
     """
     from anisoscope.operations.design.etched import etch_depths
 
-    if not width > 0.0:
-        raise UsageError(f"--width must be a positive number of µm, not {width:g}")
-    check_seed(seed)
-    made = light.over(Fabrication(band_nm=(400.0, 700.0)))
-    found = etch_depths(levels, made.bandwidth_nm, h_z, made.coherence_um, width, seed)
+    made, asked = light.over(Fabrication(band_nm=(400.0, 700.0))), search.made()
+    found = etch_depths(search=asked, band_nm=made.bandwidth_nm, coherence_um=made.coherence_um)
     if json_:
         return print_json(found)
     low, high = found.band_nm
     at = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
-    spike = f"spike over lobe there (Δc {made.coherence_um:g} µm, steps {width:g} µm)"
+    spike = f"spike over lobe there (Δc {made.coherence_um:g} µm, steps {asked.width_um:g} µm)"
     print_table(
-        f"{levels} levels {at}",
+        f"{found.levels} levels {at}",
         ["quantity", "value", "unit"],
         [
             ["etch passes", ", ".join(f"{depth:.1f}" for depth in found.depths_nm), "nm"],

@@ -8,16 +8,15 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Html, Json, check_new
+from anisoscope.cli.options import Html, Json, Overwrite, check_new
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
-from anisoscope.parameters.etching import DotSearch, PatternOptions, check_seed
+from anisoscope.parameters.etching import GDS, DotSearch, EtchedHeights, PatternOptions, check_seed
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 
-GDS = (".gds", ".gds2", ".gdsii")
 USUAL = "16:16,56:16,112:16,160:16,160:80"
 MOST_RANDOM = 100
 
@@ -238,67 +237,40 @@ def mask(
     return 0
 
 
+@with_options(how=Options(EtchedHeights, whole=True))
 def height(
     source: Path,
     /,
     *,
     out: Annotated[Path, Parameter(help="Map to write: x3p or npz; npy row by row, for any size.")],
-    corner: Annotated[str, Parameter(help="Lower left corner X,Y of the window, µm.")] = "0,0",
-    window_size: str | None = None,
-    dots: Annotated[int, Parameter(help="Dots along each side, of a design *.toml.")] = 4,
-    dot: Annotated[float, Parameter(help="Side of a dot, µm, of a design *.toml.")] = 112.0,
-    seed: Annotated[int, Parameter(help="Seed, of a design *.toml.")] = 0,
-    depths: str | None = None,
-    pixel: Annotated[float | None, Parameter(help="Pixel size in µm, of a GDSII.")] = None,
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace the map if it exists.")] = False,
+    how: Given[EtchedHeights],
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Make a height map of a design, a layout or a GDSII file: ``predict`` and the virtual rig read it.
 
     Args:
         source: Design *.toml, layout *.npz or masks *.gds.
-        window_size: Size W,H of the window, µm; all if not given.
-        depths: Depth of every pass in nm, of a GDSII that does not say.
 
     Examples:
         anisoscope design height disc.gds --window-size 60,40 --out masks.x3p
     """
-    from anisoscope.operations.design.etched import layout_of, write_heights
+    from anisoscope.operations.design.etched import etched_heights, layout_of, write_heights
 
+    asked = how.made()
     check_new((out,), overwrite=overwrite)
     _check_folders(out)
-    check_seed(seed)
-    at = parse_numbers(corner, "--corner")
-    extent = None if window_size is None else parse_numbers(window_size, "--window-size")
-    if len(at) != 2 or (extent is not None and (len(extent) not in (1, 2) or min(extent) <= 0.0)):
-        raise UsageError("--corner takes X,Y in µm, --window-size one or two positive numbers of µm")
-    # Options are X,Y; windows of a layout count rows (y) first.
-    low, window = (at[1], at[0]), None if extent is None else (extent[-1], extent[0])
-    kind = source.suffix.lower()
-    if kind not in GDS and (depths is not None or pixel is not None):
-        raise UsageError(f"--depths and --pixel are for GDSII files; {source.name} says its own")
-    if kind in GDS:
-        from anisoscope.sim.design.maskreading import read_gds
-
-        passes = None if depths is None else parse_numbers(depths, "--depths")
-        if pixel is not None and not pixel > 0.0:
-            raise UsageError(f"--pixel must be positive, not {pixel:g} µm")
-        return _deliver(
-            read_gds(source, corner_um=low, size_um=window, grid_um=pixel, passes_nm=passes),
-            out,
-            as_json=json_,
-        )
-    layout = layout_of(source, dots, dot, seed)
     # A whole pattern can exceed the memory: .npy is written strip by strip.
-    if out.suffix.lower() == ".npy" and extent is None and low == (0.0, 0.0):
-        found = write_heights(layout, out)
+    whole = asked.window_size_um is None and asked.corner_um == (0.0, 0.0)
+    if out.suffix.lower() == ".npy" and whole and source.suffix.lower() not in GDS:
+        found = write_heights(layout_of(source, asked), out)
         if json_:
             return print_json(found)
         sys.stdout.write(
             f"written: {out}, {found.rows} × {found.cols} heights in µm, pixel {found.pixel_um:g} µm (--pixel)\n"
         )
         return 0
-    return _deliver(layout.window(low, window), out, as_json=json_)
+    return _deliver(etched_heights(source, how=asked), out, as_json=json_)
 
 
 def _deliver(surface: "HeightMap", out: Path, *, as_json: bool) -> int:

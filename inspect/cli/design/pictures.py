@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from anisoscope.base.errors import UsageError
-from anisoscope.cli.help_page import MORE, everyday
+from anisoscope.cli.help_page import MORE
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 from anisoscope.parameters.etching import LobePhoto, StepMixture, check_seed
-from anisoscope.parameters.fabrication import Fabrication, HologramSearch
+from anisoscope.parameters.fabrication import Fabrication, HologramSearch, WantedPicture
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
@@ -122,32 +121,23 @@ def _written(*paths: Path | None) -> int:
     return 0
 
 
-@with_options(fabrication=OF_HOLOGRAM, search=OF_SEARCH)
-@everyday(
-    *(
-        "out",
-        "picture_light",
-        "fabrication",
-        "passes_nm",
-        "search",
-        "png",
-        "json_",
-    )
+@with_options(
+    seen=Options(WantedPicture, groups=dict.fromkeys(("line_width_nm", "picture_points"), MORE), whole=True),
+    fabrication=OF_HOLOGRAM,
+    search=OF_SEARCH,
 )
 def hologram(
     image: Path,
     /,
     *,
     out: Annotated[Path | None, Parameter(help="Write the unit as a layout *.npz.")] = None,
-    picture_light: str | None = None,
-    line_width: float = 10.0,
+    seen: Given[WantedPicture],
     fabrication: Given[Fabrication],
     passes_nm: Annotated[
         str | None,
         Parameter(help="Depths of 1 to 8 etch passes, nm; else parts of half a wave, in colour 40 to 320."),
     ] = None,
     search: Given[HologramSearch],
-    picture_points: Annotated[int, Parameter(help="Directions of the picture along each axis.")] = 40,
     png: Annotated[Path | None, Parameter(help="Picture of wanted, achieved and over-etched light.")] = None,
     json_: Json = False,
 ) -> int:
@@ -158,8 +148,6 @@ def hologram(
 
     Args:
         image: Picture; it is scaled to a square.
-        picture_light: Light of a picture in colour: d65, a, led-b3 … or CSV; else grey.
-        line_width: Full width of the three lines at half of their height, nm.
 
     Examples:
         anisoscope design hologram picture.png --out unit.npz --png unit.png
@@ -179,12 +167,11 @@ def hologram(
     check_seed(sought.seed)
     check_target(png, ".png", "--png")
     check_target(out, ".npz", "--out")
-    if not 16 <= picture_points <= 256:
-        raise UsageError(f"--picture-points takes 16 to 256, not {picture_points}")
-    lamp = None if picture_light is None else picture_lamp(picture_light, line_width)
+    asked = seen.made()
+    lamp = None if asked.picture_light is None else picture_lamp(asked.picture_light, asked.line_width_nm)
     with progress("hologram", quiet=json_) as advance:
         found = etched_hologram(
-            read_wanted(image, picture_points, colour=lamp is not None),
+            read_wanted(image, asked.picture_points, colour=lamp is not None),
             lamp=lamp,
             passes_nm=None if passes_nm is None else parse_numbers(passes_nm, "--passes-nm"),
             fabrication=fabrication.over(HOLOGRAM),

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
@@ -11,7 +11,7 @@ from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import OF_PLASTIC, OF_RIDGES, Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
-from anisoscope.parameters.manufacture import CodeDesign, Manufacture, PlateDesign
+from anisoscope.parameters.manufacture import CodeDesign, GreyPictures, Manufacture, PlateDesign
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, with_options
@@ -63,8 +63,13 @@ OF_SYMBOL = Options(
 )
 
 
-@with_options(options=OF_PLATE, ridges=OF_PICTURE, plastic=OF_LOBE, manufacture=OF_MOULD)
-@everyday("out", "options", "field_count", "ridges", "plastic", "manufacture", "json_")
+@with_options(
+    options=OF_PLATE,
+    greys=Options(GreyPictures, groups={"tone": MORE}, whole=True),
+    ridges=OF_PICTURE,
+    plastic=OF_LOBE,
+    manufacture=OF_MOULD,
+)
 def plate(
     first: Path,
     second: Path | None = None,
@@ -72,9 +77,8 @@ def plate(
     *,
     out: OutOption,
     options: Given[PlateDesign],
-    field_count: int | None = None,
+    greys: Given[GreyPictures],
     ridges: Given[RidgeDesign],
-    tone: Literal["linear", "srgb"] = "linear",
     plastic: Given[Material],
     manufacture: Given[Manufacture],
     json_: Json = False,
@@ -90,8 +94,6 @@ def plate(
     Args:
         first: Picture that is seen at the first stage angle.
         second: Picture of the same shape at the second one; without it there is one picture.
-        field_count: Field count along the longer side; one a pixel of the picture if not given.
-        tone: Greys of the pictures: proportional to radiance, as a camera sees them, or sRGB, for the eye.
 
     Examples:
         anisoscope design plate portrait.png --field-count 128 --out portrait
@@ -100,7 +102,8 @@ def plate(
     from anisoscope.operations.design.plates import PICTURE_RIDGES, design_plate, read_grey
 
     paths = (first,) if second is None else (first, second)
-    pictures = [read_grey(path, field_count, tone) for path in paths]
+    asked = greys.made()
+    pictures = [read_grey(path, asked.field_count, asked.tone) for path in paths]
     with progress("trial", quiet=json_) as advance:
         found = design_plate(
             pictures,

@@ -16,7 +16,8 @@ from anisoscope.cli.options import NO_BASE, OF_LIGHT, OF_PLASTIC, PRINTED, Base,
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
-from anisoscope.views.options import Given, with_options
+from anisoscope.parameters.roughness_grid import RoughnessGrid
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.experiment.experiment import Experiment
@@ -161,19 +162,18 @@ def experiment(
 
 
 @with_options(
+    grid=Options(RoughnessGrid, whole=True),
     plastic=replace(OF_PLASTIC, without=dict.fromkeys(("alpha_along", "alpha_across"), "the map's axes")),
     rig=replace(OF_LIGHT, without={"tilt_plane": "both planes are mapped"}),
 )
 @everyday(
-    *("base", "model", "grid_points", "alpha_from", "alpha_to", "plastic", "rig", "output", "svg"),
+    *("base", "model", "grid", "plastic", "rig", "output", "svg"),
 )
 def findings(
     *,
     base: Base = NO_BASE,
     model: ModelOption = "printed",
-    grid_points: Annotated[int, Parameter(help="Roughnesses per side of the grid, 2 to 100.")] = 24,
-    alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
-    alpha_to: Annotated[float, Parameter(help="Largest roughness of the grid.")] = 0.3,
+    grid: Given[RoughnessGrid],
     plastic: Given[Material],
     rig: Given[Convention],
     shadow_frame: FrameOption = "pitch-normal",
@@ -193,7 +193,7 @@ def findings(
     _at_most_one({"--json": output.json_, "--html": output.html is not None, "--svg": svg is not None})
     known, html = base.stated(), output.html
     setup = Setup(model, plastic.over(known.material), rig.over(known.convention), shadow_frame)
-    found = findings_maps(setup, alpha_from=alpha_from, alpha_to=alpha_to, grid_points=grid_points)
+    found = findings_maps(setup, grid=grid.made())
     if output.json_:
         print_json(found)
     elif html is not None or svg is not None:

@@ -6,21 +6,23 @@ from typing import TYPE_CHECKING, Any
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import OF_LIGHT, OF_PLASTIC, OF_RIDGES, PRINTED, MaterialOption, Output
 from anisoscope.cli.tables import console, print_table
+from anisoscope.parameters.fitting import BrdfComparison
 
 if TYPE_CHECKING:
     from anisoscope.fit.fitting import Fit
     from anisoscope.fit.table import BrdfTable, Reciprocity
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.progress import progress
+from anisoscope.parameters.fitting import FitStart, TableValues
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.ridges import RidgeDesign
-from anisoscope.views.options import Given, with_options
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.fit.fitting import Fit
@@ -156,14 +158,6 @@ def _print_parameters(fitted: "Fit") -> None:
         )
 
 
-FreeOption = Annotated[
-    str,
-    Parameter(
-        help="Free parameters, comma-separated: ridge_angle, alpha_along, alpha_across, height_loss, seating_x, "
-        "seating_y, k, albedo, index, tail, second_weight, second_width, edge_radius, foot_radius, draft, "
-        "matte; all: the first seven."
-    ),
-]
 MODEL = Group(
     "Model",
     help="What is not free stays fixed; of what is free the search starts there.",
@@ -172,44 +166,14 @@ MODEL = Group(
 OF_RIDGES_AND_ANGLE = replace(OF_RIDGES, without={"ridge_angle_deg": "it must be stated"})
 OF_RIDGES_OF_TABLE = replace(OF_RIDGES, without={"ridge_angle_deg": "the table has the angles"})
 
+
+def _names(text: str, _option: str) -> tuple[str, ...]:
+    return (text,)
+
+
+OF_START = Options(FitStart, MODEL, readers={"free": _names}, whole=True)
+
 app = App(name="fit", help="Fit the parameters of the reflectance models to measured values.")
-
-
-@Parameter(name="*", group=MODEL)
-@dataclass(frozen=True)
-class ModelOptions:
-    """Model, and the parameters of a fit that belong to no part.
-
-    Attributes:
-        model: The corrected model, or as published.
-        bounces: Reflections of the corrected model: 1 is direct light; a larger number, or all. All by default; of the
-            published experiment 1.
-    """
-
-    model: Literal["printed", "corrected"] = "corrected"
-    seating_x: Annotated[float, Parameter(help="Seating tilt of the part about x in degrees.")] = 0.0
-    seating_y: Annotated[float, Parameter(help="Seating tilt of the part about y in degrees.")] = 0.0
-    k: Annotated[float, Parameter(help="Scale between radiance and the unit of the table.")] = 1.0
-    bounces: int | Literal["all"] | None = None
-
-    def counted(self, usual: int | None = None) -> int | None:
-        """Reflections that count, None for all; ``usual`` where nothing is stated.
-
-        Raises:
-            UsageError: none, or more than the model knows.
-        """
-        if isinstance(self.bounces, int) and self.bounces < 1:
-            raise UsageError(f"--bounces must be 1 or more, or all, not {self.bounces}")
-        if self.model == "printed" and self.bounces not in (None, 1):
-            raise UsageError(
-                f"--bounces {self.bounces} needs --model corrected; printed knows direct light only"
-            )
-        if self.model == "printed":
-            return 1
-        return usual if self.bounces is None else None if self.bounces == "all" else self.bounces
-
-
-MODEL_DEFAULTS = ModelOptions()
 
 
 def _part(
@@ -225,19 +189,22 @@ def _part(
 
 
 @app.command
-@with_options(ridges=OF_RIDGES, plastic=OF_PLASTIC, rig=OF_LIGHT)
+@with_options(
+    values=Options(TableValues, names={"kind": "--quantity", "covariance": "--covariance-file"}, whole=True),
+    start=OF_START,
+    ridges=OF_RIDGES,
+    plastic=OF_PLASTIC,
+    rig=OF_LIGHT,
+)
 def ridges(
     table: Path,
     /,
     *,
-    quantity: Literal["exposure", "difference", "michelson", "log_ratio"] | None = None,
-    free: FreeOption | None = None,
-    errors: Literal["shared", "independent"] = "shared",
-    covariance: Annotated[Path | None, Parameter(name="--covariance-file")] = None,
+    values: Given[TableValues],
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     file: MaterialOption = None,
-    options: ModelOptions = MODEL_DEFAULTS,
+    start: Given[FitStart],
     rig: Given[Convention],
     output: Output = PRINTED,
 ) -> int:
@@ -245,9 +212,6 @@ def ridges(
 
     Args:
         table: CSV: stage_deg,tilt_deg,value[,u] or from_deg,to_deg,tilt_deg,value[,u].
-        quantity: What the values are; of an exposure table: which contrasts are formed and fitted.
-        errors: Contrasts that share a photograph: correlated, or independent.
-        covariance: CSV without header: N × N covariance, in place of u.
 
     Examples:
         anisoscope fit ridges table.csv
@@ -260,33 +224,31 @@ def ridges(
     with progress("fitting", quiet=output.json_) as advance:
         fitted = fit_ridges(
             table,
-            kind=quantity,
-            free=None if free is None else [free],
+            values=values.made(),
+            start=start.made(),
             design=design,
             material=material,
             convention=rig.over(Convention()),
-            seating_deg=(options.seating_x, options.seating_y),
-            k=options.k,
-            model=options.model,
-            bounces=options.counted(),
-            errors=errors,
-            covariance=covariance,
             on_progress=advance,
         )
     return show(fitted, f"Fit of {table.name}", output)
 
 
 @app.command
-@with_options(ridges=OF_RIDGES_OF_TABLE, plastic=OF_PLASTIC, rig=OF_LIGHT)
+@with_options(
+    start=replace(OF_START, default={"free": "alpha_along,alpha_across,k"}),
+    ridges=OF_RIDGES_OF_TABLE,
+    plastic=OF_PLASTIC,
+    rig=OF_LIGHT,
+)
 def experiment(
     table: Path,
     /,
     *,
-    free: FreeOption = "alpha_along,alpha_across,k",
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     file: MaterialOption = None,
-    options: ModelOptions = MODEL_DEFAULTS,
+    start: Given[FitStart],
     rig: Given[Convention],
     output: Output = PRINTED,
 ) -> int:
@@ -305,38 +267,46 @@ def experiment(
 
     output.one_alone()
     design, material = _part(ridges, plastic, file)
+    asked = start.made()
+    free = ",".join(asked.free or ())
     chosen = tuple(n for n in parse_free(free) if free.strip() != "all" or n != "ridge_angle_deg")
     problem = experiment_problem(
         read_measured(table),
         rig.over(Convention()),
-        _scene(options, design, material, usual=1),
-        start_values(design, material, (options.seating_x, options.seating_y), options.k),
-        tuple(n for n in chosen if not (n == "height_loss" and options.model == "printed" and free == "all")),
+        _scene(asked, design, material, usual=1),
+        start_values(design, material, asked),
+        tuple(n for n in chosen if not (n == "height_loss" and asked.model == "printed" and free == "all")),
     )
     return show(_fit(problem, output.json_), f"Fit of {table.name} to the published experiment", output)
 
 
 def _scene(
-    options: ModelOptions, design: RidgeDesign, material: Material, usual: int | None = None
+    start: FitStart, design: RidgeDesign, material: Material, usual: int | None = None
 ) -> dict[str, Any]:
     """Keywords of a scene."""
-    return {"model": options.model, "bounces": options.counted(usual), "design": design, "material": material}
+    return {"model": start.model, "bounces": start.counted(usual), "design": design, "material": material}
 
 
 @app.command
-@with_options(ridges=OF_RIDGES_AND_ANGLE, plastic=OF_PLASTIC)
+@with_options(
+    start=replace(
+        OF_START,
+        help={"free": "Free parameters with --fit, as in fit ridges; ridge angle and both alphas."},
+    ),
+    values=Options(BrdfComparison, flags=True, whole=True),
+    ridges=OF_RIDGES_AND_ANGLE,
+    plastic=OF_PLASTIC,
+)
 def brdf(
     table: Path,
     /,
     *,
     ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees; 0 is a flat surface.")],
-    fit: Annotated[bool, Parameter(negative="", help="Fit; otherwise only compare.")] = False,
-    free: str | None = None,
-    wavelength: Annotated[float | None, Parameter(help="Wavelength in nm, of a table with several.")] = None,
+    values: Given[BrdfComparison],
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     file: MaterialOption = None,
-    options: ModelOptions = MODEL_DEFAULTS,
+    start: Given[FitStart],
     output: Output = PRINTED,
 ) -> int:
     """Compare a measured BRDF with a model, and fit material and ridge angle to it.
@@ -344,7 +314,6 @@ def brdf(
     Args:
         table: CSV: theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value[,u][,wavelength_nm], in the sample's frame; or RGL
             .bsdf, MERL, Klems XML, Zemax.
-        free: Free parameters with --fit, as in fit ridges; ridge angle and both alphas.
 
     Examples:
         anisoscope fit brdf brdf.csv --ridge-angle 8 --fit
@@ -355,18 +324,19 @@ def brdf(
     from anisoscope.operations.fit import start_values
 
     output.one_alone()
-    if free is not None and not fit:
+    asked, compared = start.made(), values.made()
+    if asked.free is not None and not compared.fit:
         raise UsageError("--free needs --fit")
     design, material = _part(ridges, plastic, file, ridge_angle)
-    read = read_brdf(table, wavelength)
+    read = read_brdf(table, compared.wavelength_nm)
     chosen: tuple[str, ...] = ("alpha_along", "alpha_across")
     if ridge_angle != 0.0:
         chosen = ("ridge_angle_deg", *chosen)
-    if free is not None:
-        chosen = parse_free(free)
-    scene = Scene(read.to_light, read.to_camera, **_scene(options, design, material))
-    values = start_values(design, material, (options.seating_x, options.seating_y), options.k)
-    problem = Problem(scene, read.readings, values, chosen if fit else ())
+    if asked.free is not None:
+        chosen = parse_free(",".join(asked.free))
+    scene = Scene(read.to_light, read.to_camera, **_scene(asked, design, material))
+    found = start_values(design, material, asked)
+    problem = Problem(scene, read.readings, found, chosen if compared.fit else ())
     return show(_fit(problem, output.json_), f"BRDF of {table.name}", output, (read, reciprocity(read)))
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, OwnCertificate, OwnKey, PeersFolder, TrustFile, extra_packages
+from anisoscope.cli.options import UNTRUSTED, Html, Json, Trusted, TrustFile, extra_packages
 from anisoscope.cli.tables import answer, console, print_lines, print_table
 
 if TYPE_CHECKING:
@@ -284,7 +284,6 @@ def _text_of(text: str | None) -> str:
 
 app = App(name="history", help="List past inspections; add and check them, record reviewers' decisions.")
 One = Annotated[str, Parameter(help="Serial number, id, or folder of an inspection.")]
-Page = Annotated[Path | None, Parameter(name="--html", help="Write a page for the browser to this file.")]
 _LIMIT = 50
 MOST_ON_PAGE = 10_000
 """Inspections of a page; it takes 3 ms for each to make, and every browser shows it."""
@@ -296,7 +295,7 @@ def history(
     which: Selection = ALL,
     limit: Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")] = _LIMIT,
     place: Place = None,
-    html: Page = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """List past inspections, the oldest first. All filters that are given must hold.
@@ -389,9 +388,7 @@ def covariates(
     opcua: str | None = None,
     field: list[str] | None = None,
     cycles: Annotated[int | None, Parameter(help="With --opcua: end after so many cycles.")] = None,
-    certificate: OwnCertificate = None,
-    key: OwnKey = None,
-    peers: PeersFolder = None,
+    trusted: Trusted = UNTRUSTED,
     place: Place = None,
     json_: Json = False,
 ) -> int:
@@ -418,12 +415,12 @@ def covariates(
         with extra_packages("OPC UA", "line"):
             from anisoscope.line.opcua_security import read_security
             from anisoscope.line.press import follow_press
-        security = read_security(certificate, key, peers, write_line)
+        security = read_security(trusted.certificate, trusted.key, trusted.peers, write_line)
         opening = partial(opened, place, create=True)
         with contextlib.suppress(KeyboardInterrupt):
             follow_press(opcua, opening, write_line, field or [], machine.strip(), cycles, security)
         return 0
-    if field or cycles is not None or any(one is not None for one in (certificate, key, peers)):
+    if field or cycles is not None or trusted != UNTRUSTED:
         raise UsageError(
             "history covariates: --field, --cycles, --certificate, --key and --peers belong to --opcua"
         )
@@ -558,7 +555,7 @@ def show(
     /,
     *,
     place: Place = None,
-    html: Page = None,
+    html: Html = None,
     refresh: Annotated[
         bool, Parameter(help="With --html: make the report again from the frames, as this version writes it.")
     ] = False,
@@ -597,7 +594,7 @@ def show(
 
 
 def compare(
-    first: One, second: One, /, *, place: Place = None, html: Page = None, json_: Json = False
+    first: One, second: One, /, *, place: Place = None, html: Html = None, json_: Json = False
 ) -> int:
     """Compare two inspections: contrasts side by side, and what changed in recipe, rig, calibrations and software.
 

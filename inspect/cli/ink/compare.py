@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Flag, Json, check_new, check_suffix
+from anisoscope.cli.options import Flag, Json, Overwrite, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.ink import InkReadings, InkSpheres
@@ -29,7 +28,7 @@ def compare(
     how: Given[InkReadings],
     spheres: Given[InkSpheres],
     png: Path | None = None,
-    overwrite: OverwriteOption = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Compare spheres shown by the models with ones made from readings: RMSE, SSIM and frame time.

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from anisoscope.cli.help_page import MORE
-from anisoscope.cli.ink.options import NAMES, InksOption, OverwriteOption, printed_inks
+from anisoscope.cli.ink.options import NAMES, InksOption, printed_inks
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Flag, Json, check_new, check_target
+from anisoscope.cli.options import Flag, Json, Overwrite, check_new, check_target
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.proof import FilmSettings
@@ -25,7 +25,7 @@ def halftone(
     inks: InksOption = None,
     films: Given[FilmSettings],
     negative: Flag = False,
-    overwrite: OverwriteOption = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Place dots of three or four inks that never meet, and write the films for their screens.

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Html, Json, check_new, check_suffix
+from anisoscope.cli.options import Html, Json, Overwrite, check_new, check_suffix
 from anisoscope.cli.tables import console, print_lines, print_table
 from anisoscope.parameters.ink import InkFitting, InkTable, InkView
 from anisoscope.views.options import Given, Options, with_options
@@ -37,7 +36,7 @@ def fit(
     name: Annotated[str | None, Parameter(help="Name of the ink.")] = None,
     out: Annotated[Path | None, Parameter(help="Write the ink file *.toml.")] = None,
     html: Html = None,
-    overwrite: OverwriteOption = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Fit roughness, reflectance and goniochromatism of an ink to goniometer readings.
@@ -82,7 +81,7 @@ def import_(
     *,
     out: Annotated[Path, Parameter(help="Ink file *.toml to write.")],
     read: Given[InkTable],
-    overwrite: OverwriteOption = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Make an ink file of a published table of spectral parameters.
@@ -139,7 +138,7 @@ def show(
     view: Given[InkView],
     html: Html = None,
     png: Path | None = None,
-    overwrite: OverwriteOption = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Colour of inks against angle.

@@ -9,9 +9,6 @@ from anisoscope.base.errors import UsageError
 if TYPE_CHECKING:
     from anisoscope.sim.light.ink.ink import Ink
 
-OverwriteOption = Annotated[
-    bool, Parameter(name="--overwrite", negative="", help="Replace files that exist.")
-]
 InksOption = Annotated[
     str | None,
     Parameter(

@@ -8,9 +8,9 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import MORE, everyday
-from anisoscope.cli.ink.options import NAMES, InksOption, OverwriteOption, printed_inks
+from anisoscope.cli.ink.options import NAMES, InksOption, printed_inks
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_new, check_target
+from anisoscope.cli.options import Json, Overwrite, check_new, check_target
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.proof import ProofSettings, ProofView
@@ -48,21 +48,48 @@ class PressOptions:
     overprint: Annotated[tuple[str, ...], Parameter(negative="")] = ()
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ProofFiles:
+    """Files of a proof."""
+
+    out: Annotated[Path | None, Parameter(help="Write the page *.html.")] = None
+    png: Annotated[Path | None, Parameter(help="Write a picture *.png, without a browser.")] = None
+    picture_size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.", group=MORE)] = 1024
+    photo: Annotated[Path | None, Parameter(help="Photograph to show next to the proof.")] = None
+    overwrite: Overwrite = False
+
+    def check(self, image: Path, mesh: Path | None) -> None:
+        """Refuse files that cannot be written.
+
+        Raises:
+            UsageError: none is named, one is an input or exists, or a photograph without a page.
+        """
+        if self.out is None and self.png is None:
+            raise UsageError(
+                "ink proof needs something to write: --out proof.html, --png picture.png, or both"
+            )
+        check_target(self.out, "--out", (image, self.photo, mesh), ".html", ".htm")
+        check_target(self.png, "--png", (image, self.photo, mesh), ".png")
+        check_new((self.out, self.png), overwrite=self.overwrite)
+        if self.photo is not None and self.out is None:
+            raise UsageError("--photo shows a photograph on the page: it needs --out proof.html")
+
+
+NO_FILES = ProofFiles()
+
+
 @with_options(view=OF_VIEW, settings=OF_SETTINGS)
-@everyday("out", "png", "inks", "photo", "settings", "overwrite", "json_")
+@everyday("files", "inks", "settings", "json_")
 def proof(
     image: Path,
     /,
     *,
-    out: Annotated[Path | None, Parameter(help="Write the page *.html.")] = None,
-    png: Annotated[Path | None, Parameter(help="Write a picture *.png, without a browser.")] = None,
+    files: ProofFiles = NO_FILES,
     inks: InksOption = None,
-    photo: Annotated[Path | None, Parameter(help="Photograph to show next to the proof.")] = None,
     settings: Given[ProofSettings],
-    picture_size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
     press: PressOptions | None = None,
     view: Given[ProofView],
-    overwrite: OverwriteOption = False,
     json_: Json = False,
 ) -> int:
     """Show how a print of an image will look from all sides.
@@ -80,16 +107,10 @@ def proof(
     shown, asked = view.over(ProofView()), settings.made()
     mesh = asked.mesh
     # All options are checked before the separation: planning and dithering take long.
-    if out is None and png is None:
-        raise UsageError("ink proof needs something to write: --out proof.html, --png picture.png, or both")
-    check_target(out, "--out", (image, photo, mesh), ".html", ".htm")
-    check_target(png, "--png", (image, photo, mesh), ".png")
-    check_new((out, png), overwrite=overwrite)
-    if photo is not None and out is None:
-        raise UsageError("--photo shows a photograph on the page: it needs --out proof.html")
+    files.check(image, mesh)
     if shown.shape == "mesh" and mesh is None:
         raise UsageError("--shape mesh needs --mesh FILE.obj")
-    if not 0 <= asked.dots <= 16384 or not 16 <= picture_size <= 4096 or not asked.illuminants:
+    if not 0 <= asked.dots <= 16384 or not 16 <= files.picture_size <= 4096 or not asked.illuminants:
         raise UsageError("--dots takes 0 to 16384, --picture-size 16 to 4096, --illuminant a light or more")
     chosen = printed_inks(inks)
     machine, over = _press(press or PressOptions(), len(chosen))
@@ -101,14 +122,14 @@ def proof(
             view=shown,
             press=machine,
             overprints=over,
-            paged=out is not None,
+            paged=files.out is not None,
             on_progress=advance,
         )
-    if png is not None:
-        found.write_picture(png, picture_size)
-    if out is not None:
-        found.write_page(out, f"Soft proof of {image.name}", photo)
-    written = [path for path in (png, out) if path is not None]
+    if files.png is not None:
+        found.write_picture(files.png, files.picture_size)
+    if files.out is not None:
+        found.write_page(files.out, f"Soft proof of {image.name}", files.photo)
+    written = [path for path in (files.png, files.out) if path is not None]
     if json_:
         print_json({**fields_of(found), "files": written})
     else:

@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import Yes, ask_to_turn
+from anisoscope.parameters.inspecting import CodeReading
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.codes import Code, Counts
 
 
+@with_options(code=Options(CodeReading, without={"read_code": "this is what the command does"}, whole=True))
 def read_code(
     picture: Annotated[Path | None, Parameter(help="Picture to read (PNG, TIFF, JPEG).")] = None,
     /,
@@ -22,7 +24,7 @@ def read_code(
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     recipe: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None,
     exposure: Annotated[float | None, Parameter(help="With --rig: exposure in seconds instead.")] = None,
-    code_kind: CodeKind = "any",
+    code: Given[CodeReading],
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
@@ -42,12 +44,13 @@ def read_code(
 
     if rig is not None:
         ask_to_turn(rig, yes=yes)
+    kind = code.made().code_kind
     counts, where = _picture(picture, rig, recipe, exposure)
-    found = read_codes(counts, code_kind)
+    found = read_codes(counts, kind)
     if json_:
         print_json({"codes": found})
         return 0 if len(found) == 1 else 3
-    for line in _lines(one_code(found, code_kind, where)):
+    for line in _lines(one_code(found, kind, where)):
         print(line)  # noqa: T201
     return 0
 

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.notation import true_minus
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_suffix
+from anisoscope.cli.options import Html, Json, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.views.options import quantity
@@ -21,7 +21,7 @@ def angle_map(
     *,
     cell: Annotated[float, Parameter(help="Side of the cells in µm."), quantity("cell_um")] = 48.0,
     out: Annotated[list[Path] | None, Parameter(name=["--out", "-o"])] = None,
-    html: Annotated[Path | None, Parameter(help="Write a page with maps and histogram to this file.")] = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """Measure the angle of the facets of an inspected part from its photographs, cell by cell.

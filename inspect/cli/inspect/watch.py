@@ -13,48 +13,49 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.progress import Advance
-from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json_line
-from anisoscope.cli.options import INTO, Flag, Into
+from anisoscope.cli.options import INTO, Into, Json, RecipeFile
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_table
+from anisoscope.parameters.inspecting import FramesWatch
 from anisoscope.rig.acquisition.interruptions import INTERRUPTIONS
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.watch import Watch
     from anisoscope.inspection.run import Inspected
 
 
+@with_options(
+    how=Options(
+        FramesWatch,
+        names={"stable_s": "--stable-for"},
+        help={"read_code": "Read the code on every part from its first frame; it identifies the part."},
+        flags=True,
+        whole=True,
+    )
+)
 def watch(
     folder: Annotated[Path, Parameter(help="Folder in which folders of frames (with frames.csv) arrive.")],
     /,
     *,
-    recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
+    recipe: RecipeFile,
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     into: Into = INTO,
-    reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
-    stable_for: float = 2.0,
-    poll: Annotated[float, Parameter(help="Seconds between checks of the folder.")] = 1.0,
-    read_code: Flag = False,
-    code_kind: CodeKind = "any",
-    reuse: str = "",
-    once: Flag = False,
-    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    how: Given[FramesWatch],
+    json_: Json = False,
 ) -> int:
     """Inspect every folder of frames that another program writes; Ctrl-C stops after the current one.
 
     Serial number and lot come from part.toml next to the frames, from columns of frames.csv, or with --read-code from
     the code on the part; otherwise the folder's name is the serial number.
 
+    --json prints one line an event.
+
     Exit codes: 0 stopped by Ctrl-C; with --once that of the worst verdict (3, 1, 2, 0), 74 for damaged folders.
 
     Args:
-        stable_for: Seconds without a change after which a folder is complete.
-        read_code: Read the code on every part from its first frame; it identifies the part.
-        reuse: Reason for judging frames that are known as those of another part.
-        once: Inspect the complete folders that exist, then exit.
         rig: Rig file (TOML); by default rig.toml in the folder of frames.
-        json_: Print JSON, one line an event.
 
     Examples:
         anisoscope watch incoming --recipe recipe.toml
@@ -63,29 +64,20 @@ def watch(
     from anisoscope.operations.series import watch as watched
     from anisoscope.operations.series import watch_exit_code
 
-    teller = Teller(json_=json_)
+    teller, asked = Teller(json_=json_), how.made()
     with _until_signalled() as stop:
         watching = watched(
             folder,
             recipe,
             rig,
+            how=asked,
             listener=teller,
             stop=stop,
-            once=once,
             out=into.out,
-            reflectance=reflectance,
-            stable_s=stable_for,
-            poll_s=poll,
-            code=code_kind if read_code else None,
-            reuse=reuse,
             history=into.history,
-            note=teller.note,
-            begun=lambda root: teller.say(
-                {"event": "watching", "folder": str(root)}, f"watching {root}; Ctrl-C ends"
-            ),
         )
     teller.end(watching)
-    return watch_exit_code(watching) if once else 0
+    return watch_exit_code(watching) if asked.once else 0
 
 
 class Teller:
@@ -101,6 +93,10 @@ class Teller:
         else:
             print_lines(text)
             sys.stdout.flush()
+
+    def begun(self, root: Path) -> None:
+        """Which folder is watched."""
+        self.say({"event": "watching", "folder": str(root)}, f"watching {root}; Ctrl-C ends")
 
     def inspected(self, name: str, inspected: "Inspected") -> None:
         """The verdict in a line."""

@@ -17,9 +17,9 @@ from anisoscope.base.address import is_loopback
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.help_page import MORE
-from anisoscope.cli.options import Into, OwnCertificate, OwnKey, PeersFolder, extra_packages
+from anisoscope.cli.options import Into, Trusted, extra_packages
 from anisoscope.cli.rig.options import RigPath, write_line
-from anisoscope.parameters.handshake import Addresses
+from anisoscope.parameters.serving import Addresses
 from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Kept(Into):
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Secured:
+class Secured(Trusted):
     """Encryption and log in of a server.
 
     Attributes:
@@ -66,9 +66,6 @@ class Secured:
     """
 
     open_: Annotated[bool, Parameter(name="--open", negative="")] = False
-    certificate: OwnCertificate = None
-    key: OwnKey = None
-    peers: PeersFolder = None
     users: Path | None = None
 
 

@@ -1,5 +1,6 @@
 """``anisoscope predict``: radiance and contrasts of a design or of a height map."""
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import (
     OF_LIGHT,
     OF_OPTICS,
@@ -19,8 +20,8 @@ from anisoscope.cli.options import (
     UNCERTAINTY,
     Json,
     MaterialOption,
+    parse_pixel,
 )
-from anisoscope.cli.predict.angular_map import MAP_DEFAULTS, MAP_GROUP, MapOptions
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 from anisoscope.operations.plastic import plastic_of
@@ -36,6 +37,7 @@ from anisoscope.views.options import Given, parse_numbers, with_options
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from anisoscope.prediction.angular import AngularReflectance
     from anisoscope.prediction.predicted import Predicted
 
 
@@ -83,6 +85,72 @@ class WaveOptions:
 
 
 WAVE_DEFAULTS = WaveOptions()
+
+
+MAP_GROUP = Group(
+    "Angular map",
+    help="BRDF of a height map over all directions of the camera, by waves. The surface reflects all light, as metal.",
+    sort_key=41,
+)
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """The options; meaning as in `anisoscope.prediction.angular.AngularTask`."""
+
+    picture: Annotated[
+        Path | None, Parameter("--map", help="Write the map as a picture *.png, in place of contrasts.")
+    ] = None
+    table: Annotated[Path | None, Parameter("--map-csv", help="Write the map as a table *.csv.")] = None
+    light: Annotated[str, Parameter("--map-light", help="Inclination and azimuth of the light, degrees.")] = (
+        "0,0"
+    )
+    reach: Annotated[
+        float, Parameter("--map-reach", help="Largest direction cosine of the camera along x and y.")
+    ] = 0.4
+    points: Annotated[int, Parameter("--map-points", help="Directions along each axis.")] = 161
+    lamp_sigma: Annotated[
+        float,
+        Parameter(
+            "--map-lamp-sigma", help="Gaussian lamp: its standard deviation in degrees, in place of a disc."
+        ),
+    ] = 0.0
+    periodic: Annotated[
+        bool, Parameter("--map-periodic", negative="", help="The map is one unit of a surface that repeats.")
+    ] = False
+    colour: Annotated[
+        str | None,
+        Parameter(
+            "--map-colour", help="Illuminant of a map in colour: d65, a, led-b3 …, or CSV; 400 to 700 nm."
+        ),
+    ] = None
+
+
+MAP_DEFAULTS = MapOptions()
+
+
+@dataclass(frozen=True)
+class Blur:
+    """Lamp and lens, and the plastic where its roughness is stated: a map then has slopes below the pixels."""
+
+    optics: Optics
+    plastic: Material | None
+
+    @property
+    def slope_rms(self) -> tuple[float, float]:
+        """Slopes along x and y below the pixels."""
+        if self.plastic is None:
+            return 0.0, 0.0
+        return self.plastic.alpha_across / 2.0**0.5, self.plastic.alpha_along / 2.0**0.5
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Wavelengths, and how waves take the map."""
+
+    wavelengths_um: tuple[float, ...] | None
+    interpolate: int
+    steps: int | None
 
 
 def light_of(text: str | None) -> LightSpectrum:
@@ -219,13 +287,13 @@ def predict(
     given = locals()
     given = {name: given[name] for name in _defaults()}
     if over_directions != MAP_DEFAULTS:
-        from anisoscope.cli.predict.angular_map import Blur, write_angular_map
-
         _check_map_alone(given)
         nm = None if waves.wavelengths is None else light_of(waves.wavelengths).wavelengths_um
         blur = Blur(_optics(sizes), plastic.over(Material()) if plastic.values else None)
         return write_angular_map(
-            height_map, over_directions, nm, blur, waves.interpolate, waves.steps, pixel, role, as_json=json_
+            *(height_map, over_directions, Waves(nm, waves.interpolate, waves.steps), blur),
+            *(pixel, role),
+            as_json=json_,
         )
     if recipe is not None:
         _check_recipe_alone(given)
@@ -491,3 +559,98 @@ def _check_map_options(height_map: Path | None, facets: str, roughness: str, ref
     if height_map is None and (facets != "symmetric" or roughness != "lobe" or reflect != "groove"):
         which = "--facets" if facets != "symmetric" else "--roughness" if roughness != "lobe" else "--reflect"
         raise UsageError(f"{which} belongs to a height map; a design has no facets of its own")
+
+
+def write_angular_map(
+    path: Path | None,
+    options: MapOptions,
+    waves: Waves,
+    blur: Blur,
+    pixel: str | None,
+    role: Literal["part", "tool"],
+    *,
+    as_json: bool,
+) -> int:
+    """Compute and write the map.
+
+    Raises:
+        UsageError: options that do not go together.
+        HeightMapError: a map that waves cannot take.
+        ModelError: more memory or more maps than are taken.
+    """
+    from anisoscope.operations.predict import write_angular_picture, write_angular_table
+    from anisoscope.prediction.angular import COLOUR_NM, AngularTask, angular_reflectance
+    from anisoscope.profiles.files.load import read_height_map
+    from anisoscope.sim.materials.spectra import find_illuminant
+
+    height_map, light = _checked_map(path, options, blur, waves.wavelengths_um)
+    lamp = None if options.colour is None else find_illuminant(options.colour)
+    nm = COLOUR_NM if lamp is not None else tuple(1e3 * um for um in waves.wavelengths_um or (0.55,))
+    task = AngularTask(
+        nm, light, options.reach, options.points, blur.optics.lamp_half_angle_deg,
+        blur.optics.aperture_half_angle_deg, blur.slope_rms, options.lamp_sigma,
+    )  # fmt: skip
+    surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
+    with progress("map", quiet=as_json) as advance:
+        found = angular_reflectance(
+            *(surface, task),
+            steps=waves.steps,
+            interpolate=waves.interpolate,
+            periodic=options.periodic,
+            advance=advance,
+        )
+    if options.table is not None:
+        write_angular_table(found, options.table)
+    if options.picture is not None:
+        write_angular_picture(found, lamp, options.picture)
+    if as_json:
+        return print_json({"map": height_map, **fields_of(found)})
+    _print_map(found, height_map)
+    for target in (options.picture, options.table):
+        if target is not None:
+            sys.stdout.write(f"written: {target}\n")
+    return 0
+
+
+def _checked_map(
+    path: Path | None, options: MapOptions, blur: Blur, wavelengths_um: tuple[float, ...] | None
+) -> tuple[Path, tuple[float, float]]:
+    """The height map, and inclination and azimuth of the light."""
+    if path is None:
+        raise UsageError("--map needs a height map file: name it before the options")
+    if options.picture is None and options.table is None:
+        raise UsageError("name what to write: --map PICTURE.png, --map-csv TABLE.csv, or both")
+    for target, option, ending in ((options.picture, "--map", ".png"), (options.table, "--map-csv", ".csv")):
+        if target is not None and target.suffix.lower() == ".bsdf":
+            raise UsageError(
+                f"all directions of light and camera are written by `anisoscope bsdf export {target} --height-map "
+                f"{path} --optics waves`"
+            )
+        if target is not None and target.suffix.lower() != ending:
+            raise UsageError(f"{option} writes *{ending}, not {target.name}")
+    if options.colour is not None and wavelengths_um is not None:
+        raise UsageError("--map-colour takes wavelengths from 400 to 700 nm itself: leave --wavelengths out")
+    light = parse_numbers(options.light, "--map-light", "10,0")
+    if len(light) != 2:
+        raise UsageError(
+            f"--map-light takes inclination and azimuth in degrees, such as 10,0, not {options.light!r}"
+        )
+    if blur.optics.lamp_distance_mm is not None:
+        raise UsageError("--map takes a lamp far away: leave --lamp-distance and --field out")
+    return path, (light[0], light[1])
+
+
+def _print_map(found: "AngularReflectance", path: Path) -> None:
+    task = found.task
+    rows = [
+        [f"{nm:g}", f"{100.0 * share:.1f}", f"{peak:.4g}", f"({x:.3f}, {y:.3f})".replace("-", "−")]
+        for nm, share, peak, (x, y) in zip(
+            task.wavelengths_nm, found.light_in_map, found.peak_per_sr, found.peak_at, strict=True
+        )
+    ]
+    print_table(
+        f"{path.name}: BRDF by waves, {'steps' if found.stepped else 'smooth'}, all light reflected",
+        ["wavelength [nm]", "light within the map [%]", "largest [1/sr]", "at (v_x, v_y)"],
+        rows,
+        caption=f"light at {task.light_deg[0]:g}°, azimuth {task.light_deg[1]:g}°; |v_x|, |v_y| ≤ {task.reach:g}",
+    )

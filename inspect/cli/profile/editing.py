@@ -204,7 +204,7 @@ def _argument(one: operations.Parameter, *, first: bool) -> Argument:
         one.name,
         Argument.POSITIONAL_ONLY if first else Argument.KEYWORD_ONLY,
         default=Argument.empty if one.required else one.default,
-        annotation=Annotated[kind, *notes],
+        annotation=Annotated[kind, *notes, one],
     )
 
 

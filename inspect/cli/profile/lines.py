@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import HeightMaps, Json
 from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
 from anisoscope.cli.profile.profile import AS_STATED, OF_FILTERING, Scales, reader
 from anisoscope.cli.tables import print_table
@@ -32,7 +32,7 @@ MEANINGS = {
 
 @with_options(filtering=OF_FILTERING)
 def lines(
-    *files: Path,
+    *files: HeightMaps,
     direction: Literal["across", "along", "x", "y"] = "across",
     filtering: Given[Filtering],
     json_: Json = False,
@@ -44,7 +44,6 @@ def lines(
     Rz takes the points of each section (ISO 4287), Rz_hills its hills and dales (ISO 21920-2).
 
     Args:
-        files: Height maps in a format of docs/height-maps.md, or patterns.
         direction: Direction of the profiles: across or along the ridges, or x or y.
 
     Examples:

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import check_new
+from anisoscope.cli.options import Overwrite, check_new
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
@@ -33,7 +33,7 @@ class TableOptions:
         Path | None, Parameter(help="File for one table of all maps: *.csv, *.json or *.html.")
     ] = None
     jobs: Annotated[int, Parameter(help="Number of processes.")] = 2
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False
+    overwrite: Overwrite = False
 
     def read_limits(self) -> "dict[str, Limit] | None":
         """Limits by which every map is judged, if there are some."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.options import LENGTH, Json, check_new, parse_pixel
+from anisoscope.cli.options import LENGTH, HeightMaps, Json, check_new, parse_pixel
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     NONE,
@@ -112,16 +112,12 @@ def reader(scales: Which) -> "Callable[[Path], HeightMap]":
 
 @app.command
 def info(
-    *files: Path,
+    *files: HeightMaps,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Scales = AS_STATED,
 ) -> int:
     """Size, missing share and height parameters (ISO 25178-2, mean removed, not levelled) of height maps.
-
-    Args:
-        files: Height maps in a format of docs/height-maps.md, or patterns.
-        json_: Print JSON.
 
     Examples:
         anisoscope profile info part.x3p
@@ -191,7 +187,7 @@ def convert(
     format_: Annotated[str | None, Parameter(name="--format")] = None,
     layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
+    json_: Json = False,
     scales: Scales = AS_STATED,
 ) -> int:
     """Write height maps in another format: SOURCE TARGET by the extension, or any number of maps with --out-dir.
@@ -254,18 +250,17 @@ def note_lost_layers(surface: "HeightMap", target: Path) -> None:
 
 @app.command
 def report(
-    *files: Path,
+    *files: HeightMaps,
     out: Annotated[Path | None, Parameter(help="HTML file to write, of one map.")] = None,
     period_limit: PeriodLimit = None,
     tip_radius: TipRadius = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
+    json_: Json = False,
     scales: Scales = AS_STATED,
 ) -> int:
     """Write one HTML page about each height map: pictures, ridges, roughness, burrs, height parameters, origin.
 
-    Args:
-        files: Height maps, or patterns; one without ridges gets a page without them.
+    A map without ridges gets a page without them.
 
     Examples:
         anisoscope profile report part.x3p --out report.html
@@ -304,22 +299,20 @@ def report(
 
 @app.command
 def view(
-    *files: Path,
+    *files: HeightMaps,
     out: Path | None = None,
     exaggerate: float | None = None,
     layer: Layer | None = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
-    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    json_: Json = False,
     scales: Scales = AS_STATED,
 ) -> int:
     """Write one HTML page with each height map in 3-D, to be turned in the browser without network or program.
 
     Args:
-        files: Height maps, or patterns.
         out: HTML file to write, of one map; NAME-view.html with the map if not given.
         exaggerate: Factor on the heights; one that makes the relief 8 % of the width if not given.
         layer: Layer of the map that colours the relief, instead of the heights.
-        json_: Print JSON, of several maps.
 
     Examples:
         anisoscope profile view part.x3p --exaggerate 20

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import HeightMaps, Json
 from anisoscope.cli.profile.many import (
     NONE,
     ManyOptions,
@@ -68,7 +68,7 @@ def _plain(value: object) -> Any:  # noqa: ANN401 - of any field
 
 
 def ridges(
-    *files: Path,
+    *files: HeightMaps,
     picture: Path | None = None,
     period_limit: PeriodLimit = None,
     tip_radius: TipRadius = None,
@@ -78,11 +78,10 @@ def ridges(
 ) -> int:
     """Measure pitch, direction, angles, heights, roughness and burrs of ridged height maps, with uncertainties.
 
-    A map with ridges of several directions is divided into regions of one direction each, and these are listed.
+    A map has at least four ridges, in any direction. One with ridges of several directions is divided into regions of
+    one direction each, and these are listed.
 
     Args:
-        files: Height maps of at least four ridges, in any direction, or patterns.
-        json_: Print JSON.
         picture: PNG of a map of several directions, its regions outlined and numbered.
 
     Examples:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import HeightMaps, Json
 from anisoscope.cli.profile.many import NONE, ManyOptions, Values, measure_maps
 from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
 from anisoscope.cli.tables import print_lines
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def step(
-    *files: Path,
+    *files: HeightMaps,
     along: Annotated[Literal["x", "y"], Parameter(help="Axis of the lines, across the step.")] = "x",
     edges: str | None = None,
     json_: Json = False,
@@ -26,7 +26,6 @@ def step(
     """Height of a step, or depth of a groove, on every line of height maps (ISO 5436-1, types A1 and A2).
 
     Args:
-        files: Height maps in a format of docs/height-maps.md, or patterns.
         edges: Edge of a step, or both of a groove, in µm from the first point; else found.
 
     Examples:

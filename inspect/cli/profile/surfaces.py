@@ -8,10 +8,10 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.quantity import unit_of
-from anisoscope.cli.options import OF_RIDGES, Json, check_map, check_new, number, parse_pixel
+from anisoscope.cli.options import OF_RIDGES, Json, Overwrite, check_map, check_new, number, parse_pixel
 from anisoscope.cli.profile.profile import AS_STATED, Scales, reader
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
-from anisoscope.parameters.patterns import Grid, Lines, Pattern, Rough, Stairs
+from anisoscope.parameters.patterns import Grid, Injection, Lines, Pattern, Rough, Stairs
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
@@ -51,7 +51,7 @@ def make(
     stairs: Given[Stairs],
     rough: Given[Rough],
     seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Make an ideal surface, smooth or with Gaussian roughness.
@@ -80,16 +80,16 @@ def make(
     return deliver(surface, out, as_json=json_)
 
 
+@with_options(extent=Options(Injection, whole=True))
 def spoil(
     file: Path | None = None,
     defect: str | None = None,
     /,
     *,
     out: Path | None = None,
-    severity: Annotated[float | None, Parameter(help="0 (none) to 1 (gross).")] = None,
-    seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
+    extent: Given[Injection],
     list_: Annotated[bool, Parameter(name="--list", negative="", help="List the defects.")] = False,
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
     scales: Scales = AS_STATED,
     **parameters: str,
@@ -116,15 +116,17 @@ def spoil(
         raise UsageError("spoil needs a height map, a defect and --out FILE; --list shows the defects")
     check_map(out, "--out")
     check_new((out,), overwrite=overwrite)
-    if seed < 0:
-        raise UsageError(f"--seed takes a whole number from 0, not {seed}")
+    asked = extent.made()
     surface = reader(scales)(file)
     given = {
         (key := name.replace("-", "_")): number(text, f"--{name}", unit_of(key))
         for name, text in parameters.items()
     }
     spoiled = defect_injection.inject_defect(
-        surface, defect, np.random.default_rng(seed), severity=severity, values=given, seed=seed
+        *(surface, defect, np.random.default_rng(asked.seed)),
+        severity=asked.severity,
+        values=given,
+        seed=asked.seed,
     )
     changed = spoiled.height_um - surface.height_um
     changed = changed[np.isfinite(changed)]

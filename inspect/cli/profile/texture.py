@@ -10,7 +10,7 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import HeightMaps, Json
 from anisoscope.cli.profile.many import (
     NONE,
     ManyOptions,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     ),
 )
 def texture(
-    *files: Path,
+    *files: HeightMaps,
     filtering: Given[Filtering],
     plot: Path | None = None,
     extent: Given[Extent],
@@ -59,7 +59,6 @@ def texture(
     """Height, spatial, hybrid, functional and feature parameters (ISO 25178-2) of height maps.
 
     Args:
-        files: Height maps in a format of docs/height-maps.md, or patterns.
         plot: Picture of spectra, autocorrelation and bearing curve: *.png or *.svg.
 
     Examples:

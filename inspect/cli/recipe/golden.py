@@ -10,15 +10,13 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import USUAL_LAMP, Flag, Json, Lamp
+from anisoscope.cli.options import USUAL_LAMP, Flag, Html, Json, Lamp, RecipeFile
 from anisoscope.cli.tables import answer, print_lines, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.operations.teaching import GoldenParts
 
 app = App(name="golden", help="Manage the golden parts of a recipe: parts that are known to be good.")
-
-RecipeFile = Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")]
 
 
 @contextmanager
@@ -127,7 +125,7 @@ def certify(
     recipe: RecipeFile,
     false_alarms: Annotated[float, Parameter(help="Largest rate of false alarms that is wanted.")] = 0.01,
     confidence: Annotated[float, Parameter(help="One-sided confidence.")] = 0.95,
-    html: Annotated[Path | None, Parameter(help="Write the certificate as a page.")] = None,
+    html: Html = None,
     for_reports: Annotated[
         bool,
         Parameter(negative="", help="Store it next to the recipe: reports of later inspections print it."),

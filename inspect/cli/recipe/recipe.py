@@ -1,18 +1,17 @@
 """``anisoscope recipe``: new recipes, check of their capability, teaching from a good part, yield of a lot."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import MORE
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import (
     OF_WORKERS,
-    PITCH,
     USUAL_LAMP,
-    Flag,
     Json,
     Lamp,
     LightAngleOption,
@@ -22,11 +21,12 @@ from anisoscope.cli.options import (
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_lines, print_output, print_table
 from anisoscope.parameters.detection import LotSize, PoseChoice
+from anisoscope.parameters.inspecting import PartFrames, Teaching
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.parameters.workers import Workers
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.recipe.teaching import Taught
     from anisoscope.study.lot import Lot
     from anisoscope.study.part_yield import PartYield
     from anisoscope.study.statistics import Rate
@@ -36,28 +36,25 @@ app = App(name="recipe", help="Write, check and teach recipes: how a part is pho
 PRODUCT = "ridged part"
 SCATTER_NAMES = "ridge_angle [°], alpha [share], albedo [share], height_loss [share], edge_radius [µm]"
 File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
-FramesOption = Annotated[
-    Path | None,
-    Parameter(
-        help="Frames of a part in this folder (frames.csv) instead of devices; by default with rig.toml in it."
-    ),
-]
-ReflectanceOption = Annotated[
-    float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
-]
+OF_FRAMES = Options(
+    PartFrames,
+    help={
+        "frames": "Frames of a part in this folder (frames.csv) instead of devices; by default with rig.toml in it."
+    },
+    whole=True,
+)
 
 
 @app.command
+@with_options(
+    part=Options(
+        NewRecipe, default={"product": PRODUCT}, without={"largest_mm": "that of the fixture"}, whole=True
+    )
+)
 def new(
     *,
     out: Annotated[Path, Parameter(help="Recipe file to write; must not exist.")],
-    kind: str | None = None,
-    product: Annotated[str, Parameter(help="Name of the product.")] = PRODUCT,
-    pitch: Annotated[float, PITCH, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
-    ridge_angle: float | None = None,
-    u_ridge_angle: float | None = None,
-    height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
-    ink: str | None = None,
+    part: Given[NewRecipe],
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
 ) -> int:
     """Write a recipe with comments, valid as written; then adapt it.
@@ -67,10 +64,6 @@ def new(
     markers of its fixture.
 
     Args:
-        kind: Kind of part by name, such as ridges or prints; without it the other options decide.
-        ridge_angle: Ridge angle of the ideal design in degrees.
-        u_ridge_angle: Standard deviation of the ridge angle of good parts, degrees.
-        ink: For a print instead: its ink, a file or one of the package, such as synthetic-red.
         rig: Rig file, for its geometry; its devices may be missing.
 
     Examples:
@@ -80,32 +73,28 @@ def new(
     """
     from anisoscope.kinds.parts import beginning
     from anisoscope.kinds.registry import kind_of_new
-    from anisoscope.recipe.new_recipe import NewRecipe
     from anisoscope.rig.rigfile import read_replay_rig
 
     if out.exists():
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
-    named = None if product == PRODUCT else product
     fixture = None if rig is None else read_replay_rig(rig).fixture
     if fixture is not None and not fixture.free_mm:
         raise UsageError(
             f"{rig}: fixture.markers leave no room about the rotation axis: print them farther out"
         )
-    requested = NewRecipe(
-        named,
-        pitch,
-        ridge_angle,
-        u_ridge_angle,
-        height_map,
-        ink,
-        None if fixture is None else fixture.free_mm,
+    asked = part.made()
+    requested = replace(
+        asked,
+        product=None if asked.product == PRODUCT else asked.product,
+        largest_mm=None if fixture is None else fixture.free_mm,
     )
-    tables = beginning(kind_of_new(requested, kind)).new_recipe(out, requested)
+    tables = beginning(kind_of_new(requested)).new_recipe(out, requested)
     print_lines(f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}")
     return 0
 
 
 @app.command
+@with_options(foreign=OF_FRAMES)
 def check(
     file: File,
     /,
@@ -114,8 +103,7 @@ def check(
         Path | None,
         Parameter(name=["--rig", "-g"], help="Rig file, for its geometry; its devices may be missing."),
     ] = None,
-    frames: FramesOption = None,
-    reflectance: ReflectanceOption = 0.99,
+    foreign: Given[PartFrames],
     light_angle: LightAngleOption = None,
     try_tilts: Annotated[str, Parameter(help="Tilts to try as additions, degrees; none: ''.")] = "10,20",
     json_: Json = False,
@@ -135,8 +123,7 @@ def check(
         found = check_recipe(
             file,
             rig,
-            frames=frames,
-            reflectance=reflectance,
+            foreign=foreign.made(),
             light_angle_deg=light_angle,
             try_tilts_deg=tries,
             on_progress=advance,
@@ -215,18 +202,22 @@ def suggest(
 
 
 @app.command
+@with_options(
+    by=Options(
+        Teaching,
+        names={"serial": ("--serial", "-s")},
+        flags=("golden",),
+        whole=True,
+    ),
+    foreign=OF_FRAMES,
+)
 def teach(
     file: File,
     /,
     *,
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
-    serial: Annotated[str | None, Parameter(name=["--serial", "-s"])] = None,
-    frames: FramesOption = None,
-    reflectance: ReflectanceOption = 0.99,
-    golden: Flag = False,
-    golden_of: Annotated[Path | None, Parameter(name=["--golden-of"])] = None,
-    limits: Path | None = None,
-    share: float = 0.95,
+    by: Given[Teaching],
+    foreign: Given[PartFrames],
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
     json_: Json = False,
 ) -> int:
@@ -237,51 +228,18 @@ def teach(
     new version; the old one is saved as NAME.v1.toml and so on.
 
     Args:
-        limits: AQDEF file (.dfq, .dfd) whose limits become the tolerances; nothing is photographed.
-        share: With --golden: share of good prints that should pass all limits.
-        golden: By golden parts, and nothing is photographed: tolerances of a print, [scatter] of ridges.
         rig: Rig file (TOML); with --golden or --frames without devices, too.
-        serial: Serial number of the good part.
-        golden_of: With --golden: another recipe, for the same plastic and rig, whose golden parts teach.
 
     Examples:
         anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
         anisoscope recipe teach upright.toml --rig rig.toml --golden --golden-of tilted.toml
         anisoscope recipe teach recipe.toml --rig rig.toml --limits part.dfq
     """
-    if golden + (serial is not None) + (limits is not None) != 1:
-        raise UsageError(
-            "name a good part with --serial, or --golden for the golden parts of a recipe, or a file with --limits"
-        )
-    if golden_of is not None and not golden:
-        raise UsageError("--golden-of names the recipe whose golden parts teach: it needs --golden")
-    if serial is None and frames is not None:
-        raise UsageError("--frames teaches by a good part: it goes with --serial")
-    if rig is None and frames is None:
-        raise UsageError(
-            "name a rig file with --rig" + (", or a folder of frames with --frames" if serial else "")
-        )
-    if serial is not None:
-        from anisoscope.operations.teaching import teach as by_part
+    from anisoscope.operations.teaching import teach as taught_by
 
-        with progress(serial, quiet=json_) as advance:
-            found = by_part(
-                file,
-                rig,
-                serial=serial,
-                frames=frames,
-                reflectance=reflectance,
-                out=out,
-                on_progress=advance,
-            )
-    elif limits is not None:
-        from anisoscope.inspection.teach import teach_by_limits
-
-        assert rig is not None
-        found = teach_by_limits(file, rig, limits)
-    else:
-        assert rig is not None
-        found = _by_golden(file, rig, share, golden_of)
+    asked = by.made()
+    with progress(asked.serial or file.name, quiet=json_) as advance:
+        found = taught_by(file, rig, by=asked, foreign=foreign.made(), out=out, on_progress=advance)
     if json_:
         return print_json(found)
     print_table(
@@ -293,17 +251,6 @@ def teach(
     lines += [] if found.folder is None else [f"the inspection: {found.folder}"]
     print_lines(*(*lines, *found.notes))
     return 0
-
-
-def _by_golden(file: Path, rig: Path, share: float, source: Path | None) -> "Taught":
-    """No part is judged here, so no exit code may look like a verdict."""
-    from anisoscope.kinds.parts import taught
-    from anisoscope.kinds.registry import kind_of
-
-    try:
-        return taught(kind_of(file), file).teach_by_reference(file, rig, share, source)
-    except CalibrationError as error:
-        raise UsageError(str(error)) from error
 
 
 @app.command(name="yield")

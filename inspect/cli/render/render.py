@@ -28,7 +28,7 @@ from anisoscope.cli.progress import progress
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.microscope import Microscope
-from anisoscope.parameters.rendering import MapSample, MapView, PlateView
+from anisoscope.parameters.rendering import MapSample, MapView, PlateFields, PlateView
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
@@ -315,36 +315,6 @@ def plastic_words(material: Material) -> str:
     return lobe + tail + (second if material.second_lobe else "")
 
 
-@Parameter(name="*")
-@dataclass(frozen=True)
-class Cells:
-    """Fields of a plate.
-
-    Attributes:
-        pattern: Image of two levels in place of the checkerboard: dark is the second.
-    """
-
-    fields: Annotated[int, Parameter(help="Fields along a side, 2 to 64.")] = 7
-    field_size: Annotated[float, Parameter(help="Side of a field in mm.")] = 5.0
-    pattern: Path | None = None
-    plate_width: Annotated[float, Parameter(help="Width of the plate with --pattern in mm.")] = 40.0
-
-    def check(self) -> None:
-        """Refuse sizes and counts out of range.
-
-        Raises:
-            UsageError: one of them.
-        """
-        for name, value in (("--plate-width", self.plate_width), ("--field-size", self.field_size)):
-            if not 0.0 < value <= 10_000.0:
-                raise UsageError(f"{name} takes a length above 0 and up to 10000 mm, not {value:g}")
-        if self.pattern is None and not 2 <= self.fields <= 64:
-            raise UsageError(f"--fields takes 2 to 64, not {self.fields}")
-
-
-CELLS = Cells()
-
-
 @app.command
 @with_options(
     view=Options(
@@ -353,6 +323,7 @@ CELLS = Cells()
         groups={"tilt_deg": LIGHT, "ridge_directions_deg": MORE, "bounces": MORE},
         whole=True,
     ),
+    cells=Options(PlateFields, whole=True),
     ridges=OF_RIDGES,
     plastic=OF_PLASTIC,
     rig=OF_LIGHT,
@@ -364,7 +335,7 @@ def checkerboard(
     recipe: RecipeOption = None,
     ridges: Given[RidgeDesign],
     view: Given[PlateView],
-    cells: Cells = CELLS,
+    cells: Given[PlateFields],
     plastic: Given[Material],
     rig: Given[Convention],
 ) -> int:
@@ -377,19 +348,21 @@ def checkerboard(
     from anisoscope.operations.render import read_pattern, render_plate
     from anisoscope.operations.stated import stated
 
-    picture.check(cells.pattern)
+    plate = cells.made()
+    picture.check(plate.pattern)
     seen = view.made()
-    cells.check()
     base = stated(recipe)
     if base.height_map is not None and "ridge_angle_deg" not in ridges:
         raise UsageError(f"{recipe}: its surface is a height map; say the --ridge-angle of the plate")
     design = ridges.over(base.design or RidgeDesign(base.pitch_um or USUAL_PITCH_UM, 10.0))
-    second = cells.fields if cells.pattern is None else read_pattern(cells.pattern)
+    second = plate.fields if plate.pattern is None else read_pattern(plate.pattern)
     with progress("render", quiet=picture.json_) as advance:
         found = render_plate(
             design,
             second,
-            cell_mm=cells.field_size if isinstance(second, int) else cells.plate_width / second.shape[1],
+            cell_mm=plate.field_size_mm
+            if isinstance(second, int)
+            else plate.plate_width_mm / second.shape[1],
             view=seen,
             material=plastic.over(base.material),
             convention=rig.over(base.convention),

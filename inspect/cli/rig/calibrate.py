@@ -1,6 +1,6 @@
 """``anisoscope calibrate``: calibrations of the rig."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,9 +8,8 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import MORE
-from anisoscope.cli.ink.options import OverwriteOption
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Flag, Json, check_new, check_suffix
+from anisoscope.cli.options import Flag, Json, Overwrite, check_new, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import (
     OF_TAKING,
@@ -23,7 +22,7 @@ from anisoscope.cli.rig.options import (
     asked_to_seat_fixture,
 )
 from anisoscope.cli.tables import print_lines, print_table
-from anisoscope.parameters.taking import Entry, MaterialEntry, Taking
+from anisoscope.parameters.taking import Entry, MaterialEntry, MaterialScan, Taking
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
 
 if TYPE_CHECKING:
@@ -373,38 +372,22 @@ def check(
     return _show(record, out, json_=json_)
 
 
-@Parameter(name="*")
-@dataclass(frozen=True)
-class Readings:
-    """Readings of a specimen, or how it is scanned.
-
-    Attributes:
-        readings: Instead of a scan: CSV stage_deg,tilt_deg,value[,u].
-        frames: Judge the frames of this folder (frames.csv) instead of taking any.
-        reflectance: With --frames: reflectance of the white tile in its flat frames.
-        step: Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.
-    """
-
-    readings: Path | None = None
-    frames: Annotated[Path | None, Parameter(group=MORE)] = None
-    reflectance: Annotated[float, Parameter(group=MORE)] = 0.99
-    max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0
-    step: float | None = None
-
-
-SCAN = Readings()
-
-
 @app.command
 @with_options(
-    entry=Options(MaterialEntry, groups=dict.fromkeys(("lobe", "name", "valid_days"), MORE), whole=True)
+    source=Options(
+        MaterialScan,
+        names={"step_deg": "--step"},
+        groups={"frames": MORE, "reflectance": MORE},
+        whole=True,
+    ),
+    entry=Options(MaterialEntry, groups=dict.fromkeys(("lobe", "name", "valid_days"), MORE), whole=True),
 )
 def material(
     *,
     rig: RigPath,
     out: Annotated[Path | None, Parameter(help="Material file to write, such as abs.toml.")] = None,
     scanned: Scanned = SCANNED,
-    source: Readings = SCAN,
+    source: Given[MaterialScan],
     entry: Given[MaterialEntry],
     dry_run: DryRun = False,
     json_: Json = False,
@@ -430,7 +413,8 @@ def material(
     from anisoscope.inspection.reflectance_scan import read_scan
 
     noted, specimen = entry.made(), scanned.specimen()
-    readings, frames, recipe = source.readings, source.frames, scanned.recipe
+    asked, recipe = source.made(), scanned.recipe
+    readings, frames = asked.readings, asked.frames
     if out is None and not dry_run:
         raise UsageError("--out FILE.toml says where the material goes; --dry-run prints the plan only")
     if readings is None and recipe is None:
@@ -445,8 +429,8 @@ def material(
         rig,
         recipe,
         specimen,
-        tilt_deg=source.max_tilt,
-        step_deg=source.step,
+        tilt_deg=asked.max_tilt_deg,
+        step_deg=asked.step_deg,
         poses=poses if read is None else read[0],
     )
     if dry_run or not json_:
@@ -467,7 +451,7 @@ def material(
             scan, camera = (
                 scan_specimen(setup, rig, recipe, advance)
                 if frames is None
-                else scan_of_frames(setup, frames, rig, recipe, source.reflectance)
+                else scan_of_frames(setup, frames, rig, recipe, asked.reflectance)
             )
         file, found = calibrate_material(setup, scan, out, entry=noted, camera=camera, on_progress=advance)
     if json_:
@@ -531,7 +515,7 @@ def ink(
     *inspections: Path,
     out: Annotated[Path, Parameter(help="Ink file *.toml to write.")],
     name: Annotated[str | None, Parameter(help="Name of the ink; else that of the file.")] = None,
-    overwrite: OverwriteOption = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Make the ink file of good prints from their inspections: no goniometer is needed.

@@ -10,75 +10,16 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import MORE, everyday
-from anisoscope.cli.options import PITCH, Flag, Json
+from anisoscope.cli.options import Flag, Json
 from anisoscope.cli.progress import progress
 from anisoscope.cli.rig.options import OF_TAKING, RigPath, Yes, ask_to_turn
 from anisoscope.cli.tables import console, print_lines, print_table
-from anisoscope.parameters.taking import Taking, Turning
-from anisoscope.views.options import Given, Options, parse_numbers, with_options
+from anisoscope.parameters.taking import KnownPart, Taking, Turning
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
-    from anisoscope.commissioning.part import RidgedPart
     from anisoscope.commissioning.record import Commissioning
     from anisoscope.commissioning.selftest_record import SelfTest
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class Known:
-    """Part on the stage.
-
-    Attributes:
-        part: Recipe of the part on the stage.
-        alpha: Roughness along and across the ridges, such as 0.06,0.1.
-        spot_mm: Diameter of the spot on the part; else the recipe's region.
-        u_ridge_angle: Standard uncertainty of the ridge angle, degrees.
-        u_alpha: Relative standard uncertainty of the roughness.
-    """
-
-    part: Annotated[Path | None, Parameter(name=["--recipe", "-r"])] = None
-    ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of the part in degrees.")] = None
-    pitch: Annotated[float | None, PITCH, Parameter(help="Pitch of the ridges in µm.")] = None
-    alpha: str | None = None
-    spot_mm: float | None = None
-    u_ridge_angle: Annotated[float, Parameter(group=MORE)] = 0.1
-    u_alpha: Annotated[float | None, Parameter(group=MORE)] = None
-
-    def read(self) -> "RidgedPart":
-        """The part.
-
-        Raises:
-            UsageError: neither a recipe nor angle, pitch and spot.
-        """
-        from anisoscope.commissioning.commissioning import part_of_recipe
-        from anisoscope.commissioning.part import RidgedPart
-        from anisoscope.kinds.registry import read_recipe
-
-        if self.part is not None:
-            known = part_of_recipe(read_recipe(self.part), self.ridge_angle, self.u_ridge_angle)
-        elif self.ridge_angle is None or self.pitch is None or self.spot_mm is None:
-            raise UsageError(
-                "name the part on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm"
-            )
-        else:
-            known = RidgedPart(
-                self.pitch, self.ridge_angle, u_ridge_angle_deg=self.u_ridge_angle, spot_mm=self.spot_mm
-            )
-        changes: dict[str, float | None] = {}
-        if self.pitch is not None:
-            changes["pitch_um"] = self.pitch
-        if self.spot_mm is not None:
-            changes["spot_mm"] = self.spot_mm
-        if self.u_alpha is not None:
-            changes |= {"u_alpha_share": self.u_alpha, "alpha_covariance": None}
-        if self.alpha is not None:
-            values = parse_numbers(self.alpha, "--alpha")
-            if len(values) not in (1, 2) or min(values) <= 0.0:
-                raise UsageError(
-                    f"--alpha takes one or two numbers above 0, such as 0.06,0.1, not {self.alpha!r}"
-                )
-            changes |= {"alpha_along": values[0], "alpha_across": values[-1]}
-        return replace(known, **changes)  # type: ignore[arg-type]  # every field named above is a float
 
 
 @Parameter(name="*")
@@ -97,22 +38,28 @@ class Files:
     keep_frames: Annotated[Path | None, Parameter(help="Empty folder for the frames.", group=MORE)] = None
 
 
-UNKNOWN, RECORD = Known(), Files()
+RECORD = Files()
 
 
 @with_options(
+    known=Options(
+        KnownPart,
+        names={"recipe": ("--recipe", "-r"), "spot_mm": "--spot-mm"},
+        groups={"u_ridge_angle_deg": MORE, "u_alpha": MORE},
+        whole=True,
+    ),
     turning=Options(
         Turning,
         names={"frames": "--count"},
         groups=dict.fromkeys(("gain", "channel", "step_deg", "frames", "settle_s", "bounces"), MORE),
         whole=True,
-    )
+    ),
 )
 @everyday("rig", "known", "files", "json_")
 def commission(
     *,
     rig: RigPath,
-    known: Known = UNKNOWN,
+    known: Given[KnownPart],
     turning: Given[Turning],
     all_reflections: Annotated[bool, Parameter(negative="", show=False)] = False,
     files: Files = RECORD,
@@ -131,35 +78,24 @@ def commission(
     """  # fmt: skip
     from anisoscope.commissioning.angles import Assumed
     from anisoscope.commissioning.commissioning import commission as find
-    from anisoscope.commissioning.commissioning import lacks_reference, tilts_of, write_to_rig_file
+    from anisoscope.commissioning.commissioning import (
+        known_part,
+        lacks_reference,
+        series_of,
+        tilts_of,
+        write_to_rig_file,
+    )
     from anisoscope.commissioning.record import default_record_path, write_commissioning
-    from anisoscope.commissioning.series import Series
     from anisoscope.kinds.registry import read_recipe
     from anisoscope.rig.rigfile import read_rig
 
     how = turning.made()
     if how.bounces != "all" and all_reflections:
         raise UsageError(f"--all-reflections is --bounces all: leave it out with --bounces {how.bounces}")
-    recipe = None if known.part is None else read_recipe(known.part)
-    exposure, channel, gain, frames = how.exposure_s, how.channel, how.gain, how.frames
-    if exposure is None:
-        if recipe is None:
-            raise UsageError("give --exposure SECONDS, or --recipe FILE whose exposure is taken")
-        exposure = recipe.acquisition.exposure_s
-    part = known.read()
-    if channel is None and recipe is not None:
-        channel = recipe.acquisition.light_channel
-    series = Series(
-        exposure,
-        gain,
-        how.step_deg,
-        how.tilts_deg,
-        max(how.step_deg, 60.0),
-        frames,
-        max(frames, 4),
-        how.settle_s,
-        channel,
-    )
+    on_stage = known.made()
+    recipe = None if on_stage.recipe is None else read_recipe(on_stage.recipe)
+    series = series_of(how, recipe)
+    part = known_part(on_stage, recipe)
     ask_to_turn(rig, yes=yes)
     with progress("commissioning", quiet=json_) as advance:
         done = find(
@@ -186,8 +122,10 @@ def commission(
         )
         if written is not None and not written.comments_preserved:
             lines.append(message("the comments of the rig file are lost; the old file has them"))
-        if lacks_reference(read_rig(rig, channel=channel)):
-            taking = Taking(exposure, gain, max(frames, 4), light_channel=channel)
+        if lacks_reference(read_rig(rig, channel=series.light_channel)):
+            taking = Taking(
+                series.exposure_s, series.gain, max(how.frames, 4), light_channel=series.light_channel
+            )
             lines += _taught(rig, taking, () if recipe is None else tilts_of(rig, recipe), quiet=json_)
     _show(done.record, lines, json_)
     return 0

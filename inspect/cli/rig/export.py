@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, check_new
+from anisoscope.cli.options import Json, Overwrite, check_new
 
 
 def export(
@@ -16,7 +16,7 @@ def export(
     /,
     *,
     out: Annotated[Path, Parameter(help="File to write (.nxs): NeXus, that is HDF5.")],
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Write all frames of an inspection or a scan to a NeXus file, with angles, exposures and their units.

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import RigFileError, UsageError
 from anisoscope.base.language import message
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, check_new
+from anisoscope.cli.options import Json, Overwrite, check_new
 from anisoscope.cli.rig.options import write_line
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def markers(
     rig: Annotated[Path | None, Parameter(name=["--rig", "-g"])] = None,
     field_mm: float | None = None,
     dpi: Annotated[float, Parameter(help="Dots of the printer per inch.")] = 1200.0,
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace a file that exists.")] = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Write a page with the markers around the part, to print at true scale; nothing moves.

@@ -10,6 +10,8 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import RigFileError, UsageError
 from anisoscope.cli.options import Flag
 from anisoscope.cli.rig.options import write_line
+from anisoscope.parameters.moulding import MouldingRun
+from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.sim.bench.bench import Bench
@@ -68,15 +70,11 @@ def _serve(name: str, server: "PtyServer | TcpServer") -> int:
 
 
 @app.command
+@with_options(run=Options(MouldingRun, whole=True))
 def press(
     *,
     out: Annotated[Path, Parameter(help="Folder for parts.csv and cycles.csv.")],
-    parts: Annotated[int, Parameter(help="Parts that are inspected, one shot in 20.")] = 300,
-    setting: str | None = None,
-    change: Annotated[float, Parameter(help="By how much, in °C, bar, s or shots.")] = 0.0,
-    onset: Annotated[int, Parameter(help="First part with the change, counted from 1.")] = 200,
-    ramp: Annotated[int, Parameter(help="Parts over which it grows; 0 for a step.")] = 0,
-    seed: Annotated[int, Parameter(help="Seed of the noise.")] = 1,
+    run: Given[MouldingRun],
     opcua_port: int | None = None,
     every_s: Annotated[float, Parameter(help="With --opcua-port: seconds from cycle to cycle.")] = 30.0,
 ) -> int:
@@ -85,31 +83,21 @@ def press(
     `spc --csv parts.csv` reads the one, `history covariates cycles.csv` the other, or its cycles with `--opcua`.
 
     Args:
-        setting: Setting that changes, such as 'mould temperature'.
         opcua_port: TCP port of 127.0.0.1: serve the cycles by OPC 40077 (EUROMAP 77) too, until Ctrl-C.
 
     Examples:
         anisoscope rig sim press --out press --setting "mould temperature" --change -2
     """
-    import numpy as np
+    from anisoscope.sim.press import check_free, moulded, write_moulded
 
-    from anisoscope.sim.press import Change, check_free, mould, write_moulded
-
+    asked = run.made()
     if opcua_port is not None and not 0 < opcua_port < 65536:
         raise UsageError(f"rig sim press: --opcua-port is a TCP port from 1 to 65535, not {opcua_port}")
     if not 0.0 < every_s < math.inf:
         raise UsageError(f"rig sim press: --every-s is above 0, not {every_s:g}")
-    if min(parts, onset) < 1 or ramp < 0 or not math.isfinite(change):
-        raise UsageError(
-            "rig sim press: --parts and --onset are at least 1, --ramp at least 0, --change is finite"
-        )
-    if (setting is None) != (change == 0.0):
-        raise UsageError("rig sim press: --setting and --change go together")
-    changes = () if setting is None else (Change(setting, change, onset - 1, ramp),)
     check_free(out)
-    made = mould(parts, changes, np.random.default_rng(seed))
-    cycles = write_moulded(made, out)
-    print(f"{out / 'parts.csv'} and {out / 'cycles.csv'}: {parts} parts", flush=True)  # noqa: T201
+    cycles = write_moulded(moulded(asked), out)
+    print(f"{out / 'parts.csv'} and {out / 'cycles.csv'}: {asked.parts} parts", flush=True)  # noqa: T201
     if opcua_port is not None:
         _serve_press(opcua_port, cycles, every_s)
     return 0

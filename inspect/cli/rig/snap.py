@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, Overwrite
 from anisoscope.cli.rig.options import OF_SHOT, RigPath, write_line
 from anisoscope.parameters.taking import Shot
 from anisoscope.views.options import Given, with_options
@@ -28,7 +28,7 @@ def snap(
     frames: Annotated[int, Parameter(name="--count", help="Frames to average, rounded to counts.")] = 1,
     preview: Annotated[bool, Parameter(negative="", help="Also write a PNG preview next to it.")] = False,
     stage: Annotated[bool, Parameter(name="--read-axes", negative="--no-read-axes")] = True,
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
+    overwrite: Overwrite = False,
     json_: Json = False,
 ) -> int:
     """Take a picture and write it to a file; nothing moves.

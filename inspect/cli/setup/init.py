@@ -1,5 +1,6 @@
 """``anisoscope init``: a folder for a job, with recipe, rig file and project file."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -8,10 +9,11 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.printable import check_printable
-from anisoscope.cli.options import PITCH
 from anisoscope.cli.tables import print_lines
 from anisoscope.operations import project_place
 from anisoscope.operations.project_place import PROJECT_NAME
+from anisoscope.parameters.new_recipe import NewRecipe
+from anisoscope.views.options import Given, Options, with_options
 
 RIG = """\
 # Devices of the rig. Ports of this machine: anisoscope rig ports. All keys: docs/recipe-and-rig.md.
@@ -39,16 +41,22 @@ flat = "flat.tif"                # anisoscope calibrate flat --exposure 0.006 --
 """
 
 
+@with_options(
+    part=Options(
+        NewRecipe,
+        help={"ridge_angle_deg": "Ridge angle of the design in degrees; 10 where nothing else is named."},
+        without={
+            "u_ridge_angle_deg": "recipe new states it",
+            "largest_mm": "there is no fixture yet",
+        },
+        whole=True,
+    )
+)
 def init(
     folder: Annotated[Path, Parameter(help="Folder of the job; made if it does not exist.")] = Path(),
     /,
     *,
-    kind: str | None = None,
-    product: Annotated[str | None, Parameter(help="Name of the product.")] = None,
-    pitch: Annotated[float, PITCH, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
-    ridge_angle: float | None = None,
-    height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
-    ink: Annotated[str | None, Parameter(help="For a print: its ink, a file or one of the package.")] = None,
+    part: Given[NewRecipe],
     operator: str | None = None,
     station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
 ) -> int:
@@ -60,8 +68,6 @@ def init(
     Existing files are not replaced.
 
     Args:
-        kind: Kind of part by name, such as ridges or prints; else the other options decide.
-        ridge_angle: Ridge angle of the design in degrees; 10 where nothing else is named.
         operator: Operator who inspects here; goes into the records.
 
     Examples:
@@ -70,17 +76,16 @@ def init(
     """
     from anisoscope.kinds.parts import beginning
     from anisoscope.kinds.registry import kind_of_new
-    from anisoscope.recipe.new_recipe import NewRecipe
 
     check_printable({"--operator": operator, "--station": station})
     recipe, rig, project = (folder / name for name in ("recipe.toml", "rig.toml", PROJECT_NAME))
     for path in (recipe, rig, project):
         if path.exists():
             raise UsageError(f"{path} exists already: name another folder")
-    if (ridge_angle, height_map, ink, kind) == (None, None, None, None):
-        ridge_angle = 10.0
-    requested = NewRecipe(product, pitch, ridge_angle, None, height_map, ink)
-    chosen = kind_of_new(requested, kind)
+    requested = part.made()
+    if requested == replace(NewRecipe(), product=requested.product, pitch_um=requested.pitch_um):
+        requested = replace(requested, ridge_angle_deg=10.0)
+    chosen = kind_of_new(requested)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tables = beginning(chosen).new_recipe(recipe, requested)

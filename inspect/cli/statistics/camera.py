@@ -6,8 +6,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
-from anisoscope.cli.statistics.source import Html, print_grid
+from anisoscope.cli.options import Html, Json
+from anisoscope.cli.statistics.source import print_grid
 from anisoscope.cli.tables import print_lines
 
 

@@ -9,8 +9,8 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import MORE
 from anisoscope.cli.history.options import ALL, Place, Selection
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Flag, Json
-from anisoscope.cli.statistics.source import SOURCE, Alpha, Html, Number, Readable, print_grid, readings_from
+from anisoscope.cli.options import Flag, Html, Json
+from anisoscope.cli.statistics.source import SOURCE, Alpha, Number, Readable, print_grid, readings_from
 from anisoscope.cli.tables import print_lines
 from anisoscope.parameters.measurement_process import ProcessInputs
 from anisoscope.views.options import Given, Options, with_options

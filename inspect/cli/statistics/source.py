@@ -20,7 +20,6 @@ Csv = Annotated[
         help="Readings from this CSV file (or AQDEF: .dfq, .dfd) instead of the history: see docs/statistics.md.",
     ),
 ]
-Html = Annotated[Path | None, Parameter(name="--html", help="Write a page with charts to this file.")]
 Number = Annotated[
     str | None,
     Parameter(name=["--number", "-n"], help="Which number, such as 'ln 0-90'; else the first one."),
@@ -41,9 +40,9 @@ class Source:
     which: Selection = ALL
     limit: Limit = 0
 
-    def readings(self) -> "Readings":
+    def readings(self, *, machine: bool = False) -> "Readings":
         """The readings that are meant; errors as for `readings_from`."""
-        return readings_from(self.csv, self.place, self.which, self.limit)
+        return readings_from(self.csv, self.place, self.which, self.limit, machine=machine)
 
 
 Readable = Annotated[Source, Parameter(name="*")]

@@ -8,11 +8,10 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import MORE
-from anisoscope.cli.history.options import ALL, Place, Selection
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Html, Json
 from anisoscope.cli.progress import progress
-from anisoscope.cli.statistics.source import Csv, Html, Limit, Number, print_grid, readings_from
+from anisoscope.cli.statistics.source import SOURCE, Readable, print_grid
 from anisoscope.cli.tables import print_lines
 from anisoscope.parameters.charting import Charting
 from anisoscope.views.options import Given, Options, with_options
@@ -68,11 +67,7 @@ OF_CHARTING = Options(
 @with_options(charting=OF_CHARTING)
 def spc(
     *,
-    csv: Csv = None,
-    place: Place = None,
-    number: Number = None,
-    which: Selection = ALL,
-    limit: Limit = 0,
+    source: Readable = SOURCE,
     charting: Given[Charting],
     limits_to: Annotated[Path | None, Parameter(group=MORE)] = None,
     html: Html = None,
@@ -98,11 +93,14 @@ def spc(
     from anisoscope.quality.chart_limits import write_chart_limits
 
     asked = charting.made()
-    tolerances = _tolerances(which.values.get("recipe"))
-    chosen = which if tolerances is None else replace(cast("Any", which), recipe=None)
-    readings = readings_from(csv, place, chosen, limit, machine=asked.drift)
+    tolerances = _tolerances(source.which.values.get("recipe"))
+    if tolerances is not None:
+        source = replace(source, which=replace(cast("Any", source.which), recipe=None))
+    readings = source.readings(machine=asked.drift)
     with progress("control charts", quiet=json_) as advance:
-        found = control_charts(readings, number, charting=asked, tolerances=tolerances, on_progress=advance)
+        found = control_charts(
+            readings, source.number, charting=asked, tolerances=tolerances, on_progress=advance
+        )
     first = found.charts[0].number
     title = first if asked.by is None else f"{first}, by {asked.by}"
     if html is not None:

@@ -1,14 +1,13 @@
 """``anisoscope research papers``: every figure and table of the three papers, as printed and as computed here."""
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json, check_suffix
+from anisoscope.cli.options import Html, Json, check_suffix
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
@@ -26,7 +25,7 @@ def papers(
     only: Annotated[
         Literal["levin", "luongo", "pranovich"] | None, Parameter(help="One of the papers.")
     ] = None,
-    html: Annotated[Path | None, Parameter(help="Write one page with all pictures to this file.")] = None,
+    html: Html = None,
     json_: Json = False,
 ) -> int:
     """Compute every figure and table of the three papers and compare it with what is printed.

@@ -1,7 +1,7 @@
 """``anisoscope research``: published results repeated, and effects of imperfect surfaces by simulation."""
 
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import App, Parameter
 
@@ -10,17 +10,12 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import DRAWN, NO_BASE, OF_PLASTIC, OF_RIDGES, OF_WORKERS, Base, DrawnOutput
 from anisoscope.cli.progress import progress
 from anisoscope.parameters.material import Material
+from anisoscope.parameters.random_surfaces import RandomSurfaces
 from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.parameters.workers import Workers
-from anisoscope.views.options import Given, with_options
+from anisoscope.views.options import Given, Options, with_options
 
-Quality = Annotated[
-    Literal["quick", "normal", "fine"],
-    Parameter(help="Size of the height maps and number of random surfaces; fine takes many times as long."),
-]
-
-
-SeedOption = Annotated[int, Parameter(help="Seed of the random surfaces.")]
+OF_SURFACES = Options(RandomSurfaces, whole=True)
 
 app = App(
     name="research", help="Repeat published results, and simulate how defects change contrasts and verdicts."
@@ -42,11 +37,10 @@ app.command("anisoscope.cli.study.papers:papers", name="papers")
         },
     ),
     plastic=OF_PLASTIC,
+    surfaces=OF_SURFACES,
     workers=OF_WORKERS,
 )
-@everyday(
-    *("defects", "ridges", "plastic", "base", "severities", "quality", "seed", "output"),
-)
+@everyday("defects", "ridges", "plastic", "base", "severities", "surfaces", "output")
 def convergence_command(
     *,
     base: Base = NO_BASE,
@@ -54,8 +48,7 @@ def convergence_command(
     ridges: Given[RidgeDesign],
     plastic: Given[Material],
     severities: int = 6,
-    quality: Quality = "normal",
-    seed: SeedOption = 1,
+    surfaces: Given[RandomSurfaces],
     workers: Given[Workers],
     output: DrawnOutput = DRAWN,
 ) -> int:
@@ -77,16 +70,17 @@ def convergence_command(
     design = ridges.over(RidgeDesign(PITCH_UM, angle_deg))
     if not 3 <= severities <= 10:
         raise UsageError(f"--severities takes 3 to 10, not {severities}")
+    drawn = surfaces.made()
     chosen = () if defects == "all" else tuple(dict.fromkeys(defects.split(",")))
     with progress("convergence", quiet=output.json_) as advance:
         found = convergence(
             chosen,
             design,
             material,
-            quality,
+            drawn.quality,
             workers.made(),
             severities=severities,
-            seed=seed,
+            seed=drawn.seed,
             on_progress=advance,
         )
     output.hand_out(found)
@@ -94,16 +88,17 @@ def convergence_command(
 
 
 @app.command(name="best-angle")
-@with_options(plastic=OF_PLASTIC, workers=OF_WORKERS)
-@everyday("base", "imperfections", "plastic", "step", "quality", "seed", "output")
+@with_options(
+    plastic=OF_PLASTIC, surfaces=replace(OF_SURFACES, default={"quality": "quick"}), workers=OF_WORKERS
+)
+@everyday("base", "imperfections", "plastic", "step", "surfaces", "output")
 def best_angle_command(
     *,
     base: Base = NO_BASE,
     imperfections: str = "all",
     plastic: Given[Material],
     step: Annotated[float, Parameter(help="Step of the ridge angles in degrees, 0.1 to 1.")] = 0.5,
-    quality: Quality = "quick",
-    seed: SeedOption = 1,
+    surfaces: Given[RandomSurfaces],
     workers: Given[Workers],
     output: DrawnOutput = DRAWN,
 ) -> int:
@@ -122,15 +117,16 @@ def best_angle_command(
     material = plastic.over(base.stated().material)
     if not 0.1 <= step <= 1.0:
         raise UsageError(f"--step takes 0.1 to 1 degree, not {step:g}")
+    drawn = surfaces.made()
     names = () if imperfections == "all" else tuple(dict.fromkeys(imperfections.split(",")))
     with progress("best angle", quiet=output.json_) as advance:
         found = best_angle(
             names,
             material,
-            quality,
+            drawn.quality,
             workers.made(),
             step_deg=step,
-            seed=seed,
+            seed=drawn.seed,
             on_progress=advance,
         )
     output.hand_out(found)

@@ -4,7 +4,7 @@ import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -14,10 +14,10 @@ from anisoscope.base.errors import MeasurementError, RecordError
 from anisoscope.base.json_fields import json_field
 from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.inspection.batch.scan import Scan, read_scan
+from anisoscope.parameters.inspecting import CodeKind
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.frame import filters_in_header
 
-Kind = Literal["any", "datamatrix", "code128", "qr"]
 Grey = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
@@ -48,7 +48,7 @@ class Code:
         return TITLES[self.kind]
 
 
-def read_codes(picture: Counts, kind: Kind = "any") -> tuple[Code, ...]:
+def read_codes(picture: Counts, kind: CodeKind = "any") -> tuple[Code, ...]:
     """All codes of a picture, each once, from top to bottom.
 
     Args:
@@ -72,7 +72,7 @@ def read_codes(picture: Counts, kind: Kind = "any") -> tuple[Code, ...]:
     return tuple(sorted(found.values(), key=lambda code: min(row for _, row in code.corners)))
 
 
-def one_code(codes: tuple[Code, ...], kind: Kind, where: str) -> Code:
+def one_code(codes: tuple[Code, ...], kind: CodeKind, where: str) -> Code:
     """The only code of a picture.
 
     Raises:

@@ -5,10 +5,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
-from anisoscope.inspection.batch.codes import Code, Kind, one_code, read_codes
+from anisoscope.inspection.batch.codes import Code, one_code, read_codes
 from anisoscope.inspection.batch.scan import Scan
 from anisoscope.inspection.frame_table import Replay
 from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.parameters.inspecting import CodeKind
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
@@ -23,7 +24,7 @@ from anisoscope.rig.rigfile import read_rig
 class Look:
     """Reading of codes by the camera: kind, and exposure (None: the recipe's)."""
 
-    kind: Kind = "any"
+    kind: CodeKind = "any"
     exposure_s: float | None = None
 
 
@@ -89,7 +90,7 @@ def _go(rig: Rig, plan: Plan) -> float:
     return rig.file.stage.place_near(reached["stage"], plan.poses[0].stage_deg)
 
 
-def scan_of(replay: Replay, recipe: RecipeBase, kind: Kind) -> Scan:
+def scan_of(replay: Replay, recipe: RecipeBase, kind: CodeKind) -> Scan:
     """Text of the only code in the frames at the first pose; of several exposures, the first that shows one.
 
     Args:

@@ -25,7 +25,6 @@ from anisoscope.base.json_file import JsonLines
 from anisoscope.base.printable import Printable
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import Part, read_toml_model
-from anisoscope.inspection.batch.codes import Kind
 from anisoscope.inspection.batch.first_pose import scan_of
 from anisoscope.inspection.batch.scan import Scan, mismatch
 from anisoscope.inspection.batch.slot_folder import clear_copies, inspected_in
@@ -44,6 +43,7 @@ from anisoscope.inspection.run import (
     never_used,
 )
 from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.parameters.inspecting import CodeKind
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of
 from anisoscope.report.peers import LotMates, no_lot_mates
@@ -285,7 +285,7 @@ class Watched:
     reflectance: float = 0.99
     settle_s: float = 2.0
     poll_s: float = 1.0
-    code_kind: Kind | None = None
+    code_kind: CodeKind | None = None
     lot_mates: LotMates = no_lot_mates
     used_before: UsedBefore = never_used
     reuse: str = ""

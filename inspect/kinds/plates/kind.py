@@ -48,7 +48,7 @@ from anisoscope.kinds.plates.recipe import PlateDefects, PlateRecipe
 from anisoscope.kinds.plates.record import CodeRecord, GradeRecord, PlateDetails
 from anisoscope.kinds.plates.reference_plates import GoldenPlates, reference_table
 from anisoscope.kinds.recipe_check import RecipeCheck
-from anisoscope.recipe.new_recipe import NewRecipe
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.record.schema import ConclusionRecord, DiagnosisRecord, Record
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile

@@ -58,7 +58,7 @@ from anisoscope.kinds.prints.reference_prints import (
     read_golden_prints,
 )
 from anisoscope.kinds.recipe_check import RecipeCheck
-from anisoscope.recipe.new_recipe import NewRecipe
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import DiagnosisRecord, Record
 from anisoscope.report.inspection_page import Pictures, Sections

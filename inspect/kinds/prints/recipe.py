@@ -12,8 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import ModelError, RecipeError, UsageError
 from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.base import CommonUncertainty, LotDecision, RecipeBase
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.sim.light.colour.observer import shares_of_points
 from anisoscope.sim.light.ink.ink import UNKNOWN, Ink, InkUncertainty

@@ -20,8 +20,8 @@ from anisoscope.kinds.parts import Beginning
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.kinds.surface import SurfaceKind
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.prediction.expectation import Expectation
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import MapPlaceRecord, ShapeRecord
 from anisoscope.rig.rigfile import RigFile

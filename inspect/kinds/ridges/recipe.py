@@ -11,7 +11,7 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.toml_edits import toml_literal
 from anisoscope.base.toml_file import Positive
-from anisoscope.recipe.new_recipe import NewRecipe
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, read_surface_recipe
 
 

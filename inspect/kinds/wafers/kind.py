@@ -46,12 +46,12 @@ from anisoscope.kinds.wafers.states import (
     width_step_nm,
 )
 from anisoscope.parameters.geometry import Convention, Pose
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.input_doubt import NEGLIGIBLE
 from anisoscope.prediction.optics_selection import optics_for
 from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
 from anisoscope.record.schema import AreaRecord, DiagnosisRecord, RegionRecord
 from anisoscope.record.verdict import Verdict

@@ -11,10 +11,10 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.base.toml_edits import toml_literal
 from anisoscope.base.toml_file import NotNegative, Positive, Share
+from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.named_defect import NamedDefect
-from anisoscope.recipe.new_recipe import NewRecipe
 from anisoscope.recipe.surface import (
     DefectsPart,
     MaterialPart,

@@ -14,14 +14,24 @@ import numpy.typing as npt
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.progress import Advance, silent
-from anisoscope.parameters.etching import DotSearch, PatternOptions
+from anisoscope.parameters.etching import (
+    GDS,
+    DepthSearch,
+    DotSearch,
+    EtchedHeights,
+    LobeShape,
+    PatternOptions,
+    StepBlocks,
+)
 from anisoscope.parameters.fabrication import Fabrication
 from anisoscope.parameters.keywords import by_keywords
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.design.antimirror import AntiMirror
 from anisoscope.sim.design.depths import Depths, design_depths
 from anisoscope.sim.design.designfile import DesignFile, read_design, read_layout
 from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.design.lobe import AxisLobe, LobeTask, design_lobe
+from anisoscope.sim.design.maskreading import read_gds
 from anisoscope.sim.design.models import AntiMirrorModel, AnyModel, LobeModel, MirrorModel
 from anisoscope.sim.design.pattern import classes_of, dot_task, make_layout, rasterised
 from anisoscope.sim.design.refine import Limits, Refined, refine
@@ -88,33 +98,26 @@ def _design_of(
     )
 
 
+@by_keywords(shape=LobeShape)
 def etched_lobe(
-    sigma: float,
-    sigma_y: float | None = None,
-    *,
-    fabrication: Fabrication | None = None,
-    max_width_um: float = 20.0,
-    nearest: bool = False,
-    name: str | None = None,
+    *, shape: LobeShape, fabrication: Fabrication | None = None, name: str | None = None
 ) -> EtchedDesign:
     """The mixture of step widths whose reflectance comes closest to a Gaussian lobe: ``anisoscope design lobe``.
 
     Args:
-        sigma: σ of the lobe along x, in half vectors h.
-        sigma_y: along y; as along x where it is left out.
+        shape: `LobeShape`.
         fabrication: light, etch passes, smallest feature and grid.
-        max_width_um: widest step.
-        nearest: take the nearest lobe if the wanted one is out of reach.
         name: of the design.
 
     Raises:
         ModelError: the lobe is out of reach, or depths that are none.
     """
+    sigma, sigma_y = shape.sigma, shape.sigma_y
     made = fabrication or Fabrication()
     passes = Depths(made.passes_nm, made.bandwidth_nm)
-    limits = made.min_width_um, max_width_um, made.grid_um, 1e-3 * made.wavelength_nm, made.coherence_um
+    limits = made.min_width_um, shape.max_width_um, made.grid_um, 1e-3 * made.wavelength_nm, made.coherence_um
     found = design_lobe(*(LobeTask(one, *limits) for one in (sigma, sigma if sigma_y is None else sigma_y)))
-    if not nearest:
+    if not shape.nearest:
         found.check()
     x, y = found.x, found.y
     model = LobeModel(
@@ -150,26 +153,22 @@ def _of_phase(passes: Depths, made: Fabrication, what: str) -> list[str]:
     return [f"the levels have a mean phase of {tau:.2f} at {made.wavelength_nm:g} nm: {what}"]
 
 
+@by_keywords(blocks=StepBlocks)
 def etched_antimirror(
-    arrangement: tuple[int, int] = (2, 2),
-    widths_um: tuple[float, float] = (2.0, 2.0),
-    *,
-    crossed: bool = False,
-    fabrication: Fabrication | None = None,
-    name: str | None = None,
+    *, blocks: StepBlocks, fabrication: Fabrication | None = None, name: str | None = None
 ) -> EtchedDesign:
     """A surface that reflects everywhere except in the mirror direction: ``anisoscope design antimirror``.
 
     Args:
-        arrangement: steps in a block along x and y.
-        widths_um: of a step along x and y.
-        crossed: a sequence along each axis instead of blocks: the hole is a cross.
+        blocks: `StepBlocks`.
         fabrication: light, etch passes, smallest feature and grid.
         name: of the design.
 
     Raises:
         ModelError: steps that cannot be made.
     """
+    many, widths, crossed = blocks.arrangement, blocks.width_um, blocks.crossed
+    arrangement, widths_um = (int(many[0]), int(many[-1])), (widths[0], widths[-1])
     made = fabrication or Fabrication()
     passes = Depths(made.passes_nm, made.bandwidth_nm)
     levels = len(passes.levels_nm)
@@ -218,31 +217,24 @@ class EtchDepths:
     spike_over_lobe: float
 
 
+@by_keywords(search=DepthSearch)
 def etch_depths(
-    levels: int = 4,
-    band_nm: tuple[float, float] = (400.0, 700.0),
-    h_z: float = 1.0,
-    coherence_um: float = 16.0,
-    width_um: float = 2.0,
-    seed: int = 0,
+    *, search: DepthSearch, band_nm: tuple[float, float] = (400.0, 700.0), coherence_um: float = 16.0
 ) -> EtchDepths:
     """Depths of etch passes whose levels have a zero mean phase, over a band: ``anisoscope design depths``.
 
     Args:
-        levels: K = 2, 4, 8, … from log₂ K etch passes.
+        search: `DepthSearch`.
         band_nm: wavelengths.
-        h_z: z component of the half vector; 1 where light and camera stand above.
         coherence_um: of the source, for the spike.
-        width_um: of the steps, for the spike.
-        seed: of the global search.
 
     Raises:
         ModelError: another count of levels, or a band or half vector that is none.
     """
-    found = design_depths(levels, band_nm, h_z, seed)
-    spike = found.spike_over_lobe(coherence_um, width_um)
+    found = design_depths(search.levels, band_nm, search.h_z, search.seed)
+    spike = found.spike_over_lobe(coherence_um, search.width_um)
     depths = tuple(found.passes_nm), tuple(found.levels_nm), found.band_nm
-    return EtchDepths(levels, *depths, found.epsilon, found.worst_nm, spike)
+    return EtchDepths(search.levels, *depths, found.epsilon, found.worst_nm, spike)
 
 
 @dataclass(frozen=True)
@@ -426,29 +418,51 @@ def resized(
     return np.asarray(cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
 
-def layout_of(source: Path, dots: int = 4, dot_um: float = 112.0, seed: int = 0) -> Layout:
+@by_keywords(how=EtchedHeights)
+def etched_heights(source: Path, *, how: EtchedHeights) -> HeightMap:
+    """Height map of a design, a layout or a GDSII file, or of a window of it: ``anisoscope design height``.
+
+    Args:
+        source: design *.toml, layout *.npz or masks *.gds.
+        how: `EtchedHeights`.
+
+    Raises:
+        UsageError: another file, or options of another one.
+    """
+    if source.suffix.lower() not in GDS:
+        return layout_of(source, how).window(how.corner_yx_um, how.window_yx_um)
+    return read_gds(
+        source,
+        corner_um=how.corner_yx_um,
+        size_um=how.window_yx_um,
+        grid_um=how.pixel_um,
+        passes_nm=how.depths_nm,
+    )
+
+
+def layout_of(source: Path, how: EtchedHeights) -> Layout:
     """The layout in a file, or random dots of a design.
 
     Args:
         source: layout *.npz, or design *.toml.
-        dots: along each side, of a design.
-        dot_um: side of a dot, of a design.
-        seed: of the dots of a design.
+        how: dots of a design, side and seed.
 
     Raises:
-        UsageError: another file, or a number of dots outside 1 to 1000.
+        UsageError: another file, a number of dots outside 1 to 1000, or options of GDSII files.
     """
+    if how.depths_nm is not None or how.pixel_um is not None:
+        raise UsageError(f"--depths and --pixel are for GDSII files; {source.name} says its own")
     kind = source.suffix.lower()
     if kind == ".npz":
         return read_layout(source)[0]
     if kind != ".toml":
         raise UsageError(f"{source.name}: give a design *.toml, a layout *.npz or masks *.gds")
-    if not 1 <= dots <= 1000:
-        raise UsageError(f"--dots must be 1 to 1000, not {dots}")
+    if not 1 <= how.dots <= 1000:
+        raise UsageError(f"--dots must be 1 to 1000, not {how.dots}")
     design = read_design(source)
-    classes = np.zeros((dots, dots), dtype=np.int64)
-    options = PatternOptions(dot_um, min(dots**2, 16))
-    return make_layout(classes, [design], np.random.default_rng(seed), options)
+    classes = np.zeros((how.dots, how.dots), dtype=np.int64)
+    options = PatternOptions(how.dot_um, min(how.dots**2, 16))
+    return make_layout(classes, [design], np.random.default_rng(how.seed), options)
 
 
 @dataclass(frozen=True)

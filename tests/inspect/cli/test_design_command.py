@@ -11,6 +11,7 @@ import pytest
 
 from anisoscope.operations.design.etched import layout_of
 from anisoscope.operations.design.pictures import POINTS, etched_picture
+from anisoscope.parameters.etching import EtchedHeights
 from anisoscope.parameters.fabrication import Fabrication
 from anisoscope.prediction.angular import AngularTask, angular_reflectance
 from anisoscope.profiles.files.load import read_height_map, write_height_map
@@ -105,7 +106,7 @@ def test_what_every_command_designs_is_predicted_from_its_file(page, folder):
         if source.suffix == ".gds":
             surface = read_gds(source, size_um=(48.0, 48.0))
         else:
-            surface = layout_of(source, 1, 56.0, 0).window((0.0, 0.0), (48.0, 48.0))
+            surface = layout_of(source, EtchedHeights(dots=1, dot_um=56.0)).window((0.0, 0.0), (48.0, 48.0))
         expected = angular_reflectance(surface, task)
         for kind in ("x3p", "npz", "sur", "gwy"):
             path = folder / f"{source.stem}-back.{kind}"
@@ -151,7 +152,7 @@ def test_what_every_command_designs_is_predicted_from_its_file(page, folder):
         ("antimirror --coherence=-5", "--coherence: the coherence length must be"),
         ("antimirror --min-width nan", "--min-width takes a number of µm"),
         ("antimirror --min-width=-1", "--min-width: smallest feature and grid must be positive"),
-        ("lobe --sigma 0.04 --max-width inf", "leave no choice"),
+        ("lobe --sigma 0.04 --max-width inf", "--max-width takes a number of µm"),
         ("lobe --sigma 0.04 --grid 0.001", "coarser grid"),
         ("depths --seed=-1", "--seed"),
         ("refine wide-x.toml --out none/dot.npz", "no folder"),

@@ -21,7 +21,6 @@ from jwcrypto.jwt import JWT
 
 from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import ConfigError, UsageError
-from anisoscope.cli.console.serve import serve
 from anisoscope.console import accounts as module_of_accounts
 from anisoscope.console import openid as module
 from anisoscope.console.access import SESSION_S, Access
@@ -29,6 +28,7 @@ from anisoscope.console.accounts import Accounts
 from anisoscope.console.application import create_app
 from anisoscope.console.openid import BEGUN_S, OpenId, Person, Provider, read_provider
 from anisoscope.console.trail import trail_of
+from anisoscope.parameters.serving import ConsoleSettings
 
 ROLES = {"inspectors": "operator", "auditors": "auditor"}
 PASSWORD = "correct horse battery"
@@ -417,7 +417,7 @@ def test_a_file_that_cannot_be_used(tmp_path, text, words):
 
 def test_the_option_goes_with_accounts(tmp_path):
     with pytest.raises(UsageError, match="--openid goes with --users"):
-        serve(rig=tmp_path / "rig.toml", recipes=tmp_path, openid=tmp_path / "openid.toml")
+        ConsoleSettings(openid=tmp_path / "openid.toml")
 
 
 @pytest.mark.browser

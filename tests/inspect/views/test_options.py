@@ -196,15 +196,15 @@ class Hiding:
     """A model with a name that options have themselves.
 
     Attributes:
-        model: of a camera.
+        option: of a camera.
         values: of a table.
     """
 
-    model: str = ""
+    option: str = ""
     values: str = ""
 
 
 def test_a_field_that_would_hide_what_options_are_is_refused():
-    with pytest.raises(TypeError, match=r"Hiding: rename the fields \['model', 'values'\]"):
+    with pytest.raises(TypeError, match=r"Hiding: rename the fields \['option', 'values'\]"):
         options_class(Options(Hiding))
-    assert options_class(Options(Hiding, whole=True, without={"model": "of the test"})).lists == {}
+    assert options_class(Options(Hiding, whole=True, without={"option": "of the test"})).lists == {}

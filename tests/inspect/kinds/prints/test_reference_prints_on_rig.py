@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import CalibrationError, MeasurementError, UsageError
+from anisoscope.cli import run
 from anisoscope.cli.recipe import golden as command
-from anisoscope.cli.recipe import recipe as recipe_command
 from anisoscope.cli.rig import calibrate
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.inspection.integrity import verify
@@ -22,6 +22,7 @@ from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import read_print_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.operations.inks import calibrate_ink
+from anisoscope.operations.teaching import teach
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.materials.inks import read_ink, synthetic_ink
 
@@ -54,8 +55,8 @@ def check_that_they_teach(recipe_path, rig_path, capsys):
     """The tolerances become those that the golden prints teach; all else stays."""
     before, limits = recipe_path.read_text(), read_print_recipe(recipe_path).tolerances
     with pytest.raises(UsageError, match="name a good part with --serial, or --golden"):
-        recipe_command.teach(recipe_path, rig=rig_path)
-    assert recipe_command.teach(recipe_path, rig=rig_path, golden=True, json_=True) == 0
+        teach(recipe_path, rig_path)
+    assert run(["recipe", "teach", str(recipe_path), "--rig", str(rig_path), "--golden", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     taught = read_print_recipe(recipe_path)
     assert (taught.version, told["folder"]) == (2, None)
