@@ -6,6 +6,7 @@ docs/evidence/prints.md anew.
 
 import os
 from collections import Counter
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -391,6 +392,7 @@ NO_DEFECTS = PrintDefects(**dict.fromkeys(PrintDefects.model_fields))
 @pytest.mark.statistics
 def test_rates_in_lots_of_prints_that_nobody_looked_at(house):
     """One bad print in every lot: it, and two of the good ones, each by all the others."""
+    house = copy(house)
     house.recipe = house.recipe.model_copy(update={"defects": NO_DEFECTS})  # which change no verdict here
     lines = []
     for defect in IN_LOTS:
